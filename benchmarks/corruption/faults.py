@@ -479,7 +479,7 @@ FAULTS = [
     Fault(row=87, name="pairs and batches", plant=_in_bursts, sizes=(2, 3, 5), kind="stream"),
     Fault(row=95, name="infinite speeds", plant=_infinite, sizes=(np.inf, -np.inf, 1e300), noted="velocity of"),
     Fault(
-        row=72, name="positions in degrees", plant=_degrees, kind="degrees",
+        row=72, name="positions in degrees", plant=_degrees, kind="position",
         sizes=("positions and speeds", "positions", "positions and speeds of one half"),
     ),
     Fault(

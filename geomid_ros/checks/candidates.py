@@ -14,21 +14,13 @@ import numpy as np
 from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.evidence import Evidence
 from geomid_ros.checks.subject import Subject
-from geomid_ros.types import BoolArray, FloatArray, IntArray
+from geomid_ros.types import BoolArray, FloatArray
 
 FOLLOWS = 0.85
 """A channel follows the model if no more than this share of its standard deviation is left."""
-_MOST_LEFT = {"sign": FOLLOWS, "order": FOLLOWS, "names": 0.7}  # wrists are alike: of them all would fit a little
-_BETTER = 0.75
-_SCATTER = 0.15  # of the log of a standard deviation over some 50 independent instants, one and a half standard errors
-_MISFIT = 0.1  # of the gain: a cause that is true explains no channel worse
-_GAIN = 0.25  # nats per instant
-GAIN_OF_MANY = 0.4
-"""The least gain of what is one of very many, as wrists are alike [nats per instant]."""
-_OF_MANY = ("order", "names", "zero", "axis", "absolute", "position", "coupled", "time")
-_OVERWHELMING = 0.5  # nats per instant: then it may be the links alone that become much more probable
-_LEAST = 10.0  # nats in all
+_GAIN = 0.25  # nats per instant that a cause gains
 _RIVAL = 0.1  # nats per instant
+_SINGLED, _MANY = 0.7, 2  # of the gain of a cause that is singled out: so many others, which repeat, gain less
 _AGREE = 3.0  # standard deviations of the size in a part from that of the whole
 _NO_SIZES = np.zeros(0)
 
@@ -64,18 +56,16 @@ class Judged:
         Args:
             mended: with the candidate undone.
             units: ``(C,)`` what one standard deviation of the measured numbers is in its efforts.
-            found: its evidence; that of nothing else wrong unless given.
+            found: its evidence in these units; that of nothing else wrong unless given.
             volume: log of the determinant by which the mending of numbers changes volumes, beyond that of ``units``.
             sizes, deviations: see :class:`Judged`.
         """
-        found = found or mended.nominal
-        ratios = mended.spread / units
-        log = found.log - len(mended.samples) * float(np.sum(np.log(ratios))) + volume
-        opposite = mended.opposite(found)
+        mended.__dict__["spread"] = units
+        found = mended.evidence() if found is None else found
         return Judged(
-            log=log,
-            sigmas=found.sigmas * ratios,
-            opposite=opposite,
+            log=found.log + volume,
+            sigmas=found.sigmas,
+            opposite=mended.opposite(found),
             sizes=np.array(sizes),
             deviations=np.array(deviations),
         )
@@ -89,8 +79,6 @@ class Candidate:
         undo: judges a subject with the candidate undone.
         cause: what is said of it, if need be by what was estimated.
         concerned: the channels that it changes.
-        choices: among how many of its kind it was chosen.
-        sources: ``(C,)`` which measured channel each judged one is; None if each is its own.
         allowed: whether what is known beside the evidence allows it.
         alone: whether it may be named by itself, or only beside another cause.
         settled: whether what is known beside the evidence settles it.
@@ -102,8 +90,6 @@ class Candidate:
     undo: Callable[[Subject], Judged]
     cause: Cause | Callable[[Judged], Cause]
     concerned: Sequence[int]
-    choices: int = 1
-    sources: IntArray | None = None
     allowed: bool = True
     alone: bool = True
     settled: bool = False
@@ -132,52 +118,24 @@ class Tried:
     @property
     def allowed(self) -> bool:
         """Whether what is known beside the evidence allows it."""
-        concerned = list(self.candidate.concerned)
-        upside_down = self.candidate.upright and bool(np.any(self.judged.opposite[concerned]))
+        opposite = self.judged.opposite[list(self.candidate.concerned)]
+        upside_down = self.candidate.upright and 2 * np.count_nonzero(opposite) > len(opposite)
         return self.candidate.allowed and not upside_down
 
     @property
     def gain(self) -> float:
-        """What it gains per instant, less what the choice among many costs [nats]."""
-        score = self.judged.log - float(np.log(self.candidate.choices))
-        return (score - self.subject.nominal.log) / len(self.subject.samples)
-
-    @property
-    def is_better(self) -> bool:
-        """Whether the evidence asks for it."""
-        least = GAIN_OF_MANY if self.cause.kind in _OF_MANY else _GAIN
-        return self.gain > least and self.gain * len(self.subject.samples) > _LEAST
-
-    @property
-    def _before_and_after(self) -> tuple[FloatArray, FloatArray]:
-        """What is left of the channels concerned without it and with it, of each as it was measured."""
-        concerned, sources = list(self.candidate.concerned), self.candidate.sources
-        before = self.subject.nominal.sigmas if sources is None else self.subject.nominal.sigmas[sources]
-        return before[concerned], self.judged.sigmas[concerned]
-
-    @property
-    def is_consistent(self) -> bool:
-        """Whether what it explains worse than it is, of the channels concerned, is little beside what it gains."""
-        before, after = self._before_and_after
-        worse = np.log(after / before)
-        return float(np.sum(worse[worse > _SCATTER])) < _MISFIT * self.gain
-
-    @property
-    def explains(self) -> bool:
-        """Whether the channels concerned follow the model then, and one of them much better than as it is."""
-        before, after = self._before_and_after
-        if self.cause.kind in _MOST_LEFT and np.any(after > _MOST_LEFT[self.cause.kind]):
-            return False
-        if self.cause.kind == "gain":  # of which the friction that is fitted as it is explains as much
-            return bool(np.any(after < FOLLOWS))
-        return bool(np.any(after < _BETTER * before)) or self.gain > _OVERWHELMING
+        """What it gains per instant [nats]."""
+        return (self.judged.log - self.subject.nominal.log) / len(self.subject.samples)
 
     @property
     def is_named(self) -> bool:
         """Whether all speaks for it."""
-        if not self.allowed:
-            return False
-        return self.candidate.settled or (self.is_better and self.is_consistent and self.explains)
+        return self.allowed and (self.candidate.settled or self.gain > _GAIN)
+
+    @property
+    def name(self) -> tuple[str, tuple[str, ...]]:
+        """The cause's kind and places."""
+        return self.cause.kind, self.cause.places
 
     def repeats(self) -> bool:
         """Whether every part of the recording asks for it, too, with sizes that are those of all of it."""
@@ -193,27 +151,25 @@ class Tried:
         return judged.log > part.nominal.log and bool(np.all(off <= allowed))
 
 
-def decide(tried: Iterable[Tried]) -> tuple[Finding, Tried] | None:
-    """What is wrong: the best candidate if all speaks for it, told as suspected if only the evidence does."""
-    tried = list(tried)
-    aside = [one.gain for one in tried if not one.candidate.alone and one.is_named]
-    least = max(aside, default=-np.inf) - _RIVAL  # what explains less is explained by what is not named
-    ordered = sorted((o for o in tried if o.candidate.settled or o.gain > least), key=lambda one: -one.gain)
-    named = [one for one in ordered if one.is_named]
-    better = [one for one in ordered if one.allowed and one.candidate.alone and one.is_better]
-    misfits = [one for one in better if not one.is_consistent]
-    better = [one for one in better if one not in misfits and not any(_contradicts(o, one) for o in misfits)]
-    best = next((one for one in named if one in better and not any(_contradicts(o, one) for o in better)), None)
-    if best is None and not any(one.candidate.alone and one.cause.kind != "gain" for one in named):
-        best = next((one for one in named if one.candidate.settled), None)
-    if best is None:
-        return (Finding(cause=better[0].cause, sure=False), better[0]) if better else None
-    near = best.gain - _RIVAL
-    rivals = {(one.cause.kind, one.cause.places): one.cause for one in reversed(named) if one.gain > near}
-    rivals.pop((best.cause.kind, best.cause.places))
-    return Finding(cause=best.cause, rivals=tuple(rivals.values())), best
+def decide(tried: Iterable[Tried]) -> tuple[Finding | None, str]:
+    """What is wrong: the best cause, with its rivals, if it repeats and is singled out.
 
-
-def _contradicts(other: Tried, best: Tried) -> bool:
-    """Whether a better one, which is not named, is about the same channels."""
-    return other.gain > best.gain and not set(best.candidate.concerned).isdisjoint(other.candidate.concerned)
+    Returns:
+        The finding, and a remark on what is not believed; None and empty if there is none.
+    """
+    named = sorted((one for one in tried if one.is_named), key=lambda one: -one.gain)
+    aside = max((one.gain for one in named if not one.candidate.alone), default=-np.inf)
+    # What explains less than what is not named by itself is explained by that.
+    causes = [one for one in named if one.candidate.alone and (one.candidate.settled or one.gain > aside - _RIVAL)]
+    remark = ""
+    for best in [one for number, one in enumerate(causes) if number == 0 or one.candidate.settled]:
+        near = [one for one in causes if one.gain > _SINGLED * best.gain and one.name != best.name]
+        if not best.repeats():
+            remark = f"in a part of the recording only: {best.cause.sentence}"
+        elif not best.candidate.settled and len({one.name for one in near if one.repeats()}) >= _MANY:
+            remark = f"one of several causes that are as likely: {best.cause.sentence}"
+        else:
+            rivals = {one.name: one.cause for one in reversed(named) if one.gain > best.gain - _RIVAL}
+            rivals.pop(best.name)
+            return Finding(cause=best.cause, rivals=tuple(rivals.values())), ""
+    return None, remark

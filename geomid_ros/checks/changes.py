@@ -86,7 +86,7 @@ def _candidate(kind: _Kind, place: float, main: int, cause: Cause, concerned: li
         beyond = gain.beyond(always) if always.per_instant > 0.0 else gain
         return _judged(subject, beyond, main)
 
-    return Candidate(undo=undo, cause=cause, concerned=concerned, choices=len(PLACES), changes=True)
+    return Candidate(undo=undo, cause=cause, concerned=concerned, changes=True)
 
 
 def _judged(subject: Subject, gain: Gain, main: int) -> Judged:
@@ -219,7 +219,6 @@ def switches(subject: Subject) -> Iterator[Candidate]:
         undo=lambda of: _switched(of, place, factor),
         cause=cause,
         concerned=range(len(subject.joints)),
-        choices=len(tried),
         allowed=not 1.0 / REASON <= factor <= REASON,
         changes=True,
         subject=moving,
@@ -252,7 +251,9 @@ def _switched(subject: Subject, place: float, factor: float) -> Judged:
             volume = len(subject.joints) * float(np.sum(np.log(np.abs(gains))))
             readings.append(Judged.mended(mended, subject.spread, volume=volume))
     best = max(readings, key=lambda judged: judged.log)
-    return replace(best, sigmas=np.minimum(best.sigmas, subject.nominal.sigmas))
+    always = Judged.mended(subject.with_efforts(np.sign(factor) * subject.measured), subject.spread)
+    log = best.log - max(always.log - subject.nominal.log, 0.0)
+    return replace(best, log=log, sigmas=np.minimum(best.sigmas, subject.nominal.sigmas))
 
 
 def lags(subject: Subject) -> Iterator[Candidate]:
@@ -262,7 +263,7 @@ def lags(subject: Subject) -> Iterator[Candidate]:
     To first order a lag adds the derivative of the efforts, times the lag. What the links take tells it: friction turns
     about at once, and what is left unexplained there looks like a lag. So it is fitted beside the curves of friction.
     """
-    names, count = subject.names, len(subject.joints)
+    count = len(subject.joints)
     common = subject.flexible.gain(_rates(subject))
     lag = _USUAL * float(common.coefficients[0])
     if _LEAST_LAG < abs(lag) < _MOST_LAG:
@@ -277,10 +278,10 @@ def lags(subject: Subject) -> Iterator[Candidate]:
         return
     main = [*np.flatnonzero(told & (np.abs(lags) > _LEAST_LAG))]
     if main:
-        yield _late(subject, main, lags[main], lambda of: by_channel(_rates(of))[:, :, main], len(names))
+        yield _late(subject, main, lags[main], lambda of: by_channel(_rates(of))[:, :, main])
 
 
-def _late(subject: Subject, main: list[int], lags: FloatArray, columns: Columns, choices: int = 1) -> Candidate:
+def _late(subject: Subject, main: list[int], lags: FloatArray, columns: Columns) -> Candidate:
     every, names = len(main) == len(subject.joints), [subject.names[c] for c in main]
     times = [f"{1000.0 * abs(lag):.0f} ms {'late' if lag > 0.0 else 'early'}" for lag in lags]
     each = ", ".join(f"that of '{name}' about {time}" for name, time in zip(names, times, strict=True))
@@ -290,7 +291,7 @@ def _late(subject: Subject, main: list[int], lags: FloatArray, columns: Columns,
         gain = of.flexible.gain(columns(of))
         return _judged(of, gain, 0)
 
-    return Candidate(undo=undo, cause=cause, concerned=main, choices=choices, subject=subject)
+    return Candidate(undo=undo, cause=cause, concerned=main, subject=subject)
 
 
 def _rates(subject: Subject) -> FloatArray:

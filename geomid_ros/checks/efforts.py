@@ -86,16 +86,11 @@ class EffortCheck:
         sigmas = subject.nominal.sigmas if best is None or best.gain < 0.0 else best.judged.sigmas
         if np.all(sigmas > FOLLOWS):
             return Finding(cause=Cause.of("unrelated", subject.names)), None
-        aside = [one for one in tried if not one.candidate.alone and one.is_named]
-        level = max(aside, key=lambda one: one.gain).cause if aside else None
-        decided = decide(tried)
-        if decided is None:
-            return None, level
-        finding, best = decided
-        if best.repeats():
-            return finding, level
-        self.remarks.append(f"in a part of the recording only: {finding.sentence}")
-        return None, level
+        level = max((o for o in tried if not o.candidate.alone and o.is_named), key=lambda o: o.gain, default=None)
+        finding, remark = decide(tried)
+        if remark and remark not in self.remarks:
+            self.remarks.append(remark)
+        return finding, None if level is None else level.cause
 
 
 def _unexplained(subject: Subject) -> list[Finding]:

@@ -34,11 +34,9 @@ TIMES = (0.5, 2.0, 1e-3, 1e3)
 """Factors of time: seconds that are counted as halves, twice, as milliseconds or as thousands."""
 _TOLD = 0.8  # squared correlation with what the URDF predicts, of a joint whose gain can be told
 _ALIKE, _SHARE = 3.0, 0.6  # gains of one unit: so many within a factor of this
-_CHOICES = 10  # units that efforts may well have
 _MOST, _LEAST = 2.0, 0.03  # efforts as shares of the URDF's limits: those of right ones are between
 _ABSURD = 30.0
 _TILT = np.radians(25.0)
-_DIRECTIONS = 20  # that gravity may well have
 _SPREAD = 0.5  # [rad] of a zero that is off
 _STEP = 1e-4  # [rad] of the derivative
 _ROUNDS = 3
@@ -67,60 +65,45 @@ def candidates(subject: Subject) -> Iterator[Candidate]:
 def _signs(subject: Subject) -> Iterator[Candidate]:
     """The efforts of all joints are reversed, or of one."""
     every = range(len(subject.joints))
-    for joints in [list(every), *([joint] for joint in every if len(every) > 1)]:
-        signs = np.ones(len(every))
-        signs[joints] = -1.0
+    for joints in [every, *([joint] for joint in every if len(every) > 1)]:
         names, whole = [subject.names[joint] for joint in joints], len(joints) == len(every)
-        cause = Cause.of("sign", names, gain_settings(names, -subject.gains[joints], whole), every=whole)
-        choices = 1 if whole else len(every)
-        yield _of_efforts(signs, cause, joints, choices=choices, upright=True)
+        cause = Cause.of("sign", names, gain_settings(names, -subject.gains[list(joints)], whole), every=whole)
+        yield _linear(np.diag(np.where(np.isin(every, joints), -1.0, 1.0)), cause, joints, upright=True)
 
 
-def _of_efforts(factors: FloatArray, cause: Cause, concerned: Sequence[int], **known: object) -> Candidate:
-    """Efforts times ``factors (C,)`` are those of this robot."""
+def _linear(
+    matrix: FloatArray, cause: Cause, concerned: Sequence[int], *, upright: bool = False, settled: bool = False
+) -> Candidate:
+    """Efforts times a ``matrix (C, C)`` are those of this robot."""
+    channels, sizes = np.arange(len(matrix)), np.abs(matrix)
+    sources = np.where(sizes[channels, channels] > 0.0, channels, np.argmax(sizes, axis=1))
 
     def undo(subject: Subject) -> Judged:
-        return Judged.mended(subject.with_efforts(factors * subject.measured), np.abs(factors) * subject.spread)
+        units = sizes[channels, sources] * subject.spread[sources]
+        return Judged.mended(subject.with_efforts(subject.measured @ matrix.T), units)
 
-    return Candidate(undo=undo, cause=cause, concerned=concerned, **known)  # type: ignore[arg-type]
+    return Candidate(undo=undo, cause=cause, concerned=concerned, upright=upright, settled=settled)
 
 
 def _orders(subject: Subject) -> Iterator[Candidate]:
     """The efforts of two joints are exchanged."""
-    pairs = [pairs for pairs in exchanges(subject.names) if len(pairs) == 1]
-    for ((first, second),) in pairs:
-        sources = np.arange(len(subject.joints))
-        sources[[first, second]] = second, first
-        cause = Cause.of("order", [subject.names[first], subject.names[second]])
-
-        def undo(subject: Subject, sources: IntArray = sources) -> Judged:
-            return Judged.mended(subject.with_efforts(subject.measured[:, sources]), subject.spread[sources])
-
-        yield Candidate(
-            undo=undo,
-            cause=cause,
-            concerned=[first, second],
-            choices=len(pairs),
-            sources=sources,
-        )
+    for pairs in exchanges(subject.names):
+        if len(pairs) == 1:
+            pair = list(pairs[0])
+            matrix = np.eye(len(subject.joints))
+            matrix[pair] = matrix[pair[::-1]]
+            yield _linear(matrix, Cause.of("order", [subject.names[joint] for joint in pair]), pair)
 
 
 def _couplings(subject: Subject) -> Iterator[Candidate]:
     """The effort of a joint holds that of the next one, too, of either sign."""
-    count = len(subject.joints)
-    for joint in range(count - 1):
+    units = subject.units
+    for joint in [joint for joint, (own, other) in enumerate(pairwise(units)) if own == other]:
         for sign in (1.0, -1.0):
-            if subject.units[joint] != subject.units[joint + 1]:
-                continue
-            names = [subject.names[joint], subject.names[joint + 1]]
-            cause = Cause.of("coupled", names, sign="minus" if sign > 0.0 else "plus")
-
-            def undo(subject: Subject, joint: int = joint, sign: float = sign) -> Judged:
-                measured = subject.measured.copy()
-                measured[:, joint] += sign * measured[:, joint + 1]
-                return Judged.mended(subject.with_efforts(measured), subject.spread)
-
-            yield Candidate(undo=undo, cause=cause, concerned=[joint], choices=2 * count, upright=True)
+            cause = Cause.of("coupled", subject.names[joint : joint + 2], sign="minus" if sign > 0.0 else "plus")
+            matrix = np.eye(len(units))
+            matrix[joint, joint + 1] = sign
+            yield _linear(matrix, cause, [joint], upright=True)
 
 
 def _frictions(subject: Subject) -> Iterator[Candidate]:
@@ -156,7 +139,7 @@ def _magnitudes(subject: Subject) -> Iterator[Candidate]:
             explained = mended.explained(mended.nominal)[:, concerned]
         return Judged.mended(mended, mended.spread)  # signs make numbers larger, not less probable
 
-    yield Candidate(undo=undo, cause=cause, concerned=concerned, choices=2 ** len(concerned))
+    yield Candidate(undo=undo, cause=cause, concerned=concerned)
 
 
 def _without_sign(subject: Subject) -> list[int]:
@@ -176,24 +159,19 @@ def _expected(subject: Subject, channel: int) -> FloatArray:
 
 def _gains(subject: Subject) -> Iterator[Candidate]:
     """Another unit of all joints together, or shares of what they are rated for, and of each by itself."""
-    count, names = len(subject.joints), subject.names
+    every = range(len(subject.joints))
     slopes, told = subject.slopes()
-    factor, settled = _common_factor(subject, slopes, told)
-    if not 1.0 / REASON <= factor <= REASON:
-        cause = _other_unit(subject, range(count), factor)
-        yield _of_efforts(np.full(count, factor), cause, range(count), choices=_CHOICES, settled=settled)
-    common = factor if settled else np.nan
+    common, settled = _common_factor(subject, slopes, told)
+    if not 1.0 / REASON <= common <= REASON:
+        yield _linear(common * np.eye(len(every)), _other_unit(subject, every, common), every, settled=settled)
     by_size = np.std(subject.predicted, axis=0) / subject.spread
     factors = np.where((told > 0.5) & (slopes > 0.0), 1.0 / np.maximum(slopes, 1e-30), by_size)
-    loads = _loads(subject)
-    for joint in range(count) if count > 1 else ():
-        factor = float(factors[joint])
-        if factor > 0.0 and not 1.0 / REASON <= factor <= REASON:
-            gains = np.ones(count)
-            gains[joint] = factor
-            own = not 1.0 / REASON <= factor / common <= REASON
-            cause, absurd = _other_unit(subject, [joint], factor), bool(loads[joint] > _ABSURD)
-            yield _of_efforts(gains, cause, [joint], choices=_CHOICES * len(names), allowed=own, settled=absurd)
+    own = np.abs(np.log(np.maximum(factors / (common if settled else 1.0), 1e-30))) > np.log(REASON)
+    unlike = np.abs(np.log(np.maximum(factors, 1e-30))) > np.log(REASON)
+    for joint in np.flatnonzero(own & unlike & (factors > 0.0)).tolist() if len(every) > 1 else ():
+        factor, absurd = float(factors[joint]), bool(_loads(subject)[joint] > _ABSURD)
+        matrix = np.diag(np.where(np.isin(every, joint), factor, 1.0))
+        yield _linear(matrix, _other_unit(subject, [joint], factor), [joint], settled=absurd)
 
 
 def _loads(subject: Subject) -> FloatArray:
@@ -248,7 +226,7 @@ def _gravities(subject: Subject) -> Iterator[Candidate]:
         cause = Cause.of("compensated", subject.names, {"gravity": [0.0, 0.0, 0.0]})
         every = range(len(subject.joints))
         for undo in (_weightless, _compensated):
-            yield Candidate(undo=undo, cause=cause, concerned=every, choices=2)
+            yield Candidate(undo=undo, cause=cause, concerned=every)
 
 
 def _turned(subject: Subject, gravity: FloatArray) -> Candidate:
@@ -272,7 +250,7 @@ def _turned(subject: Subject, gravity: FloatArray) -> Candidate:
     def undo(subject: Subject) -> Judged:
         return Judged.mended(subject.under(gravity), subject.spread)
 
-    return Candidate(undo=undo, cause=cause, concerned=range(len(subject.joints)), choices=_DIRECTIONS, alone=alone)
+    return Candidate(undo=undo, cause=cause, concerned=range(len(subject.joints)), alone=alone)
 
 
 def _weightless(subject: Subject) -> Judged:
@@ -288,8 +266,7 @@ def _compensated(subject: Subject) -> Judged:
 
 def _names(subject: Subject) -> Iterator[Candidate]:
     """Positions and efforts of one joint are those of another."""
-    ways = exchanges(subject.names)
-    for pairs in ways:
+    for pairs in exchanges(subject.names):
         sources = np.arange(len(subject.joints))
         for first, second in pairs:
             sources[[first, second]] = second, first
@@ -299,16 +276,10 @@ def _names(subject: Subject) -> Iterator[Candidate]:
         said = ", ".join(f"'{first}' and '{second}'" for first, second in both)
         cause = Cause.of("names", [name for end in zip(*both, strict=True) for name in end], pairs=said)
 
-        def undo(subject: Subject, order: IntArray = order, sources: IntArray = sources) -> Judged:
-            return Judged.mended(subject.with_samples(subject.samples.with_joints(order)), subject.spread[sources])
+        def read(samples: Samples, order: IntArray = order) -> Samples:
+            return samples.with_joints(order)
 
-        yield Candidate(
-            undo=undo,
-            cause=cause,
-            concerned=[place for pair in pairs for place in pair],
-            choices=len(ways),
-            sources=sources,
-        )
+        yield _of_motion(read, cause, [place for pair in pairs for place in pair], sources=sources)
 
 
 def exchanges(names: Sequence[str]) -> list[list[tuple[int, int]]]:
@@ -341,10 +312,9 @@ def _positions(subject: Subject) -> Iterator[Candidate]:
     largest = np.max(np.abs(subject.samples.position), axis=0)
     allowed = np.where(turning, np.minimum(np.maximum(-low, high), 2.0 * np.pi), np.maximum(-low, high))
     angles = [*ANGLES.items(), *((f"steps of {2.0 * np.pi / step:.0f} a turn", step) for step in TICKS)]
-    choices = len(angles) + len(ANGLES) * len(turning)
     for unit, size in angles if np.any(turning) else ():
         if size > 1.0 or np.any((largest > allowed)[turning]):
-            yield _in_unit(subject, np.where(turning, size, 1.0), unit, "joint positions are", choices)
+            yield _in_unit(subject, np.where(turning, size, 1.0), unit, "joint positions are")
     for joint, turns in enumerate(turning):
         for unit, size in (ANGLES if turns else LENGTHS).items() if len(turning) > 1 else ():
             if size > 1.0 or largest[joint] > allowed[joint]:
@@ -352,7 +322,7 @@ def _positions(subject: Subject) -> Iterator[Candidate]:
                 scales[joint] = size
                 said = f"the positions of joint '{robot.joint_names[joint]}' are"
                 beyond = largest[joint] > REASON * allowed[joint] and np.sum(largest > REASON * allowed) == 1
-                yield _in_unit(subject, scales, unit, said, choices, joint, settled=bool(beyond))
+                yield _in_unit(subject, scales, unit, said, joint, settled=bool(beyond))
 
 
 def _in_unit(
@@ -360,7 +330,6 @@ def _in_unit(
     scales: FloatArray,
     unit: str,
     said: str,
-    choices: int,
     joint: int | None = None,
     *,
     settled: bool = False,
@@ -370,18 +339,24 @@ def _in_unit(
     right = "m and m/s" if unit in LENGTHS else "rad and rad/s"
     cause = Cause.of("position", names, positions=said, unit=unit, right=right)
     every = range(len(subject.joints))
-    return _of_motion(lambda samples: _scaled(samples, scales), cause, every, choices, settled=settled)
+    return _of_motion(lambda samples: _scaled(samples, scales), cause, every, settled=settled)
 
 
 def _of_motion(
-    read: Callable[[Samples], Samples], cause: Cause, concerned: Sequence[int], choices: int, *, settled: bool = False
+    read: Callable[[Samples], Samples],
+    cause: Cause,
+    concerned: Sequence[int],
+    *,
+    sources: IntArray | None = None,
+    settled: bool = False,
 ) -> Candidate:
     """The recording with its samples read otherwise is that of this robot."""
 
     def undo(subject: Subject) -> Judged:
-        return Judged.mended(subject.with_samples(read(subject.samples)), subject.spread)
+        units = subject.spread if sources is None else subject.spread[sources]
+        return Judged.mended(subject.with_samples(read(subject.samples)), units)
 
-    return Candidate(undo=undo, cause=cause, concerned=concerned, choices=choices, settled=settled)
+    return Candidate(undo=undo, cause=cause, concerned=concerned, settled=settled)
 
 
 def _scaled(samples: Samples, scales: FloatArray, rate: float = 1.0) -> Samples:
@@ -404,7 +379,7 @@ def _times(subject: Subject) -> Iterator[Candidate]:
         def read(samples: Samples, rate: float = rate) -> Samples:
             return _scaled(samples, ones, rate)
 
-        yield _of_motion(read, cause, range(len(subject.joints)), len(TIMES))
+        yield _of_motion(read, cause, range(len(subject.joints)))
 
 
 def _encoders(subject: Subject) -> Iterator[Candidate]:
@@ -412,24 +387,23 @@ def _encoders(subject: Subject) -> Iterator[Candidate]:
     robot = subject.model.robot
     turning = [place for place, joint in enumerate(robot.joints) if joint.unit != "N"]
     right = 0.5 * np.pi
-    choices = 8 * len(robot.joints)
     for joint in range(len(robot.joints)):
         turns = joint in turning
-        yield _zero(subject, joint, -1.0, 0.0, choices)
-        yield _half_axis(subject, joint, choices)
+        yield _zero(subject, joint, -1.0, 0.0)
+        yield _half_axis(subject, joint)
         for sign in (1.0, -1.0) if turns else ():
-            yield from (_zero(subject, joint, sign, quarters * right, choices) for quarters in (1, 2, -1))
+            yield from (_zero(subject, joint, sign, quarters * right) for quarters in (1, 2, -1))
         for other in robot.parallel_joints(joint) if turns else ():
-            yield from (_absolute(subject, joint, other, share, choices) for share in (1.0, -1.0) if other in turning)
+            yield from (_absolute(subject, joint, other, share) for share in (1.0, -1.0) if other in turning)
 
 
 def _zeros(subject: Subject) -> Iterator[Candidate]:
     """The zero of a joint that turns is off a little."""
     joints = [place for place, joint in enumerate(subject.model.robot.joints) if joint.unit != "N"]
-    yield from (_zero(subject, joint, 1.0, 0.0, 8 * len(joints)) for joint in joints)
+    yield from (_zero(subject, joint, 1.0, 0.0) for joint in joints)
 
 
-def _absolute(subject: Subject, joint: int, other: int, share: float, choices: int) -> Candidate:
+def _absolute(subject: Subject, joint: int, other: int, share: float) -> Candidate:
     names = subject.model.robot.joint_names
     cause = Cause.of("absolute", [names[joint], names[other]], sign="minus" if share > 0.0 else "plus")
 
@@ -439,7 +413,7 @@ def _absolute(subject: Subject, joint: int, other: int, share: float, choices: i
             values[:, joint] -= share * getattr(samples, name)[:, other]
         return _with_sign(replace(samples, **moved), joint)
 
-    return _of_motion(read, cause, range(len(subject.joints)), choices)
+    return _of_motion(read, cause, range(len(subject.joints)))
 
 
 def _with_sign(samples: Samples, joint: int) -> Samples:
@@ -463,14 +437,14 @@ def _turned_axis(samples: Samples, joint: int, *, effort: bool) -> Samples:
     return replace(samples, **moved, effects=effects)
 
 
-def _half_axis(subject: Subject, joint: int, choices: int) -> Candidate:
+def _half_axis(subject: Subject, joint: int) -> Candidate:
     """Position and speed of a joint have the opposite sign, its effort has not."""
     cause = Cause.of("axis", [subject.model.robot.joint_names[joint]], reversed="position and velocity", zero="")
     every = range(len(subject.joints))
-    return _of_motion(lambda samples: _turned_axis(samples, joint, effort=False), cause, every, choices)
+    return _of_motion(lambda samples: _turned_axis(samples, joint, effort=False), cause, every)
 
 
-def _zero(subject: Subject, joint: int, sign: float, start: float, choices: int) -> Candidate:
+def _zero(subject: Subject, joint: int, sign: float, start: float) -> Candidate:
     """A joint counts from another zero, which is fitted near ``start`` [rad], and the other way round if ``sign`` is
     below zero.
 
@@ -509,7 +483,7 @@ def _zero(subject: Subject, joint: int, sign: float, start: float, choices: int)
         beside = "" if abs(turn) < 5.0 else f", and {said} to be added to its positions then"
         return Cause.of("axis", [name], reversed="position, velocity and effort", zero=beside)
 
-    return Candidate(undo=undo, cause=cause, concerned=range(len(subject.joints)), choices=choices)
+    return Candidate(undo=undo, cause=cause, concerned=range(len(subject.joints)))
 
 
 EFFORTS = (_signs, _frictions, _magnitudes, _orders, _couplings, _gains, _gravities)
