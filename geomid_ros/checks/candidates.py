@@ -20,7 +20,7 @@ FOLLOWS = 0.85
 """A channel follows the model if no more than this share of its standard deviation is left."""
 _GAIN = 0.25  # nats per instant that a cause gains
 _RIVAL = 0.1  # nats per instant
-_SINGLED, _MANY = 0.7, 2  # of the gain of a cause that is singled out: so many others, which repeat, gain less
+_SINGLED, _MANY = 0.8, 2  # of the gain of a cause that is singled out: so many others, which repeat, gain less
 _AGREE = 3.0  # standard deviations of the size in a part from that of the whole
 _NO_SIZES = np.zeros(0)
 
@@ -60,7 +60,7 @@ class Judged:
             volume: log of the determinant by which the mending of numbers changes volumes, beyond that of ``units``.
             sizes, deviations: see :class:`Judged`.
         """
-        mended.__dict__["spread"] = units
+        mended = mended.in_units(units)
         found = mended.evidence() if found is None else found
         return Judged(
             log=found.log + volume,
@@ -163,13 +163,15 @@ def decide(tried: Iterable[Tried]) -> tuple[Finding | None, str]:
     causes = [one for one in named if one.candidate.alone and (one.candidate.settled or one.gain > aside - _RIVAL)]
     remark = ""
     for best in [one for number, one in enumerate(causes) if number == 0 or one.candidate.settled]:
-        near = [one for one in causes if one.gain > _SINGLED * best.gain and one.name != best.name]
         if not best.repeats():
             remark = f"in a part of the recording only: {best.cause.sentence}"
-        elif not best.candidate.settled and len({one.name for one in near if one.repeats()}) >= _MANY:
-            remark = f"one of several causes that are as likely: {best.cause.sentence}"
-        else:
-            rivals = {one.name: one.cause for one in reversed(named) if one.gain > best.gain - _RIVAL}
-            rivals.pop(best.name)
-            return Finding(cause=best.cause, rivals=tuple(rivals.values())), ""
+            continue
+        # Whatever begins during a recording asks for the same: to use the part before or after.
+        near = [one for one in causes if not (one.candidate.changes and best.candidate.changes)]
+        near = [one for one in near if one.name != best.name and one.gain > _SINGLED * best.gain and one.repeats()]
+        if not best.candidate.settled and len({one.name for one in near}) >= _MANY:
+            return Finding(cause=best.cause, sure=False), ""
+        rivals = {one.name: one.cause for one in reversed(named) if one.gain > best.gain - _RIVAL}
+        rivals.pop(best.name)
+        return Finding(cause=best.cause, rivals=tuple(rivals.values())), ""
     return None, remark

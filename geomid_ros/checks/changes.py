@@ -19,7 +19,6 @@ from geomid_ros.checks.instants import FEWEST, elapsed
 from geomid_ros.checks.rows import payload_factor
 from geomid_ros.checks.subject import Subject
 from geomid_ros.checks.transforms import REASON
-from geomid_ros.signals.saturation import STANDING
 from geomid_ros.types import FloatArray
 
 PLACES = np.arange(1, 10) / 10.0
@@ -202,16 +201,13 @@ def _main(sizes: FloatArray, least: float) -> list[int]:
 
 def switches(subject: Subject) -> Iterator[Candidate]:
     """Efforts of all joints that are in another unit, or have the other sign, from some instant on."""
-    moves = np.any(np.abs(subject.samples.velocity[:, subject.joints]) > STANDING, axis=1)
-    moving = subject.part(moves)  # at rest stiction holds whatever it likes
-    if len(moving.samples) < FEWEST:
+    both = [(place, factor) for place in PLACES for factor in _factors(subject.moving, place)]
+    if len(subject.moving.samples) < FEWEST or not both:
         return
-    tried = {
-        (place, factor): _switched(moving, place, factor).log for place in PLACES for factor in _factors(moving, place)
-    }
+    tried = {(place, factor): _switched(subject, place, factor).log for place, factor in both}
     place, factor = max(tried, key=lambda one: tried[one])
-    near = {(place + by, factor): _switched(moving, place + by, factor).log for by in NEARER}
-    place, factor = max(near | tried, key=lambda one: (near | tried)[one])
+    tried |= {(place + by, factor): _switched(subject, place + by, factor).log for by in NEARER}
+    place, factor = max(tried, key=lambda one: tried[one])
     what = "the opposite sign" if factor == -1.0 else f"{factor:.2g} times the earlier value"
     when = f"from about {elapsed(subject.samples.stamps, place):.0f} s on"
     cause = Cause.of("stream", subject.names, factor=what, when=when)
@@ -221,7 +217,6 @@ def switches(subject: Subject) -> Iterator[Candidate]:
         concerned=range(len(subject.joints)),
         allowed=not 1.0 / REASON <= factor <= REASON,
         changes=True,
-        subject=moving,
     )
 
 
@@ -240,8 +235,10 @@ def _factors(subject: Subject, place: float) -> list[float]:
     return [-1.0] if 1.0 / REASON <= factor <= REASON else [factor, -factor]
 
 
-def _switched(subject: Subject, place: float, factor: float) -> Judged:
-    """The better of two readings: efforts are in N m before the place, or after it."""
+def _switched(whole: Subject, place: float, factor: float) -> Judged:
+    """The better of two readings, efforts are in N m before the place or after it, by the instants in motion: at rest
+    stiction holds whatever it likes."""
+    subject = whole.moving
     later = subject.shares >= place
     readings = []
     for sign in {1.0, float(np.sign(factor))}:
@@ -249,11 +246,11 @@ def _switched(subject: Subject, place: float, factor: float) -> Judged:
             gains = np.where(part, size, 1.0) * sign
             mended = subject.with_efforts(subject.measured * gains[:, None])
             volume = len(subject.joints) * float(np.sum(np.log(np.abs(gains))))
-            readings.append(Judged.mended(mended, subject.spread, volume=volume))
+            volume += len(gains) * float(np.sum(np.log(subject.spread / mended.spread)))
+            readings.append(Judged.mended(mended, mended.spread, volume=volume))
     best = max(readings, key=lambda judged: judged.log)
-    always = Judged.mended(subject.with_efforts(np.sign(factor) * subject.measured), subject.spread)
-    log = best.log - max(always.log - subject.nominal.log, 0.0)
-    return replace(best, log=log, sigmas=np.minimum(best.sigmas, subject.nominal.sigmas))
+    log = whole.nominal.log + best.log - subject.nominal.log
+    return replace(best, log=log, sigmas=np.minimum(best.sigmas, whole.nominal.sigmas))
 
 
 def lags(subject: Subject) -> Iterator[Candidate]:

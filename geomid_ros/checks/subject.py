@@ -12,6 +12,7 @@ from geomid_ros.checks.flexible import FlexibleFit
 from geomid_ros.checks.rows import effort_rows, friction_columns, gravity_rows, prior_factor
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
+from geomid_ros.signals.saturation import STANDING
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 _ROUNDING = 1e-10
@@ -107,6 +108,12 @@ class Subject:
         other.__dict__.update({name: self.__dict__[name] for name in _OF_MOTION if name in self.__dict__})
         return other
 
+    def in_units(self, units: FloatArray) -> Subject:
+        """The same with channels measured in ``units (C,)`` in place of the standard deviations of its efforts."""
+        other = self.with_efforts(self.measured)
+        other.__dict__["spread"] = units
+        return other
+
     def with_samples(self, samples: Samples) -> Subject:
         """The same robot in another motion."""
         return replace(self, samples=samples)
@@ -188,6 +195,11 @@ class Subject:
         tolerated = _FRICTION / np.maximum(np.sqrt(np.mean(self.friction**2, axis=0)), 1e-6)
         tolerated[:, 0] = _OFFSET
         return np.asarray(tolerated)
+
+    @cached_property
+    def moving(self) -> Subject:
+        """The same at the instants at which a joint moves."""
+        return self.part(np.any(np.abs(self.samples.velocity[:, self.joints]) > STANDING, axis=1))
 
     @cached_property
     def flexible(self) -> FlexibleFit:

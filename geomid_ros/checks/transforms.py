@@ -370,16 +370,18 @@ def _scaled(samples: Samples, scales: FloatArray, rate: float = 1.0) -> Samples:
 
 
 def _times(subject: Subject) -> Iterator[Candidate]:
-    """Stamps run too fast or too slow."""
-    ones = np.ones(len(subject.model.robot.joints))
+    """Stamps run too fast or too slow: where inertia does not fit gravity, and there is gravity in the efforts."""
+    ones, every = np.ones(len(subject.model.robot.joints)), range(len(subject.joints))
     for rate in TIMES:
-        said = f"{1.0 / rate:g} times as fast" if rate < 1.0 else f"{rate:g} times as slow"
+        said = f"{1.0 / rate:g} times as slow" if rate < 1.0 else f"{rate:g} times as fast"
         cause = Cause.of("time", subject.names, rate=said, period=f"{1.0 / rate:g} times")
 
-        def read(samples: Samples, rate: float = rate) -> Samples:
-            return _scaled(samples, ones, rate)
+        def undo(subject: Subject, rate: float = rate) -> Judged:
+            judged = Judged.mended(subject.with_samples(_scaled(subject.samples, ones, rate)), subject.spread)
+            without = max(_weightless(subject).log, _compensated(subject).log)
+            return replace(judged, log=judged.log - max(without - subject.nominal.log, 0.0))
 
-        yield _of_motion(read, cause, range(len(subject.joints)))
+        yield Candidate(undo=undo, cause=cause, concerned=every)
 
 
 def _encoders(subject: Subject) -> Iterator[Candidate]:
