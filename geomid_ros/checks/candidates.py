@@ -18,11 +18,11 @@ from geomid_ros.types import BoolArray, FloatArray
 
 FOLLOWS = 0.85
 """A channel follows the model if no more than this share of its standard deviation is left."""
-_GAIN = 0.25  # nats per instant that a cause gains
+GAIN = 0.25
+"""The least that a cause gains [nats per instant]."""
 _RIVAL = 0.1  # nats per instant
-_SINGLED, _MANY = 0.8, 2  # of the gain of a cause that is singled out: so many others, which repeat, gain less
+_SINGLED, _MANY = 0.8, 2  # of the gain: fewer causes at other joints come so near to one that is singled out
 _AGREE = 3.0  # standard deviations of the size in a part from that of the whole
-_NO_SIZES = np.zeros(0)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -39,8 +39,8 @@ class Judged:
     log: float
     sigmas: FloatArray
     opposite: BoolArray
-    sizes: FloatArray = field(default_factory=lambda: _NO_SIZES)
-    deviations: FloatArray = field(default_factory=lambda: _NO_SIZES)
+    sizes: FloatArray = field(default_factory=lambda: np.zeros(0))
+    deviations: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @staticmethod
     def mended(
@@ -130,7 +130,7 @@ class Tried:
     @property
     def is_named(self) -> bool:
         """Whether all speaks for it."""
-        return self.allowed and (self.candidate.settled or self.gain > _GAIN)
+        return self.allowed and (self.candidate.settled or self.gain > GAIN)
 
     @property
     def name(self) -> tuple[str, tuple[str, ...]]:
@@ -168,8 +168,8 @@ def decide(tried: Iterable[Tried]) -> tuple[Finding | None, str]:
             continue
         # Whatever begins during a recording asks for the same: to use the part before or after.
         near = [one for one in causes if not (one.candidate.changes and best.candidate.changes)]
-        near = [one for one in near if one.name != best.name and one.gain > _SINGLED * best.gain and one.repeats()]
-        if not best.candidate.settled and len({one.name for one in near}) >= _MANY:
+        near = [one for one in near if one.cause.places != best.cause.places and one.gain > _SINGLED * best.gain]
+        if not best.candidate.settled and len({one.cause.places for one in near if one.repeats()}) >= _MANY:
             return Finding(cause=best.cause, sure=False), ""
         rivals = {one.name: one.cause for one in reversed(named) if one.gain > best.gain - _RIVAL}
         rivals.pop(best.name)

@@ -18,7 +18,7 @@ from geomid_ros.checks.flexible import Gain, by_channel
 from geomid_ros.checks.instants import FEWEST, elapsed
 from geomid_ros.checks.rows import payload_factor
 from geomid_ros.checks.subject import Subject
-from geomid_ros.checks.transforms import REASON
+from geomid_ros.checks.transforms import REASON, STEP
 from geomid_ros.types import FloatArray
 
 PLACES = np.arange(1, 10) / 10.0
@@ -26,7 +26,6 @@ PLACES = np.arange(1, 10) / 10.0
 NEARER = (-0.05, 0.05)
 """Where it is looked for, too, beside the best of them."""
 _WORTH = 0.05  # nats per instant: less promises nothing
-_STEP = 1e-4  # [rad, m] of a position, for a derivative
 _GAIN = 0.5  # standard deviations of what is tried: another gain,
 _ZERO = 0.3  # another zero of a position [rad, m],
 _USUAL = 0.1  # and a lag [s]
@@ -188,9 +187,9 @@ def _by_position(subject: Subject) -> FloatArray:
     found = []
     for joint in subject.joints:
         position = subject.samples.position.copy()
-        position[:, joint] += _STEP
+        position[:, joint] += STEP
         moved = subject.with_samples(replace(subject.samples, position=position))
-        found.append((moved.predicted - subject.predicted) / _STEP)
+        found.append((moved.predicted - subject.predicted) / STEP)
     return np.stack(found, axis=2)
 
 

@@ -20,7 +20,6 @@ LEAST_SIGMA = 0.1
 """Of a channel's standard deviation: no model is believed to be better."""
 _ROUNDS = 12
 _SETTLED = 1e-3
-_LARGEST_OFFSET = 3.0  # in standard deviations of a channel
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -14,7 +14,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from geomid_ros.checks.candidates import Candidate, Judged
+from geomid_ros.checks.candidates import GAIN, Candidate, Judged
 from geomid_ros.checks.causes import Cause, gain_settings, gravity_settings
 from geomid_ros.checks.evidence import LEAST_SIGMA
 from geomid_ros.checks.subject import Subject
@@ -38,7 +38,8 @@ _MOST, _LEAST = 2.0, 0.03  # efforts as shares of the URDF's limits: those of ri
 _ABSURD = 30.0
 _TILT = np.radians(25.0)
 _SPREAD = 0.5  # [rad] of a zero that is off
-_STEP = 1e-4  # [rad] of the derivative
+STEP = 1e-4
+"""[rad, m] of derivatives by positions."""
 _ROUNDS = 3
 _FEW = 64  # instants that tell which candidates are worth a closer look
 _BEST = 3
@@ -55,7 +56,7 @@ def candidates(subject: Subject) -> Iterator[Candidate]:
         yield from row(subject)
     few = subject.part(slice(None, None, -(-len(subject.samples) // _FEW)))
     # Of what is nearly explained no more could be told.
-    rows = MOTIONS if np.sum(np.log(subject.nominal.sigmas / LEAST_SIGMA)) > _SPREAD else MOTIONS[:1]
+    rows = MOTIONS if np.sum(np.log(subject.nominal.sigmas / LEAST_SIGMA)) > GAIN else MOTIONS[:1]
     for row in rows:
         gains = [(candidate.undo(few).log - few.nominal.log, candidate) for candidate in row(subject)]
         best = sorted(gains, key=lambda pair: -pair[0])[:_BEST]
@@ -467,8 +468,8 @@ def _zero(subject: Subject, joint: int, sign: float, start: float) -> Candidate:
         found = mended.nominal
         for _ in range(_ROUNDS if len(subject.samples) > _FEW else 1):
             links = mended.links(found)
-            ahead, behind = (subject.with_samples(read(subject.samples, zero + s)) for s in (_STEP, -_STEP))
-            rate = (ahead.regressor - behind.regressor) @ links * (0.5 * _SPREAD / _STEP)
+            ahead, behind = (subject.with_samples(read(subject.samples, zero + s)) for s in (STEP, -STEP))
+            rate = (ahead.regressor - behind.regressor) @ links * (0.5 * _SPREAD / STEP)
             mended = subject.with_samples(read(subject.samples, zero))
             mended.__dict__["predicted"] = mended.predicted + (start - zero) / _SPREAD * rate
             found = mended.evidence(unknown=rate)

@@ -21,7 +21,8 @@ from geomid_ros.types import FloatArray
 HALF = 0.5
 """Share of an effort's standard deviation: an identified model leaves less, a cause of what is left explains more."""
 _MATTERS = 0.05  # of the largest standard deviation of an effort of the robot
-_WORSE = 1.05  # RMS over that of the input's file: less is of no account
+WORSE = 1.05
+"""RMS over that of the input's file: less is of no account."""
 _ELSE = (
     "check the axis and the sign of the position in the URDF, a coupling of its gear with that of another joint, and "
     "that all of the recording is of this robot"
@@ -62,7 +63,7 @@ class Residuals:
         left, units = rms(self.residuals), np.array(self.units)
         largest = np.array([np.max(variation[units == unit]) for unit in units])
         share = left / np.maximum(variation, np.finfo(float).tiny)
-        bad = (left > _MATTERS * largest) & ((share > allowed) | (left > _WORSE * self.before))
+        bad = (left > _MATTERS * largest) & ((share > allowed) | (left > WORSE * self.before))
         worst = sorted(np.flatnonzero(bad).tolist(), key=lambda joint: -share[joint])
         if not worst:
             return None

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomid_ros.checks.causes import Finding
+from geomid_ros.checks.unexplained import WORSE
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.model.measurement import MeasurementModel
@@ -24,8 +25,6 @@ _BLOCK = 1_000_000_000  # [ns] errors so far apart are independent
 _FEWEST_BLOCKS = 4
 _SCATTER = 3.0  # standard errors of the mean over blocks
 _UNLIKE = 4.0  # times the RMS of what was fitted: more than a motion that is a little different explains
-_LEAST_RMS = 1e-12
-_WORSE = 1.05  # a channel's RMS over that of the URDF: less is of no account
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +120,7 @@ def unlike(estimate: Estimate, held_out: FloatArray) -> list[str]:
         estimate: what was found.
         held_out: RMS of what it leaves on held-out data ``(channels,)``, NaN where nothing is measured.
     """
-    ratios = held_out / np.maximum(estimate.rms, _LEAST_RMS)
+    ratios = held_out / np.maximum(estimate.rms, np.finfo(float).tiny)
     if not np.any(ratios > _UNLIKE):
         return []
     named = ", ".join(f"'{estimate.channels[c]}' ({ratios[c]:.0f} times)" for c in np.flatnonzero(ratios > _UNLIKE))
@@ -136,7 +135,7 @@ def unlike(estimate: Estimate, held_out: FloatArray) -> list[str]:
 def worse_on_rows(estimate: Estimate) -> list[str]:
     """The channels that an estimate explains worse than the URDF does on the rows that it is from."""
     pairs = zip(estimate.channels, estimate.rms, estimate.rms_nominal, strict=True)
-    return [channel for channel, own, nominal in pairs if own > _WORSE * nominal]
+    return [channel for channel, own, nominal in pairs if own > WORSE * nominal]
 
 
 def worse_channels(model: MeasurementModel, batches: Sequence[Samples], parameters: FloatArray) -> list[str]:
@@ -170,7 +169,7 @@ def _worse(model: MeasurementModel, own: FloatArray, nominal: FloatArray) -> lis
     for channel, after, before in zip(model.channels, own.T, nominal.T, strict=True):
         known = np.isfinite(after) & np.isfinite(before)
         rise = after[known] - before[known]
-        if len(rise) < _FEWEST_BLOCKS or not np.mean(after[known]) > _WORSE**2 * np.mean(before[known]):
+        if len(rise) < _FEWEST_BLOCKS or not np.mean(after[known]) > WORSE**2 * np.mean(before[known]):
             continue
         if np.mean(rise) > _SCATTER * np.std(rise, ddof=1) / np.sqrt(len(rise)):
             worse.append(channel.name)

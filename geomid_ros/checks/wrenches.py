@@ -13,9 +13,11 @@ from itertools import permutations, product
 
 import numpy as np
 
+from geomid_ros.checks.candidates import FOLLOWS
 from geomid_ros.checks.causes import Cause, Finding, written
 from geomid_ros.checks.instants import FEWEST
 from geomid_ros.checks.rows import prior_factor
+from geomid_ros.checks.transforms import REASON
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import AXES, WrenchSensor
@@ -25,9 +27,8 @@ _FREE = 4.0  # times the URDF's errors: links of any mass, of either sign
 _ROUNDS = 3
 _LEAST_SIGMA = 0.05  # of the measured wrench's standard deviation
 _GAIN = 0.5  # nats per instant of force and torque
-_FOLLOWS, _BETTER = 0.85, 0.75
+_BETTER = 0.75
 _UNIT = 1000.0
-_REASON = 4.0  # a tool may be missing in the URDF; of one that is there no more than this is missing on the robot
 _OTHER_UNIT = 50.0  # times as much, or as little: no tool is
 _LONGEST, _STEP, _SHORTEST = 5.0, 0.02, 0.1  # [s] of a delay
 _FLOOR = 1e-9
@@ -91,19 +92,19 @@ class WrenchSensorCheck:
         return self._sign_or_unit(nominal)
 
     def _better(self, best: _Fit, nominal: _Fit) -> bool:
-        return bool(np.all(best.sigmas < _FOLLOWS) and np.any(best.sigmas < _BETTER * nominal.sigmas))
+        return bool(np.all(best.sigmas < FOLLOWS) and np.any(best.sigmas < _BETTER * nominal.sigmas))
 
     def _sign_or_unit(self, fit: _Fit) -> Finding | None:
-        if not fit.sigmas[0] < _FOLLOWS:
+        if not fit.sigmas[0] < FOLLOWS:
             return None
         if fit.slope < 0.0:
             settings = {f"wrench.{self._name}.sign": -self._sensor.sign}
             minus = "a minus before the role" if self._sensor.sign > 0.0 else "no minus before the role"
             what = f"its sign is reversed: write {written(settings)} (on the command line, {minus})"
             return Finding(cause=self._cause(what, settings))
-        if not 1.0 / _OTHER_UNIT < fit.slope < _OTHER_UNIT or fit.slope < 1.0 / _REASON:
+        if not 1.0 / _OTHER_UNIT < fit.slope < _OTHER_UNIT or fit.slope < 1.0 / REASON:
             what = f"its load would weigh {fit.slope:.3g} times as much as in the URDF: check that it is in N and N m"
-            return Finding(cause=self._cause(what), sure=not 1.0 / _OTHER_UNIT < fit.slope < 1.0 / _REASON)
+            return Finding(cause=self._cause(what), sure=not 1.0 / _OTHER_UNIT < fit.slope < 1.0 / REASON)
         return None
 
     def _cause(self, what: str, settings: dict[str, float] | None = None) -> Cause:
