@@ -100,7 +100,7 @@ class Recording:
             messages = [
                 (c.topic, c.msgtype, time, TYPES.deserialize_cdr(raw, c.msgtype))
                 for c, time, raw in reader.messages()
-                if c.msgtype in (JOINTS, WRENCH)
+                if c.msgtype == WRENCH or (c.msgtype == JOINTS and c.topic.endswith("joint_states"))
             ]
         states = [message for _, kind, _, message in messages if kind == JOINTS]
         order = [list(states[0].name).index(joint) for joint in robot.joint_names]

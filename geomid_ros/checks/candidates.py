@@ -14,7 +14,7 @@ import numpy as np
 from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.evidence import Evidence
 from geomid_ros.checks.subject import Subject
-from geomid_ros.types import BoolArray, FloatArray
+from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 FOLLOWS = 0.85
 """A channel follows the model if no more than this share of its standard deviation is left."""
@@ -22,6 +22,7 @@ GAIN = 0.25
 """The least that a cause gains [nats per instant]."""
 _RIVAL = 0.1  # nats per instant
 _SINGLED, _MANY = 0.8, 2  # of the gain: fewer causes at other joints come so near to one that is singled out
+_MISFIT = 0.1  # of the gain: a cause that is true explains no channel worse
 _AGREE = 3.0  # standard deviations of the size in a part from that of the whole
 
 
@@ -79,6 +80,7 @@ class Candidate:
         undo: judges a subject with the candidate undone.
         cause: what is said of it, if need be by what was estimated.
         concerned: the channels that it changes.
+        sources: ``(C,)`` which measured channel each judged one is; None if each is its own.
         allowed: whether what is known beside the evidence allows it.
         alone: whether it may be named by itself, or only beside another cause.
         settled: whether what is known beside the evidence settles it.
@@ -90,6 +92,7 @@ class Candidate:
     undo: Callable[[Subject], Judged]
     cause: Cause | Callable[[Judged], Cause]
     concerned: Sequence[int]
+    sources: IntArray | None = None
     allowed: bool = True
     alone: bool = True
     settled: bool = False
@@ -138,9 +141,15 @@ class Tried:
         return self.cause.kind, self.cause.places
 
     def repeats(self) -> bool:
-        """Whether every part of the recording asks for it, too, with sizes that are those of all of it."""
+        """Whether it explains no channel worse, and every part of the recording asks for it, too, with sizes that are
+        those of all of it."""
         if self.candidate.settled:
             return True
+        before, concerned = self.subject.nominal.sigmas, list(self.candidate.concerned)
+        before = before if self.candidate.sources is None else before[self.candidate.sources]
+        worse = np.log(self.judged.sigmas / before)[concerned]
+        if np.sum(worse, where=worse > 0.0) > _MISFIT * self.gain:
+            return False
         return all(self._repeats(part) for part in self.subject.parts(alternating=self.candidate.changes))
 
     def _repeats(self, part: Subject) -> bool:
@@ -164,7 +173,7 @@ def decide(tried: Iterable[Tried]) -> tuple[Finding | None, str]:
     remark = ""
     for best in [one for number, one in enumerate(causes) if number == 0 or one.candidate.settled]:
         if not best.repeats():
-            remark = f"in a part of the recording only: {best.cause.sentence}"
+            remark = f"in a part of the recording, or at some joints, only: {best.cause.sentence}"
             continue
         # Whatever begins during a recording asks for the same: to use the part before or after.
         near = [one for one in causes if not (one.candidate.changes and best.candidate.changes)]

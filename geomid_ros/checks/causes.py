@@ -15,7 +15,6 @@ KINDS = {
     "order": "efforts of two joints are swapped",
     "names": "names of joints are swapped",
     "gain": "efforts are in another unit",
-    "coupled": "an effort includes that of the next joint",
     "magnitude": "efforts have no sign",
     "friction": "more friction is compensated than there is",
     "zero": "the zero of a joint is off",
@@ -52,8 +51,6 @@ _SENTENCES = {
     "robot; correct the names in the driver, or in the URDF",
     "gain": f"{{efforts}} about {{ratio}} of what this robot needs in N m{{unit}}: with about {{settings}} {_FOLLOW} "
     "(the exact factor cannot be distinguished from the masses)",
-    "coupled": f"the effort of joint {{first}} includes {{sign}} that of {{second}} (a coupling of their drives): "
-    f"without it {_FOLLOW}. Record the efforts of joints, not of motors",
     "magnitude": "the effort of {joints} has no sign: it never changes sign, though this robot's gravity and motion "
     "require it. Record efforts with their sign",
     "friction": "at {joints} friction seems to drive the motion: more friction is compensated than there is, while "

@@ -1,7 +1,7 @@
 """Transforms of recordings that may have happened throughout: a table of candidates for what is wrong.
 
 Each row of :data:`EFFORTS` and :data:`MOTIONS` yields candidates that undo one kind of transform: of the efforts (sign,
-unit, order, coupling), of gravity, or of the motion (unit, names, zero, axis, time). Those that need rows of their own
+unit, order), of gravity, or of the motion (unit, names, zero, axis, time). Those that need rows of their own
 are first judged at a few instants.
 """
 
@@ -83,7 +83,7 @@ def _linear(
         units = sizes[channels, sources] * subject.spread[sources]
         return Judged.mended(subject.with_efforts(subject.measured @ matrix.T), units)
 
-    return Candidate(undo=undo, cause=cause, concerned=concerned, upright=upright, settled=settled)
+    return Candidate(undo=undo, cause=cause, concerned=concerned, sources=sources, upright=upright, settled=settled)
 
 
 def _orders(subject: Subject) -> Iterator[Candidate]:
@@ -94,17 +94,6 @@ def _orders(subject: Subject) -> Iterator[Candidate]:
             matrix = np.eye(len(subject.joints))
             matrix[pair] = matrix[pair[::-1]]
             yield _linear(matrix, Cause.of("order", [subject.names[joint] for joint in pair]), pair)
-
-
-def _couplings(subject: Subject) -> Iterator[Candidate]:
-    """The effort of a joint holds that of the next one, too, of either sign."""
-    units = subject.units
-    for joint in [joint for joint, (own, other) in enumerate(pairwise(units)) if own == other]:
-        for sign in (1.0, -1.0):
-            cause = Cause.of("coupled", subject.names[joint : joint + 2], sign="minus" if sign > 0.0 else "plus")
-            matrix = np.eye(len(units))
-            matrix[joint, joint + 1] = sign
-            yield _linear(matrix, cause, [joint], upright=True)
 
 
 def _frictions(subject: Subject) -> Iterator[Candidate]:
@@ -357,7 +346,7 @@ def _of_motion(
         units = subject.spread if sources is None else subject.spread[sources]
         return Judged.mended(subject.with_samples(read(subject.samples)), units)
 
-    return Candidate(undo=undo, cause=cause, concerned=concerned, settled=settled)
+    return Candidate(undo=undo, cause=cause, concerned=concerned, sources=sources, settled=settled)
 
 
 def _scaled(samples: Samples, scales: FloatArray, rate: float = 1.0) -> Samples:
@@ -489,7 +478,7 @@ def _zero(subject: Subject, joint: int, sign: float, start: float) -> Candidate:
     return Candidate(undo=undo, cause=cause, concerned=range(len(subject.joints)))
 
 
-EFFORTS = (_signs, _frictions, _magnitudes, _orders, _couplings, _gains, _gravities)
+EFFORTS = (_signs, _frictions, _magnitudes, _orders, _gains, _gravities)
 """Transforms whose rows are those of the recording as it is, or nearly so."""
 MOTIONS = (_positions, _times, _names, _zeros, _encoders)
 """Transforms of the motion, which need rows of their own."""

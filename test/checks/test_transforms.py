@@ -1,4 +1,4 @@
-"""Units of positions, clocks, gravity and couplings are named; what only a part of a recording shows is a remark."""
+"""Units of positions, clocks and gravity are named; what only a part of a recording shows is a remark."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from estimation.arms import Case, efforts, motion, samples
 
-from checks.test_efforts import ROBOTS, case, checked, findings, named
+from checks.test_efforts import ROBOTS, case, checked, named
 from geomid_ros.checks.check import JudgementTask, RecordingCheck
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
@@ -59,16 +59,6 @@ def test_gravity_is_in_another_unit(robot: Case, size: float) -> None:
     cause = named(model, robot.samples)
     assert cause.kind == "gravity"
     assert cause.settings["gravity"] == pytest.approx([0.0, 0.0, -9.81], abs=1.5)
-
-
-def test_a_drive_carries_the_effort_of_the_next_joint() -> None:
-    seven = case("arm7", 1)
-    effort = seven.samples.effort.copy()
-    effort[:, 1] -= effort[:, 3 - 1]
-    finding, *_ = findings(seven.model, replace(seven.samples, effort=effort))
-    causes = [finding.cause, *finding.rivals]
-    names = seven.model.robot.joint_names
-    assert ("coupled", (names[1], names[2])) in [(cause.kind, cause.places) for cause in causes]
 
 
 def test_what_one_of_two_recordings_shows_is_a_remark(robot: Case) -> None:
