@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from estimation.arms import Case, efforts, motion, samples
 
+from benchmarks.corruption.recording import ARM3, Recording
 from checks.test_efforts import ROBOTS, case, checked, named
 from geomid_ros.checks.check import JudgementTask, RecordingCheck
 from geomid_ros.model.samples import Samples
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.recordings import Bags, read_bags
+from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
 
@@ -73,3 +78,16 @@ def test_what_one_of_two_recordings_shows_is_a_remark(robot: Case) -> None:
         check.add(recorded)
     assert all(finding.cause.kind != "sign" for finding in check.findings())
     assert checked(robot.model, wrong).findings() != ()
+
+
+def test_what_is_wrong_with_a_bag_that_is_judged_on_is_a_remark(tmp_path: Path) -> None:
+    sound = Recording.read(ARM3)
+    wrong = replace(sound, effort=-sound.effort).write(tmp_path / "reversed")
+    session = Session(sound.urdf, Configuration({}), "arm3.urdf")
+    read_bags(session, Bags(fitted=[ARM3.bag], validate=[wrong]), lambda _: None)
+    assert session.findings == ()
+    (remark,) = session.remarks
+    assert remark.startswith("reversed, which is judged on: the efforts of all joints are reversed")
+    alone = Session(sound.urdf, Configuration({}), "arm3.urdf")
+    read_bags(alone, Bags(fitted=[wrong]), lambda _: None)
+    assert [finding.cause.kind for finding in alone.findings] == ["sign"]
