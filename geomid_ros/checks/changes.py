@@ -82,20 +82,20 @@ def _candidate(kind: _Kind, place: float, main: int, cause: Cause, concerned: li
     def undo(subject: Subject) -> Judged:
         gain, always = subject.flexible.gain(_begun(subject, kind, place)), subject.flexible.gain(kind.columns(subject))
         beyond = gain.beyond(always) if always.per_instant > 0.0 else gain
-        return _judged(subject, beyond, main)
+        return _judged(subject, beyond, slice(main, main + 1))
 
     return Candidate(undo=undo, cause=cause, concerned=concerned, changes=True)
 
 
-def _judged(subject: Subject, gain: Gain, main: int) -> Judged:
-    """What a gain over the flexible fit is worth, with the size of its ``main`` column."""
+def _judged(subject: Subject, gain: Gain, main: slice) -> Judged:
+    """What a gain over the flexible fit is worth, with the sizes of its ``main`` columns."""
     nominal = subject.nominal
     return Judged(
         log=nominal.log + gain.per_instant * len(subject.samples),
         sigmas=nominal.sigmas * gain.ratios,
         opposite=np.zeros(len(nominal.sigmas), dtype=bool),
-        sizes=gain.coefficients[[main]],
-        deviations=gain.deviations[[main]],
+        sizes=gain.coefficients[main],
+        deviations=gain.deviations[main],
     )
 
 
@@ -285,7 +285,7 @@ def _late(subject: Subject, main: list[int], lags: FloatArray, columns: Columns)
 
     def undo(of: Subject) -> Judged:
         gain = of.flexible.gain(columns(of))
-        return _judged(of, gain, 0)
+        return _judged(of, gain, slice(None))
 
     return Candidate(undo=undo, cause=cause, concerned=main, subject=subject)
 
