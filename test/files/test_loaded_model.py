@@ -157,7 +157,7 @@ def test_an_estimate_from_a_model_is_the_model_again(tmp_path: Path, common: lis
         effect("backlash", "joint1", gap=0.01),
         effect("wrench_offset", "/wrench", fx=1.0),
     ]
-    session = session_with(tmp_path, known, effects=common)
+    session = session_with(tmp_path, known, effects=common, candidates=[""])
     assert "backlash of joint1: not predicted" in session.loaded.not_predicted
     before, samples = predicted(session)
     links = tuple(
