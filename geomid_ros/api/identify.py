@@ -316,8 +316,8 @@ def identify(
         urdf: path or text of the robot description, see :class:`~geomid_ros.RecordingOptions`.
         prior: a population.json of the robot's type (``geomid fleet``) to start from.
         effects: names of the effects to identify at every joint, ``[]`` for none; None for the configured ones, with
-            the candidates where held-out data need them.
-        candidates: names of effects to add to ``effects`` where held-out data need them.
+            the candidates where the data need them.
+        candidates: names of effects to add to ``effects`` where the data need them.
         links: names of the links to identify; None for the configured ones.
         known: weighed masses, as ``LINK=MASS:STD``, ``LINK+LINK=MASS:STD`` or ``total=MASS:STD`` [kg].
         reader: who will read the description that is written: urdf, moveit, isaac, gazebo, drake or mujoco.
