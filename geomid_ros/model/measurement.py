@@ -172,7 +172,10 @@ class MeasurementModel:
             if self._acts(effect, self.places.name(place)) and self._is_felt(effect, place)
             for coefficient in self._coefficients_at(effect, place)
         ]
-        return tuple(sorted(found, key=lambda coefficient: not coefficient.positive))
+        names = [effect.name for effect in effects]
+        places = list(dict.fromkeys(coefficient.place for coefficient in found))
+        # What there is once stands together, whatever shapes it may have.
+        return tuple(sorted(found, key=lambda c: (not c.positive, names.index(c.effect.name), places.index(c.place))))
 
     def _acts(self, effect: IdentifiedEffect, place: str) -> bool:
         """Whether an effect is in the model at a place: one that is known there, or one that every place has unless it
