@@ -30,12 +30,12 @@ from rich.console import Console
 from rich.table import Table
 
 import geomid_ros
+from geomid_ros.checks.verdict import Verdict
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.starting_point import prior_parameters
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.samples import Samples
-from geomid_ros.plausibility.verdict import Verdict
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 

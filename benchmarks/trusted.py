@@ -28,11 +28,11 @@ import geomid_ros
 from benchmarks.blind.case import robot_file
 from benchmarks.measured_data import CASES, DATA
 from geomid_ros.api.identify import Identification
+from geomid_ros.checks.verdict import USABLE
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import QUANTITIES, LinkEstimate
 from geomid_ros.estimation.identified import numbers, sizes
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.plausibility.verdict import USABLE
 from geomid_ros.simulation import WRIST_FRAME, SimulationOptions, simulate
 from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import FloatArray

@@ -13,8 +13,8 @@ import yaml
 from commands.running import geomid
 from files.recordings import Recorded, altered
 
+from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.model.sensors import WrenchSensor
-from geomid_ros.plausibility.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.session.configuration import Configuration, find_parameter
 
 ROOT = Path(__file__).parents[1]

@@ -1,9 +1,12 @@
 """Plant faults in sound recordings, and count what is named right, wrong, or not at all.
 
-    python -m benchmarks.corruption [RECORDING ...] [--fault TEXT] [--out corruption.json]
+    python -m benchmarks.corruption [RECORDING ...] [--fault TEXT] [--clean] [--out corruption.json]
+
+With --clean nothing is planted: every sound recording, measured and simulated, is judged whole, each of its halves by
+itself, and with a rest of 2 s in front; whatever is doubted is a false doubt.
 
 Every fault is written into a bag, which is read as ``geomid identify`` reads it. Reads measured recordings in
-../shared/data, which are not part of this repository; without them only the simulated arm is tried.
+../shared/data, which are not part of this repository; without them only the simulated arms are tried.
 """
 
 from __future__ import annotations
@@ -27,7 +30,8 @@ from rich.table import Table
 
 import geomid_ros
 from benchmarks.corruption.faults import FAULTS, Fault
-from benchmarks.corruption.recording import SOURCES, Recording
+from benchmarks.corruption.recording import CLEAN, SOURCES, Recording
+from benchmarks.corruption.simulated import RAIL, ROBOTS, rested, simulated
 from geomid_ros.api.identify import Identification
 from geomid_ros.errors import GeomidError
 from geomid_ros.model.sensors import WrenchSensor
@@ -35,6 +39,10 @@ from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, read_bags
 from geomid_ros.session.session import Session
 
+REST = 2.0
+"""Seconds that a robot stands in front of a sound recording."""
+SEEDS = 14
+"""Simulated recordings of each robot."""
 NAMED, SUSPECTED, WRONG, SILENT = "named", "suspected", "wrong", "silent"
 
 
@@ -62,7 +70,8 @@ def answer(recording: Recording, fault: Fault, size: Any) -> tuple[str, str]:
         return SILENT, said
     for finding in session.findings:
         for cause in (finding.cause, *finding.rivals):
-            if cause.kind == fault.kind and (places is None or set(cause.places) == places):
+            right = cause.kind == fault.kind or (fault.said and fault.said in cause.sentence)
+            if right and (places is None or set(cause.places) == places):
                 return (NAMED if finding.sure else SUSPECTED), said
     return (WRONG if any(finding.sure for finding in session.findings) else SUSPECTED), said
 
@@ -84,26 +93,67 @@ def identified(recording: Recording, bag: Path) -> Identification:
     return geomid_ros.identify(bag, recording.urdf, config=dict(source.settings), wrench=source.wrench or ())
 
 
+def recording_of(name: str) -> Recording:
+    """A measured recording by its name, or a simulated one by ROBOT-SEED."""
+    if name in CLEAN:
+        return Recording.read(CLEAN[name])
+    robot, _, seed = name.rpartition("-")
+    return simulated(robot, int(seed))
+
+
 def cases(names: list[str], text: str) -> Iterator[tuple[str, Recording, Fault]]:
     """Every recording with every fault that can be planted in it."""
     for name in names:
-        recording = Recording.read(SOURCES[name])
+        recording = recording_of(name)
+        slides = any(joint.unit == "N" for joint in recording.robot.joints)
         for fault in FAULTS:
-            if text in fault.name and (recording.source.wrench or not fault.wrench):
+            fits = (recording.source.wrench or not fault.wrench) and (slides or not fault.slides)
+            if text in fault.name and fits:
                 yield name, recording, fault
+
+
+def sound(name: str) -> Iterator[tuple[str, Recording]]:
+    """A recording in which nothing is wrong: whole, its halves, and with a rest in front."""
+    whole = recording_of(name)
+    yield "whole", whole
+    yield "first half", whole.part(0.0, 0.5)
+    yield "second half", whole.part(0.5, 1.0)
+    yield "rest in front", rested(whole, REST)
+
+
+def doubts(names: list[str]) -> list[dict[str, Any]]:
+    """Judge sound recordings; returns what is said of each."""
+    kept = []
+    for name in names:
+        for part, recording in sound(name):
+            with tempfile.TemporaryDirectory(prefix="corruption-") as folder:
+                session = judged(recording, recording.write(Path(folder) / "bag"))
+            said = "; ".join(finding.sentence for finding in session.findings)
+            kept.append({"recording": name, "part": part, "said": said, "remarks": list(session.remarks)})
+            if said or session.remarks:
+                print(f"{'doubted' if said else 'remarked'}: {name}, {part}: {said or session.remarks}", flush=True)
+    print(f"{sum(bool(each['said']) for each in kept)} of {len(kept)} sound recordings are doubted")
+    return kept
 
 
 def main() -> None:
     """Try all, print what was named by fault and in all."""
     arguments = _parsed()
-    there = [name for name, source in SOURCES.items() if source.bag.is_dir()]
+    there = [name for name, source in (CLEAN if arguments.clean else SOURCES).items() if source.bag.is_dir()]
+    drawn = [f"{robot}-{seed}" for robot in ROBOTS for seed in range(SEEDS)] if arguments.clean else [f"{RAIL}-0"]
+    names = arguments.recordings or [*there, *drawn]
+    begin = time.perf_counter()
+    kept = doubts(names) if arguments.clean else planted(names, arguments.fault)
+    print(f"{len(kept)} recordings in {time.perf_counter() - begin:.0f} s")
+    if arguments.out:
+        arguments.out.write_text(json.dumps(kept, indent=2))
+
+
+def planted(names: list[str], text: str) -> list[dict[str, Any]]:
+    """Plant all faults, and print what was named; returns every answer."""
     counts: dict[str, Counter[str]] = {}
     kept = []
-    begin = time.perf_counter()
-    for name in arguments.recordings or there:
-        said = [finding.sentence for finding in judged(Recording.read(SOURCES[name]), SOURCES[name].bag).findings]
-        print(f"{name}, untouched: {'; '.join(said) or 'nothing is said'}", flush=True)
-    for name, recording, fault in cases(arguments.recordings or there, arguments.fault):
+    for name, recording, fault in cases(names, text):
         for size in fault.sizes:
             how, said = answer(recording, fault, size)
             counts.setdefault(f"{fault.row} {fault.name}", Counter())[how] += 1
@@ -111,15 +161,15 @@ def main() -> None:
             if how != NAMED:
                 print(f"{how}: {name}, {fault.name}, {size}: {said[:160]}", flush=True)
     _print(counts)
-    print(f"{len(kept)} faults in {time.perf_counter() - begin:.0f} s")
-    if arguments.out:
-        arguments.out.write_text(json.dumps(kept, indent=2))
+    return kept
 
 
 def _parsed() -> argparse.Namespace:
+    names = f"of {', '.join(CLEAN)}, or ROBOT-SEED of {', '.join(ROBOTS)}"
     parser = argparse.ArgumentParser(prog="python -m benchmarks.corruption", description=__doc__)
-    parser.add_argument("recordings", nargs="*", metavar="RECORDING", help=f"of {', '.join(SOURCES)}; all unless given")
+    parser.add_argument("recordings", nargs="*", metavar="RECORDING", help=names)
     parser.add_argument("--fault", default="", help="only those with this in their names")
+    parser.add_argument("--clean", action="store_true", help="judge sound recordings")
     parser.add_argument("--out", type=Path, help="file for every answer (JSON)")
     return parser.parse_args()
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
+from scipy.signal import savgol_filter
 
 from benchmarks.corruption.recording import ARM3, SOURCES, Recording
 from geomid_ros.model.measurement import MeasurementModel
@@ -29,12 +30,14 @@ class Fault:
         name: what is wrong.
         plant: plants it.
         sizes: three of them; places of joints count from the base, those below zero from the tip.
-        kind: of the cause that is the right answer, see :data:`geomid_ros.plausibility.hypotheses.KINDS`; empty for an
+        kind: of the cause that is the right answer, see :data:`geomid_ros.checks.causes.KINDS`; empty for an
             answer that the ledger of messages gives.
         joints: the places of the joints that the answer has to name; None for all.
         noted: what the ledger has to say, for a fault of messages.
         refused: what the error has to say, where the recording may be refused.
+        said: what a sentence of another kind may say, which is as right.
         wrench: whether it needs a wrench sensor.
+        slides: whether it needs a prismatic joint.
         doubted: whether it may have any name, as long as the result of an identification is doubted.
     """
 
@@ -46,7 +49,9 @@ class Fault:
     joints: Callable[[Any], tuple[int, ...]] | None = None
     noted: str = ""
     refused: str = ""
+    said: str = ""
     wrench: bool = False
+    slides: bool = False
     doubted: bool = False
 
 
@@ -104,7 +109,7 @@ def _degrees(recording: Recording, what: str) -> Recording:
     scale = 180.0 / np.pi
     speeds = recording.velocity if "speeds" not in what or recording.velocity is None else scale * recording.velocity
     whole = replace(recording, position=scale * recording.position, velocity=speeds)
-    return whole.second_half() if "half" in what else whole
+    return whole.part(0.5, 1.0) if "half" in what else whole
 
 
 def _weight(recording: Recording) -> FloatArray:
@@ -305,6 +310,164 @@ def _turned_round(recording: Recording, joint: int) -> Recording:
     return replace(recording, position=sign * recording.position, velocity=velocity)
 
 
+def _in_unit(recording: Recording, scales: FloatArray) -> Recording:
+    """Positions and speeds times scales ``(joints,)``."""
+    velocity = None if recording.velocity is None else scales * recording.velocity
+    return replace(recording, position=scales * recording.position, velocity=velocity)
+
+
+def _turning(recording: Recording) -> IntArray:
+    return np.flatnonzero([joint.unit != "N" for joint in recording.robot.joints])
+
+
+def _other_angles(recording: Recording, per_radian: float) -> Recording:
+    """All angles in a unit of which a radian has so many."""
+    scales = np.ones(recording.position.shape[1])
+    scales[_turning(recording)] = per_radian
+    return _in_unit(recording, scales)
+
+
+def _one_in_degrees(recording: Recording, joint: int) -> Recording:
+    scales = np.ones(recording.position.shape[1])
+    scales[joint] = 180.0 / np.pi
+    return _in_unit(recording, scales)
+
+
+def _slide(recording: Recording, which: int) -> int:
+    return int(np.setdiff1d(np.arange(recording.position.shape[1]), _turning(recording))[which])
+
+
+def _in_millimetres(recording: Recording, which: int) -> Recording:
+    scales = np.ones(recording.position.shape[1])
+    scales[_slide(recording, which)] = 1000.0
+    return _in_unit(recording, scales)
+
+
+def _other_lengths(recording: Recording, what: str) -> Recording:
+    """Origins of joints, of inertials or of both are in mm."""
+
+    def scaled(found: re.Match[str]) -> str:
+        return found[1] + " ".join(str(1000.0 * float(entry)) for entry in found[2].split())
+
+    urdf = recording.urdf
+    if "joints" in what:
+        urdf = re.sub(r'(<joint\b(?:(?!</joint>).)*?<origin[^>]*xyz=")([^"]+)', scaled, urdf, flags=re.DOTALL)
+    if "inertials" in what:
+        urdf = re.sub(r'(<inertial>\s*<origin[^>]*xyz=")([^"]+)', scaled, urdf)
+    return replace(recording, urdf=urdf)
+
+
+def _other_inertias(recording: Recording, what: str) -> Recording:
+    """Masses in grams, moments of inertia in g mm^2, or both."""
+
+    def times(factor: float) -> Callable[[re.Match[str]], str]:
+        return lambda found: f'{found[1]}"{factor * float(found[2]):.9g}"'
+
+    urdf = recording.urdf
+    if "grams" in what:
+        urdf = re.sub(r'(<mass\s+value=)"([^"]+)"', times(1e3), urdf)
+    if "moments" in what:
+        urdf = re.sub(r'(\bi[xyz][xyz]=)"([^"]+)"', times(1e9), urdf)
+    return replace(recording, urdf=urdf)
+
+
+def _other_time(recording: Recording, factor: float) -> Recording:
+    """Stamps run so many times as fast; a driver sends the speeds that it measures, or none."""
+    stamps = recording.stamps[0] + factor * (recording.stamps - recording.stamps[0])
+    begin = recording.messages[0][2]
+    messages = [(topic, kind, round(begin + factor * (time - begin)), m) for topic, kind, time, m in recording.messages]
+    wrenches = recording.stamps[0] + factor * (recording.wrench_stamps - recording.stamps[0])
+    return replace(recording, stamps=stamps, messages=messages, wrench_stamps=wrenches)
+
+
+def _other_time_without_speeds(recording: Recording, factor: float) -> Recording:
+    return replace(_other_time(recording, factor), velocity=None)
+
+
+def _gravity_of_size(recording: Recording, size: float) -> Recording:
+    """The configuration has gravity in another unit, or none."""
+    gravity = size / float(np.linalg.norm(recording.gravity)) * recording.gravity
+    settings = {**recording.source.settings, "gravity": gravity.tolist()}
+    return replace(recording, source=replace(recording.source, settings=settings))
+
+
+def _of_rated(recording: Recording, parts: float) -> Recording:
+    """Efforts are shares of what each joint is rated for, in so many parts of it."""
+    limits = recording.robot.effort_limits
+    largest = np.max(np.abs(recording.effort), axis=0)
+    return _efforts(recording, parts * recording.effort / np.where(np.isfinite(limits), limits, 2.0 * largest))
+
+
+def _zero_off(recording: Recording, where: tuple[int, float]) -> Recording:
+    """By an angle [deg]."""
+    joint, angle = where
+    position = recording.position.copy()
+    position[:, joint] += np.radians(angle)
+    return replace(recording, position=position)
+
+
+def _efforts_late(recording: Recording, seconds: float) -> Recording:
+    times = recording.stamps - seconds
+    effort = np.array([np.interp(times, recording.stamps, own) for own in recording.effort.T]).T
+    return _efforts(recording, effort)
+
+
+def _unsigned(recording: Recording, which: int) -> Recording:
+    """Of the joint whose effort has both signs most evenly, or the next one in this respect."""
+    effort = recording.effort.copy()
+    joint = np.argsort(np.abs(np.mean(effort > 0.0, axis=0) - 0.5))[which]
+    effort[:, joint] = np.abs(effort[:, joint])
+    return _efforts(recording, effort)
+
+
+def _position_frozen(recording: Recording, where: tuple[int, float]) -> Recording:
+    """For a share of the time, in the middle."""
+    joint, share = where
+    position, count = recording.position.copy(), len(recording.stamps)
+    begin, end = round((0.5 - 0.5 * share) * count), round((0.5 + 0.5 * share) * count)
+    position[begin:end, joint] = position[begin, joint]
+    return replace(recording, position=position, velocity=None)
+
+
+def _clipped(recording: Recording, joint: int) -> Recording:
+    """An encoder that does not count beyond the middle of its joint's way."""
+    position = recording.position.copy()
+    position[:, joint] = np.minimum(position[:, joint], np.median(position[:, joint]))
+    return replace(recording, position=position, velocity=None)
+
+
+def _carried(recording: Recording, share: float) -> Recording:
+    """From the middle on the tip carries so much of the robot's mass."""
+    robot = recording.robot.with_gravity(recording.gravity)
+    bodies = np.array([body.parameters for body in robot.bodies])
+    load = np.zeros_like(bodies)
+    mass = share * float(np.sum(bodies[:, 0]))
+    load[-1] = mass * np.array([1.0, 0.0, 0.0, 0.1, 0.02, 0.0, 0.02, 0.0, 0.0, 0.01])
+    period, width = (
+        float(np.median(np.diff(recording.stamps))),
+        2 * round(0.1 / np.median(np.diff(recording.stamps))) + 5,
+    )
+    motion = (savgol_filter(recording.position, width, 4, order, period, axis=0) for order in range(3))
+    none = np.zeros((len(recording.stamps), 0))
+    stamps, wrenches = np.arange(len(none), dtype=np.int64), np.zeros((len(none), 0, 6))
+    moved = Samples(stamps, *motion, recording.effort, none, none, none, wrenches)
+    rows = robot.joint_effort_rows(*robot.configuration(moved)).reshape(len(none), len(robot.joints), -1)
+    later = recording.stamps > np.median(recording.stamps)
+    return _efforts(recording, recording.effort + later[:, None] * (rows @ load.ravel()))
+
+
+def _other_robot(recording: Recording, by: int) -> Recording:
+    """Every joint of the URDF has the axis of the joint so many places on."""
+    urdf, names = recording.urdf, recording.robot.joint_names
+    pattern = r'<joint\b[^>]*name="{}".*?<axis[^>]*xyz="([^"]*)'
+    axes = [re.search(pattern.format(re.escape(name)), urdf, re.DOTALL) for name in names]
+    spans = sorted((axis.start(1), axis.end(1)) for axis in axes if axis is not None)
+    values = [urdf[begin:end] for begin, end in spans]
+    for (begin, end), other in reversed([*zip(spans, [*values[by:], *values[:by]], strict=True)]):
+        urdf = urdf[:begin] + other + urdf[end:]
+    return replace(recording, urdf=urdf)
+
+
 FAULTS = [
     Fault(row=71, name="wraps", plant=_wrapped, sizes=(0.5, 0.3, 0.8), noted="jump by whole turns"),
     Fault(row=73, name="positions jump", plant=_glitching, sizes=(1.5, 0.3, -3.0), noted="jumps, and back"),
@@ -316,7 +479,7 @@ FAULTS = [
     Fault(row=87, name="pairs and batches", plant=_in_bursts, sizes=(2, 3, 5), kind="stream"),
     Fault(row=95, name="infinite speeds", plant=_infinite, sizes=(np.inf, -np.inf, 1e300), noted="velocity of"),
     Fault(
-        row=72, name="positions in degrees", plant=_degrees, kind="degrees",
+        row=72, name="positions in degrees", plant=_degrees, kind="position",
         sizes=("positions and speeds", "positions", "positions and speeds of one half"),
     ),
     Fault(
@@ -356,6 +519,37 @@ FAULTS = [
     Fault(row=112, name="two robots", plant=_two_robots, sizes=(0, 1), doubted=True),
     Fault(row=113, name="parallel drive", plant=_parallel_drive, sizes=(1, 2), doubted=True),
     Fault(row=113, name="position turned round", plant=_turned_round, sizes=(1, 2, 3), doubted=True),
+    Fault(
+        row=116, name="other angles", plant=_other_angles, sizes=(0.5 / np.pi, 1000.0, 2048.0 / np.pi), kind="position"
+    ),
+    Fault(row=116, name="one in degrees", plant=_one_in_degrees, sizes=(1, 2, -2), kind="position"),
+    Fault(row=115, name="slide in mm", plant=_in_millimetres, sizes=(0, -1), kind="position", slides=True),
+    Fault(row=115, name="lengths in mm", plant=_other_lengths, sizes=("joints", "inertials", "joints and inertials"),
+        kind="description"),
+    Fault(row=113, name="inertias in g", plant=_other_inertias, sizes=("grams", "moments", "grams and moments"),
+        kind="description"),
+    Fault(
+        row=117, name="time", plant=_other_time, sizes=(2.0, 0.5, 1000.0), kind="time", said="stamps run",
+        refused="not in seconds",
+    ),
+    Fault(
+        row=117, name="time without speeds", plant=_other_time_without_speeds, sizes=(2.0, 0.5, 1000.0), kind="time",
+        refused="not in seconds",
+    ),
+    Fault(
+        row=114, name="gravity in another unit", plant=_gravity_of_size, sizes=(1e-9, 1.0, 981.0, 9810.0),
+        kind="gravity",
+    ),
+    Fault(row=116, name="permille of rated", plant=_of_rated, sizes=(1000.0, 100.0, 1.0), kind="gain"),
+    Fault(row=0, name="zero off", plant=_zero_off, sizes=((1, 30.0), (2, -20.0), (1, 90.0)), kind="zero",
+        joints=lambda where: where[:1]),
+    Fault(row=121, name="efforts late", plant=_efforts_late, sizes=(0.05, 0.1, -0.1), kind="late"),
+    Fault(row=0, name="no sign", plant=_unsigned, sizes=(0, 1), kind="magnitude"),
+    Fault(row=121, name="position frozen", plant=_position_frozen, sizes=((1, 0.2), (2, 0.3), (0, 0.15)), kind="frozen",
+        joints=lambda where: where[:1]),
+    Fault(row=121, name="encoder clipped", plant=_clipped, sizes=(0, 1, 2), doubted=True),
+    Fault(row=0, name="taken up", plant=_carried, sizes=(0.05, 0.1, 0.2), kind="load"),
+    Fault(row=118, name="axes of another robot", plant=_other_robot, sizes=(1, 2), doubted=True),
     Fault(row=90, name="wrench late", plant=_late, sizes=(0.3, 1.0, 3.0), kind="wrench", wrench=True),
 ]  # fmt: skip
 """What is planted."""

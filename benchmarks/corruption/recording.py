@@ -16,9 +16,9 @@ from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray
 
-_TYPES = get_typestore(Stores.ROS2_JAZZY)
-_JOINTS = "sensor_msgs/msg/JointState"
-_WRENCH = "geometry_msgs/msg/WrenchStamped"
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+JOINTS = "sensor_msgs/msg/JointState"
+WRENCH = "geometry_msgs/msg/WrenchStamped"
 _BAGS = Path(__file__).parents[2] / "bags"
 
 
@@ -47,6 +47,18 @@ SOURCES = {
     "airbot": Source(bag=DATA / "airbot_play/chirp", urdf=DATA / "airbot_play/airbot_play.urdf"),
 }
 
+
+CLEAN = {
+    **SOURCES,
+    "lwr4 2": Source(bag=DATA / "kuka_lwr4_hw/measurements_2", urdf=DATA / "kuka_lwr4_hw/kuka_lwr4.urdf"),
+    "airbot loaded": Source(bag=DATA / "airbot_play/chirp_loaded", urdf=DATA / "airbot_play/airbot_play.urdf"),
+    "airbot trapez": Source(bag=DATA / "airbot_play/trapez", urdf=DATA / "airbot_play/airbot_play.urdf"),
+    **{f"kr300 {run}": Source(bag=DATA / f"kuka_kr300/FF_{run}", urdf=DATA / "kuka_kr300/kr300.urdf") for run in "ABC"},
+    "tx40": Source(bag=DATA / "staubli_tx40/tx40", urdf=DATA / "staubli_tx40/tx40.urdf"),
+    "go2": Source(bag=DATA / "go2_air/traj_0", urdf=DATA / "go2_air/go2.urdf"),
+    "arm3": Source(bag=_BAGS / "arm3", urdf=_BAGS / "arm3.urdf", wrench="/wrench:wrist_ft:mounted"),
+}
+"""All recordings in which nothing is wrong."""
 
 ARM3 = Source(bag=_BAGS / "arm3", urdf=_BAGS / "arm3.urdf")
 
@@ -86,13 +98,13 @@ class Recording:
         robot = Robot(urdf, source=str(source.urdf))
         with Reader(source.bag) as reader:
             messages = [
-                (c.topic, c.msgtype, time, _TYPES.deserialize_cdr(raw, c.msgtype))
+                (c.topic, c.msgtype, time, TYPES.deserialize_cdr(raw, c.msgtype))
                 for c, time, raw in reader.messages()
-                if c.msgtype in (_JOINTS, _WRENCH)
+                if c.msgtype == WRENCH or (c.msgtype == JOINTS and c.topic.endswith("joint_states"))
             ]
-        states = [message for _, kind, _, message in messages if kind == _JOINTS]
+        states = [message for _, kind, _, message in messages if kind == JOINTS]
         order = [list(states[0].name).index(joint) for joint in robot.joint_names]
-        wrenches = [message for _, kind, _, message in messages if kind == _WRENCH]
+        wrenches = [message for _, kind, _, message in messages if kind == WRENCH]
         return Recording(
             source=source,
             urdf=urdf,
@@ -107,14 +119,16 @@ class Recording:
             gravity=np.array(source.settings.get("gravity", (0.0, 0.0, -9.81))),
         )
 
-    def second_half(self) -> Recording:
-        """The messages of the second half."""
-        middle = 0.5 * (self.stamps[0] + self.stamps[-1])
-        joints, wrenches = self.stamps >= middle, self.wrench_stamps >= middle
-        messages = [entry for entry in self.messages if _seconds(entry[3]) >= middle]
+    def part(self, begin: float, end: float) -> Recording:
+        """The messages between two shares of the time, 0 to 1."""
+        first, last = self.stamps[0], self.stamps[-1]
+        low, high = (first + share * (last - first) for share in (begin, end))
+        joints, wrenches = (low <= stamps for stamps in (self.stamps, self.wrench_stamps))
+        joints, wrenches = joints & (self.stamps <= high), wrenches & (self.wrench_stamps <= high)
+        counts = {JOINTS: iter(joints), WRENCH: iter(wrenches)}
         return replace(
             self,
-            messages=messages,
+            messages=[entry for entry in self.messages if next(counts[entry[1]])],
             stamps=self.stamps[joints],
             position=self.position[joints],
             velocity=None if self.velocity is None else self.velocity[joints],
@@ -125,19 +139,19 @@ class Recording:
 
     def write(self, folder: Path) -> Path:
         """Record into a new bag; returns ``folder``."""
-        counts = {_JOINTS: 0, _WRENCH: 0}
+        counts = {JOINTS: 0, WRENCH: 0}
         with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
             connections: dict[str, Any] = {}
             for topic, kind, time, message in self.messages:
                 if topic not in connections:
-                    connections[topic] = writer.add_connection(topic, kind, typestore=_TYPES)
+                    connections[topic] = writer.add_connection(topic, kind, typestore=TYPES)
                 self._put(kind, counts[kind], message)
                 counts[kind] += 1
-                writer.write(connections[topic], time, bytes(_TYPES.serialize_cdr(message, kind)))
+                writer.write(connections[topic], time, bytes(TYPES.serialize_cdr(message, kind)))
         return folder
 
     def _put(self, kind: str, index: int, message: Any) -> None:
-        if kind == _WRENCH:
+        if kind == WRENCH:
             values = self.wrench[index]
             for part, three in ((message.wrench.force, values[:3]), (message.wrench.torque, values[3:])):
                 part.x, part.y, part.z = map(float, three)

@@ -19,10 +19,10 @@ from geomid_ros.api.compared_files import (
     urdf_values,
 )
 from geomid_ros.api.options import RobotKeywords
+from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.comparison import Compared, Difference, compared
 from geomid_ros.files.models.effect_forms import finite, quantity_entry
-from geomid_ros.plausibility.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.report.comparison_page import ChannelErrors, ComparisonPage, write_comparison_page
 from geomid_ros.session.recordings import Progress, silent
 

@@ -13,6 +13,7 @@ import numpy as np
 from geomid_ros.api.arguments import PathLike, Paths, beside
 from geomid_ros.api.options import RobotKeywords, RobotOptions
 from geomid_ros.api.verify import doubts_of, entry_of, identified, number, read_to_judge
+from geomid_ros.checks.verdict import Verdict
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.comparison import LinkValues, RobotValues
 from geomid_ros.exports.inertial import Summand, total
@@ -23,7 +24,6 @@ from geomid_ros.files.models.robot_values import robot_values
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.urdf_tree import read_xml
-from geomid_ros.plausibility.verdict import Verdict
 from geomid_ros.report.comparison_page import ChannelErrors
 from geomid_ros.session.recordings import Progress
 from geomid_ros.session.session import Session

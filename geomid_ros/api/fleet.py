@@ -10,6 +10,7 @@ from typing import Unpack
 
 from geomid_ros.api.arguments import PathLike
 from geomid_ros.api.options import RobotKeywords, RobotOptions
+from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.estimation.members import population_and_members
 from geomid_ros.estimation.population import FEWEST, Evidence, Population
 from geomid_ros.files.models.population import write_population
@@ -20,7 +21,6 @@ from geomid_ros.fleet.fleet import Fleet, Robot
 from geomid_ros.fleet.plan import Plan
 from geomid_ros.fleet.recordings import find_bags, on_this_disk
 from geomid_ros.fleet.store import Store
-from geomid_ros.plausibility.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.report.fleet_page import FleetPage, RobotLine, write_fleet_page
 from geomid_ros.session.recordings import Progress, silent
 

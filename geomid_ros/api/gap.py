@@ -11,6 +11,7 @@ from typing import Any, Unpack
 
 from geomid_ros.api.arguments import PathLike, Paths, bag_paths
 from geomid_ros.api.options import RecordingKeywords, RecordingOptions
+from geomid_ros.checks.verdict import DOUBTFUL, STATUS, recording_verdict
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.exports.descriptions import DESCRIPTIONS, Whole, as_described
 from geomid_ros.exports.handover import Judged, file_name, judge
@@ -24,7 +25,6 @@ from geomid_ros.files.models.readers import DESCRIBED_FOR, URDF
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.gap.result import Finding, GapResult, Verdict
 from geomid_ros.model.samples import Samples
-from geomid_ros.plausibility.verdict import DOUBTFUL, STATUS, recording_verdict
 from geomid_ros.report.gap_figures import elapsed
 from geomid_ros.report.gap_page import GapPage, write_gap_page
 from geomid_ros.report.gap_words import verdict_sentence

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 from geomid_ros.api.arguments import PathLike, Paths, Texts, entries
 from geomid_ros.api.options import RecordingKeywords, RecordingOptions
 from geomid_ros.api.origin import origin
+from geomid_ros.checks.verdict import DOUBTFUL, Verdict
 from geomid_ros.errors import unknown_name
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
 from geomid_ros.estimation.telling_motions import telling_motions
@@ -24,7 +25,6 @@ from geomid_ros.files.models.results import model_effects
 from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.model.samples import Samples
-from geomid_ros.plausibility.verdict import DOUBTFUL, Verdict
 from geomid_ros.report.drawing import draw_identification, series_of
 from geomid_ros.report.identification_page import IdentificationPage, write_identification_page
 from geomid_ros.report.series import Series
@@ -316,8 +316,8 @@ def identify(
         urdf: path or text of the robot description, see :class:`~geomid_ros.RecordingOptions`.
         prior: a population.json of the robot's type (``geomid fleet``) to start from.
         effects: names of the effects to identify at every joint, ``[]`` for none; None for the configured ones, with
-            the candidates where held-out data need them.
-        candidates: names of effects to add to ``effects`` where held-out data need them.
+            the candidates where the data need them.
+        candidates: names of effects to add to ``effects`` where the data need them.
         links: names of the links to identify; None for the configured ones.
         known: weighed masses, as ``LINK=MASS:STD``, ``LINK+LINK=MASS:STD`` or ``total=MASS:STD`` [kg].
         reader: who will read the description that is written: urdf, moveit, isaac, gazebo, drake or mujoco.

@@ -12,11 +12,11 @@ import numpy as np
 
 from geomid_ros.api.arguments import PathLike, Paths, Texts, bag_paths, beside, texts
 from geomid_ros.api.options import RobotKeywords, RobotOptions
+from geomid_ros.api.requirements import TOTAL, Outcome, Requirement, Values
+from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.results import read_estimate
 from geomid_ros.model.samples import Samples
-from geomid_ros.plausibility.requirements import TOTAL, Outcome, Requirement, Values
-from geomid_ros.plausibility.verdict import recording_verdict
 from geomid_ros.session.gap import rms_of_model
 from geomid_ros.session.locking import read_with_locked
 from geomid_ros.session.recordings import Bags, Progress, read_fitted, silent
@@ -65,7 +65,7 @@ def verify(
         validate: rosbag folders, or .mcap and .db3 files.
         urdf: path or text of the robot description that the model was identified from, see
             :class:`~geomid_ros.RobotOptions`.
-        require: requirements, see :mod:`~geomid_ros.plausibility.requirements`.
+        require: requirements, see :mod:`~geomid_ros.api.requirements`.
         progress: called with the current stage and its completed share, 0 to 1.
         options: which robot it is and how its recordings are read, see :class:`~geomid_ros.RobotOptions`.
 

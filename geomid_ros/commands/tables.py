@@ -10,8 +10,8 @@ from rich.console import Console, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from geomid_ros.checks.verdict import Verdict
 from geomid_ros.errors import one_line
-from geomid_ros.plausibility.verdict import Verdict
 
 _WIDTH_OF_FILES = 110
 

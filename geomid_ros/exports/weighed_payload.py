@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from geomid_ros.checks.verdict import USABLE
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import QUANTITIES, SURE
 from geomid_ros.estimation.posterior import Posterior
@@ -13,7 +14,6 @@ from geomid_ros.exports.formats import CONTROLLERS
 from geomid_ros.exports.inertial import Export, Summand, UncertainInertia, total
 from geomid_ros.files.models.judgements import verdict_entry
 from geomid_ros.model.samples import Samples
-from geomid_ros.plausibility.verdict import USABLE
 from geomid_ros.session.configuration import GAIN
 from geomid_ros.session.payload import WeighedPayload, weigh
 from geomid_ros.session.session import Session

@@ -17,13 +17,13 @@ from typing import Any
 
 import numpy as np
 
+from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.identifier import Memory
 from geomid_ros.estimation.summary import RowSummary, SummaryState
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded, encoded
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
-from geomid_ros.plausibility.hypotheses import Cause, Finding
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.fitting import Fitting
 from geomid_ros.session.locking import read_with_locked

@@ -10,6 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from geomid_ros.checks.verdict import Verdict
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.population import Evidence
@@ -20,7 +21,6 @@ from geomid_ros.fleet.plan import Plan
 from geomid_ros.fleet.recordings import FleetBag, on_this_disk
 from geomid_ros.fleet.results import RobotResults
 from geomid_ros.fleet.store import Store
-from geomid_ros.plausibility.verdict import Verdict
 from geomid_ros.session.locking import with_locked
 from geomid_ros.session.recordings import Bags
 from geomid_ros.session.session import Session

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
+from geomid_ros.checks.check import JudgementTask
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.identifier import EstimationTask
@@ -15,7 +16,6 @@ from geomid_ros.files.models.readers import URDF
 from geomid_ros.live.saving import Checkpoints, CheckpointStatus
 from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.live.worker import OnEstimate, OnSamples, Worker
-from geomid_ros.plausibility.check import JudgementTask
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.locking import locked_note, with_locked
 from geomid_ros.session.session import Session

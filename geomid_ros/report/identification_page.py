@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from geomid_ros.checks.verdict import Verdict
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.models.results import shares_from_data
 from geomid_ros.model.effects import KnownEffect, Quantity
-from geomid_ros.plausibility.verdict import Verdict
 from geomid_ros.report import identification_words
 from geomid_ros.report.gap_words import percent
 from geomid_ros.report.page import Bars, Script, write_page

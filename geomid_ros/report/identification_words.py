@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from geomid_ros.checks.verdict import USABLE, Verdict
 from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate, LinkEstimate
-from geomid_ros.plausibility.verdict import USABLE, Verdict
 from geomid_ros.report.series import ChannelFit
 
 WEAK = 0.5

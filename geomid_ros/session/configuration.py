@@ -61,7 +61,7 @@ PARAMETERS = (
     Parameter("links", _NONE, "moving links to identify; empty: all with a mass"),
     Parameter("known", _NONE, "weighed masses, as LINK=MASS:STD, LINK+LINK=MASS:STD or total=MASS:STD [kg]"),
     Parameter("effects", list(DEFAULT_EFFECTS), "effects identified at every joint and wrench sensor"),
-    Parameter("candidates", list(DEFAULT_CANDIDATES), "effects added where held-out data need them"),
+    Parameter("candidates", list(DEFAULT_CANDIDATES), "effects added where the data need them"),
     Parameter("floating_base", False, "the base moves; its pose is read from the topic odom"),
     Parameter("locked_joints", _NONE, "joints of the URDF that never move and are in no message, assumed at zero"),
     Parameter("gravity", [0.0, 0.0, -9.81], "gravity in the base (world) frame [m/s^2]"),

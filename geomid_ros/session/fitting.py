@@ -8,9 +8,9 @@ from typing import TypeAlias
 
 import numpy as np
 
+from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.errors import InputError
 from geomid_ros.model.samples import Samples
-from geomid_ros.plausibility.hypotheses import Cause, Finding
 from geomid_ros.session.session import Session
 from geomid_ros.session.wrench_guard import WrenchGuard
 

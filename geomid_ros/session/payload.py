@@ -9,6 +9,8 @@ from itertools import compress
 
 import numpy as np
 
+from geomid_ros.checks.causes import Finding
+from geomid_ros.checks.verdict import Verdict, recording_verdict
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import QUANTITIES, Estimate, interval_of_positive
 from geomid_ros.estimation.estimator import WarmStart, estimate
@@ -21,8 +23,6 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.weighed_masses import WeighedRows
-from geomid_ros.plausibility.hypotheses import Finding
-from geomid_ros.plausibility.verdict import Verdict, recording_verdict
 from geomid_ros.session.configuration import GAIN, Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray, IntArray

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 
-from geomid_ros.plausibility.hypotheses import Finding
+from geomid_ros.checks.causes import Finding
 from geomid_ros.signals.ledger import Account, Ledger
 
 

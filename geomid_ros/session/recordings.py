@@ -173,29 +173,42 @@ def read_bags(session: Session, bags: Bags, fit: Fit, progress: Progress = silen
     """
     fitted = Fitted(session, fit)
     held_out: list[Samples] = []
-    for path, share in bags.shares:
+    for path in bags.fitted:
         pipeline = session.new_pipeline()
         kept: deque[Samples] = deque()
         boundary, first = 0, None
-        with Bag(path) as bag:
-            for samples in read_samples(bag, session, pipeline, bags.topics, progress):
-                session.check.add(samples)
-                first = first or samples.select(slice(1))
-                boundary = max(boundary, _boundary(first, samples, share))
-                kept.append(samples)
-                while kept and kept[0].stamps[-1] < boundary:
-                    fitted.add(kept.popleft())
+        for samples in _opened(path, session, pipeline, bags.topics, progress):
+            session.check.add(samples)
+            first = first or samples.select(slice(1))
+            boundary = max(boundary, _boundary(first, samples, bags.share))
+            kept.append(samples)
+            while kept and kept[0].stamps[-1] < boundary:
+                fitted.add(kept.popleft())
         session.pipeline.ledger.add(pipeline.ledger.topics)
         for samples in kept:
             early, late = _divided(samples, boundary)
             fitted.add(early)
             held_out += [late] if len(late) else []
     fitted.check(bags.fitted)
-    if not held_out and bags.holds_out:
-        raise InputError(f"{', '.join(map(str, bags.fitted))}: too short, no data left to test on")
     session.judge()
     session.findings += fitted.standing()
+    for path in bags.validate:
+        pipeline, check = session.new_pipeline(), session.new_check()
+        for samples in _opened(path, session, pipeline, bags.topics, progress):
+            check.add(samples)
+            held_out.append(samples)
+        session.judge_validation(path.name, check, pipeline.ledger.topics)
+        session.pipeline.ledger.add(pipeline.ledger.topics)
+    if not held_out and bags.holds_out:
+        raise InputError(f"{', '.join(map(str, bags.fitted))}: too short, no data left to test on")
     return held_out
+
+
+def _opened(
+    path: Path, session: Session, pipeline: SignalPipeline, topics: Topics, progress: Progress
+) -> Iterator[Samples]:
+    with Bag(path) as bag:
+        yield from read_samples(bag, session, pipeline, topics, progress)
 
 
 def read_fitted(session: Session, bags: Bags, progress: Progress = silent) -> list[Samples]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,6 +12,18 @@ from typing import Any
 
 import numpy as np
 
+from geomid_ros.checks.causes import Finding
+from geomid_ros.checks.check import Judge, JudgementTask, RecordingCheck, efforts_alone
+from geomid_ros.checks.unexplained import unexplained
+from geomid_ros.checks.verdict import (
+    REASON,
+    Verdict,
+    unlike,
+    verdict,
+    worse_channels,
+    worse_in_folds,
+    worse_on_rows,
+)
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate, LinkEstimate
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart
@@ -33,18 +45,6 @@ from geomid_ros.model.columns import Columns
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.plausibility.check import Judge, JudgementTask, RecordingCheck, efforts_alone
-from geomid_ros.plausibility.hypotheses import Finding
-from geomid_ros.plausibility.unexplained import unexplained
-from geomid_ros.plausibility.verdict import (
-    REASON,
-    Verdict,
-    unlike,
-    verdict,
-    worse_channels,
-    worse_in_folds,
-    worse_on_rows,
-)
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recorded import Recorded
 from geomid_ros.session.solidity import impossible_links
@@ -111,12 +111,14 @@ class Session:
         gains = configuration.signals(joints).effort_gains(joints)
         # Judged in another thread than rows are made in: pinocchio's buffers are not shared.
         own = self.model.with_gravity(self.robot.gravity)
-        self._new_check = partial(RecordingCheck, JudgementTask(own, gains, named))
-        self.check = self._new_check()
+        self.new_check = partial(RecordingCheck, JudgementTask(own, gains, named))
+        """Makes a check of other recordings of this robot."""
+        self.check = self.new_check()
         """Told of all samples, it judges them as a whole."""
         self.findings: tuple[Finding, ...] = ()
         """What seems to be wrong with the recording as a whole."""
         self._kept: tuple[Finding, ...] = ()  # of recordings that are judged apart
+        self._validated: tuple[str, ...] = ()  # sentences on recordings that are only judged on
         self._forgotten: dict[str, Account] = {}  # what the ledger had counted when findings were forgotten
         self.warm: WarmStart | None = None
         """Where the next solve may begin: the last estimate."""
@@ -170,12 +172,23 @@ class Session:
     def judge_with(self, judge: Judge) -> None:
         """Judge by ``judge`` instead of :meth:`JudgementTask.judge`, in another process for example, before there are
         samples."""
-        self._new_check = partial(self._new_check, judge=judge)
-        self.check = self._new_check()
+        self.new_check = partial(self.new_check, judge=judge)
+        self.check = self.new_check()
+
+    def judge_validation(self, name: str, check: RecordingCheck, accounts: Mapping[str, Account]) -> None:
+        """Remark on a recording that is not fitted: what is wrong with it is no fault of the others.
+
+        Args:
+            name: of the recording.
+            check: that was told of its samples.
+            accounts: of its messages, by topic.
+        """
+        found = (*check.findings(), *faulty_streams(accounts, {}))
+        self._validated += tuple(f"{name}, which is judged on: {finding.sentence}" for finding in found)
 
     def forget_findings(self) -> None:
         """Judge by the samples to come alone."""
-        self.check, self.findings, self._kept = self._new_check(), (), ()
+        self.check, self.findings, self._kept = self.new_check(), (), ()
         self._forgotten = self.pipeline.ledger.topics
 
     def check_description(self) -> None:
@@ -267,14 +280,15 @@ class Session:
         return [*self.settled, unchecked] if names else self.settled
 
     def begin_recording(self, bag: Bag) -> None:
-        """Note what is missing of a recording that is going to be read."""
+        """Note that the samples to come are of another recording, and what is missing of it."""
+        self.check.begin_recording()
         self._incomplete += [warning for warning in bag.warnings if warning not in self._incomplete]
         self._unchecked += [] if bag.checked else [bag.path.name]
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """What to know of the recordings although nothing is wrong, in sentences."""
-        return (*self._elsewhere.remarks, *self.check.remarks)
+        return (*self._elsewhere.remarks, *self.check.remarks, *self._validated)
 
     @property
     def recorded(self) -> Recorded:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from geomid_ros.plausibility.hypotheses import Cause, Finding
+from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.signals.effort_habits import COARSE
 from geomid_ros.signals.gates import CLOCK_SET, KEPT
 from geomid_ros.signals.joint_messages import DRIVER_ERROR, FROZEN, UNWRAPPED

@@ -41,9 +41,10 @@ def derivative_kernels(cutoff: float, period: float) -> FloatArray:
         InputError: the grid is too coarse for the cutoff.
     """
     if cutoff * period * LOWEST_RATE_PER_CUTOFF > 1.0 + 1e-9:  # a cutoff at the limit is rounded
+        clock = "; or stamps are not in seconds" if period > 1.0 else ""
         raise InputError(
             f"a cutoff of {cutoff:g} Hz is too high for data at {1 / period:.3g} Hz: set the parameter filter.cutoff "
-            f"(--cutoff) to {1 / period / LOWEST_RATE_PER_CUTOFF:.3g} or less"
+            f"(--cutoff) to {1 / period / LOWEST_RATE_PER_CUTOFF:.3g} or less{clock}"
         )
     half = max(1, round(0.5 * _LENGTH_IN_CUTOFF_PERIODS / (cutoff * period)))
     value = np.pad(_low_pass(cutoff * period, half), _HALF_DIFFERENCE)

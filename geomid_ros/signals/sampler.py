@@ -33,6 +33,7 @@ NOW_IN_BURSTS = (
     "where they are measured"
 )
 UNEVEN = DRIVER_ERROR + "messages come in uneven bursts: nothing says when they were measured"
+_UNITS_OF_SPEED = (180.0 / np.pi, 1000.0, 30.0 / np.pi, 0.5 / np.pi)  # degrees, mrad, 1/min, turns in a rad/s
 _MOST_WAITING = 10_000  # messages kept until the period is known
 _HORIZON = 60_000_000_000  # [ns] a topic this far behind the others is not waited for
 _EFFORTS = "joint_states.effort"  # stream of efforts with a delay; no topic has that name
@@ -233,7 +234,8 @@ class Sampler:
         velocity, acceleration = self._velocity.choose(value[:, 1], first[:, 1], first[:, 0], second[:, 0])
         if not self._noted_scale and self._velocity.scaled.any():
             self._noted_scale = True
-            self._ledger.note(JOINT_STATES, SCALED)
+            rate = self._velocity.common_rate()
+            self._ledger.note(JOINT_STATES, _wrong_clock(rate) if rate else SCALED)
         effort = self._streams[_EFFORTS].segment.filtered(instants)[0] if self._effort_delay else value[:, 2]
         pose = base_velocity = base_acceleration = np.zeros((count, 0))
         if self._floating_base:
@@ -256,6 +258,14 @@ class Sampler:
         )
 
 
+def _wrong_clock(rate: float) -> str:
+    return (
+        f"{DRIVER_ERROR}stamps run {max(rate, 1.0 / rate):.3g} times too {'slow' if rate < 1.0 else 'fast'}: at all "
+        "joints the velocities are so many times as small or large as the positions' derivatives; stamp messages in "
+        "seconds, when they are measured"
+    )
+
+
 class VelocityChoice:
     """Chooses for each joint the message's velocity while it agrees with the position's derivative, else the latter.
 
@@ -266,6 +276,7 @@ class VelocityChoice:
     _MEMORY = 100
     _RELATIVE_DISAGREEMENT = 0.05
     _IN_PROPORTION = 0.99
+    _WRONG_CLOCK = 1.5  # a velocity that is off by less may be a gear's or a filter's
 
     def __init__(self, joints: int) -> None:
         self._seen = np.zeros(joints, dtype=np.int64)
@@ -281,6 +292,20 @@ class VelocityChoice:
         given, both, derived = self._sums
         told = (self._known >= self._MEMORY) & (both > 0.0) & (both**2 > self._IN_PROPORTION * given * derived)
         return np.asarray(told & (np.abs(both - derived) > self._RELATIVE_DISAGREEMENT * derived))
+
+    def common_rate(self) -> float:
+        """How many times the derivatives the messages' velocities are, if that is the same at all joints that tell and
+        no unit's factor; else 0."""
+        _, both, derived = self._sums
+        rates = both[self.scaled] / derived[self.scaled]
+        if len(rates) < 2:
+            return 0.0
+        alike = np.all(np.abs(rates / np.median(rates) - 1.0) < self._RELATIVE_DISAGREEMENT)
+        sizes = np.abs(np.log(np.median(rates))) - np.abs(np.log(_UNITS_OF_SPEED))
+        of_unit = np.any(np.abs(sizes) < self._RELATIVE_DISAGREEMENT)
+        far = abs(np.log(np.median(rates))) > np.log(self._WRONG_CLOCK)
+        every = far and np.all(self.scaled | (self._known < self._MEMORY) | ~(both > 0.0))
+        return float(np.median(rates)) if every and alike and not of_unit else 0.0
 
     def choose(
         self, given: FloatArray, given_rate: FloatArray, derived: FloatArray, derived_rate: FloatArray

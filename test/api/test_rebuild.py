@@ -12,8 +12,8 @@ from files.recordings import BAGS
 from report.pages import Page
 
 import geomid_ros
+from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.files.models.judgements import causes_entry, doubts_of
-from geomid_ros.plausibility.hypotheses import Cause, Finding
 
 BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
 MISSING = "Time series need the recordings; this page was made from the files of the result alone."

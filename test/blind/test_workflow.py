@@ -11,7 +11,7 @@ import pytest
 from commands.running import done, geomid, undrawn
 from files.recordings import QUICK
 
-from geomid_ros.plausibility.verdict import DOUBTFUL, STATUS
+from geomid_ros.checks.verdict import DOUBTFUL, STATUS
 from geomid_ros.simulation import WRIST_FRAME, Hidden, SimulationOptions, simulate
 from geomid_ros.simulation.robots import robot_description
 

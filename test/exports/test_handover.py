@@ -14,6 +14,7 @@ from files.recordings import BAGS, QUICK
 
 import geomid_ros
 from geomid_ros.api.identify import Identification
+from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.exports.handover import HandedOver, Judged
 from geomid_ros.exports.model import read_model
 from geomid_ros.files.models.mjcf import mjcf
@@ -23,7 +24,6 @@ from geomid_ros.files.models.urdf import with_inertials
 from geomid_ros.files.models.urdf_extensions import for_drake
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.model.samples import Samples
-from geomid_ros.plausibility.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.resimulation.read_back import read_mjcf_back
 from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.types import FloatArray

@@ -8,14 +8,14 @@ from typing import Any
 
 import pytest
 
+from geomid_ros.checks.causes import Cause, Finding
+from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.gap_model import write_model
 from geomid_ros.files.models.judgements import doubt, verdict_entry
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import GRAVITY, Robot
-from geomid_ros.plausibility.hypotheses import Cause, Finding
-from geomid_ros.plausibility.verdict import recording_verdict
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 

@@ -157,7 +157,7 @@ def test_an_estimate_from_a_model_is_the_model_again(tmp_path: Path, common: lis
         effect("backlash", "joint1", gap=0.01),
         effect("wrench_offset", "/wrench", fx=1.0),
     ]
-    session = session_with(tmp_path, known, effects=common)
+    session = session_with(tmp_path, known, effects=common, candidates=[""])
     assert "backlash of joint1: not predicted" in session.loaded.not_predicted
     before, samples = predicted(session)
     links = tuple(
@@ -167,9 +167,8 @@ def test_an_estimate_from_a_model_is_the_model_again(tmp_path: Path, common: lis
         )
     )
     session.save(tmp_path / "again", estimate_of(*links, effects=tuple(estimated(session))))
-    again = Session(
-        ARM, Configuration({"model": str(tmp_path / "again/estimate.json"), "effects": common}, "test"), "arm3.urdf"
-    )
+    values = {"model": str(tmp_path / "again/estimate.json"), "effects": common, "candidates": [""]}
+    again = Session(ARM, Configuration(values, "test"), "arm3.urdf")
     assert again.prior is not None
     np.testing.assert_allclose(again.prior[:30], session.prior[:30], rtol=1e-9)
     assert by_place(again) == pytest.approx(by_place(session), rel=1e-9)

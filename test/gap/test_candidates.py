@@ -8,6 +8,7 @@ from geomid_ros.gap.candidates import Candidate, EffectTerm
 from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, AtJoint, JointMotion, MotionEffect, OnLink, OnRobot
 from geomid_ros.model.effects.backlash import CROSSINGS
 from geomid_ros.model.effects.coulomb_friction import SMOOTHINGS
+from geomid_ros.model.effects.saturating_friction import SPEEDS as SETTING_IN
 from geomid_ros.model.effects.stribeck_friction import SPEEDS
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.moving import REST, SIGN, SMOOTH_SIGN
@@ -18,7 +19,12 @@ from . import planted
 
 MODEL = planted.model()
 ALL = library.candidates(MODEL)
-VARIANTS = {"coulomb_friction": len(SMOOTHINGS), "stribeck_friction": len(SPEEDS), "backlash": len(CROSSINGS)}
+VARIANTS = {
+    "coulomb_friction": len(SMOOTHINGS),
+    "saturating_friction": len(SETTING_IN),
+    "stribeck_friction": len(SPEEDS),
+    "backlash": len(CROSSINGS),
+}
 
 
 def named(effect: str, joint: int | None = None) -> list[Candidate]:
@@ -64,7 +70,7 @@ def test_a_sensor_has_a_coefficient_for_each_axis_that_it_measures() -> None:
 
 
 def test_what_the_model_has_may_have_changed_with_the_constants_and_signs_that_it_has() -> None:
-    """Dry friction that sets in gradually has an excess below zero, at a speed that is none of those to choose from."""
+    """At a speed that is none of those to choose from."""
     at = AtJoint(1)
     stribeck = EFFECTS["stribeck_friction"](0.0333)
     level, excess = (EffectTerm(part, at) for part in stribeck.parts)
@@ -72,7 +78,7 @@ def test_what_the_model_has_may_have_changed_with_the_constants_and_signs_that_i
     dry = [c for c in known if c.joint == 1 and c.name in ("coulomb_friction", "stribeck_friction")]
     assert {(c.effect, c.terms, c.positives) for c in dry} == {
         (level.effect, (level,), 1),
-        (stribeck, (level, excess), 1),
+        (stribeck, (level, excess), 2),
     }
     assert {c.positives for c in named("stribeck_friction", 1)} == {2}
     assert [c.group for c in known if c not in dry] == [c.group for c in ALL if c.group not in {d.group for d in dry}]

@@ -289,18 +289,18 @@ def test_friction_that_has_grown_is_named_with_what_it_was() -> None:
 
 
 def test_dry_friction_that_has_grown_keeps_the_shape_that_the_model_has() -> None:
-    """It sets in gradually, at a speed that is none of those to choose from."""
+    """At a speed that is none of those to choose from."""
     inertias = planted.true_inertias(72, 0.03)
     robot = planted.rigid(inertias)
     stribeck = StribeckFriction(0.31)
     model = MeasurementModel(planted.model().robot, (), local_effects={JOINTS[1]: stribeck.parts})
-    shape = np.array([1.0, -0.6])  # of the level: it, and what is missing near standstill
+    shape = np.array([1.0, 0.6])  # of the level: it, and what there is more near standstill
     nominal = np.append(inertias.ravel(), 0.4 * shape)
 
     def efforts(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         whole = robot(q, v, a)
         speed = v[:, 1]
-        whole[:, 1] += 0.7 * (1.0 - 0.6 * np.exp(-((speed / 0.31) ** 2))) * np.tanh(speed / 0.02)
+        whole[:, 1] += 0.7 * (1.0 + 0.6 * np.exp(-((speed / 0.31) ** 2))) * np.tanh(speed / 0.02)
         return whole
 
     recordings = [planted.recording(efforts, 72)], [planted.recording(efforts, 1072, 15.0)]

@@ -17,6 +17,7 @@ import pytest
 from files.recordings import BAGS
 from signals.feeding import completed
 
+from geomid_ros.checks.efforts import EffortCheck
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.identifier import EstimationTask, Identifier
@@ -25,7 +26,6 @@ from geomid_ros.live import solving_process as module
 from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.live.supervisor import Supervisor
 from geomid_ros.model.samples import Samples
-from geomid_ros.plausibility.efforts import EffortCheck
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import Ledger

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from files.recordings import BAGS
 
+from geomid_ros.checks.check import Excerpt, Judgement, JudgementTask, RecordingCheck
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.moving import REST, SIGN
 from geomid_ros.model.samples import Samples
-from geomid_ros.plausibility.check import Excerpt, Judgement, JudgementTask, RecordingCheck
 from geomid_ros.resimulation.resimulate import CUTOFF
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import CUTOFF_PER_RATE, GapReader, gap_pipeline, gap_session

@@ -10,10 +10,10 @@ from rich.console import Console
 from rich.table import Table
 
 from geomid_ros.api.gap import Gap
+from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.commands.tables import lines, number_columns, plain_table, print_remarks, results_console, say
 from geomid_ros.exports.handover import Judged
 from geomid_ros.gap.result import GapResult
-from geomid_ros.plausibility.verdict import recording_verdict
 from geomid_ros.report import gap_words
 from geomid_ros.report.simulated_again import SimulatedAgain
 

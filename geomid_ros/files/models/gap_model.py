@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from geomid_ros.checks.causes import Finding
+from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.files.disk import write_json, write_text
 from geomid_ros.files.models.effect_forms import by_channel, coefficient_entry, combined, effect_entry, is_coefficient
 from geomid_ros.files.models.judgements import verdict_entry
@@ -22,8 +24,6 @@ from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.urdf import Inertia, inertia_of, with_effects, with_inertials
 from geomid_ros.model.effects import KnownEffect, effect_class
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.plausibility.hypotheses import Finding
-from geomid_ros.plausibility.verdict import recording_verdict
 from geomid_ros.types import FloatArray
 
 ESTIMATE, URDF, MJCF, EFFECTS_FILE = "estimate.json", "identified.urdf", "identified.xml", "effects.yaml"

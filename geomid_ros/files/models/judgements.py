@@ -9,9 +9,9 @@ import reprlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from geomid_ros.checks.causes import Cause, Finding
+from geomid_ros.checks.verdict import NOT_CONVERGED, STATUS, USABLE, Verdict
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.plausibility.hypotheses import Cause, Finding
-from geomid_ros.plausibility.verdict import NOT_CONVERGED, STATUS, USABLE, Verdict
 from geomid_ros.signals.ledger import Account
 
 

@@ -44,7 +44,7 @@ DEFAULT_CANDIDATES = (
     "coupled_coulomb_friction",
     "coupled_rotor_inertia",
 )
-"""Names of the effects that are identified where held-out data ask for them, unless the user says otherwise."""
+"""Names of the effects that are identified where the data ask for them, unless the user says otherwise."""
 
 _FILES = (
     "viscous_friction",

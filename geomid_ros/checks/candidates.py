@@ -1,0 +1,186 @@
+"""Candidates for what is wrong with a recording, the evidence of each, and the rules by which one is named.
+
+A candidate undoes what may have been done to a recording. It is judged by how much more probable the recording is then,
+and named if that repeats: in every recording, or in both halves of a single one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from geomid_ros.checks.causes import Cause, Finding
+from geomid_ros.checks.evidence import Evidence
+from geomid_ros.checks.subject import Subject
+from geomid_ros.types import BoolArray, FloatArray, IntArray
+
+FOLLOWS = 0.85
+"""A channel follows the model if no more than this share of its standard deviation is left."""
+GAIN = 0.25
+"""The least that a cause gains [nats per instant]."""
+_RIVAL = 0.1  # nats per instant
+_SINGLED, _MANY = 0.8, 2  # of the gain: fewer causes at other joints come so near to one that is singled out
+_MISFIT = 0.1  # of the gain: a cause that is true explains no channel worse
+_AGREE = 3.0  # standard deviations of the size in a part from that of the whole
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Judged:
+    """What a recording is worth with a candidate undone.
+
+    Attributes:
+        log: log evidence of the numbers that were measured.
+        sigmas: ``(C,)`` of what is left, in standard deviations of the measured channels.
+        opposite: ``(C,)`` whether links take the opposite of what the URDF's do then.
+        sizes, deviations: ``(k,)`` what was estimated meanwhile, and how well.
+    """
+
+    log: float
+    sigmas: FloatArray
+    opposite: BoolArray
+    sizes: FloatArray = field(default_factory=lambda: np.zeros(0))
+    deviations: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    @staticmethod
+    def mended(
+        mended: Subject,
+        units: FloatArray,
+        found: Evidence | None = None,
+        volume: float = 0.0,
+        sizes: Sequence[float] = (),
+        deviations: Sequence[float] = (),
+    ) -> Judged:
+        """What a mended subject is worth.
+
+        Args:
+            mended: with the candidate undone.
+            units: ``(C,)`` what one standard deviation of the measured numbers is in its efforts.
+            found: its evidence in these units; that of nothing else wrong unless given.
+            volume: log of the determinant by which the mending of numbers changes volumes, beyond that of ``units``.
+            sizes, deviations: see :class:`Judged`.
+        """
+        mended = mended.in_units(units)
+        found = mended.evidence() if found is None else found
+        return Judged(
+            log=found.log + volume,
+            sigmas=found.sigmas,
+            opposite=mended.opposite(found),
+            sizes=np.array(sizes),
+            deviations=np.array(deviations),
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Candidate:
+    """What may be wrong.
+
+    Attributes:
+        undo: judges a subject with the candidate undone.
+        cause: what is said of it, if need be by what was estimated.
+        concerned: the channels that it changes.
+        sources: ``(C,)`` which measured channel each judged one is; None if each is its own.
+        allowed: whether what is known beside the evidence allows it.
+        alone: whether it may be named by itself, or only beside another cause.
+        settled: whether what is known beside the evidence settles it.
+        upright: whether links must not be of mass below zero then.
+        changes: whether it begins during the recording: then alternate stretches of time are its parts.
+        subject: what it is judged on, if that is not all of the recording.
+    """
+
+    undo: Callable[[Subject], Judged]
+    cause: Cause | Callable[[Judged], Cause]
+    concerned: Sequence[int]
+    sources: IntArray | None = None
+    allowed: bool = True
+    alone: bool = True
+    settled: bool = False
+    upright: bool = False
+    changes: bool = False
+    subject: Subject | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """A candidate that was judged on a subject."""
+
+    candidate: Candidate
+    subject: Subject
+    judged: Judged
+    cause: Cause
+
+    @staticmethod
+    def of(candidate: Candidate, subject: Subject) -> Tried:
+        """Judge a candidate on its own subject, or on this one."""
+        subject = candidate.subject or subject
+        judged = candidate.undo(subject)
+        cause = candidate.cause
+        return Tried(candidate, subject, judged, cause if isinstance(cause, Cause) else cause(judged))
+
+    @property
+    def allowed(self) -> bool:
+        """Whether what is known beside the evidence allows it."""
+        opposite = self.judged.opposite[list(self.candidate.concerned)]
+        upside_down = self.candidate.upright and 2 * np.count_nonzero(opposite) > len(opposite)
+        return self.candidate.allowed and not upside_down
+
+    @property
+    def gain(self) -> float:
+        """What it gains per instant [nats]."""
+        return (self.judged.log - self.subject.nominal.log) / len(self.subject.samples)
+
+    @property
+    def is_named(self) -> bool:
+        """Whether all speaks for it."""
+        return self.allowed and (self.candidate.settled or self.gain > GAIN)
+
+    @property
+    def name(self) -> tuple[str, tuple[str, ...]]:
+        """The cause's kind and places."""
+        return self.cause.kind, self.cause.places
+
+    def repeats(self) -> bool:
+        """Whether it explains no channel worse, and every part of the recording asks for it, too, with sizes that are
+        those of all of it."""
+        if self.candidate.settled:
+            return True
+        before, concerned = self.subject.nominal.sigmas, list(self.candidate.concerned)
+        before = before if self.candidate.sources is None else before[self.candidate.sources]
+        worse = np.log(self.judged.sigmas / before)[concerned]
+        if np.sum(worse, where=worse > 0.0) > _MISFIT * self.gain:
+            return False
+        return all(self._repeats(part) for part in self.subject.parts(alternating=self.candidate.changes))
+
+    def _repeats(self, part: Subject) -> bool:
+        judged = self.candidate.undo(part)
+        off = np.abs(judged.sizes - self.judged.sizes)
+        # What changes is measured by the variation of each part: there the sign has to agree.
+        allowed = np.abs(self.judged.sizes) if self.candidate.changes else _AGREE * judged.deviations
+        return judged.log > part.nominal.log and bool(np.all(off <= allowed))
+
+
+def decide(tried: Iterable[Tried]) -> tuple[Finding | None, str]:
+    """What is wrong: the best cause, with its rivals, if it repeats and is singled out.
+
+    Returns:
+        The finding, and a remark on what is not believed; None and empty if there is none.
+    """
+    named = sorted((one for one in tried if one.is_named), key=lambda one: -one.gain)
+    aside = max((one.gain for one in named if not one.candidate.alone), default=-np.inf)
+    # What explains less than what is not named by itself is explained by that.
+    causes = [one for one in named if one.candidate.alone and (one.candidate.settled or one.gain > aside - _RIVAL)]
+    remark = ""
+    for best in [one for number, one in enumerate(causes) if number == 0 or one.candidate.settled]:
+        if not best.repeats():
+            remark = f"in a part of the recording, or at some joints, only: {best.cause.sentence}"
+            continue
+        # Whatever begins during a recording asks for the same: to use the part before or after.
+        near = [one for one in causes if not (one.candidate.changes and best.candidate.changes)]
+        near = [one for one in near if one.cause.places != best.cause.places and one.gain > _SINGLED * best.gain]
+        if not best.candidate.settled and len({one.cause.places for one in near if one.repeats()}) >= _MANY:
+            return Finding(cause=best.cause, sure=False), ""
+        rivals = {one.name: one.cause for one in reversed(named) if one.gain > best.gain - _RIVAL}
+        rivals.pop(best.name)
+        return Finding(cause=best.cause, rivals=tuple(rivals.values())), ""
+    return None, remark

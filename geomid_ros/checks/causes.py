@@ -1,0 +1,199 @@
+"""What may be wrong with a recording: kinds of causes, a sentence for each, and findings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from geomid_ros.types import FloatArray
+
+KINDS = {
+    "sign": "efforts are reversed",
+    "order": "efforts of two joints are swapped",
+    "names": "names of joints are swapped",
+    "gain": "efforts are in another unit",
+    "magnitude": "efforts have no sign",
+    "friction": "more friction is compensated than there is",
+    "zero": "the zero of a joint is off",
+    "axis": "a joint turns in the opposite direction",
+    "absolute": "the position of a joint includes that of another one",
+    "description": "the robot description cannot be that of this robot",
+    "frozen": "the position of a joint is frozen while the joint moves",
+    "position": "positions are in another unit",
+    "time": "stamps run too fast or too slow",
+    "gravity": "gravity acts in another direction, or is of another size",
+    "compensated": "gravity is not in the efforts",
+    "offset": "the offset of an effort changes during the recording",
+    "drift": "the gain of efforts changes during the recording",
+    "switched": "gravity is in the efforts only part of the time",
+    "load": "the payload changes during the recording",
+    "slip": "the zero of a position changes during the recording",
+    "late": "efforts are delayed against the motion",
+    "unrelated": "efforts follow neither gravity nor motion",
+    "unexplained": "the efforts of a joint are not explained by this robot",
+    "constant": "an effort never changes",
+    "stream": "messages are not as a driver should send them",
+    "still": "the robot does not move",
+    "wrench": "a wrench sensor is declared wrongly",
+}
+"""What may be wrong."""
+
+_APART = "Record again, or use only the part before or after"
+_FOLLOW = "efforts would follow this robot's gravity and motion"
+_SENTENCES = {
+    "sign": f"{{efforts}} reversed: with {{settings}} {_FOLLOW}",
+    "order": f"the efforts of joints {{both}} are swapped: swapped back {_FOLLOW}; correct their order in the driver, "
+    "or the names in the URDF",
+    "names": "the names of joints {pairs} are swapped: swapped back positions and efforts would be those of this "
+    "robot; correct the names in the driver, or in the URDF",
+    "gain": f"{{efforts}} about {{ratio}} of what this robot needs in N m{{unit}}: with about {{settings}} {_FOLLOW} "
+    "(the exact factor cannot be distinguished from the masses)",
+    "magnitude": "the effort of {joints} has no sign: it never changes sign, though this robot's gravity and motion "
+    "require it. Record efforts with their sign",
+    "friction": "at {joints} friction seems to drive the motion: more friction is compensated than there is, while "
+    "masses and inertias match this robot. Record efforts before friction compensation, or compensate less",
+    "zero": f"the zero of joint {{joints}} seems to be off: {{zero}} to be added to its positions before {_FOLLOW}. "
+    "Calibrate the joint, or rotate its frame in the URDF",
+    "axis": f"joint {{joints}} seems to turn opposite to its axis in the URDF: with {{reversed}} reversed{{zero}}, "
+    f"{_FOLLOW}. Correct the signs in the driver, or the axis in the URDF",
+    "absolute": "the position of joint {first} seems to include that of {second} (an angle against the base, not "
+    f"against the previous link): {{sign}} the position of {{second}}, {_FOLLOW}. Send the angle between the links",
+    "position": f"{{positions}} in {{unit}}: read as such, {_FOLLOW}; send messages in {{right}}",
+    "time": f"stamps run {{rate}}: with {{period}} the time between messages, {_FOLLOW}; stamp messages in seconds, "
+    "when they are measured",
+    "gravity": "gravity acts {how} than configured: {settings} fits ({check})",
+    "level": "the efforts are explained much better if gravity is {vector} in the base frame: the base may be tilted "
+    "by {angle:.1f} degrees. Measure it; correct it with --gravity {vector} (the parameter gravity), or let "
+    "'geomid gap' fit it",
+    "compensated": "gravity is not in the efforts: they are compensated for it, or there is none. Record measured "
+    "efforts without compensation, or write {settings}; then only accelerations identify masses",
+    "offset": "efforts are shifted {when}, independently of the motion: {sizes}; check for a zeroed sensor or an "
+    "external load. {advice}",
+    "drift": "{efforts} {factor:.2f} times the earlier value {when}: check for a change of unit, or a motor that "
+    "warms up. {advice}",
+    "switched": "gravity is not in the efforts {when}: its compensation was switched. {advice}",
+    "load": "'{link}' carries about {mass:.2g} kg {way} {when}: something is picked up or put down; identify the "
+    "robot from a recording without it. {advice}",
+    "slip": "positions are off {when}: {sizes}; check for a slipping coupling or a zeroed encoder. {advice}",
+    "stream": "the efforts of all joints have {factor} {when}: another unit or sign begins; use one of the two parts, "
+    "with effort_gain for its unit",
+    "late": "efforts are not synchronous with the motion: {sizes}; check whether the driver filters, holds or polls "
+    "them, or positions are set-points. Record both as measured, with the stamp of the measurement ('geomid gap' "
+    "identifies a pure delay)",
+    "unrelated": "the efforts follow neither the gravity nor the motion of this robot: check whether they are "
+    "external or compensated efforts, or the URDF is of another robot",
+    "constant": "the effort of {joints} never changes though the joint moves: it is not measured",
+    "held": "the effort of joint {joints} is exactly the same from about {begin:.0f} s to {end:.0f} s, while gravity "
+    "and motion change the required effort by {asked:.3g}: it is not measured there; leave that part out",
+    "frozen": "the position of joint {joints} is frozen for {share:.0%} of the time, while efforts are not those of "
+    "that pose: check the encoder, and whether the driver repeats an old value. Leave that part out",
+    "lengths": "in the URDF {what}: {quantity} may be in {unit}; they must be in {right}",
+}
+"""What is said of each kind."""
+MODEL = (
+    "the efforts equal those of the URDF's own model, without friction or errors: they come from a simulation or a "
+    "controller's model. To identify a real robot, record its measured efforts"
+)
+"""What efforts are that nobody measures."""
+BIT_BY_BIT = "gradually during the recording"
+"""When something changes that does so all of the time."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cause:
+    """What a recording seems to be.
+
+    Attributes:
+        kind: one of :data:`KINDS`.
+        sentence: what is wrong, and what to do.
+        settings: the parameters that mend it, by full name; empty if none does.
+        places: the joints, or the topic, that it is about.
+    """
+
+    kind: str
+    sentence: str
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    places: tuple[str, ...] = ()
+
+    @staticmethod
+    def of(
+        kind: str,
+        places: Sequence[str],
+        settings: Mapping[str, Any] | None = None,
+        *,
+        said: str = "",
+        every: bool = False,
+        **values: Any,
+    ) -> Cause:
+        """A cause in the sentence of its kind.
+
+        Args:
+            kind: one of :data:`KINDS`.
+            places: names of joints.
+            settings: the parameters that mend it.
+            said: the sentence, if it is not the kind's.
+            every: whether these are all joints.
+            **values: of the sentence's other fields.
+        """
+        quoted = [f"'{place}'" for place in places]
+        values |= {
+            "joints": ", ".join(quoted),
+            "efforts": "the efforts of all joints are" if every else f"the effort of joint {', '.join(quoted)} is",
+            "both": " and ".join(quoted),
+            "first": quoted[0] if quoted else "",
+            "second": quoted[-1] if quoted else "",
+            "settings": written(settings or {}),
+            "advice": "Fix that and record again" if values.get("when") == BIT_BY_BIT else _APART,
+        }
+        sentence = _SENTENCES[said or kind].format(**values)
+        return Cause(kind=kind, sentence=sentence, settings=settings or {}, places=tuple(places))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """What is wrong with a recording.
+
+    Attributes:
+        cause: what explains it best.
+        sure: whether the cause is named; otherwise it is suspected.
+        rivals: other causes that explain it as well.
+    """
+
+    cause: Cause
+    sure: bool = True
+    rivals: tuple[Cause, ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """All of it."""
+        if not self.sure:
+            return f"Possibly: {self.cause.sentence}"
+        others = "; or: ".join(rival.sentence for rival in self.rivals)
+        return f"{self.cause.sentence}; or: {others}" if others else self.cause.sentence
+
+
+def written(settings: Mapping[str, Any]) -> str:
+    """Parameters as a configuration has them."""
+    return ", ".join(f"{name}: {value}" for name, value in settings.items())
+
+
+def gain_settings(joints: Sequence[str], gains: Iterable[float], every: bool) -> dict[str, Any]:
+    """The parameters that give joints these gains.
+
+    Args:
+        joints: their names.
+        gains: factors from messages' efforts to N m.
+        every: whether these are all joints.
+    """
+    rounded = [float(f"{gain:.3g}") for gain in gains]
+    if every and len(set(rounded)) == 1:
+        return {"effort_gain": rounded[0]}
+    return {f"joint.{joint}.effort_gain": gain for joint, gain in zip(joints, rounded, strict=True)}
+
+
+def gravity_settings(gravity: FloatArray) -> dict[str, list[float]]:
+    """The parameter that sets a gravity ``(3,)`` [m/s^2]."""
+    return {"gravity": [float(entry) for entry in np.round(gravity, 2) + 0.0]}

@@ -1,0 +1,299 @@
+"""Candidates of what begins during a recording, or comes late: offsets, gains, loads, gravity, positions, delays.
+
+Each is fitted as it would be from some instant on, or as it would grow, beside all that links, friction and curves
+explain of the whole recording. What a robot does where its friction follows another law is explained by those.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+
+from geomid_ros.checks.candidates import Candidate, Judged
+from geomid_ros.checks.causes import BIT_BY_BIT, Cause
+from geomid_ros.checks.flexible import Gain, by_channel
+from geomid_ros.checks.instants import FEWEST, elapsed
+from geomid_ros.checks.rows import payload_factor
+from geomid_ros.checks.subject import Subject
+from geomid_ros.checks.transforms import REASON, STEP
+from geomid_ros.types import FloatArray
+
+PLACES = np.arange(1, 10) / 10.0
+"""Shares of the instants, from which on something may be another."""
+NEARER = (-0.05, 0.05)
+"""Where it is looked for, too, beside the best of them."""
+_WORTH = 0.05  # nats per instant: less promises nothing
+_GAIN = 0.5  # standard deviations of what is tried: another gain,
+_ZERO = 0.3  # another zero of a position [rad, m],
+_USUAL = 0.1  # and a lag [s]
+_LEAST_OFFSET = 0.25  # of an effort's standard deviation: warm friction changes less
+_LEAST_GAIN = 0.1
+_LEAST_MASS = 0.01  # of the robot's: less is of no account
+_LEAST_ZERO = 0.02  # [rad, m]
+_ALL = (-1.3, -0.7)  # times gravity's efforts, which are missing then
+_MAIN = 0.5  # of the largest change: the joints that it is about
+_LEAST_LAG, _MOST_LAG = 0.03, 0.3  # [s] less hardly matters behind the filter; where more fits, it is no lag
+_COMMON = 0.8  # of what lags of their own explain: then they have one in common
+_TOLD = 0.9  # what is left of a channel whose lag can be told, over what is left without
+
+Columns: TypeAlias = Callable[[Subject], FloatArray]
+"""Makes the efforts ``(N, C, k)`` of a subject, by standard deviations of what may be wrong."""
+Said: TypeAlias = Callable[[Gain, str], tuple[Cause, list[int]] | None]
+"""What is said of what was fitted and when it began, and the channels that it is about; None if it is too small."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Kind:
+    """Something that may change: its ``columns``, what is ``said`` of it, whether it may ``grow`` bit by bit, and
+    whether it is so ``first``, until some instant."""
+
+    columns: Columns
+    said: Said
+    grows: bool = False
+    first: bool = False
+
+
+def changes(subject: Subject) -> Iterator[Candidate]:
+    """What may change, as far as it explains anything."""
+    yield from switches(subject)
+    fit = subject.flexible
+    for kind in _kinds(subject):
+        always = kind.columns(subject)
+        tried = {place: fit.promise(_later(subject, place, kind.first) * always) for place in PLACES}
+        best = max(tried, key=lambda place: tried[place])
+        near = {place: fit.promise(_later(subject, place, kind.first) * always) for place in best + np.array(NEARER)}
+        place = max(near | {best: tried[best]}, key=lambda place: (near | tried)[place])
+        when = f"{'until' if kind.first else 'from'} about {elapsed(subject.samples.stamps, place):.0f} s"
+        when, promise = when + ("" if kind.first else " on"), (near | tried)[place]
+        if kind.grows and (growing := fit.promise(_share(subject) * always)) > promise:
+            place, when, promise = np.nan, BIT_BY_BIT, growing
+        if promise < _WORTH:
+            continue
+        gain = fit.gain(_begun(subject, kind, place))
+        said = kind.said(gain, when)
+        if said is not None:
+            yield _candidate(kind, place, int(np.argmax(np.abs(gain.coefficients))), *said)
+
+
+def _candidate(kind: _Kind, place: float, main: int, cause: Cause, concerned: list[int]) -> Candidate:
+    def undo(subject: Subject) -> Judged:
+        gain, always = subject.flexible.gain(_begun(subject, kind, place)), subject.flexible.gain(kind.columns(subject))
+        beyond = gain.beyond(always) if always.per_instant > 0.0 else gain
+        return _judged(subject, beyond, slice(main, main + 1))
+
+    return Candidate(undo=undo, cause=cause, concerned=concerned, changes=True)
+
+
+def _judged(subject: Subject, gain: Gain, main: slice) -> Judged:
+    """What a gain over the flexible fit is worth, with the sizes of its ``main`` columns."""
+    nominal = subject.nominal
+    return Judged(
+        log=nominal.log + gain.per_instant * len(subject.samples),
+        sigmas=nominal.sigmas * gain.ratios,
+        opposite=np.zeros(len(nominal.sigmas), dtype=bool),
+        sizes=gain.coefficients[main],
+        deviations=gain.deviations[main],
+    )
+
+
+def _later(subject: Subject, place: float, first: bool) -> FloatArray:
+    return np.asarray((subject.shares >= place) != first, dtype=np.float64)[:, None, None]
+
+
+def _share(subject: Subject) -> FloatArray:
+    return subject.shares[:, None, None]
+
+
+def _begun(subject: Subject, kind: _Kind, place: float) -> FloatArray:
+    """The columns from a place on, or as they grow if it is NaN."""
+    weight = _share(subject) if np.isnan(place) else _later(subject, place, kind.first)
+    return np.asarray(weight * kind.columns(subject))
+
+
+def _kinds(subject: Subject) -> Iterator[_Kind]:
+    names = subject.names
+    every = [*range(len(names))]
+
+    def offset(gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
+        main = _main(gain.coefficients, _LEAST_OFFSET)
+        steps = gain.coefficients * subject.spread
+        said = ", ".join(f"'{names[c]}' by {steps[c]:+.3g} {subject.units[c]}" for c in main)
+        return (Cause.of("offset", [names[c] for c in main], sizes=said, when=when), main) if main else None
+
+    yield _Kind(lambda of: by_channel(np.broadcast_to(of.spread[None, :, None], (*of.measured.shape, 1))), offset, True)
+
+    def steps(gain: Gain) -> FloatArray:
+        first = np.std(subject.flexible.rigid, axis=0) / np.maximum(np.std(gain.rigid, axis=0), 1e-9)
+        return np.asarray(_GAIN * gain.coefficients * (first if len(gain.coefficients) > 1 else np.median(first)))
+
+    def drift(gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
+        main = _main(steps(gain), _LEAST_GAIN)
+        factor = 1.0 + float(steps(gain)[main[0]]) if main else 1.0
+        if len(main) != 1:
+            return None
+        concerned = main if len(gain.coefficients) > 1 else every
+        return Cause.of(
+            "drift", [names[c] for c in concerned], when=when, factor=factor, every=concerned == every
+        ), concerned
+
+    yield _Kind(lambda of: _GAIN * of.flexible.rigid[:, :, None], drift, True)
+    yield _Kind(lambda of: by_channel(_GAIN * of.flexible.rigid[:, :, None]), drift, True)
+
+    def switched(gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
+        gone = _ALL[0] < gain.coefficients[0] < _ALL[1]
+        return (Cause.of("switched", names, when=when), every) if gone else None
+
+    for first in (False, True):
+        yield _Kind(lambda of: of.weight[:, :, None], switched, first=first)
+    bodies = subject.prior.reshape(-1, 10)
+    for place, body in enumerate(subject.model.robot.bodies):
+        if len(subject.model.robot.subtree(body.name)) == 1:
+            yield _load(subject, place, body.name, payload_factor(bodies, place))
+
+    def slip(gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
+        main = _main(_ZERO * gain.coefficients, _LEAST_ZERO)
+        sizes = -_ZERO * gain.coefficients
+        said = ", ".join(
+            f"'{names[c]}' by {1000.0 * sizes[c]:+.0f} mm"
+            if subject.units[c] == "N"
+            else f"'{names[c]}' by {np.degrees(sizes[c]):+.0f} degrees"
+            for c in main
+        )
+        return (Cause.of("slip", [names[c] for c in main], sizes=said, when=when), every) if main else None
+
+    yield _Kind(lambda of: _ZERO * _by_position(of), slip, True)
+
+
+def _load(subject: Subject, place: int, link: str, factor: FloatArray) -> _Kind:
+    """Something that a link takes up or puts down."""
+    whole = float(np.sum(subject.prior[::10]))
+
+    def said(gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
+        mass = float(factor[0] @ gain.coefficients)
+        if abs(mass) < _LEAST_MASS * whole:
+            return None
+        way = "more" if mass > 0.0 else "less"
+        cause = Cause.of("load", subject.names, link=link, mass=abs(mass), way=way, when=when)
+        return cause, [*range(len(subject.names))]
+
+    return _Kind(lambda of: of.regressor[:, :, 10 * place : 10 * place + 10] @ factor, said)
+
+
+def _by_position(subject: Subject) -> FloatArray:
+    """Derivatives of the URDF's efforts by the positions of the joints ``(N, C, C)``."""
+    found = []
+    for joint in subject.joints:
+        position = subject.samples.position.copy()
+        position[:, joint] += STEP
+        moved = subject.with_samples(replace(subject.samples, position=position))
+        found.append((moved.predicted - subject.predicted) / STEP)
+    return np.stack(found, axis=2)
+
+
+def _main(sizes: FloatArray, least: float) -> list[int]:
+    """The channels whose size is at least that, and not small beside the largest."""
+    return [*np.flatnonzero(np.abs(sizes) > max(least, _MAIN * float(np.max(np.abs(sizes)))))]
+
+
+def switches(subject: Subject) -> Iterator[Candidate]:
+    """Efforts of all joints that are in another unit, or have the other sign, from some instant on."""
+    both = [(place, factor) for place in PLACES for factor in _factors(subject.moving, place)]
+    if len(subject.moving.samples) < FEWEST or not both:
+        return
+    tried = {(place, factor): _switched(subject, place, factor).log for place, factor in both}
+    place, factor = max(tried, key=lambda one: tried[one])
+    tried |= {(place + by, factor): _switched(subject, place + by, factor).log for by in NEARER}
+    place, factor = max(tried, key=lambda one: tried[one])
+    what = "the opposite sign" if factor == -1.0 else f"{factor:.2g} times the earlier value"
+    when = f"from about {elapsed(subject.samples.stamps, place):.0f} s on"
+    cause = Cause.of("stream", subject.names, factor=what, when=when)
+    yield Candidate(
+        undo=lambda of: _switched(of, place, factor),
+        cause=cause,
+        concerned=range(len(subject.joints)),
+        allowed=not 1.0 / REASON <= factor <= REASON,
+        changes=True,
+    )
+
+
+def _factors(subject: Subject, place: float) -> list[float]:
+    """What efforts may be multiplied by from a place on: the other sign, and where they become that large or small
+    another unit."""
+    later = subject.shares >= place
+
+    def size(part: np.ndarray) -> FloatArray:
+        measured, predicted = (np.sqrt(np.mean(e[part] ** 2, axis=0)) for e in (subject.measured, subject.predicted))
+        return np.asarray(np.maximum(measured, 1e-12) / np.maximum(predicted, 1e-12))
+
+    if np.all(later) or not np.any(later):
+        return []
+    factor = float(np.median(size(later) / size(~later)))
+    return [-1.0] if 1.0 / REASON <= factor <= REASON else [factor, -factor]
+
+
+def _switched(whole: Subject, place: float, factor: float) -> Judged:
+    """The better of two readings, efforts are in N m before the place or after it, by the instants in motion: at rest
+    stiction holds whatever it likes."""
+    subject = whole.moving
+    later = subject.shares >= place
+    readings = []
+    for sign in {1.0, float(np.sign(factor))}:
+        for part, size in ((later, 1.0 / factor), (~later, factor)):
+            gains = np.where(part, size, 1.0) * sign
+            mended = subject.with_efforts(subject.measured * gains[:, None])
+            volume = len(subject.joints) * float(np.sum(np.log(np.abs(gains))))
+            volume += len(gains) * float(np.sum(np.log(subject.spread / mended.spread)))
+            readings.append(Judged.mended(mended, mended.spread, volume=volume))
+    best = max(readings, key=lambda judged: judged.log)
+    log = whole.nominal.log + best.log - subject.nominal.log
+    return replace(best, log=log, sigmas=np.minimum(best.sigmas, whole.nominal.sigmas))
+
+
+def lags(subject: Subject) -> Iterator[Candidate]:
+    """Efforts that belong to the motion of a little earlier or later, on a subject of which the ``later`` instants are
+    known.
+
+    To first order a lag adds the derivative of the efforts, times the lag. What the links take tells it: friction turns
+    about at once, and what is left unexplained there looks like a lag. So it is fitted beside the curves of friction.
+    """
+    count = len(subject.joints)
+    common = subject.flexible.gain(_rates(subject))
+    lag = _USUAL * float(common.coefficients[0])
+    if _LEAST_LAG < abs(lag) < _MOST_LAG:
+        yield _late(subject, [*range(count)], np.full(count, lag), _rates)
+    if count == 1:
+        return
+    gain = subject.flexible.gain(by_channel(_rates(subject)))
+    lags = _USUAL * gain.coefficients
+    told = gain.ratios < _TOLD
+    # Where more fits it is no lag, so it may be none elsewhere.
+    if common.per_instant > _COMMON * gain.per_instant or np.any(told & (np.abs(lags) >= _MOST_LAG)):
+        return
+    main = [*np.flatnonzero(told & (np.abs(lags) > _LEAST_LAG))]
+    if main:
+        yield _late(subject, main, lags[main], lambda of: by_channel(_rates(of))[:, :, main])
+
+
+def _late(subject: Subject, main: list[int], lags: FloatArray, columns: Columns) -> Candidate:
+    every, names = len(main) == len(subject.joints), [subject.names[c] for c in main]
+    times = [f"{1000.0 * abs(lag):.0f} ms {'late' if lag > 0.0 else 'early'}" for lag in lags]
+    each = ", ".join(f"that of '{name}' about {time}" for name, time in zip(names, times, strict=True))
+    cause = Cause.of("late", names, sizes=f"all are about {times[0]}" if len(set(times)) == 1 and every else each)
+
+    def undo(of: Subject) -> Judged:
+        gain = of.flexible.gain(columns(of))
+        return _judged(of, gain, slice(None))
+
+    return Candidate(undo=undo, cause=cause, concerned=main, subject=subject)
+
+
+def _rates(subject: Subject) -> FloatArray:
+    """By how much the efforts of the fitted links change in a usual lag ``(N, C, 1)``."""
+    links = subject.prior + subject.factor @ (subject.basis @ subject.flexible.links)
+    later = subject.later or subject.samples
+    next_ones = subject.with_samples(later)
+    times = (later.stamps - subject.samples.stamps) * 1e-9
+    return np.asarray(-_USUAL * (next_ones.regressor @ links - subject.flexible.rigid) / times[:, None])[:, :, None]

@@ -1,0 +1,295 @@
+"""What is judged: the joints of a robot whose efforts are measured, at a few instants of a recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from geomid_ros.checks.evidence import Evidence, Products, evidence
+from geomid_ros.checks.flexible import FlexibleFit
+from geomid_ros.checks.rows import effort_rows, friction_columns, gravity_rows, prior_factor
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.samples import Samples
+from geomid_ros.signals.saturation import STANDING
+from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
+
+_ROUNDING = 1e-10
+_FRICTION = 2.0  # standard deviations of a channel that friction may well explain
+_OFFSET = 3.0
+_STRETCHES = 20  # of a recording, alternately in one part and in the other
+_FEWEST = 15  # instants of a part that is judged
+_ALIKE, _PART = 0.7, 0.5  # correlation of what links take, and share of what was measured
+_OF_MOTION = ("regressor", "predicted", "friction", "basis", "columns", "_unknowns", "tolerated", "gravity_rows")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Subject:
+    """The C joints of a robot whose efforts are judged, and what was recorded of them at N instants.
+
+    Attributes:
+        model: of the robot.
+        samples: instants of the recording at which the efforts of these joints are measured.
+        joints: ``(C,)`` their places among the robot's.
+        gains: ``(C,)`` factors that the messages' efforts were multiplied by.
+        prior: ``(D,)`` the URDF's parameters.
+        factor: ``(D, D)`` of the covariance of their errors.
+        shares: ``(N,)`` how much of the recording comes before each instant, 0 to 1.
+        recordings: ``(N,)`` the number of the recording that each instant is of.
+        later: the N instants that come next; None if they are not known.
+    """
+
+    model: MeasurementModel
+    samples: Samples
+    joints: IntArray
+    gains: FloatArray
+    prior: FloatArray
+    factor: FloatArray
+    shares: FloatArray
+    recordings: IntArray
+    later: Samples | None = None
+
+    @staticmethod
+    def of(
+        model: MeasurementModel, samples: Samples, joints: IntArray, gains: FloatArray, recordings: IntArray
+    ) -> Subject:
+        """The subject of a robot's own URDF, see :class:`Subject`."""
+        prior = np.array([body.parameters for body in model.robot.bodies]).ravel()
+        factor = prior_factor(model.robot)
+        shares = np.arange(len(samples)) / max(len(samples), 1)
+        return Subject(
+            model=model,
+            samples=samples,
+            joints=joints,
+            gains=gains,
+            prior=prior,
+            factor=factor,
+            shares=shares,
+            recordings=recordings,
+        )
+
+    def part(self, chosen: AnyArray | slice) -> Subject:
+        """The same at some of the instants, chosen by a mask, an index array or a slice."""
+        later = None if self.later is None else self.later.select(chosen)
+        part = replace(
+            self,
+            samples=self.samples.select(chosen),
+            shares=self.shares[chosen],
+            recordings=self.recordings[chosen],
+            later=later,
+        )
+        if "regressor" in self.__dict__:
+            part.__dict__["regressor"] = self.regressor[chosen]
+        return part
+
+    def of_pairs(self, now: Samples, later: Samples) -> Subject:
+        """The same robot at other instants, of which the next ones are known."""
+        shares, recordings = np.arange(len(now)) / len(now), np.zeros(len(now), dtype=np.int64)
+        return replace(self, samples=now, later=later, shares=shares, recordings=recordings)
+
+    def parts(self, *, alternating: bool = False) -> list[Subject]:
+        """The recordings that this is of, or both halves of a single one; or two sets of stretches in turn, which both
+        have something of all of the time, if ``alternating``."""
+        places = np.arange(len(self.samples))
+        if alternating:
+            which = (_STRETCHES * places // len(places)) % 2
+        else:
+            several = len(np.unique(self.recordings)) > 1
+            which = self.recordings if several else 2 * places // len(places)
+        parts = [self.part(which == one) for one in np.unique(which)]
+        return [part for part in parts if len(part.samples) >= _FEWEST]
+
+    def with_efforts(self, measured: FloatArray) -> Subject:
+        """The same motion with other efforts ``(N, C)``."""
+        effort = self.samples.effort.copy()
+        effort[:, self.joints] = measured
+        other = replace(self, samples=replace(self.samples, effort=effort))
+        other.__dict__.update({name: self.__dict__[name] for name in _OF_MOTION if name in self.__dict__})
+        return other
+
+    def in_units(self, units: FloatArray) -> Subject:
+        """The same with channels measured in ``units (C,)`` in place of the standard deviations of its efforts."""
+        other = self.with_efforts(self.measured)
+        other.__dict__["spread"] = units
+        return other
+
+    def with_samples(self, samples: Samples) -> Subject:
+        """The same robot in another motion."""
+        return replace(self, samples=samples)
+
+    def under(self, gravity: FloatArray) -> Subject:
+        """The same under another ``gravity (3,)`` in the base frame [m/s^2]."""
+        still, by_gravity = self.gravity_rows
+        other = replace(self, model=self.model.with_gravity(gravity))
+        other.__dict__["regressor"] = still + np.tensordot(gravity, by_gravity, 1)
+        return other
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the joints."""
+        return [self.model.robot.joint_names[joint] for joint in self.joints]
+
+    @property
+    def units(self) -> list[str]:
+        """Units of the efforts."""
+        return [self.model.robot.joints[joint].unit for joint in self.joints]
+
+    @property
+    def measured(self) -> FloatArray:
+        """The efforts ``(N, C)``."""
+        return self.samples.effort[:, self.joints]
+
+    @cached_property
+    def spread(self) -> FloatArray:
+        """Their standard deviations ``(C,)``."""
+        return np.asarray(np.std(self.measured, axis=0))
+
+    @cached_property
+    def regressor(self) -> FloatArray:
+        """Rows ``(N, C, D)`` of the efforts over the links' parameters."""
+        return effort_rows(self.model.robot, self.samples, self.model.robot.gravity)[:, self.joints]
+
+    @cached_property
+    def gravity_rows(self) -> tuple[FloatArray, FloatArray]:
+        """Those without gravity ``(N, C, D)``, and per unit of gravity along each axis ``(3, N, C, D)``."""
+        still, by_gravity = gravity_rows(self.model.robot, self.samples)
+        return still[:, self.joints], by_gravity[:, :, self.joints]
+
+    @cached_property
+    def predicted(self) -> FloatArray:
+        """Efforts of the URDF's links ``(N, C)``."""
+        return np.asarray(self.regressor @ self.prior)
+
+    @cached_property
+    def weight(self) -> FloatArray:
+        """Efforts of their weights alone ``(N, C)``."""
+        return np.asarray(self.predicted - self.gravity_rows[0] @ self.prior)
+
+    @cached_property
+    def friction(self) -> FloatArray:
+        """Columns of friction ``(N, C, 4)``, see :func:`friction_columns`."""
+        return friction_columns(self.samples)[:, self.joints]
+
+    @cached_property
+    def basis(self) -> FloatArray:
+        """Directions ``(D, r)`` of the links' errors that the motion shows, in units of their covariance's factor."""
+        scaled = (self.regressor @ self.factor) / np.maximum(self.spread, np.finfo(float).tiny)[None, :, None]
+        values, vectors = np.linalg.eigh(np.tensordot(scaled, scaled, ((0, 1), (0, 1))))
+        return np.asarray(vectors[:, values > _ROUNDING * values[-1]])
+
+    @cached_property
+    def columns(self) -> FloatArray:
+        """What efforts may take beside the prediction ``(N, C, r + 4)``: of the links' errors, of unit variance, and of
+        friction, in standard deviations of the channel."""
+        return np.concatenate([self.regressor @ (self.factor @ self.basis), self.friction], axis=2)
+
+    @cached_property
+    def _unknowns(self) -> FloatArray:
+        by_channel = self.columns.transpose(1, 2, 0)
+        return np.asarray(by_channel @ by_channel.transpose(0, 2, 1))
+
+    @cached_property
+    def tolerated(self) -> FloatArray:
+        """Standard deviations of friction's coefficients, see :func:`evidence` ``(C, 4)``."""
+        tolerated = _FRICTION / np.maximum(np.sqrt(np.mean(self.friction**2, axis=0)), 1e-6)
+        tolerated[:, 0] = _OFFSET
+        return np.asarray(tolerated)
+
+    @cached_property
+    def moving(self) -> Subject:
+        """The same at the instants at which a joint moves."""
+        return self.part(np.any(np.abs(self.samples.velocity[:, self.joints]) > STANDING, axis=1))
+
+    @cached_property
+    def flexible(self) -> FlexibleFit:
+        """The most that links, friction and curves of each joint's own motion explain."""
+        return FlexibleFit(
+            measured=self.measured,
+            predicted=self.predicted,
+            columns=self.columns,
+            tolerated=self.tolerated,
+            position=self.samples.position[:, self.joints],
+            velocity=self.samples.velocity[:, self.joints],
+        )
+
+    @cached_property
+    def nominal(self) -> Evidence:
+        """The evidence that everything is as it should be."""
+        return self.evidence()
+
+    def evidence(self, *, either_sign: bool = False, unknown: FloatArray | None = None) -> Evidence:
+        """The evidence of the efforts.
+
+        Args:
+            either_sign: whether friction may be of either sign.
+            unknown: ``(N, C)`` what another unknown of unit variance adds to the efforts; it is the last of the links'
+                errors then.
+        """
+        columns, unknowns = self.columns, self._unknowns
+        rank = columns.shape[2] - 4
+        if unknown is not None:
+            columns = np.insert(columns, rank, unknown, axis=2)
+            by_channel = columns.transpose(1, 2, 0)
+            unknowns, rank = by_channel @ by_channel.transpose(0, 2, 1), rank + 1
+        scale = 1.0 / self.spread
+        weights = np.concatenate([np.repeat(scale[:, None], rank, 1), np.ones((len(scale), 4))], axis=1)
+        target = (self.measured - self.predicted) * scale
+        products = Products(
+            counts=np.full(len(scale), float(len(target))),
+            unknowns=weights[:, :, None] * unknowns * weights[:, None, :],
+            crossed=weights * np.einsum("nck,nc->ck", columns, target, optimize=True),
+            squares=np.sum(target**2, axis=0),
+        )
+        return evidence(products, self.tolerated, either_sign=either_sign)
+
+    def links(self, found: Evidence) -> FloatArray:
+        """The links' parameters ``(D,)`` that an evidence finds."""
+        rank = self.basis.shape[1]
+        return np.asarray(self.prior + self.factor @ (self.basis @ found.links[:rank]))
+
+    def explained(self, found: Evidence) -> FloatArray:
+        """What efforts are explained by ``(N, C)``, friction included."""
+        friction = np.einsum("nck,ck->nc", self.friction, found.friction)
+        return np.asarray(self.regressor @ self.links(found) + self.spread * friction)
+
+    def fitted_gravity(self, parameters: FloatArray) -> FloatArray:
+        """The gravity ``(3,)`` [m/s^2] under which links with these parameters ``(D,)`` explain efforts best."""
+        still, by_gravity = self.gravity_rows
+        left = (self.measured - still @ parameters) / self.spread
+        both = np.concatenate([(by_gravity @ parameters) / self.spread, left[None]]).transpose(2, 1, 0)
+        both = self._beyond_friction(both)
+        return np.asarray(np.linalg.lstsq(both[:, :, :3].reshape(-1, 3), both[:, :, 3].ravel(), rcond=1e-6)[0])
+
+    def _beyond_friction(self, columns: FloatArray) -> FloatArray:
+        """Columns of each channel ``(C, N, k)`` without what its friction explains."""
+        bases, _ = np.linalg.qr(self.friction.transpose(1, 0, 2))
+        return np.asarray(columns - bases @ (bases.transpose(0, 2, 1) @ columns))
+
+    def slopes(self) -> tuple[FloatArray, FloatArray]:
+        """Of each channel the slope of what is measured over what the URDF predicts, and their squared correlation,
+        both without what friction explains ``(C,)``."""
+        both = self._beyond_friction(np.stack([self.measured.T, self.predicted.T], axis=2))
+        measured, predicted = both[:, :, 0], both[:, :, 1]
+        crossed, own = np.sum(measured * predicted, axis=1), np.sum(predicted**2, axis=1)
+        slopes = crossed / np.maximum(own, 1e-30)
+        return slopes, crossed**2 / np.maximum(own * np.sum(measured**2, axis=1), 1e-30)
+
+    def fitted_slopes(self, found: Evidence) -> tuple[FloatArray, BoolArray]:
+        """How many times as much the links that were found take as the URDF's, and whether that is sure ``(C,)``."""
+        slopes, alike = self._compared(found)
+        return slopes, alike > _ALIKE
+
+    def opposite(self, found: Evidence) -> BoolArray:
+        """Whether the links that were found take the opposite of what the URDF's do ``(C,)``: as if of mass below zero,
+        which is what shows efforts with the wrong sign where links explain a good part of them."""
+        return self._compared(found)[1] < -_ALIKE
+
+    def _compared(self, found: Evidence) -> tuple[FloatArray, FloatArray]:
+        """The slopes of what links take that were found over what the URDF's do, and their correlations, which are zero
+        where they explain little of what was measured ``(C,)``."""
+        own, nominal = self.regressor @ self.links(found), self.predicted
+        own, nominal = own - np.mean(own, axis=0), nominal - np.mean(nominal, axis=0)
+        crossed, size = np.sum(own * nominal, axis=0), np.maximum(np.sum(nominal**2, axis=0), 1e-30)
+        alike = crossed / np.maximum(np.sqrt(size * np.sum(own**2, axis=0)), 1e-30)
+        return crossed / size, np.where(np.std(own, axis=0) > _PART * self.spread, alike, 0.0)

@@ -1,0 +1,160 @@
+"""Joints whose efforts are badly explained: what is left is a good part of their variation, and large on this robot.
+
+The efforts of a wrist are often mostly friction and noise: there a good part is left of sound recordings, too. What is
+left is told where it is large beside the largest variation of an effort of this robot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomid_ros.checks.causes import Cause, Finding
+from geomid_ros.checks.flexible import moving
+from geomid_ros.checks.instants import FEWEST
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.samples import Samples
+from geomid_ros.types import FloatArray
+
+HALF = 0.5
+"""Share of an effort's standard deviation: an identified model leaves less, a cause of what is left explains more."""
+_MATTERS = 0.05  # of the largest standard deviation of an effort of the robot
+WORSE = 1.05
+"""RMS over that of the input's file: less is of no account."""
+_ELSE = (
+    "check the axis and the sign of the position in the URDF, a coupling of its gear with that of another joint, and "
+    "that all of the recording is of this robot"
+)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Residuals:
+    """What a model leaves of the efforts of C joints.
+
+    Attributes:
+        names, units: of the joints' efforts.
+        positions, speeds, efforts: ``(N, C)`` as measured.
+        residuals: ``(N, C)`` what is left of them, NaN where that is not judged.
+        before: ``(C,)`` RMS of what the input's file leaves, NaN where that is not known.
+    """
+
+    names: Sequence[str]
+    units: Sequence[str]
+    positions: FloatArray
+    speeds: FloatArray
+    efforts: FloatArray
+    residuals: FloatArray
+    before: FloatArray
+
+    @property
+    def variation(self) -> FloatArray:
+        """Standard deviations of the efforts where they are judged ``(C,)``."""
+        return deviations(np.where(np.isfinite(self.residuals), self.efforts, np.nan))
+
+    def finding(self, variation: FloatArray, allowed: float = HALF) -> Finding | None:
+        """The joints that are not explained, the worst first, and what to look at; None if all are.
+
+        Args:
+            variation: ``(C,)`` standard deviations of the efforts.
+            allowed: share of these that may be left.
+        """
+        left, units = rms(self.residuals), np.array(self.units)
+        largest = np.array([np.max(variation[units == unit]) for unit in units])
+        share = left / np.maximum(variation, np.finfo(float).tiny)
+        bad = (left > _MATTERS * largest) & ((share > allowed) | (left > WORSE * self.before))
+        worst = sorted(np.flatnonzero(bad).tolist(), key=lambda joint: -share[joint])
+        if not worst:
+            return None
+        said = ", ".join(
+            f"'{self.names[j]}' is not explained: {100.0 * max(1.0 - share[j], 0.0):.0f} % ({left[j]:.3g} of "
+            f"{variation[j]:.3g} {units[j]} are left)"
+            for j in worst
+        )
+        sentence = f"joint {said}; {self._hint(worst[0])}"
+        return Finding(cause=Cause(kind="unexplained", sentence=sentence, places=tuple(self.names[j] for j in worst)))
+
+    def _hint(self, joint: int) -> str:
+        """What to look at, by what the residual of a joint follows most."""
+        shares = {hint: _explained(self.residuals[:, joint], columns) for hint, columns in self._hints(joint)}
+        best = max(shares, key=lambda hint: shares[hint])
+        return best if shares[best] > HALF else _ELSE
+
+    def _hints(self, joint: int) -> Iterator[tuple[str, FloatArray]]:
+        """What may be wrong, with what the residual would follow then ``(N, k)``."""
+        name, places, speeds = self.names[joint], self.positions[:, [joint]], self.speeds[:, [joint]]
+        yield (
+            f"what is left follows the position of '{name}': check its axis, sign and zero in the URDF, or a spring",
+            np.concatenate([places, places**2, places**3], axis=1),
+        )
+        yield (
+            f"what is left follows the speed of '{name}': check the sign of its position, and its friction (--effects)",
+            np.concatenate([speeds, np.sign(speeds)], axis=1),
+        )
+        for other in range(len(self.names)):
+            if other != joint:
+                hint = f"what is left follows the effort of '{self.names[other]}': check a coupling of the two gears"
+                yield f"{hint}, and the axes and signs of both positions", self.efforts[:, [other]]
+
+
+def unexplained(
+    model: MeasurementModel, batches: Sequence[Samples], parameters: FloatArray, recorded: Samples | None
+) -> Finding | None:
+    """The joints whose efforts a model does not explain, or worse than the input's file does.
+
+    Args:
+        model: of the robot.
+        batches: samples to judge on; none for ``recorded``.
+        parameters: the identified ones ``(D,)``.
+        recorded: instants of all that was recorded, which say how far efforts vary; None if there are none.
+    """
+    judged = list(batches) or ([recorded] if recorded is not None else [])
+    if not judged:
+        return None
+    efforts = model.layout.efforts
+    both = np.column_stack([parameters, model.nominal_parameters])
+    pairs = [model.predict(samples, both) for samples in judged]
+    residuals = np.concatenate([(measured[:, :, None] - predicted)[:, efforts] for measured, predicted in pairs])
+    samples = Samples.concatenate([each.with_columns([]) for each in judged])
+    residuals = np.where(moving(samples.velocity)[:, :, None], residuals, np.nan)
+    found = Residuals(
+        names=model.robot.joint_names,
+        units=[model.channels[channel].unit for channel in efforts],
+        positions=samples.position,
+        speeds=samples.velocity,
+        efforts=samples.effort,
+        residuals=residuals[:, :, 0],
+        before=rms(residuals[:, :, 1]),
+    )
+    variation = found.variation
+    if recorded is not None:
+        variation = np.maximum(variation, deviations(recorded.effort))
+    return found.finding(variation)
+
+
+def rms(residuals: FloatArray) -> FloatArray:
+    """RMS ``(C,)`` of residuals ``(N, C)`` where they are known, zero where too few are."""
+    known = np.isfinite(residuals)
+    squares, counts = np.sum(np.where(known, residuals, 0.0) ** 2, axis=0), np.count_nonzero(known, axis=0)
+    return np.asarray(np.where(counts < FEWEST, 0.0, np.sqrt(squares / np.maximum(counts, 1))))
+
+
+def deviations(efforts: FloatArray) -> FloatArray:
+    """Standard deviations of efforts ``(N, C)`` where they are known ``(C,)``, zero where fewer than two are."""
+    known = np.isfinite(efforts)
+    counts = np.maximum(np.count_nonzero(known, axis=0), 1)
+    centred = np.where(known, efforts - np.sum(np.where(known, efforts, 0.0), axis=0) / counts, 0.0)
+    return np.asarray(np.sqrt(np.sum(centred**2, axis=0) / counts))
+
+
+def _explained(residuals: FloatArray, columns: FloatArray) -> float:
+    """The share of the variance of residuals ``(N,)`` that columns ``(N, k)`` and a constant explain."""
+    known = np.isfinite(residuals) & np.all(np.isfinite(columns), axis=1)
+    target = residuals[known] - np.mean(residuals[known]) if np.any(known) else np.zeros(0)
+    size = float(target @ target)
+    if not size > 0.0:
+        return 0.0
+    centred = columns[known] - np.mean(columns[known], axis=0)
+    basis, _ = np.linalg.qr(centred)
+    return float(np.sum((basis.T @ target) ** 2)) / size

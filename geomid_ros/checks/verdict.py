@@ -1,0 +1,185 @@
+"""Whether a result can be used: converged, of a recording that is what it is declared to be, better than the URDF."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geomid_ros.checks.causes import Finding
+from geomid_ros.checks.unexplained import WORSE
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.samples import Samples
+from geomid_ros.types import AnyArray, FloatArray
+
+USABLE, NOT_CONVERGED, DOUBTFUL = "usable", "not converged", "doubtful"
+STATUS = {USABLE: 0, NOT_CONVERGED: 3, DOUBTFUL: 4}
+"""Exit status of each verdict; 2 is that of a refusal."""
+
+REASON = 2.0
+"""No URDF is wrong by more in the mass of the whole robot."""
+_BLOCK = 1_000_000_000  # [ns] errors so far apart are independent
+_FEWEST_BLOCKS = 4
+_SCATTER = 3.0  # standard errors of the mean over blocks
+_UNLIKE = 4.0  # times the RMS of what was fitted: more than a motion that is a little different explains
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """Whether a result can be used.
+
+    Attributes:
+        word: one of :data:`STATUS`.
+        reasons: why not, in sentences, the weightiest first.
+        warnings: what to know although it can be used.
+    """
+
+    word: str
+    reasons: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def status(self) -> int:
+        """The exit status."""
+        return STATUS[self.word]
+
+    @property
+    def remarks(self) -> list[str]:
+        """The reasons, each with the verdict before it."""
+        return [f"{self.word.upper()}: {reason}" for reason in self.reasons]
+
+
+def verdict(
+    estimate: Estimate,
+    findings: Sequence[Finding],
+    model: MeasurementModel,
+    worse: Sequence[str] = (),
+    unmeasured: Sequence[str] = (),
+    peculiar: Sequence[str] = (),
+    impossible: Sequence[str] = (),
+) -> Verdict:
+    """Judge a result.
+
+    Args:
+        estimate: what was found.
+        findings: what seems to be wrong with the recording.
+        model: that was fitted.
+        worse: the channels that it predicts worse than the URDF does, see :func:`worse_channels`.
+        unmeasured: the joints whose efforts are missing.
+        peculiar: what is peculiar about the messages, in sentences.
+        impossible: what links no robot can have, in sentences.
+    """
+    warnings = [
+        f"'{channel}' is predicted worse than by the URDF: the motion is too little informative there, or "
+        "something acts that the model lacks"
+        for channel in worse
+    ]
+    warnings += peculiar
+    if unmeasured:
+        warnings.append(f"most of the time no effort is measured at {', '.join(map(repr, unmeasured))}: it is left out")
+    stopped = "" if estimate.converged else estimate.reason
+    judged = recording_verdict(findings, stopped, warnings)
+    beyond = (*_beyond_reason(estimate, model), *impossible)
+    return replace(judged, word=DOUBTFUL, reasons=(*judged.reasons, *beyond)) if beyond else judged
+
+
+def recording_verdict(findings: Sequence[Finding], stopped: str = "", warnings: Sequence[str] = ()) -> Verdict:
+    """Judge what was made of a recording.
+
+    Args:
+        findings: what seems to be wrong with it.
+        stopped: why the solver stopped before it converged; empty if it converged.
+        warnings: what to know beside.
+    """
+    reasons = [finding.sentence for finding in findings]
+    if stopped:
+        reasons.append(f"the solver did not converge: {stopped}")
+    word = DOUBTFUL if findings else NOT_CONVERGED if stopped else USABLE
+    return Verdict(word=word, reasons=tuple(reasons), warnings=tuple(warnings))
+
+
+def _beyond_reason(estimate: Estimate, model: MeasurementModel) -> Iterator[str]:
+    """That all links together weigh what no such robot weighs, unless something was weighed, or carries the robot."""
+    found, nominal = sum(link.mass for link in estimate.links), float(np.sum(model.nominal_inertias[::10]))
+    weighed = bool(estimate.known) or model.robot.floating_base
+    if not weighed and not nominal / REASON <= found <= nominal * REASON:
+        yield (
+            f"the links weigh {found:.3g} kg in all instead of the URDF's {nominal:.3g} kg: the motion does not "
+            "identify masses, effects that the model lacks stand in for them, or the recording is of another robot; "
+            "weigh the robot or a part of it (--known)"
+        )
+
+
+def unlike(estimate: Estimate, held_out: FloatArray) -> list[str]:
+    """What to say of channels where held-out data are predicted far worse than fitted ones.
+
+    Args:
+        estimate: what was found.
+        held_out: RMS of what it leaves on held-out data ``(channels,)``, NaN where nothing is measured.
+    """
+    ratios = held_out / np.maximum(estimate.rms, np.finfo(float).tiny)
+    if not np.any(ratios > _UNLIKE):
+        return []
+    named = ", ".join(f"'{estimate.channels[c]}' ({ratios[c]:.0f} times)" for c in np.flatnonzero(ratios > _UNLIKE))
+    sentence = (
+        f"what was held out is predicted far worse than what was fitted: {named}; the robot moves otherwise there, or "
+        "something has changed. If nothing has, fit all of it (--hold-out 0), and judge on another recording "
+        "(--validate)"
+    )
+    return [sentence]
+
+
+def worse_on_rows(estimate: Estimate) -> list[str]:
+    """The channels that an estimate explains worse than the URDF does on the rows that it is from."""
+    pairs = zip(estimate.channels, estimate.rms, estimate.rms_nominal, strict=True)
+    return [channel for channel, own, nominal in pairs if own > WORSE * nominal]
+
+
+def worse_channels(model: MeasurementModel, batches: Sequence[Samples], parameters: FloatArray) -> list[str]:
+    """The channels that parameters ``(D,)`` predict worse than the URDF does, beyond the scatter of blocks of time.
+
+    Args:
+        model: of the robot.
+        batches: samples to judge on.
+        parameters: the identified ones.
+    """
+    if not batches:
+        return []
+    both = np.column_stack([parameters, model.nominal_parameters])
+    pairs = [model.predict(samples, both) for samples in batches]
+    errors = np.concatenate([(predicted - measured[:, :, None]) ** 2 for measured, predicted in pairs])
+    blocks = np.unique(np.concatenate([samples.stamps for samples in batches]) // _BLOCK, return_inverse=True)[1]
+    means = [_means(error, blocks) for error in np.moveaxis(errors, 2, 0)]
+    return _worse(model, *means)
+
+
+def worse_in_folds(model: MeasurementModel, rows: RowSummary, parameters: FloatArray) -> list[str]:
+    """The same by rows to judge on, beyond the scatter of their folds."""
+    folds = range(rows.folds)
+    pair = (parameters, model.nominal_parameters)
+    return _worse(model, *(np.array([rows.rms(vector, [fold]) ** 2 for fold in folds]) for vector in pair))
+
+
+def _worse(model: MeasurementModel, own: FloatArray, nominal: FloatArray) -> list[str]:
+    """The channels whose mean squared errors in blocks ``(blocks, channels)`` are larger than the URDF's."""
+    worse = []
+    for channel, after, before in zip(model.channels, own.T, nominal.T, strict=True):
+        known = np.isfinite(after) & np.isfinite(before)
+        rise = after[known] - before[known]
+        if len(rise) < _FEWEST_BLOCKS or not np.mean(after[known]) > WORSE**2 * np.mean(before[known]):
+            continue
+        if np.mean(rise) > _SCATTER * np.std(rise, ddof=1) / np.sqrt(len(rise)):
+            worse.append(channel.name)
+    return worse
+
+
+def _means(values: FloatArray, blocks: AnyArray) -> FloatArray:
+    """Means ``(blocks, channels)``; NaN where nothing was measured."""
+    known = np.isfinite(values)
+    sums, counts = (np.zeros((int(np.max(blocks)) + 1, values.shape[1])) for _ in range(2))
+    np.add.at(sums, blocks, np.where(known, values, 0.0))
+    np.add.at(counts, blocks, known)
+    return np.asarray(np.divide(sums, counts, out=np.full_like(sums, np.nan), where=counts > 0))

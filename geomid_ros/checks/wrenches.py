@@ -1,0 +1,210 @@
+"""Whether a mounted wrench sensor measures what it is declared to: axes, units, sign and time of its wrench.
+
+The weight of what a sensor carries turns with the sensor, whatever it weighs: the axes, the ratio of force to torque
+and the time are judged first, by what links of any mass, of either sign, leave unexplained. Only then the fitted mass
+tells the sign and the unit of both together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import permutations, product
+
+import numpy as np
+
+from geomid_ros.checks.candidates import FOLLOWS
+from geomid_ros.checks.causes import Cause, Finding, written
+from geomid_ros.checks.instants import FEWEST
+from geomid_ros.checks.rows import prior_factor
+from geomid_ros.checks.transforms import REASON
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.samples import Samples
+from geomid_ros.model.sensors import AXES, WrenchSensor
+from geomid_ros.types import FloatArray
+
+_FREE = 4.0  # times the URDF's errors: links of any mass, of either sign
+_ROUNDS = 3
+_LEAST_SIGMA = 0.05  # of the measured wrench's standard deviation
+_GAIN = 0.5  # nats per instant of force and torque
+_BETTER = 0.75
+_UNIT = 1000.0
+_OTHER_UNIT = 50.0  # times as much, or as little: no tool is
+_LONGEST, _STEP, _SHORTEST = 5.0, 0.02, 0.1  # [s] of a delay
+_FLOOR = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """What links of any mass leave of force and torque, as shares, and the slope of what they take over the URDF's."""
+
+    sigmas: FloatArray
+    slope: float
+
+    def score(self, instants: int) -> float:
+        return -3.0 * instants * float(np.sum(np.log(self.sigmas)))
+
+
+class WrenchSensorCheck:
+    """Compares what the wrench of one sensor may be."""
+
+    def __init__(
+        self, model: MeasurementModel, sensor: WrenchSensor, name: str, samples: Samples, dense: Samples
+    ) -> None:
+        """
+        Args:
+            model: of the robot.
+            sensor: a mounted one that measures all six axes.
+            name: of the sensor in the configuration.
+            samples: a few instants of the recording.
+            dense: all instants of a stretch of it, to find a delay.
+        """
+        self._model, self._sensor, self._name = model, sensor, name
+        bare = MeasurementModel(model.robot, (), model.sensors)
+        self._channels = list(model.layout.wrenches[sensor.topic])
+        self._prior = bare.nominal_parameters
+        self._factor = _FREE * prior_factor(model.robot)
+        rows = bare.rows(samples)
+        self._regressor = rows.coefficients[:, self._channels]
+        self._wrench = rows.targets[:, self._channels]
+        self._rotations = self._orientations(samples)
+        self._bare, self._dense = bare, dense
+
+    def _orientations(self, samples: Samples) -> FloatArray:
+        """Rotations ``(N, 3, 3)`` from the sensor's axes to the base's."""
+        robot, rotations = self._model.robot, []
+        for q, v, a in zip(*robot.configuration(samples), strict=True):
+            robot.update_motion(q, v, a)
+            rotations.append(np.array(robot.placement(self._sensor.frame).rotation))
+        return np.array(rotations)
+
+    def finding(self) -> Finding | None:
+        """What is wrong with the sensor; None if nothing is, or nothing can be told."""
+        count = len(self._wrench)
+        if count < FEWEST or not np.all(np.std(self._wrench, axis=0) > 0.0):
+            return None
+        nominal = self._fit(self._regressor, self._wrench)
+        tried = [(self._fit(self._regressor, wrench), cause) for wrench, cause in self._geometries()]
+        tried += list(self._delayed())
+        best, cause = max(tried, key=lambda one: one[0].score(count))
+        if best.score(count) - nominal.score(count) > _GAIN * count and self._better(best, nominal):
+            return Finding(cause=cause)
+        return self._sign_or_unit(nominal)
+
+    def _better(self, best: _Fit, nominal: _Fit) -> bool:
+        return bool(np.all(best.sigmas < FOLLOWS) and np.any(best.sigmas < _BETTER * nominal.sigmas))
+
+    def _sign_or_unit(self, fit: _Fit) -> Finding | None:
+        if not fit.sigmas[0] < FOLLOWS:
+            return None
+        if fit.slope < 0.0:
+            settings = {f"wrench.{self._name}.sign": -self._sensor.sign}
+            minus = "a minus before the role" if self._sensor.sign > 0.0 else "no minus before the role"
+            what = f"its sign is reversed: write {written(settings)} (on the command line, {minus})"
+            return Finding(cause=self._cause(what, settings))
+        if not 1.0 / _OTHER_UNIT < fit.slope < _OTHER_UNIT or fit.slope < 1.0 / REASON:
+            what = f"its load would weigh {fit.slope:.3g} times as much as in the URDF: check that it is in N and N m"
+            return Finding(cause=self._cause(what), sure=not 1.0 / _OTHER_UNIT < fit.slope < 1.0 / REASON)
+        return None
+
+    def _cause(self, what: str, settings: dict[str, float] | None = None) -> Cause:
+        topic = self._sensor.topic
+        return Cause(
+            kind="wrench", sentence=f"the wrench sensor {topic}: {what}", settings=settings or {}, places=(topic,)
+        )
+
+    def _geometries(self) -> Iterator[tuple[FloatArray, Cause]]:
+        """Other wrenches ``(N, 6)`` that the messages may mean."""
+        halves = self._wrench.reshape(-1, 2, 3)
+        for rotation in _turns():
+            turned = (halves @ rotation.T).reshape(-1, 6)
+            named = ", ".join(_axis(row) for row in rotation)
+            what = f"its axes are rotated: x, y, z of '{self._sensor.frame}' are its {named}; set the right frame"
+            yield turned, self._cause(what)
+        in_sensor = np.einsum("nji,nkj->nki", self._rotations, halves).reshape(-1, 6)
+        yield in_sensor, self._cause(f"its wrench is in the axes of the base, not of '{self._sensor.frame}'")
+        for factor, unit in ((1.0 / _UNIT, "N mm"), (_UNIT, "kN m")):
+            scaled = self._wrench * np.array([1.0] * 3 + [factor] * 3)
+            yield scaled, self._cause(f"its torques are in {unit}, its forces in N; they must be in N and N m")
+
+    def _delayed(self) -> Iterator[tuple[_Fit, Cause]]:
+        """The wrench of other times, where forces of the URDF's links are most alike."""
+        dense = self._dense
+        times = dense.seconds
+        if len(dense) < FEWEST or times[-1] < 2.0 * _SHORTEST:
+            return
+        rows = self._bare.rows(dense)
+        regressor, wrench = rows.coefficients[:, self._channels], rows.targets[:, self._channels]
+        delay = _best_delay(times, (regressor @ self._prior)[:, :3], wrench[:, :3])
+        if abs(delay) < _SHORTEST:
+            return
+        now = self._fit(regressor, wrench)
+        inside = (times + delay >= times[0]) & (times + delay <= times[-1])
+        then = np.array([np.interp(times[inside] + delay, times, column) for column in wrench.T]).T
+        fit = self._fit(regressor[inside], then)
+        # Both on the dense stretch; the gain is what counts.
+        nominal = self._fit(self._regressor, self._wrench)
+        what = f"its messages are {abs(delay):.2f} s {'late' if delay > 0.0 else 'early'} against the joints'"
+        yield _Fit(nominal.sigmas * fit.sigmas / now.sigmas, fit.slope), self._cause(f"{what}: correct their stamps")
+
+    def _fit(self, regressor: FloatArray, wrench: FloatArray) -> _Fit:
+        """Fit links of any mass, and a constant for each axis."""
+        count = len(wrench)
+        regressor = regressor - np.mean(regressor, axis=0)
+        target = wrench - np.mean(wrench, axis=0)
+        parts = [slice(0, 3), slice(3, 6)]
+        nominal = regressor @ self._prior
+        heavier = np.sqrt(np.sum(target[:, :3] ** 2) / max(float(np.sum(nominal[:, :3] ** 2)), _FLOOR))
+        columns = regressor @ (max(float(heavier), 1.0) * self._factor)
+        sizes = np.array([max(float(np.sqrt(np.mean(target[:, p] ** 2))), _FLOOR) for p in parts])
+        grams = [np.tensordot(columns[:, p], columns[:, p], ((0, 1), (0, 1))) for p in parts]
+        crossed = [np.tensordot(columns[:, p], target[:, p], ((0, 1), (0, 1))) for p in parts]
+        sigmas = np.full(2, 0.5)
+        for _ in range(_ROUNDS):
+            weights = (sigmas * sizes) ** -2.0
+            matrix = np.eye(columns.shape[2]) + sum(w * g for w, g in zip(weights, grams, strict=True))
+            links = np.linalg.solve(matrix, sum(w * c for w, c in zip(weights, crossed, strict=True)))
+            left = target - columns @ links
+            rms = np.array([np.sqrt(np.sum(left[:, p] ** 2) / (3 * count)) for p in parts])
+            sigmas = np.maximum(rms / sizes, _LEAST_SIGMA)
+        own, usual = (columns @ links)[:, :3], nominal[:, :3]
+        slope = float(np.sum(own * usual) / max(float(np.sum(usual**2)), _FLOOR))
+        return _Fit(sigmas, slope)
+
+
+def _best_delay(times: FloatArray, expected: FloatArray, measured: FloatArray) -> float:
+    """By how much [s] measured forces ``(N, 3)`` come later than the expected ones."""
+    grid = np.arange(times[0], times[-1], _STEP)
+    if len(grid) < FEWEST:
+        return 0.0
+    both = [np.array([np.interp(grid, times, c) for c in forces.T]).T for forces in (expected, measured)]
+    most = min(round(_LONGEST / _STEP), len(grid) // 2)
+    shifts = np.arange(-most, most + 1)
+    alike = [_correlation(both[0][max(-s, 0) :], both[1][max(s, 0) :]) for s in shifts]
+    return float(shifts[int(np.argmax(alike))] * _STEP)
+
+
+def _correlation(a: FloatArray, b: FloatArray) -> float:
+    count = min(len(a), len(b))
+    a, b = a[:count] - np.mean(a[:count], axis=0), b[:count] - np.mean(b[:count], axis=0)
+    return float(np.sum(a * b) / np.sqrt(max(float(np.sum(a * a) * np.sum(b * b)), _FLOOR)))
+
+
+def _turns() -> Iterator[FloatArray]:
+    """The 23 rotations by right angles."""
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            rotation = np.zeros((3, 3))
+            rotation[range(3), order] = signs
+            if np.linalg.det(rotation) > 0.0 and not np.array_equal(rotation, np.eye(3)):
+                yield rotation
+
+
+def _axis(row: FloatArray) -> str:
+    index = int(np.argmax(np.abs(row)))
+    return ("-" if row[index] < 0.0 else "") + "xyz"[index]
+
+
+def can_be_judged(sensor: WrenchSensor) -> bool:
+    """Whether a sensor is one that the weight behind it decides on."""
+    return sensor.role == "mounted" and tuple(sensor.axes) == AXES

@@ -1,0 +1,202 @@
+"""What changes during a recording is named with its time; robots that warm up, or stand for a while, are sound."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from functools import cache
+from itertools import product
+
+import numpy as np
+import pytest
+from estimation.arms import ALL_EFFECTS, Case, Truth, arm, efforts, motion, samples
+
+from geomid_ros.checks.causes import Cause, Finding
+from geomid_ros.checks.check import JudgementTask, RecordingCheck
+from geomid_ros.model.samples import Samples
+from geomid_ros.types import FloatArray
+
+SECONDS, CHANGE = 24.0, 9.0
+ROBOTS = [("arm3", 11), ("arm7", 12)]
+
+
+def findings(of: Case, recorded: Samples) -> tuple[Finding, ...]:
+    check = RecordingCheck(JudgementTask(of.model, np.ones(len(of.model.robot.joints)), {}))
+    for begin in range(0, len(recorded), 300):
+        check.add(recorded.select(slice(begin, begin + 300)))
+    return check.findings()
+
+
+def named(of: Case, recorded: Samples) -> Cause:
+    """The one cause that is named."""
+    (finding,) = findings(of, recorded)
+    assert finding.sure, finding
+    return finding.cause
+
+
+CHANGES = {"offset", "drift", "switched", "load", "slip"}
+
+
+def changed(of: Case, recorded: Samples, kind: str) -> Cause:
+    """A change that is named at the right time, perhaps with others that are like it to three joints."""
+    (finding,) = findings(of, recorded)
+    assert finding.sure, finding
+    causes = {cause.kind: cause for cause in (finding.cause, *finding.rivals)}
+    assert kind in causes
+    assert causes.keys() <= CHANGES
+    assert len(causes) == 1 or len(of.model.robot.joints) == 3
+    cause = causes[kind]
+    (time,) = re.findall(r"about (\d+) s", cause.sentence)
+    assert abs(float(time) - CHANGE) < 0.1 * SECONDS
+    return cause
+
+
+@cache
+def case(name: str, seed: int) -> Case:
+    return arm(name, seed, seconds=SECONDS)
+
+
+@pytest.fixture(params=ROBOTS, ids=str)
+def robot(request: pytest.FixtureRequest) -> Case:
+    return case(*request.param)
+
+
+def later(of: Case) -> FloatArray:
+    """Whether something has changed by then ``(N, 1)``."""
+    return np.asarray(of.samples.seconds >= CHANGE)[:, None]
+
+
+def loaded(true: Truth, mass: float) -> Truth:
+    """The same robot with a ball on its last link."""
+    links = true.links.copy()
+    links[-1] += mass * np.array([1.0, 0.0, 0.0, 0.1, 0.012, 0.0, 0.012, 0.0, 0.0, 0.002])
+    return replace(true, links=links)
+
+
+def felt(of: Case, true: Truth, gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)) -> FloatArray:
+    """What the joints of such a robot feel, measured with noise."""
+    feels = efforts(of.model.robot, true, of.samples, gravity)  # type: ignore[arg-type]  # it has the motion's names
+    return np.asarray(feels + 0.05 * np.random.default_rng(3).normal(size=feels.shape))
+
+
+def test_a_sensor_is_set_to_zero(robot: Case) -> None:
+    for joint in (0, 1):
+        effort = robot.samples.effort.copy()
+        effort[:, joint] -= later(robot)[:, 0] * np.std(effort[:, joint])
+        cause = changed(robot, replace(robot.samples, effort=effort), "offset")
+        assert cause.places == (robot.model.robot.joint_names[joint],)
+        (size,) = re.findall(r"by (-[\d.]+) N m", cause.sentence)
+        assert float(size) == pytest.approx(-np.std(robot.samples.effort[:, joint]), rel=0.3)
+
+
+@pytest.mark.parametrize("at_first", [True, False])
+def test_gravity_is_compensated_for_a_part_of_the_time(robot: Case, at_first: bool) -> None:
+    whole, without = felt(robot, robot.true), felt(robot, robot.true, (0.0, 0.0, 0.0))
+    effort = np.where(later(robot) != at_first, without, whole)
+    assert "gravity" in changed(robot, replace(robot.samples, effort=effort), "switched").sentence
+
+
+@pytest.mark.parametrize("mass", [1.0, -1.0])
+def test_something_is_taken_up_or_put_down(robot: Case, mass: float) -> None:
+    heavy = loaded(robot.true, 1.0)
+    first, second = (robot.true, heavy) if mass > 0.0 else (heavy, robot.true)
+    effort = np.where(later(robot), felt(robot, second), felt(robot, first))
+    cause = changed(robot, replace(robot.samples, effort=effort), "load")
+    (size, way) = re.findall(r"carries about ([\d.]+) kg (more|less)", cause.sentence)[0]
+    assert way == ("more" if mass > 0.0 else "less")
+    assert float(size) == pytest.approx(1.0, rel=0.5)
+
+
+def test_all_efforts_change_by_a_factor(robot: Case) -> None:
+    effort = np.where(later(robot), 0.6, 1.0) * robot.samples.effort
+    cause = changed(robot, replace(robot.samples, effort=effort), "drift")
+    (factor,) = re.findall(r"([\d.]+) times the earlier value", cause.sentence)
+    assert float(factor) == pytest.approx(0.6, abs=0.1)
+
+
+def test_a_coupling_slips(robot: Case) -> None:
+    share = robot.samples.seconds / SECONDS
+    position = robot.samples.position.copy()
+    position[:, 1] += np.radians(15.0) * share
+    cause = named(robot, replace(robot.samples, position=position))
+    assert (cause.kind, cause.places) == ("slip", (robot.model.robot.joint_names[1],))
+    (size,) = re.findall(r"by \+(\d+) degrees", cause.sentence)
+    assert float(size) == pytest.approx(15.0, abs=3.0)
+
+
+def test_an_effort_is_frozen_for_a_while(robot: Case) -> None:
+    effort = robot.samples.effort.copy()
+    effort[700:1500, 1] = effort[700, 1]
+    first, *_ = findings(robot, replace(robot.samples, effort=effort))
+    assert (first.cause.kind, first.cause.places) == ("constant", (robot.model.robot.joint_names[1],))
+    assert "from about 7 s to 15 s" in first.cause.sentence
+
+
+def test_efforts_of_the_urdf_itself_are_remarked_on(robot: Case) -> None:
+    """A simulation of it may be meant, so it is no doubt; a real robot has friction."""
+    urdf = Truth(np.array([body.parameters for body in robot.model.robot.bodies]), {})
+    for true, remarks in ((urdf, 1), (robot.true, 0)):
+        check = RecordingCheck(JudgementTask(robot.model, np.ones(len(robot.model.robot.joints)), {}))
+        feels = efforts(robot.model.robot, true, robot.samples)  # type: ignore[arg-type]  # it has the motion's names
+        check.add(replace(robot.samples, effort=feels))
+        assert check.findings() == ()
+        assert len(check.remarks) == remarks
+
+
+def test_friction_that_warms_up_is_no_fault(robot: Case) -> None:
+    """By a fifth, as oil does."""
+    cold = dict(robot.true.effects)
+    cold["viscous_friction"] = cold["coulomb_friction"] = np.zeros_like(cold["viscous_friction"])
+    rigid = felt(robot, replace(robot.true, effects=cold))
+    friction = felt(robot, robot.true) - rigid
+    warmth = (1.0 - 0.2 * robot.samples.seconds / SECONDS)[:, None]
+    assert findings(robot, replace(robot.samples, effort=rigid + warmth * friction)) == ()
+
+
+@pytest.mark.parametrize("leaned_on", [False, True])
+@pytest.mark.parametrize("seed", range(21, 25))
+def test_a_robot_that_stands_at_first_is_no_fault(seed: int, leaned_on: bool) -> None:
+    """Stiction holds what it likes, also while somebody leans on the robot now and then."""
+    rng = np.random.default_rng(seed)
+    of = arm("arm3", seed, seconds=SECONDS)
+    moving = motion(rng, 3, SECONDS)
+    still = np.mean(moving.position, axis=0) * np.ones((700, 1))  # amid all other poses
+    stands = samples(
+        replace(
+            moving,
+            position=np.concatenate([still, moving.position]),
+            velocity=np.concatenate([0.0 * still, moving.velocity]),
+            acceleration=np.concatenate([0.0 * still, moving.acceleration]),
+        ),
+        np.zeros((700 + len(moving), 3)),
+    )
+    measured = felt(replace(of, samples=stands), of.true)
+    measured[:700] += 1.5 * np.sign(rng.normal(size=3)) * np.maximum(of.true.effects["coulomb_friction"], 1.0)
+    measured[:700] *= 1.0 + leaned_on * np.sin(np.arange(700) / 100.0)[:, None]
+    assert set(of.true.effects) == set(ALL_EFFECTS)
+    assert findings(of, replace(stands, effort=measured)) == ()
+
+
+def test_what_was_always_so_does_not_change(robot: Case) -> None:
+    """A zero that is off throughout is another fault than one that slips."""
+    position = robot.samples.position.copy()
+    position[:, 1] += np.radians(12.0)
+    assert all(
+        finding.cause.kind not in CHANGES for finding in findings(robot, replace(robot.samples, position=position))
+    )
+
+
+@pytest.mark.parametrize(
+    ("robot", "factor", "place"),
+    # Every factor at every place, and each of them with either robot.
+    [(ROBOTS[k % 2], *each) for k, each in enumerate(product((1000.0, 0.05, -1.0, -30.0), (0.25, 0.5, 0.8)))],
+    indirect=["robot"],
+)
+def test_efforts_in_another_unit_from_some_instant_on(robot: Case, factor: float, place: float) -> None:
+    effort = robot.samples.effort.copy()
+    effort[round(place * len(effort)) :] *= factor
+    (finding,) = findings(robot, replace(robot.samples, effort=effort))
+    assert (finding.cause.kind, finding.sure, finding.rivals) == ("stream", True, ())
+    said = re.search(r"from about (\d+) s", finding.sentence)
+    assert said is not None
+    assert float(said[1]) == pytest.approx(place * SECONDS, abs=0.06 * SECONDS)

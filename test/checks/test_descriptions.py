@@ -1,0 +1,50 @@
+"""What no robot can be is told of its URDF, whatever was measured."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from estimation.arms import efforts as feels
+from estimation.arms import motion as moving
+from estimation.arms import samples, shipped, truth
+
+from checks.test_efforts import named
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import Robot
+
+
+def grams(urdf: str) -> str:
+    return re.sub(r'<mass value="([^"]+)"', lambda found: f'<mass value="{1000.0 * float(found[1])}"', urdf)
+
+
+def millimetres(urdf: str) -> str:
+    def scaled(found: re.Match[str]) -> str:
+        return found[1] + " ".join(str(1000.0 * float(entry)) for entry in found[2].split())
+
+    return re.sub(r'(<inertial>\s*<origin[^>]*xyz=")([^"]+)', scaled, urdf)
+
+
+def gram_square_millimetres(urdf: str) -> str:
+    def scaled(found: re.Match[str]) -> str:
+        return f'{found[1]}"{1e9 * float(found[2])}"'
+
+    return re.sub(r'( i[xyz][xyz]=)"([^"]+)"', scaled, urdf)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"), [(grams, "in grams"), (millimetres, "in mm"), (gram_square_millimetres, "in g mm^2")]
+)
+@pytest.mark.parametrize("limits", [True, False])
+@pytest.mark.parametrize("name", ["arm3", "arm7"])
+def test_units_of_a_urdf_are_named(name: str, spoil, said: str, limits: bool) -> None:  # type: ignore[no-untyped-def]
+    right = Robot(shipped(name))
+    motion = moving(np.random.default_rng(6), len(right.joints), 20.0)
+    effort = feels(right, truth(np.random.default_rng(5), right), motion)
+    urdf = spoil(shipped(name))
+    assert urdf != shipped(name)
+    without = urdf if limits else re.sub(r'effort="[^"]+"', 'effort="0"', urdf)
+    cause = named(MeasurementModel(Robot(without), ()), samples(motion, effort))
+    assert cause.kind == "description"
+    assert said in cause.sentence

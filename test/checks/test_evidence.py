@@ -1,0 +1,81 @@
+"""The evidence is the density of a normal distribution, and what it holds at zero wants to be less."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from scipy.stats import multivariate_normal
+
+from geomid_ros.checks.evidence import Evidence, Products, evidence
+from geomid_ros.types import FloatArray
+
+INSTANTS, CHANNELS, LINKS = 40, 2, 3
+ROUNDING = 1e-6
+
+
+def drawn(seed: int, friction: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Columns ``(C, N, r + 4)`` and targets ``(C, N)`` with this friction ``(4,)`` at each channel."""
+    rng = np.random.default_rng(seed)
+    columns = rng.normal(size=(CHANNELS, INSTANTS, LINKS + 4))
+    unknowns = np.concatenate([rng.normal(size=LINKS), friction])
+    return columns, columns @ unknowns + 0.3 * rng.normal(size=(CHANNELS, INSTANTS))
+
+
+def products(columns: FloatArray, targets: FloatArray) -> Products:
+    return Products(
+        counts=np.full(CHANNELS, float(INSTANTS)),
+        unknowns=columns.transpose(0, 2, 1) @ columns,
+        crossed=np.einsum("cni,cn->ci", columns, targets),
+        squares=np.sum(targets**2, axis=1),
+    )
+
+
+def found(columns: FloatArray, targets: FloatArray, tolerated: FloatArray) -> Evidence:
+    return evidence(products(columns, targets), tolerated)
+
+
+def test_it_is_the_density_of_all_targets_together() -> None:
+    """With friction that is surely positive nothing is held: then it is a plain normal distribution."""
+    tolerated = np.full((CHANNELS, 4), 2.0)
+    columns, targets = drawn(0, np.array([-1.0, 2.0, 1.5, 1.0]))
+    result = found(columns, targets, tolerated)
+    own = np.zeros((CHANNELS, INSTANTS, 4 * CHANNELS))
+    for channel in range(CHANNELS):
+        own[channel, :, 4 * channel : 4 * channel + 4] = columns[channel, :, LINKS:]
+    every = np.concatenate([columns[:, :, :LINKS], own], axis=2).reshape(-1, LINKS + 4 * CHANNELS)
+    spread = np.concatenate([np.ones(LINKS), tolerated.ravel()])
+    covariance = (every * spread**2) @ every.T + np.diag(np.repeat(result.sigmas**2, INSTANTS))
+    expected = multivariate_normal(np.zeros(len(every)), covariance).logpdf(targets.ravel())
+    assert result.log == pytest.approx(expected, abs=ROUNDING * abs(expected))
+
+
+def test_the_links_are_as_unsure_as_the_normal_equations_say() -> None:
+    """Nothing is held: the friction is surely positive."""
+    tolerated = np.full((CHANNELS, 4), 2.0)
+    columns, targets = drawn(0, np.array([-1.0, 2.0, 1.5, 1.0]))
+    sigmas = found(columns, targets, tolerated).sigmas
+    precision = np.diag(np.append(np.ones(LINKS), np.full(4 * CHANNELS, 0.25)))
+    for channel, own in enumerate(columns / sigmas[:, None, None]):
+        places = [*range(LINKS), *range(LINKS + 4 * channel, LINKS + 4 * channel + 4)]
+        precision[np.ix_(places, places)] += own.T @ own
+    expected = np.sqrt(np.diag(np.linalg.inv(precision))[:LINKS])
+    assert found(columns, targets, tolerated).deviations() == pytest.approx(expected, rel=2e-3)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_friction_of_the_wrong_sign_stays_at_zero(seed: int) -> None:
+    """The links are those of the bounded minimum, found by another solver."""
+    columns, targets = drawn(seed, np.array([0.5, -2.0, 1.0, -1.0]))
+    tolerated = np.full((CHANNELS, 4), 2.0)
+    result = found(columns, targets, tolerated)
+
+    def cost(unknowns: FloatArray) -> float:
+        links, own = unknowns[:LINKS], unknowns[LINKS:].reshape(CHANNELS, 4)
+        left = [targets[c] - columns[c] @ np.concatenate([links, own[c]]) for c in range(CHANNELS)]
+        data = sum(np.sum(left[c] ** 2) / result.sigmas[c] ** 2 for c in range(CHANNELS))
+        return float(data + np.sum(links**2) + np.sum((own / tolerated) ** 2))
+
+    bounds = [(None, None)] * LINKS + [(None, None), (0.0, None), (0.0, None), (0.0, None)] * CHANNELS
+    best = minimize(cost, np.zeros(LINKS + 4 * CHANNELS), bounds=bounds, options={"ftol": 1e-14, "gtol": 1e-9})
+    assert result.links == pytest.approx(best.x[:LINKS], abs=2e-3)

@@ -1,0 +1,68 @@
+"""The few instants that are kept: bounded, apart, spread over all, and the same whatever the batches."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from estimation.arms import motion, samples
+
+from geomid_ros.checks.instants import STEP, Instants, Stretch
+from geomid_ros.model.samples import Samples
+
+RATE = 100.0
+APART = 100_000_000
+
+
+def recording(seconds: float) -> Samples:
+    moving = motion(np.random.default_rng(0), 2, seconds, RATE)
+    return samples(moving, moving.position, RATE)
+
+
+def kept(recorded: Samples, batch: int) -> Samples:
+    """What is kept of a recording that comes in batches."""
+    instants = Instants()
+    for begin in range(0, len(recorded), batch):
+        instants.add(recorded.select(slice(begin, begin + batch)))
+    assert instants.samples is not None
+    return instants.samples
+
+
+@pytest.mark.parametrize("seconds", [3.0, 24.0, 26.0, 200.0])
+def test_they_are_bounded_apart_and_spread_over_all(seconds: float) -> None:
+    recorded = recording(seconds)
+    found = kept(recorded, 17)
+    steps = np.diff(found.stamps)
+    assert len(found) <= 250
+    assert len(found) >= min(10.0 * seconds, 120)
+    assert np.min(steps) >= APART
+    assert np.max(steps) <= 1.1 * np.min(steps)
+    assert recorded.stamps[-1] - found.stamps[-1] <= np.max(steps)
+
+
+@pytest.mark.parametrize("batch", [1, 7, 5000])
+def test_batches_do_not_matter(batch: int) -> None:
+    recorded = recording(60.0)
+    assert np.array_equal(kept(recorded, batch).stamps, kept(recorded, 100).stamps)
+
+
+def test_another_recording_with_earlier_stamps_is_taken_too() -> None:
+    instants, recorded = Instants(), recording(3.0)
+    instants.add(recorded)
+    before = len(instants)
+    instants.add(recorded)
+    assert len(instants) == 2 * before
+
+
+def test_a_stretch_has_the_last_instants_in_motion() -> None:
+    recorded = recording(30.0)
+    still = Samples(**{**recorded.arrays, "velocity": np.zeros_like(recorded.velocity)})
+    later = Samples(**{**recorded.arrays, "stamps": recorded.stamps + 10**12})
+    stretch = Stretch()
+    for part in (recorded, still, later):
+        for begin in range(0, len(part), 50):
+            stretch.add(part.select(slice(begin, begin + 50)))
+    found = stretch.samples
+    assert found is not None
+    assert 800 <= len(found) < 850
+    assert np.all(np.diff(found.stamps // STEP) > 0)
+    assert later.stamps[-1] - found.stamps[-1] < STEP

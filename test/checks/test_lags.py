@@ -1,0 +1,64 @@
+"""Efforts that come late or early against the motion are named; friction that turns about with it is no lag."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from estimation.arms import Case, Motion, efforts, motion, samples
+
+from checks.test_changes import case, felt, findings, named
+from geomid_ros.model.samples import Samples
+
+ROBOTS = [("arm3", 11), ("arm7", 12)]
+BRISK = 2.0
+LATE = 10  # messages, of 10 ms
+
+
+@pytest.fixture(params=ROBOTS, ids=str)
+def robot(request: pytest.FixtureRequest) -> Case:
+    """A robot in a brisk motion: a slow one is about the same a little later."""
+    of = case(*request.param)
+    slow = motion(np.random.default_rng(5), len(of.model.robot.joints), BRISK * 24.0, 100.0 / BRISK)
+    moving = Motion(slow.position, BRISK * slow.velocity, BRISK**2 * slow.acceleration)
+    noiseless = efforts(of.model.robot, of.true, moving)
+    noise = 0.05 * np.random.default_rng(6).normal(size=noiseless.shape)
+    return replace(of, samples=samples(moving, noiseless + noise), noiseless=noiseless)
+
+
+def with_lags(of: Case, late: list[int]) -> Samples:
+    """The efforts of each joint, so many messages late or early."""
+    whole = of.samples
+    inside = np.arange(20, len(whole) - 20)
+    effort = np.column_stack([whole.effort[inside - lag, joint] for joint, lag in enumerate(late)])
+    return replace(whole.select(inside), effort=effort)
+
+
+@pytest.mark.parametrize("late", [LATE, -LATE])
+def test_all_efforts_are_late_or_early(robot: Case, late: int) -> None:
+    cause = named(robot, with_lags(robot, [late] * len(robot.model.robot.joints)))
+    assert cause.kind == "late"
+    (time, how) = re.findall(r"all are about (\d+) ms (late|early)", cause.sentence)[0]
+    assert how == ("late" if late > 0 else "early")
+    assert float(time) == pytest.approx(10.0 * LATE, rel=0.4)
+
+
+def test_the_efforts_of_one_joint_are_late(robot: Case) -> None:
+    lags = [0] * len(robot.model.robot.joints)
+    lags[1] = LATE
+    cause = named(robot, with_lags(robot, lags))
+    assert (cause.kind, cause.places) == ("late", (robot.model.robot.joint_names[1],))
+
+
+def test_a_lag_that_hardly_matters_is_passed_over(robot: Case) -> None:
+    assert findings(robot, with_lags(robot, [1] * len(robot.model.robot.joints))) == ()
+
+
+def test_friction_of_another_law_is_no_lag(robot: Case) -> None:
+    """It is larger as a joint begins to move, and larger under load."""
+    own, load = robot.samples, felt(robot, robot.true)
+    friction = robot.true.effects["coulomb_friction"] * np.tanh(own.velocity / 0.02)
+    friction *= 0.5 * np.exp(-((own.velocity / 0.1) ** 2)) + 0.1 * np.abs(load) / np.std(load, axis=0)
+    assert findings(robot, replace(own, effort=own.effort + friction)) == ()

@@ -1,0 +1,93 @@
+"""Units of positions, clocks and gravity are named; what only a part of a recording shows is a remark."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from estimation.arms import Case, efforts, motion, samples
+
+from benchmarks.corruption.recording import ARM3, Recording
+from checks.test_efforts import ROBOTS, case, checked, named
+from geomid_ros.checks.check import JudgementTask, RecordingCheck
+from geomid_ros.model.samples import Samples
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.recordings import Bags, read_bags
+from geomid_ros.session.session import Session
+from geomid_ros.types import FloatArray
+
+
+@pytest.fixture(params=[ROBOTS[0], ROBOTS[2]], ids=str)
+def robot(request: pytest.FixtureRequest) -> Case:
+    return case(*request.param)
+
+
+def moved(own: Samples, scales: FloatArray | float, rate: float = 1.0) -> Samples:
+    """Positions times scales by a clock that runs so many times as fast."""
+    return replace(
+        own,
+        position=scales * own.position,
+        velocity=rate * scales * own.velocity,
+        acceleration=rate**2 * scales * own.acceleration,
+    )
+
+
+@pytest.mark.parametrize(
+    ("size", "unit"), [(0.5 / np.pi, "revolutions"), (1000.0, "mrad"), (2048.0 / np.pi, "steps of 4096 a turn")]
+)
+def test_positions_are_in_another_unit(robot: Case, size: float, unit: str) -> None:
+    cause = named(robot.model, moved(robot.samples, size))
+    assert cause.kind == "position"
+    assert f"in {unit}" in cause.sentence
+
+
+def test_the_position_of_one_joint_is_in_another_unit(robot: Case) -> None:
+    scales = np.ones(robot.samples.effort.shape[1])
+    scales[1] = 180.0 / np.pi
+    cause = named(robot.model, moved(robot.samples, scales))
+    assert (cause.kind, cause.places) == ("position", (robot.model.robot.joint_names[1],))
+    assert "in degrees" in cause.sentence
+
+
+def test_a_clock_that_runs_too_slow_is_named() -> None:
+    seven = case("arm7", 1)
+    cause = named(seven.model, moved(seven.samples, 1.0, 2.0))
+    assert cause.kind == "time"
+    assert "2 times as slow: with 2 times the time between messages" in cause.sentence
+
+
+@pytest.mark.parametrize("size", [0.0, 1.0, 9810.0])
+def test_gravity_is_in_another_unit(robot: Case, size: float) -> None:
+    model = robot.model.with_gravity(np.array([0.0, 0.0, -size]))
+    cause = named(model, robot.samples)
+    assert cause.kind == "gravity"
+    assert cause.settings["gravity"] == pytest.approx([0.0, 0.0, -9.81], abs=1.5)
+
+
+def test_what_one_of_two_recordings_shows_is_a_remark(robot: Case) -> None:
+    """The other one, of the same robot in another motion, contradicts it."""
+    own = robot.model.robot
+    moving = motion(np.random.default_rng(70), len(own.joints), 10.0)
+    sound = samples(moving, efforts(own, robot.true, moving))
+    wrong = replace(robot.samples, effort=np.where(np.arange(len(own.joints)) == 1, -1.0, 1.0) * robot.samples.effort)
+    check = RecordingCheck(JudgementTask(robot.model, np.ones(len(own.joints)), {}))
+    for recorded in (wrong, sound):
+        check.begin_recording()
+        check.add(recorded)
+    assert all(finding.cause.kind != "sign" for finding in check.findings())
+    assert checked(robot.model, wrong).findings() != ()
+
+
+def test_what_is_wrong_with_a_bag_that_is_judged_on_is_a_remark(tmp_path: Path) -> None:
+    sound = Recording.read(ARM3)
+    wrong = replace(sound, effort=-sound.effort).write(tmp_path / "reversed")
+    session = Session(sound.urdf, Configuration({}), "arm3.urdf")
+    read_bags(session, Bags(fitted=[ARM3.bag], validate=[wrong]), lambda _: None)
+    assert session.findings == ()
+    (remark,) = session.remarks
+    assert remark.startswith("reversed, which is judged on: the efforts of all joints are reversed")
+    alone = Session(sound.urdf, Configuration({}), "arm3.urdf")
+    read_bags(alone, Bags(fitted=[wrong]), lambda _: None)
+    assert [finding.cause.kind for finding in alone.findings] == ["sign"]

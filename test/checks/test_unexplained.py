@@ -1,0 +1,139 @@
+"""Channels that are badly explained are told: when, of what, and with what to look at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.corruption.__main__ import identified, judged
+from benchmarks.corruption.faults import FAULTS
+from benchmarks.corruption.recording import SOURCES, Recording
+from geomid_ros.api.identify import Identification
+from geomid_ros.checks.unexplained import HALF, Residuals, deviations
+from geomid_ros.types import FloatArray
+
+NAMES = ("shoulder", "elbow", "wrist")
+TIMES = np.linspace(0.0, 20.0, 400)
+PLANT = {fault.name: fault.plant for fault in FAULTS}
+
+
+def residuals(shares: FloatArray, before: FloatArray | None = None, units: tuple[str, ...] = ("N m",) * 3) -> Residuals:
+    """Of efforts of standard deviations 10, 5 and 0.1 these shares are left."""
+    position = np.sin(np.outer(TIMES, [1.0, 1.7, 2.3]))
+    efforts = np.random.default_rng(0).normal(size=position.shape)
+    efforts *= np.array([10.0, 5.0, 0.1]) / np.std(efforts, axis=0)
+    left = np.random.default_rng(1).normal(size=position.shape)
+    left *= shares * np.array([10.0, 5.0, 0.1]) / np.sqrt(np.mean(left**2, axis=0))
+    return Residuals(
+        names=NAMES,
+        units=units,
+        positions=position,
+        speeds=np.cos(np.outer(TIMES, [1.0, 1.7, 2.3])),
+        efforts=efforts,
+        residuals=left,
+        before=np.full(3, np.inf) if before is None else before,
+    )
+
+
+def places(found: Residuals) -> tuple[str, ...]:
+    finding = found.finding(found.variation)
+    return () if finding is None else finding.cause.places
+
+
+def test_what_is_left_of_little_is_not_told() -> None:
+    """A wrist whose effort is all noise, beside a shoulder of a hundred times as much."""
+    assert places(residuals(np.array([0.1, 0.1, 1.0]))) == ()
+    assert places(residuals(np.array([0.1, 0.1, 1.0]), units=("N m", "N m", "N"))) == ("wrist",)
+
+
+def test_the_worst_comes_first() -> None:
+    assert places(residuals(np.array([0.6, 0.9, 0.1]))) == ("elbow", "shoulder")
+    assert places(residuals(np.array([HALF - 0.02, HALF + 0.02, 0.1]))) == ("elbow",)
+
+
+def test_worse_than_the_input_is_told() -> None:
+    assert places(residuals(np.array([0.3, 0.3, 0.1]), before=np.array([2.0, 2.0, 0.001]))) == ("shoulder",)
+
+
+def test_what_is_not_judged_counts_for_nothing() -> None:
+    found = residuals(np.array([0.9, 0.9, 0.1]))
+    found.residuals[:, 1] = np.nan
+    found.residuals[20:, 0] = np.nan
+    assert places(found) == ()
+
+
+def test_the_sentence_says_how_much_is_left_and_where_to_look() -> None:
+    found = residuals(np.array([0.1, 0.8, 0.1]))
+    finding = found.finding(found.variation)
+    assert finding is not None
+    assert "joint 'elbow' is not explained: 20 % (4 of 5 N m are left); check the axis" in finding.sentence
+    for column, hint in (
+        (found.efforts[:, 0], "the effort of 'shoulder': check a coupling"),
+        (found.positions[:, 1] * 5.0, "the position of 'elbow': check its axis"),
+        (np.sign(found.speeds[:, 1]) * 4.0, "the speed of 'elbow': check the sign"),
+    ):
+        found.residuals[:, 1] = column
+        finding = found.finding(found.variation)
+        assert finding is not None
+        assert hint in finding.sentence
+
+
+def test_deviations_of_what_is_known() -> None:
+    efforts = np.array([[1.0, np.nan], [3.0, np.nan], [np.nan, 2.0]])
+    assert deviations(efforts) == pytest.approx([1.0, 0.0])
+
+
+def result(source: str, fault: str, size: Any, folder: Path) -> Identification:
+    planted = PLANT[fault](Recording.read(SOURCES[source]), size)
+    return identified(planted, planted.write(folder / "bag"))
+
+
+SHIPPED = [
+    ("axis of the URDF", 1),
+    ("two robots", 0),
+    ("parallel drive", 2),
+    ("position turned round", 1),
+    ("position turned round", 2),
+]
+MEASURED = [
+    ("ur10", "axis of the URDF", 2, "'elbow_joint' is not explained"),
+    ("ur10", "two robots", 1, ""),
+    ("ur10", "parallel drive", 1, "what is left follows the effort of 'elbow_joint'"),
+    ("ur10", "position turned round", 1, "'elbow_joint' is not explained"),
+    ("airbot", "axis of the URDF", 1, "'joint2' is not explained"),
+    ("airbot", "position turned round", 2, "'joint3' is not explained"),
+    ("med7", "position turned round", 1, "'A4' is not explained"),
+    ("lwr4", "parallel drive", 2, "what is left follows the effort of 'lwr_3_joint'"),
+    ("lwr4", "position turned round", 3, "'lwr_3_joint' is not explained"),
+]
+
+
+@pytest.mark.parametrize(("fault", "size"), SHIPPED)
+def test_faults_of_the_shipped_recording_are_doubted(fault: str, size: int, tmp_path: Path) -> None:
+    assert result("arm7", fault, size, tmp_path).verdict.status == 4
+
+
+def test_what_no_links_explain_is_told_before_anything_is_solved(tmp_path: Path) -> None:
+    planted = PLANT["parallel drive"](Recording.read(SOURCES["arm7"]), 2)
+    (finding,) = judged(planted, planted.write(tmp_path / "bag")).findings
+    assert finding.cause.kind == "unexplained"
+    assert finding.cause.places == ("joint3",)
+
+
+def test_the_shipped_recording_is_explained() -> None:
+    source = SOURCES["arm7"]
+    assert identified(Recording.read(source), source.bag).verdict.status == 0
+
+
+@pytest.mark.parametrize(("source", "fault", "size", "said"), MEASURED)
+def test_faults_of_measured_recordings_are_doubted(
+    source: str, fault: str, size: int, said: str, tmp_path: Path
+) -> None:
+    if not SOURCES[source].bag.is_dir():
+        pytest.skip(f"the measured recording is not at {SOURCES[source].bag}")
+    verdict = result(source, fault, size, tmp_path).verdict
+    assert verdict.status == 4
+    assert said in verdict.reasons[0]

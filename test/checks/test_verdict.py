@@ -1,0 +1,125 @@
+"""Whether a result can be used, and which channels it predicts worse than the URDF."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from estimation.arms import Case, arm
+
+from geomid_ros.checks.causes import Cause, Finding
+from geomid_ros.checks.verdict import Verdict, unlike, verdict, worse_channels, worse_on_rows
+from geomid_ros.estimation.estimate import Estimate, WeighedEstimate
+from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.types import FloatArray
+
+FINDING = Finding(cause=Cause(kind="sign", sentence="all is reversed"), sure=False)
+
+
+@cache
+def solved() -> tuple[Case, Estimate]:
+    case = arm("arm3", 3)
+    identifier = Identifier(case.model)
+    identifier.add(case.samples)
+    return case, identifier.solve()
+
+
+def judged(estimate: Estimate, *findings: Finding) -> Verdict:
+    return verdict(estimate, findings, solved()[0].model)
+
+
+def test_the_exit_status() -> None:
+    _, estimate = solved()
+    ended = replace(estimate, converged=False, reason="too many steps")
+    assert judged(estimate) == Verdict(word="usable")
+    assert judged(estimate).status == 0
+    assert judged(ended).status == 3
+    assert judged(estimate, FINDING).status == judged(ended, FINDING).status == 4
+    assert judged(estimate, FINDING).reasons == (FINDING.sentence,)
+
+
+def weighing(estimate: Estimate, factor: float) -> Estimate:
+    """With links that weigh so many times as much."""
+    links = [replace(k, mass=factor * k.mass, parameters=factor * k.parameters) for k in estimate.links]
+    return replace(estimate, links=tuple(links))
+
+
+@pytest.mark.parametrize(("factor", "status"), [(1.0, 0), (1.5, 0), (0.6, 0), (3.0, 4), (0.3, 4), (40.0, 4)])
+def test_masses_beyond_reason_are_doubted(factor: float, status: int) -> None:
+    """Twice the URDF's in all, or half of it."""
+    _, estimate = solved()
+    result = judged(weighing(estimate, factor))
+    assert result.status == status
+    assert any("kg in all" in reason for reason in result.reasons) == (status == 4)
+
+
+def test_what_was_weighed_may_weigh_anything() -> None:
+    _, estimate = solved()
+    scale = WeighedEstimate(name="total", given=15.0, given_std=0.1, mass=15.0, std=0.1)
+    assert judged(replace(weighing(estimate, 3.0), known=(scale,))).status == 0
+
+
+def test_what_no_link_can_be_is_doubted() -> None:
+    case, estimate = solved()
+    result = verdict(estimate, (), case.model, impossible=["link 'link2' is lead"])
+    assert (result.status, result.reasons) == (4, ("link 'link2' is lead",))
+
+
+def test_missing_efforts_are_told() -> None:
+    case, estimate = solved()
+    (warning,) = verdict(estimate, (), case.model, unmeasured=["joint2"]).warnings
+    assert "'joint2'" in warning
+
+
+def with_rotor(parameters: FloatArray) -> FloatArray:
+    """With a rotor inertia at joint 2 that is far too large."""
+    case, _ = solved()
+    wrong = parameters.copy()
+    place = next(
+        10 * len(case.model.identified) + k
+        for k, c in enumerate(case.model.coefficients)
+        if (c.effect.name, c.place_name) == ("rotor_inertia", "joint2")
+    )
+    wrong[place] += 200.0
+    return wrong
+
+
+def test_a_channel_that_is_worse_than_by_the_urdf_is_named() -> None:
+    case, estimate = solved()
+    held_out = case.fresh(9).samples
+    wrong = with_rotor(estimate.parameters)
+    assert worse_channels(case.model, [held_out], estimate.parameters) == []
+    assert worse_channels(case.model, [held_out], wrong) == ["joint2"]
+    assert worse_channels(case.model, [], wrong) == []
+
+
+def test_what_is_within_the_scatter_of_blocks_is_not_told() -> None:
+    """One bad second of twenty says nothing: in the others nothing accelerates."""
+    case, estimate = solved()
+    held_out = case.fresh(9).samples
+    acceleration = np.zeros_like(held_out.acceleration)
+    acceleration[500:600] = held_out.acceleration[500:600]
+    assert (
+        worse_channels(case.model, [replace(held_out, acceleration=acceleration)], with_rotor(estimate.parameters))
+        == []
+    )
+
+
+def test_what_goes_on_otherwise_is_told() -> None:
+    """Twice as bad is another motion; ten times is named, with the channel alone."""
+    _, estimate = solved()
+    assert unlike(estimate, 2.0 * estimate.rms) == []
+    assert unlike(estimate, np.full(len(estimate.rms), np.nan)) == []
+    (sentence,) = unlike(estimate, np.where(np.arange(3) == 1, 10.0, 1.0) * estimate.rms)
+    assert f"'{estimate.channels[1]}' (10 times)" in sentence
+    assert not any(f"'{estimate.channels[c]}'" in sentence for c in (0, 2))
+    assert "--hold-out 0" in sentence
+
+
+def test_on_its_own_rows_too() -> None:
+    _, estimate = solved()
+    assert worse_on_rows(estimate) == []
+    bad = replace(estimate, rms=np.where(np.arange(3) == 2, 2.0 * estimate.rms_nominal, estimate.rms))
+    assert worse_on_rows(bad) == [estimate.channels[2]]
