@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,8 +10,10 @@ import pytest
 
 from geomid_ros.gap import result as result_module
 from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.judgement import written as written_module
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import find_gap
+from geomid_ros.model.effects import Quantity
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.model.measurement import MeasurementModel
@@ -76,6 +79,19 @@ def test_what_is_not_sure_is_not_written(monkeypatch: pytest.MonkeyPatch) -> Non
     result = found(nominal=known())
     assert result.findings
     assert result.sure == ()
+    np.testing.assert_allclose(result.gap.after, result.gap.before, rtol=0.01)
+
+
+def test_a_name_whose_written_size_may_be_nothing_is_tentative_and_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    def moved(quantity: Quantity, value: float) -> Quantity:
+        return replace(quantity, value=value, std=0.34 * abs(value))
+
+    monkeypatch.setattr(written_module, "_moved", moved)
+    result = found(nominal=known())
+    assert [(f.effect, f.joint, f.confidence) for f in result.findings] == [
+        ("viscous_friction", JOINTS[1], "tentative")
+    ]
+    assert result.findings[0].sentence.startswith("Perhaps ")
     np.testing.assert_allclose(result.gap.after, result.gap.before, rtol=0.01)
 
 

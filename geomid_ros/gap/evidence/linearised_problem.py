@@ -121,13 +121,6 @@ class LinearisedProblem:
             sizes.append(float(np.fmin.reduce(own, initial=np.inf)) if own else 0.0)
         return np.array(sizes)
 
-    def design_of_all(self, columns: Columns) -> Design:
-        """Rows of all that is measured, rest and reversals included, as if its noise were white and nothing lacking."""
-        count, channels = len(self.records.samples), len(self.model.channels)
-        nothing = Features(np.zeros((count, 0)), np.zeros(0, dtype=np.intp), ())
-        white, measured = (Autoregression.white(),) * channels, np.isfinite(self.rows.targets)
-        return design_of(self.rows, measured, columns, (nothing,) * channels, white, self.records)
-
     def residual(self, columns: Columns, found: NamesFit) -> FloatArray:
         """Measured less predicted ``(N, C)``; of a delayed channel at the moment at which it was true."""
         rows = self.rows

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -43,7 +44,7 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     moment = naming.first_moment(sized, candidate)
     if not any(map(_is_told, moment.values())) or _is_told(parameters["mass"]):
         moment = {}
-    probability = min(support.probability, SURE) if _may_be_nothing(candidate, parameters, was) else support.probability
+    probability = min(support.probability, SURE) if may_be_nothing(candidate, parameters, was) else support.probability
     confidence = confidence_of(probability)
     close = [(EFFECTS[rival.effect](), rival.joint) for rival in rivals]
     return Finding(
@@ -80,7 +81,7 @@ def _beside_remainder(
     return parameters | wider
 
 
-def _may_be_nothing(candidate: Candidate, parameters: dict[str, Quantity], was: Values) -> bool:
+def may_be_nothing(candidate: Candidate, parameters: Mapping[str, Quantity], was: Values) -> bool:
     """Whether all sizes may be what they were, or nothing: three standard deviations hold that."""
     sizes, nothing = candidate.effect.sizes(parameters), candidate.effect.nothing
     main = {"mass": sizes["mass"]} if candidate.payload is not None else sizes

@@ -14,7 +14,8 @@ from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_
 from geomid_ros.gap.evidence.record import Records, TotalModel
 from geomid_ros.gap.judgement import naming
 from geomid_ros.gap.judgement.changed_links import with_given_spreads
-from geomid_ros.gap.result import Finding, LinkChange
+from geomid_ros.gap.judgement.verdict import may_be_nothing
+from geomid_ros.gap.result import SURE, Finding, LinkChange
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import fit, scattered
 from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, KnownEffect, Quantity, effect_class
@@ -55,10 +56,15 @@ def written(
     changed = [model.body_names.index(link.link) for link in links if link.confidence == "confident"]
     sure = [candidate for candidate, finding in findings if finding.confidence == "confident"]
     found = _Refit(model, records, analysis, changed).found(sure)
+    sized = list(_findings_as_written(model, analysis, found, findings))
+    pairs = zip(findings, sized, strict=True)
+    kept = [(c, before if before.confidence == after.confidence else after) for (c, before), after in pairs]
+    if kept != list(findings):  # what is no longer sure must not be in the file, on whose other sizes it bears
+        return written(model, records, analysis, kept, links)
     ordinary = [c for c in found.chosen if c not in sure]
     return Written(
         found,
-        tuple(_findings_as_written(model, analysis, found, findings)),
+        tuple(sized),
         tuple(_as_written(link, model, analysis, found) for link in links),
         tuple(_known(model, found, candidate) for candidate in ordinary),
     )
@@ -172,7 +178,8 @@ def _findings_as_written(
     found: NamesFit,
     findings: Sequence[tuple[Candidate, Finding]],
 ) -> Iterator[Finding]:
-    """A sure name that is impossible without the unsure ones is no surer than the likeliest of these."""
+    """A sure name that is impossible without the unsure ones is no surer than the likeliest of these, and none is sure
+    of which the size that is written may be nothing."""
     unsure = max((f.probability for _, f in findings if f.confidence != "confident"), default=0.0)
     for candidate, finding in findings:
         if finding.confidence != "confident":
@@ -181,7 +188,9 @@ def _findings_as_written(
             load = analysis.problem.situation.usual_load(candidate.place) if candidate.effect.scanned else 0.0
             parameters = naming.parameters(model, found, candidate, usual_load=load)
             sized = {name: _moved(quantity, parameters[name].value) for name, quantity in finding.parameters.items()}
-            yield _said_again(replace(finding, parameters=sized))
+            nothing = may_be_nothing(candidate, sized, finding.was)
+            probability = min(finding.probability, SURE) if nothing else finding.probability
+            yield _said_again(replace(finding, parameters=sized, probability=probability))
         else:
             yield _said_again(replace(finding, probability=finding.probability * unsure))
 
