@@ -26,8 +26,7 @@ from geomid_ros.errors import one_line
 @click.option(
     "--candidates",
     type=Names(or_none=True),
-    help="Effects to add where the data need them, separated by commas; 'none' for none.  [default: see the "
-    "reference]",
+    help="Effects to add where the data need them, separated by commas; 'none' for none.  [default: see the reference]",
 )
 @click.option("--links", type=Names(), help="Links to identify, separated by commas.  [default: all]")
 @click.option(

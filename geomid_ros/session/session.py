@@ -105,7 +105,7 @@ class Session:
         )
         self.model = model.with_known_loads(self.loaded.parameters(model))
         self._settings = self._estimator_settings()
-        self.identifier = Identifier(self.model, self._settings, configuration.buffer, self.prior)
+        self.identifier = Identifier(self.model, self._settings, configuration.buffer, self._identified_prior)
         joints = self.robot.joint_names
         named = {s.topic: name for name, s in zip(configuration["wrenches"], configuration.sensors, strict=True)}
         gains = configuration.signals(joints).effort_gains(joints)
@@ -149,6 +149,16 @@ class Session:
     def prior(self) -> FloatArray | None:
         """The parameters ``(D,)`` of an earlier estimate to start from, NaN where it has none; None without one."""
         return self.loaded.parameters(self.model)
+
+    @property
+    def _identified_prior(self) -> FloatArray | None:
+        """The same without coefficients that an identification no longer finds: files of before have an excess of
+        Stribeck friction that is negative."""
+        if (prior := self.prior) is None:
+            return None
+        positive = np.array([c.positive for c in self.model.coefficients], dtype=bool)
+        first = len(prior) - len(positive)
+        return np.append(prior[:first], np.where(positive & (prior[first:] <= 0.0), np.nan, prior[first:]))
 
     def _estimator_settings(self) -> EstimatorSettings:
         """With the population that is the prior. Raises InputError where several priors are given, or none fits."""

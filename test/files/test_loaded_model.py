@@ -192,6 +192,21 @@ def _central(parameters: FloatArray) -> FloatArray:
     return pseudo_inertia.central_inertia(parameters)
 
 
+def test_a_negative_excess_of_an_older_file_is_predicted_and_no_prior(tmp_path: Path) -> None:
+    """Friction that sets in gradually was told as Stribeck friction once."""
+    known = [effect("stribeck_friction", "joint2", level=2.0, excess=-1.0, speed=0.5)]
+    session = session_with(tmp_path, known)
+    samples = random_samples(session.robot, 1, count=20)
+    assert session.prior is not None
+    efforts = session.model.predicted_efforts(samples, np.nan_to_num(session.prior))
+    rigid = session.model.predicted_efforts(samples, np.append(session.prior[:30], np.zeros(len(session.prior) - 30)))
+    speeds = samples.velocity[:, 1]
+    expected = (2.0 - np.exp(-((speeds / 0.5) ** 2))) * np.tanh(speeds / 0.02)
+    np.testing.assert_allclose((efforts - rigid)[:, 1], expected, atol=1e-9)
+    session.identifier.add(samples)
+    assert all(one.value > 0.0 for one in session.identifier.solve().effects if one.name == "stribeck_friction")
+
+
 def test_nothing_is_known_without_a_model() -> None:
     session = Session(ARM, Configuration({}, "test"), "arm3.urdf")
     assert session.prior is None

@@ -181,7 +181,7 @@ class LoadedModel:
         ]
         known = self._coefficients
         found = np.array([known.get((c.effect, c.place_name, c.parameter), np.nan) for c in model.coefficients])
-        positive = np.array([c.positive for c in model.coefficients], dtype=bool)
+        positive = np.array([c.effect.own[c.index].above == 0.0 for c in model.coefficients], dtype=bool)
         if np.any(found[positive] <= 0.0) or np.any(np.isinf(found)):
             raise InputError(f"{self.source}: an effect that must be positive and finite is not")
         return np.concatenate([*inertias, found])
