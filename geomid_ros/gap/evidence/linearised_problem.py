@@ -110,6 +110,13 @@ class LinearisedProblem:
         """Whitened rows."""
         return design_of(self.rows, self.valid, columns, self.features, noise, self.records)
 
+    def design_alone(self, columns: Columns) -> Design:
+        """Rows as they are: beside no remainder, in white noise."""
+        channels = len(self.model.channels)
+        nothing = Features(np.zeros((len(self.rows.targets), 0)), np.zeros(0, dtype=np.intp), ())
+        white = (Autoregression.white(),) * channels
+        return design_of(self.rows, self.valid, columns, (nothing,) * channels, white, self.records)
+
     def usual_sizes(self, terms: Sequence[EffectTerm]) -> FloatArray:
         """The coefficients ``(terms,)`` with which columns are as large as what is measured, at most; 0 without any,
         infinite of columns that are zero."""
