@@ -32,10 +32,11 @@ def errors() -> np.ndarray:
 
 
 def test_planted_sizes_are_off_by_no_more_than_is_stated(errors: np.ndarray) -> None:
-    """And not by less than half of it: a remainder that may be there, and is not, costs sharpness."""
+    """And not by less than two fifths of it: a remainder that may be there, and is not, costs sharpness, of which the
+    size that is written, fitted on the rows alone, has no less."""
     most = chi2.ppf(1.0 - FALSE_ALARMS, len(errors)) / len(errors)
     assert most < 1.5**2
-    assert 0.5**2 < np.mean(errors**2) < most
+    assert 0.4**2 < np.mean(errors**2) < most
 
 
 def test_planted_sizes_are_off_to_both_sides(errors: np.ndarray) -> None:

@@ -128,18 +128,20 @@ def _other_effects_table(effects: Sequence[KnownEffect]) -> Table:
 
 
 def _joint_effects_table(effects: Sequence[EffectEstimate]) -> Table:
-    """An empty cell where a joint does not have an effect that others have."""
-    names = list(dict.fromkeys(effect.name for effect in effects))
+    """An empty cell where a joint does not have an effect that others have, or has it with the usual constant."""
     joints = list(dict.fromkeys(effect.joint for effect in effects))
-    cells = {(effect.name, effect.joint): f"{effect.value:.3g} ± {effect.std:.1g}" for effect in effects}
+    columns: dict[str, dict[str, str]] = {}
+    for effect in effects:
+        (_, own), *constants = effect.parameters.items()
+        first, _, second = effect.name.partition("_")
+        columns.setdefault(f"{first}\n{second}\n[{own.unit}]", {})[effect.joint] = f"{own.value:.3g} ± {own.std:.1g}"
+        for name, constant in constants:
+            columns.setdefault(f"{first}\n{name}\n[{constant.unit}]", {})[effect.joint] = f"{constant.value:g}"
     table = plain_table("Joint effects")
     table.add_column("joint", overflow="fold")
-    for name in names:
-        units = {effect.unit for effect in effects if effect.name == name}
-        first, _, second = name.partition("_")
-        number_columns(table, [f"{first}\n{second}\n[{', '.join(sorted(units))}]"])
+    number_columns(table, list(columns))
     for joint in joints:
-        table.add_row(joint, *(cells.get((name, joint), "") for name in names))
+        table.add_row(joint, *(cells.get(joint, "") for cells in columns.values()))
     return table
 
 

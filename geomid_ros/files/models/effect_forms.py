@@ -20,9 +20,9 @@ def is_body(effect: KnownEffect) -> bool:
 
 
 def is_coefficient(effect: KnownEffect) -> bool:
-    """Whether it is one number at a joint that is identified along with the inertias, its constants as usual."""
+    """Whether it is one number at a joint that is identified along with the inertias."""
     cls = effect_class(effect.effect)
-    return issubclass(cls, IdentifiedEffect) and cls.is_one_number() and len(effect.parameters) == 1
+    return issubclass(cls, IdentifiedEffect) and cls.is_one_number()
 
 
 def joint_attributes(effects: Iterable[KnownEffect], element: str) -> dict[str, dict[str, float]]:
@@ -124,10 +124,11 @@ def _refined(effect: KnownEffect, left: dict[tuple[str, str], KnownEffect]) -> K
     return KnownEffect(effect.effect, effect.joint, effect.link, parameters)
 
 
-def coefficient(name: str, joint: str, quantity: Quantity) -> KnownEffect:
-    """An effect of one parameter."""
-    form = effect_class(name).parameters[0]
-    return KnownEffect(name, joint, "", {form.name: quantity})
+def coefficient(name: str, joint: str, quantity: Quantity, constant: Quantity | None = None) -> KnownEffect:
+    """An effect of one parameter, and of a constant where it is not as usual."""
+    cls = effect_class(name)
+    constants = {} if constant is None else {cls.usual_constant: constant}
+    return KnownEffect(name, joint, "", {cls.parameters[0].name: quantity} | constants)
 
 
 def effect_entry(effect: KnownEffect) -> dict[str, Any]:
@@ -141,9 +142,11 @@ def effect_entry(effect: KnownEffect) -> dict[str, Any]:
 
 
 def coefficient_entry(effect: KnownEffect) -> dict[str, Any]:
-    """An effect of one coefficient at a joint, as ``estimate.json`` has it."""
-    (quantity,) = effect.parameters.values()
-    return {"name": effect.effect, "joint": effect.joint, **quantity_entry(quantity)}
+    """An effect of one coefficient at a joint, as ``estimate.json`` has it; with its constant unless that is usual."""
+    quantity, *_ = effect.parameters.values()
+    name = effect_class(effect.effect).usual_constant
+    constants = {name: effect.parameters[name].value} if name in effect.parameters else {}
+    return {"name": effect.effect, "joint": effect.joint, **quantity_entry(quantity), **constants}
 
 
 def quantity_entry(quantity: Quantity) -> dict[str, Any]:

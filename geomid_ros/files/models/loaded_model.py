@@ -258,7 +258,7 @@ def _single_coefficients(document: Mapping[str, Any], source: str) -> list[Known
     """The effects of one coefficient at a joint, in a document of :mod:`geomid_ros.files.models.results`."""
     try:
         entries = [
-            (str(entry["name"]), str(entry["joint"]), float(entry["value"]), float(entry.get("std") or math.nan))
+            (str(entry["name"]), str(entry["joint"]), float(entry["value"]), float(entry.get("std") or math.nan), entry)
             for entry in document["effects"]
         ]
     except (KeyError, TypeError, ValueError, OverflowError) as error:
@@ -269,6 +269,26 @@ def _single_coefficients(document: Mapping[str, Any], source: str) -> list[Known
         if not effect_class(name).is_one_number():
             raise InputError(f"{source}: effect '{name}' has several parameters, expected it under 'added'")
     return [
-        coefficient(name, joint, Quantity(value, std, effect_class(name).parameters[0].units[0]))
-        for name, joint, value, std in entries
+        coefficient(
+            name, joint, Quantity(value, std, effect_class(name).parameters[0].units[0]), _constant(entry, source)
+        )
+        for name, joint, value, std, entry in entries
     ]
+
+
+def _constant(entry: Mapping[str, Any], source: str) -> Quantity | None:
+    """The constant of an effect of one coefficient; None if it is as usual."""
+    cls = effect_class(entry["name"])
+    if cls.usual_constant not in entry:
+        return None
+    (form,) = (form for form in cls.parameters if form.name == cls.usual_constant)
+    try:
+        value = float(entry[form.name])
+    except (TypeError, ValueError, OverflowError):
+        value = math.nan
+    if not form.above < value < form.below:
+        raise InputError(
+            f"{source}: {form.name} of {cls.name} at '{entry['joint']}' is {entry[form.name]!r}, "
+            f"expected a number above {form.above:g} {form.units[0]}"
+        )
+    return Quantity(value, 0.0, form.units[0])

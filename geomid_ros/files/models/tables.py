@@ -77,8 +77,13 @@ def _link(link: Mapping[str, Any], urdf_masses: Mapping[str, float]) -> dict[str
 def _effects(document: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """A row for every parameter of every effect."""
     for entry in document["effects"]:
-        parameter = effect_class(entry["name"]).parameters[0].name
-        yield _row(entry["name"], entry, parameter, entry) | {"from_data": entry.get("from_data")}
+        parameter, *constants = effect_class(entry["name"]).parameters
+        yield _row(entry["name"], entry, parameter.name, entry) | {"from_data": entry.get("from_data")}
+        for form in constants:
+            if form.name in entry:
+                yield _row(
+                    entry["name"], entry, form.name, {"value": entry[form.name], "std": 0.0, "unit": form.units[0]}
+                )
     for entry in document.get("added", []):
         for name, quantity in entry["parameters"].items():
             yield _row(entry["effect"], entry, name, quantity) | {"from_data": entry.get("from_data")}
