@@ -102,12 +102,12 @@ MEASURED = [
     ("ur10", "axis of the URDF", 2, "'elbow_joint' is not explained"),
     ("ur10", "two robots", 1, ""),
     ("ur10", "parallel drive", 1, "what is left follows the effort of 'elbow_joint'"),
-    ("ur10", "position turned round", 1, "'elbow_joint' is not explained"),
+    ("ur10", "position turned round", 1, "joint 'shoulder_lift_joint' seems to turn opposite"),
     ("airbot", "axis of the URDF", 1, "'joint2' is not explained"),
-    ("airbot", "position turned round", 2, "'joint3' is not explained"),
-    ("med7", "position turned round", 1, "'A4' is not explained"),
+    ("airbot", "position turned round", 2, "joint 'joint3' seems to turn opposite"),
+    ("med7", "position turned round", 1, "joint 'A2' seems to turn opposite"),
     ("lwr4", "parallel drive", 2, "what is left follows the effort of 'lwr_3_joint'"),
-    ("lwr4", "position turned round", 3, "'lwr_3_joint' is not explained"),
+    ("lwr4", "position turned round", 3, "joint 'lwr_3_joint' seems to turn opposite"),
 ]
 
 

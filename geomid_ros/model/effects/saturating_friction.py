@@ -36,13 +36,13 @@ class SaturatingFriction(JointEffect):
 
     @classmethod
     def variants(cls) -> tuple[Effect, ...]:
-        """One for each of :data:`SPEEDS`."""
-        return tuple(cls(speed) for speed in SPEEDS)
+        """Of :data:`SPEEDS` all but the slowest, in whose place dry friction may have changed."""
+        return tuple(cls(speed) for speed in SPEEDS[1:])
 
     @classmethod
     def trials(cls) -> tuple[Effect, ...]:
-        """All but the slowest, which hardly differs from viscous friction."""
-        return cls.variants()[:-1]
+        """All but the fastest, which hardly differs from viscous friction."""
+        return tuple(cls(speed) for speed in SPEEDS[:-1])
 
     def column(self, motion: JointMotion) -> FloatArray:
         return np.tanh(motion.velocity / self.speed)
