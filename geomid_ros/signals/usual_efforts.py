@@ -12,6 +12,7 @@ CLEAR = 4.0
 """A jump is as many times the largest change between the messages before, or after."""
 _FEWEST_CHUNKS = 2
 _TAIL = 6  # messages of a chunk, at either end, that do not count
+_OF_ALL, _LARGE = 0.6, 0.1  # of the sum over joints that changes with the unit; that sum, at least, in ranges
 _ABOVE = 2.0  # times what the change of all efforts together hardly exceeds
 _NEAR = 2  # messages
 _ONE_JOINT, _ALIKE = 0.97, 0.93  # largest share of one joint; squared cosine of the efforts before and after
@@ -70,7 +71,11 @@ class UsualEfforts:
         found: BoolArray = np.any(change > self.spike, axis=1)
         if self._chunks >= _FEWEST_CHUNKS:
             known = self._inverse_range > 0.0
-            found = found | (change[:, known] @ self._inverse_range[known] > self._usual_total)
+            sums = [np.abs(efforts[:, known]) @ self._inverse_range[known] for efforts in (after, before)]
+            size = np.where(np.minimum(*sums) > 0.0, np.maximum(*sums), 0.0)  # zeros are no efforts in another unit
+            total = change[:, known] @ self._inverse_range[known]
+            least = np.maximum(_OF_ALL * size, self._usual_total)
+            found = found | ((total > least) & (size > _LARGE * np.sum(known)))
         return found
 
     def factor(self, before: FloatArray, after: FloatArray) -> float:

@@ -160,7 +160,7 @@ def test_a_universal_robot(stage: Stage, tmp_path: Path) -> None:
     links = setup.saved()
     assert_masses_are_true(links, robot.truth)
     assert links["tool0"]["mass"] == pytest.approx(robot.truth["tool0"][0], rel=0.01)
-    assert setup.friction == pytest.approx(6 * [COULOMB], rel=0.1), "in N m, with the right gains"
+    assert setup.friction == pytest.approx(6 * [COULOMB], rel=0.2), "in N m, with the right gains"
 
 
 def test_a_franka(stage: Stage) -> None:
