@@ -55,7 +55,8 @@ def cases(package: str) -> Iterator[Case]:
         "estimation": (_measured, _simulated),
         "signals": (_faults, _read),
         "monitoring": (_watched, _wrenches),
-        "plausibility": (_judged, _judged_faults),
+        "checks": (_judged, _judged_faults),
+        "inference": (_gaps,),
         "gap": (_gaps,),
     }
     for family in every[package]:

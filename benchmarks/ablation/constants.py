@@ -18,7 +18,7 @@ import numpy as np
 import geomid_ros
 
 ROOT = Path(geomid_ros.__file__).parent
-PACKAGES = ("estimation", "signals", "monitoring", "plausibility", "gap")
+PACKAGES = ("estimation", "signals", "monitoring", "checks", "inference", "gap")
 _FACTORS = {"x3": 3.0, "x1/3": 1.0 / 3.0}
 VARIANTS = ("0", "inf", *_FACTORS)
 _NAME = re.compile(r"_?[A-Z][A-Z0-9_]*")

@@ -150,7 +150,14 @@ class Solver:
             return self._failures.copy()
 
     def _new_detector(self) -> ChangeDetector:
-        return ChangeDetector(self._session.model.channels, self._session.configuration.buffer.forgetting_time)
+        """By rows in which each effect has its usual shape alone: all shapes together would fit away what is to be
+        noticed, and take long to learn."""
+        model = self._session.model
+        first = model.dimension - len(model.coefficients)
+        shapes = {c.mechanism: first + k for k, c in reversed([*enumerate(model.coefficients)])}
+        usual = [*range(first), *shapes.values()]
+        channels = [replace(c, columns=np.intersect1d(c.columns, usual)) for c in model.channels]
+        return ChangeDetector(channels, self._session.configuration.buffer.forgetting_time)
 
     def _solve_repeatedly(self, activity: Activity, requests: queue.SimpleQueue[_Request]) -> None:
         next_solve = time.monotonic()

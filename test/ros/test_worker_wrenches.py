@@ -47,7 +47,7 @@ VALUES = {
     "wrench.wrist.frame": "wrist_ft",
 }
 PATIENCE = 180.0
-SAME = 1e-9
+SAME = 1e-8
 Change = Callable[[float, np.ndarray], np.ndarray]  # of a wrench, or efforts, at a time
 
 
