@@ -33,13 +33,18 @@ def nothing_held(_: Sequence[object], values: FloatArray) -> FloatArray:
     return np.zeros((0, len(values)))
 
 
+def no_rows(_: Sequence[object]) -> FloatArray:
+    """None."""
+    return np.zeros((0, 0))
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Prior(Generic[Term]):
     """What is known before the fit.
 
     Attributes:
         inertias: the links' parameters ``(10 links,)``.
-        spread: the usual size of their errors, a geodesic distance.
+        spread: the usual size of their errors, a geodesic distance, of all or ``(links,)``.
         terms, values, spreads: the coefficients ``(k,)`` of the effects that the model already has.
         certainty: how many directions of a link's error the usual spread counts as much as.
         identified: whether all this was identified before, not guessed.
@@ -47,10 +52,12 @@ class Prior(Generic[Term]):
         changed_link: one that is another now than in the other recordings.
         cost: minus twice the logarithm of what this makes of the other recordings' probability.
         held: rows ``(r, k)`` that hold combinations of coefficients at zero, for their terms and values.
+        rows: what else is known, rows ``(r, D + 1)`` of standard deviation 1 of the links and of terms, the last column
+            their residuals at the prior; of fits without payloads.
     """
 
     inertias: FloatArray
-    spread: float
+    spread: float | FloatArray
     terms: tuple[Term, ...]
     values: FloatArray
     spreads: FloatArray
@@ -60,6 +67,7 @@ class Prior(Generic[Term]):
     changed_link: int | None = None
     cost: float = 0.0
     held: Callable[[Sequence[Term], FloatArray], FloatArray] = nothing_held
+    rows: Callable[[Sequence[Term]], FloatArray] = no_rows
 
     @property
     def link_spreads(self) -> FloatArray:

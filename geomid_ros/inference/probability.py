@@ -62,9 +62,12 @@ class Supports(Generic[Chosen, Term]):
         if candidate not in self._losses:
             selection, found = self._selection, self._found
             rest = selection.without(found, candidate)
-            design = rest.settled(selection.design, selection.design.reached(candidate))
-            both = [fit(design, selection.prior, each.chosen, each).score for each in (rest, found)]
-            self._losses[candidate] = min(rest.score, both[0]) - min(found.score, both[1])
+            scores = np.array([rest.score, found.score])
+            if selection.design.lacks:
+                design = rest.settled(selection.design, selection.design.reached(candidate))
+                both = [fit(design, selection.prior, each.chosen, each).score for each in (rest, found)]
+                scores = np.minimum(scores, both)
+            self._losses[candidate] = float(scores[0] - scores[1])
         return self._losses[candidate]
 
     def _rivals(self, rest: JointFit[Chosen, Term], candidate: Chosen) -> list[tuple[Chosen, float]]:
