@@ -9,7 +9,7 @@ evidence, and those go again that are worth nothing where blocks of time disagre
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +17,7 @@ import numpy as np
 from geomid_ros.estimation.fit import CERTAINTY
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.inference.design import ChannelFolds, Design
-from geomid_ros.inference.fit import JointFit
+from geomid_ros.inference.fit import JointFit, fit
 from geomid_ros.inference.prior import Prior
 from geomid_ros.inference.probability import Supports
 from geomid_ros.inference.selection import Selection
@@ -29,7 +29,6 @@ _ODDS = 0.01
 """Prior odds of an optional effect at a place."""
 _OF_PAIR = 0.05
 """Of these, where it is one of two joints: most joints have motors of their own."""
-_ZERO = 1e-4  # of a coefficient's size
 _FREE = 1e3  # prior standard deviation of what is always there, in sizes of its channel
 
 
@@ -47,13 +46,11 @@ def choose(problem: Problem, earlier: IntArray | None = None) -> IntArray:
     kept = rows.standing if earlier is None else earlier
     shapes = tuple(c for c in kept.tolist() if c >= rows.first and rows.mechanism(c) in rows.always)
     options = [option for option in rows.options if option.column in kept]
-    shapes = _shaped(rows, shapes, options)
     seen = set[tuple[int, ...]]()
-    while shapes not in seen:
+    while (shapes := _shaped(rows, shapes, options)) not in seen:
         seen.add(shapes)
-        selection = rows.selection(shapes)
-        options = list(_believed(selection, selection.settle(selection.fit(options))).chosen)
-        shapes = _shaped(rows, shapes, options)
+        selection, found = rows.fitted(shapes, options)
+        options = list(_believed(selection, selection.settle(found)).chosen)
     return np.sort(np.array([*range(rows.first), *shapes, *(option.column for option in options)]))
 
 
@@ -103,23 +100,21 @@ class _Option:
         return not form.above < coefficients[0] < form.below
 
 
-_Found = JointFit[_Option, int]
-
-
 def _shaped(rows: _Rows, shapes: tuple[int, ...], options: Sequence[_Option]) -> tuple[int, ...]:
     """The columns of what is always there, each mechanism in the shape of the highest evidence, one after the other."""
-    best = rows.selection(shapes).fit(options)
+    _, best = rows.fitted(shapes, options)
     for place, column in enumerate(shapes):
-        others = [c for c in rows.columns if rows.mechanism(c) == rows.mechanism(column) and c != column]
-        for other in others:
+        others = [c for c in rows.columns if c != column and rows.mechanism(c) == rows.mechanism(column)]
+        for other in others if column in best.terms else ():  # else it is nothing, in any shape
             trial = (*shapes[:place], other, *shapes[place + 1 :])
-            found = rows.selection(trial).fit(options)
+            there = [c for c in trial if c in best.terms or c == other]
+            found = fit(rows.design, rows.prior(there), options, best, best.spreads)
             if found.score < best.score:
                 best, shapes = found, trial
     return shapes
 
 
-def _believed(selection: Selection[_Option, int], found: _Found) -> _Found:
+def _believed(selection: Selection[_Option, int], found: JointFit[_Option, int]) -> JointFit[_Option, int]:
     """Without the options that are worth nothing, the least one first; and the search goes on."""
     gone: set[Mechanism] = set()
     while found.chosen:
@@ -213,34 +208,34 @@ class _Rows:
         ]
         return Design.of(channels, self.first)
 
-    def selection(self, shapes: tuple[int, ...]) -> Selection[_Option, int]:
-        """Of the options, beside what is always there, in these ``shapes``, by their columns."""
-        if shapes not in self._selections:
-            prior = Prior(
-                inertias=self.problem.prior[: self.first],
-                spread=self.problem.usual,
-                terms=shapes,
-                values=np.zeros(len(shapes)),
-                spreads=_FREE * self.design.scales(shapes),
-                certainty=CERTAINTY,
-                held=self._not_negative,
-                rows=self._known,
-            )
-            self._selections[shapes] = Selection(self.design, prior, self.options)
-        return self._selections[shapes]
+    def fitted(
+        self, shapes: Sequence[int], options: Collection[_Option]
+    ) -> tuple[Selection[_Option, int], JointFit[_Option, int]]:
+        """The fit of ``options`` beside what is always there, in these ``shapes``, by their columns, without what would
+        be negative and cannot be; and the search from there."""
+        there = list(shapes)
+        while True:
+            selection = Selection(self.design, self.prior(there), self.options)
+            found = selection.fit(options)
+            negative = [c for c in there if self.coefficient(c).positive and found.value(c) < 0.0]
+            if not negative:
+                return selection, found
+            there = [c for c in there if c not in negative]
 
-    def _not_negative(self, terms: Sequence[int], values: FloatArray) -> FloatArray:
-        """Rows that hold coefficients at zero that are negative, and cannot be."""
-        least = -_ZERO * self.design.scales(terms)
-        negative = [k for k, c in enumerate(terms) if self.coefficient(c).positive and values[k] < least[k]]
-        return np.eye(len(terms))[negative] / (0.1 * _ZERO * self.design.scales(terms)[negative][:, None])
+    def prior(self, there: Sequence[int]) -> Prior[int]:
+        """Of the links, and of the columns that are ``there`` anyhow."""
+        return Prior(
+            inertias=self.problem.prior[: self.first],
+            spread=self.problem.usual,
+            terms=tuple(there),
+            values=np.zeros(len(there)),
+            spreads=_FREE * self.design.scales(there),
+            certainty=CERTAINTY,
+            rows=self._known,
+        )
 
     def _known(self, terms: Sequence[int]) -> FloatArray:
         """Weighed masses, and what else the problem knows of the parameters."""
         known, columns = self.problem.known, [*range(self.first), *terms]
         off = known.rows[:, : self.first] @ self.problem.prior[: self.first] - known.targets
         return np.column_stack([known.rows[:, columns], off])
-
-    @cached_property
-    def _selections(self) -> dict[tuple[int, ...], Selection[_Option, int]]:
-        return {}

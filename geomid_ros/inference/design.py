@@ -88,11 +88,20 @@ class ChannelFolds:
         whole[self.columns[:, None], self.columns] = np.sum(self.folds, axis=0)
         return whole
 
+    @property
+    def block(self) -> IntArray:
+        """No features."""
+        return np.zeros(0, dtype=np.intp)
+
+    @property
+    def scale(self) -> FloatArray:
+        """Of no features."""
+        return np.zeros(0)
+
     @cached_property
     def remainder(self) -> Remainder:
         """None."""
-        none = np.zeros(0, dtype=np.intp)
-        return Remainder(np.zeros((0, 0)), np.zeros((0, self.size + 2)), none, round(self.count))
+        return Remainder(np.zeros((0, 0)), np.zeros((0, self.size + 2)), self.block, round(self.count))
 
     def slopes(self, vector: FloatArray, taken: IntArray, variances: FloatArray) -> FloatArray:  # noqa: ARG002
         """As of :class:`ChannelRows`."""

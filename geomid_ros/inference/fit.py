@@ -26,7 +26,6 @@ from geomid_ros.types import FloatArray
 
 _LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
 _ROUNDS = 8
-_HOLDS = 4  # of what became negative as other coefficients were held
 USUAL_SHARE = 0.3
 """Prior standard deviation of a coefficient, as a share of what is measured, where nothing else is known of it."""
 
@@ -150,14 +149,9 @@ def _fit(
     spread: float | FloatArray | None = None,
 ) -> JointFit[Chosen, Term]:
     """The minimum that is reached from the start, in which what the prior holds at zero is zero."""
-    found, held = _free_fit(design, prior, chosen, start, spread), np.zeros((0, 0))
-    for _ in range(_HOLDS):
-        rows = prior.held(found.terms, found.point.reals)
-        if not len(rows):
-            break
-        held = np.concatenate([held.reshape(-1, rows.shape[1]), rows])
-        found = _free_fit(design, prior, chosen, found, spread, held)
-    return found
+    found = _free_fit(design, prior, chosen, start, spread)
+    rows = prior.held(found.terms, found.point.reals)
+    return _free_fit(design, prior, chosen, found, spread, rows) if len(rows) else found
 
 
 def _free_fit(

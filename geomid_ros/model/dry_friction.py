@@ -30,8 +30,7 @@ def held_from_driving(terms: Sequence[tuple[Effect, Place] | None], values: Floa
     for index, term in enumerate(terms):
         if term is not None and term[0].is_dry_friction and values[index]:
             places.setdefault(term[1], []).append(index)
-    shared = (own for own in places.values() if len(own) > 1)
-    driven = [own for own in shared if np.sum(values[own]) < -2.0 * _EXACT * np.max(np.abs(values[own]))]
+    driven = [own for own in places.values() if len(own) > 1 and np.sum(values[own]) < 0.0]
     rows = np.zeros((len(driven), len(values)))
     for row, own in zip(rows, driven, strict=True):
         row[own] = 1.0 / (_EXACT * np.max(np.abs(values[own])))
