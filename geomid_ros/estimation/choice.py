@@ -8,7 +8,7 @@ evidence, and those go again that are worth nothing where blocks of time disagre
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -49,8 +49,8 @@ def choose(problem: Problem, earlier: IntArray | None = None) -> IntArray:
     seen = set[tuple[int, ...]]()
     while (shapes := _shaped(rows, shapes, options)) not in seen:
         seen.add(shapes)
-        selection, found = rows.fitted(shapes, options)
-        options = list(_believed(selection, selection.settle(found)).chosen)
+        selection = rows.selection(shapes)
+        options = list(_believed(selection, selection.settle(selection.fit(options))).chosen)
     return np.sort(np.array([*range(rows.first), *shapes, *(option.column for option in options)]))
 
 
@@ -102,15 +102,14 @@ class _Option:
 
 def _shaped(rows: _Rows, shapes: tuple[int, ...], options: Sequence[_Option]) -> tuple[int, ...]:
     """The columns of what is always there, each mechanism in the shape of the highest evidence, one after the other."""
-    _, best = rows.fitted(shapes, options)
+    best = rows.selection(shapes).fit(options)
     for place, column in enumerate(shapes):
-        others = [c for c in rows.columns if c != column and rows.mechanism(c) == rows.mechanism(column)]
-        for other in others if column in best.terms else ():  # else it is nothing, in any shape
-            trial = (*shapes[:place], other, *shapes[place + 1 :])
-            there = [c for c in trial if c in best.terms or c == other]
-            found = fit(rows.design, rows.prior(there), options, best, best.spreads)
-            if found.score < best.score:
-                best, shapes = found, trial
+        for other in rows.columns:
+            if other != column and rows.mechanism(other) == rows.mechanism(column):
+                trial = (*shapes[:place], other, *shapes[place + 1 :])
+                found = fit(rows.design, rows.prior(trial), options, best, best.spreads)
+                if found.score < best.score:
+                    best, shapes = found, trial
     return shapes
 
 
@@ -208,28 +207,18 @@ class _Rows:
         ]
         return Design.of(channels, self.first)
 
-    def fitted(
-        self, shapes: Sequence[int], options: Collection[_Option]
-    ) -> tuple[Selection[_Option, int], JointFit[_Option, int]]:
-        """The fit of ``options`` beside what is always there, in these ``shapes``, by their columns, without what would
-        be negative and cannot be; and the search from there."""
-        there = list(shapes)
-        while True:
-            selection = Selection(self.design, self.prior(there), self.options)
-            found = selection.fit(options)
-            negative = [c for c in there if self.coefficient(c).positive and found.value(c) < 0.0]
-            if not negative:
-                return selection, found
-            there = [c for c in there if c not in negative]
+    def selection(self, shapes: Sequence[int]) -> Selection[_Option, int]:
+        """Among the options, beside what is always there, in these ``shapes``, by their columns."""
+        return Selection(self.design, self.prior(shapes), self.options)
 
-    def prior(self, there: Sequence[int]) -> Prior[int]:
-        """Of the links, and of the columns that are ``there`` anyhow."""
+    def prior(self, shapes: Sequence[int]) -> Prior[int]:
+        """Of the links, and of what is always there, in these ``shapes``."""
         return Prior(
             inertias=self.problem.prior[: self.first],
             spread=self.problem.usual,
-            terms=tuple(there),
-            values=np.zeros(len(there)),
-            spreads=_FREE * self.design.scales(there),
+            terms=tuple(shapes),
+            values=np.zeros(len(shapes)),
+            spreads=_FREE * self.design.scales(shapes),
             certainty=CERTAINTY,
             rows=self._known,
         )
