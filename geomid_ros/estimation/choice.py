@@ -14,11 +14,10 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.estimation.fit import CERTAINTY
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.inference.design import ChannelFolds, Design
 from geomid_ros.inference.fit import JointFit, fit
-from geomid_ros.inference.prior import Prior
+from geomid_ros.inference.prior import CERTAINTY, Prior
 from geomid_ros.inference.probability import Supports
 from geomid_ros.inference.selection import Selection
 from geomid_ros.model.effects import joints_of

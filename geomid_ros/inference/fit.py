@@ -15,13 +15,13 @@ from typing import Any, Generic
 
 import numpy as np
 
-from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, minimum
 from geomid_ros.geometry import definite, pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.inference import prior as priors
 from geomid_ros.inference.design import Design, Lack
 from geomid_ros.inference.hypothesis import Chosen, Term
 from geomid_ros.inference.prior import Prior
+from geomid_ros.inference.profile_objective import Profile, ProfileObjective, StraightManifold, minimum
 from geomid_ros.types import FloatArray
 
 _LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller

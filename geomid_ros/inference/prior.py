@@ -11,13 +11,14 @@ from typing import Generic
 
 import numpy as np
 
-from geomid_ros.estimation.estimate import LinksInformation
-from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.geometry import definite, pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.inference.hypothesis import Term
+from geomid_ros.inference.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.types import FloatArray
 
+CERTAINTY = 20.0
+"""The usual spread counts as much as the directions of two links."""
 SPREAD_OF_PAYLOADS = 3.0
 """Of a payload about the usual one, a geodesic distance: next to nothing is known."""
 _PAYLOAD_MASS = 0.2  # of the mean link's mass
@@ -26,6 +27,22 @@ _CENTRINGS = 5
 _SPREAD_OF_CHANGED = 0.5  # of a link that has been changed, a geodesic distance
 _CERTAINTY = 4.0
 """That they are as exact as they say counts as much as so many of their rows."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinksInformation:
+    """What the data say of the inertias of all links together, whatever the effects are.
+
+    ``|residuals + rows (x - parameters)|^2`` is minus twice the logarithm of the likelihood of link parameters x, up to
+    a constant, maximised over the effects.
+
+    Attributes:
+        rows: ``(10 links, 10 links)``, upper triangular.
+        residuals: ``(10 links,)``.
+    """
+
+    rows: FloatArray
+    residuals: FloatArray
 
 
 def nothing_held(_: Sequence[object], values: FloatArray) -> FloatArray:
