@@ -16,9 +16,9 @@ import numpy as np
 
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.inference.design import ChannelFolds, Design
-from geomid_ros.inference.fit import JointFit, fit
+from geomid_ros.inference.fit import fit
 from geomid_ros.inference.prior import CERTAINTY, Prior
-from geomid_ros.inference.probability import Supports
+from geomid_ros.inference.probability import supported
 from geomid_ros.inference.selection import Selection
 from geomid_ros.model.effects import joints_of
 from geomid_ros.model.measurement import Coefficient, Mechanism
@@ -49,7 +49,8 @@ def choose(problem: Problem, earlier: IntArray | None = None) -> IntArray:
     while (shapes := _shaped(rows, shapes, options)) not in seen:
         seen.add(shapes)
         selection = rows.selection(shapes)
-        options = list(_believed(selection, selection.settle(selection.fit(options))).chosen)
+        _, found, _ = supported(selection, selection.settle(selection.fit(options)))
+        options = list(found.chosen)
     return np.sort(np.array([*range(rows.first), *shapes, *(option.column for option in options)]))
 
 
@@ -110,21 +111,6 @@ def _shaped(rows: _Rows, shapes: tuple[int, ...], options: Sequence[_Option]) ->
                 if found.score < best.score:
                     best, shapes = found, trial
     return shapes
-
-
-def _believed(selection: Selection[_Option, int], found: JointFit[_Option, int]) -> JointFit[_Option, int]:
-    """Without the options that are worth nothing, the least one first; and the search goes on."""
-    gone: set[Mechanism] = set()
-    while found.chosen:
-        supports = Supports(selection, found)
-        worth = {option: supports.worth(option) for option in found.chosen}
-        least = min(worth, key=worth.__getitem__)
-        if worth[least] > 0.0:
-            break
-        gone.add(least.group)
-        selection.hypotheses = [option for option in selection.hypotheses if option.group not in gone]
-        found = selection.settle(selection.without(found, least))
-    return found
 
 
 @dataclass(frozen=True, eq=False)
