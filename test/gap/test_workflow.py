@@ -75,7 +75,7 @@ def test_a_planted_effect_is_named(effect: str, joint: int) -> None:
     assert (finding.effect, finding.joint, finding.confidence) == (effect, JOINTS[joint], "confident")
     assert result.verdict == "named"
     assert np.max(result.gap.inertias_only) > 2.0
-    assert np.max(result.gap.after) < 1.2
+    assert np.max(result.moving) < 1.2, "near reversals the shape counts, which is not told here"
 
 
 def test_what_the_library_does_not_know_is_not_named() -> None:
