@@ -23,6 +23,7 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
 _REFITS = 2  # the second along what the first one found
+_LEAST_EVIDENCE = 12.0  # of an ordinary effect, that it is not nothing
 _UNCHANGED = 1e-3  # of its uncertainty: how much may move what is as it was
 _ORDINARY = tuple(cls() for name, cls in EFFECTS.items() if name in DEFAULT_EFFECTS)
 
@@ -79,7 +80,7 @@ class _Refit:
     changed: Collection[int]
 
     def found(self, sure: Sequence[Candidate]) -> NamesFit:
-        """The fit of the ``sure`` names and ordinary effects without those that cannot be, the ordinary ones first: on
+        """The fit of the ``sure`` names and of those ordinary effects that are there, without those that cannot be: on
         the rows alone, as a file predicts by its parameters alone."""
         named, ordinary, found = [*sure], self._ordinary_beside(sure), self.analysis.names
         total = self._without_unsure(sure)
@@ -89,10 +90,8 @@ class _Refit:
             design = problem.design_alone(columns)
             while True:
                 found = self._fit(problem, design, named, ordinary, found)
-                absurd = [c for c in found.chosen if self.analysis.search.is_out_of_range(found, c)]
-                if not absurd:
+                if (gone := self._untenable(found, ordinary)) is None:
                     break
-                gone = min(absurd, key=lambda c: c not in ordinary)
                 named, ordinary = ([c for c in own if c is not gone] for own in (named, ordinary))
             total = total_model(self.model, found)
         return found
@@ -103,6 +102,14 @@ class _Refit:
         kept = {*self.analysis.search.prior.terms, *(term for candidate in sure for term in candidate.terms)}
         places = {(term.effect, term.place) for term in kept if isinstance(term, EffectTerm)}
         return replace(total, effects=tuple(own for own in total.effects if own[:2] in places))
+
+    def _untenable(self, found: NamesFit, ordinary: Collection[Candidate]) -> Candidate | None:
+        """One that cannot be; or else the least of the ordinary effects if it may as well be nothing; or else none."""
+        absurd = [c for c in found.chosen if self.analysis.search.is_out_of_range(found, c)]
+        if absurd or not ordinary:
+            return min(absurd, key=lambda c: c not in ordinary, default=None)
+        least = min(ordinary, key=lambda c: _evidence(found, c))
+        return least if _evidence(found, least) < _LEAST_EVIDENCE else None
 
     def _ordinary_beside(self, sure: Sequence[Candidate]) -> list[Candidate]:
         """The ordinary effects of all joints and sensors where nothing is known of them."""
@@ -127,6 +134,13 @@ class _Refit:
             spreads = np.where(held, _UNCHANGED * prior.spread, names.spreads)
         found = scattered(design, fit(design, prior, named, start, spreads))
         return replace(found, chosen=(*named, *ordinary))
+
+
+def _evidence(found: NamesFit, candidate: Candidate) -> float:
+    """By how much the score would be worse without it, to second order: its squared deviations from nothing."""
+    places = [found.place(term) for term in candidate.terms]
+    values = np.array([found.value(term) for term in candidate.terms])
+    return float(values @ np.linalg.solve(found.covariance[np.ix_(places, places)], values))
 
 
 def _with_ordinary(
