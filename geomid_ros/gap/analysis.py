@@ -14,7 +14,7 @@ from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_
 from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
 from geomid_ros.gap.evidence.record import Records, TotalModel
 from geomid_ros.inference.fit import fit, unfitted
-from geomid_ros.inference.probability import Support, supported
+from geomid_ros.inference.probability import Support, Supports
 from geomid_ros.inference.selection import Selection
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray
@@ -92,7 +92,7 @@ def _searched(task: _Task, prior: NamesPrior, stage: str) -> Analysis:
     """The names beside which the total model settles, and what speaks for each."""
     last = _last_round(task, prior, stage)
     problem = last.problem
-    search, names, supports = supported(last.search, last.found)
+    search, names, supports = _supported(last.search, last.found)
     task.progress(stage, 1.0)
     design = search.design
     left = problem.residual(last.columns, names) - problem.remainder(design, names)
@@ -105,10 +105,37 @@ def _searched(task: _Task, prior: NamesPrior, stage: str) -> Analysis:
         search=search,
         bare=search.fit([]),
         names=names,
-        supports={name: supports.of(name) for name in names.chosen},
+        supports=supports,
         noise=last.noise,
         floor=repeats.floor(_root_mean_square(left, problem.valid) / np.sqrt(freedom)),
     )
+
+
+def _supported(
+    search: NamesSearch, found: NamesFit
+) -> tuple[NamesSearch, NamesFit, dict[Candidate, Support[Candidate]]]:
+    """The names that are more likely than nothing in their places, beside the remainder that they leave, and what
+    speaks for each. The least likely ones go first, and the search goes on without them."""
+    tried = list(search.hypotheses)
+    while True:
+        kept, each = _worth_their_place(search, found)
+        gone = {c.group for c in found.chosen} - {c.group for c in kept.chosen}
+        if not gone:
+            return search, found, {candidate: each.of(candidate) for candidate in found.chosen}
+        tried = [c for c in tried if c.group not in gone]
+        search = Selection(kept.settled(search.design), search.prior, tried)
+        found = search.settle(search.fit(kept.chosen, kept))
+
+
+def _worth_their_place(search: NamesSearch, found: NamesFit) -> tuple[NamesFit, Supports[Candidate, EffectTerm]]:
+    """Without the names that are worth nothing, the least one first."""
+    while True:
+        each = Supports(search, found)
+        worth = {candidate: each.worth(candidate) for candidate in found.chosen}
+        least = min(worth, key=worth.__getitem__, default=None)
+        if least is None or worth[least] > 0.0:
+            return found, each
+        found = search.without(found, least)
 
 
 @dataclass(frozen=True, eq=False)

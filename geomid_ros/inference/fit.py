@@ -15,13 +15,13 @@ from typing import Any, Generic
 
 import numpy as np
 
+from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, minimum
 from geomid_ros.geometry import definite, pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.inference import prior as priors
-from geomid_ros.inference.design import Design, Lack
+from geomid_ros.inference.design import BLOCKS, Design, Lack
 from geomid_ros.inference.hypothesis import Chosen, Term
 from geomid_ros.inference.prior import Prior
-from geomid_ros.inference.profile_objective import Profile, ProfileObjective, StraightManifold, minimum
 from geomid_ros.types import FloatArray
 
 _LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
@@ -180,8 +180,7 @@ def _free_fit(
     places = manifold.real.start + np.flatnonzero(held)
     weights[places] = (scales[: len(held)][held] / prior.spreads[held]) ** 2
     rows = priors.known_rows(prior.known, manifold.dimension)
-    given = prior.rows(terms)
-    zero = np.concatenate([_zero_rows(driven, manifold, known), given.reshape(len(given), manifold.dimension + 1)])
+    zero = _zero_rows(driven, manifold, known)
     counts, least = design.counts, _LEAST_SHARE * design.target_squares + 1e-300
     afresh = start is None or set(bodies) != set(start.bodies)
     fixed = spread is not None
@@ -308,13 +307,14 @@ def scattered(design: Design, found: JointFit[Chosen, Term]) -> JointFit[Chosen,
     explains. The covariance of the tangent coordinates is then ``H^-1 sum_b(s_b s_b^T) H^-1`` with the slopes s_b of
     the blocks about their mean (Liang and Zeger, "Longitudinal data analysis using generalized linear models", 1986).
     """
+    slopes = np.zeros((BLOCKS, found.manifold.dimension))
     vector, places = np.append(found.point.parameters, -1.0), design.places(found.bodies, found.terms)
     weights = design.counts / found.squares
-    channels = zip(design.channels, places, design.variances, weights, strict=True)
-    slopes = sum(weight * own.slopes(vector, taken, variances) for own, taken, variances, weight in channels)
-    slopes = slopes @ found.jacobian
+    for channel, own, variances, weight in zip(design.channels, places, design.variances, weights, strict=True):
+        columns, residual = channel.whitened(vector, own, variances)
+        for block, rows in enumerate(np.array_split(np.arange(len(residual)), BLOCKS)):
+            slopes[block] += weight * (residual[rows] @ columns[rows, :-1]) @ found.jacobian
     moved = (slopes - np.mean(slopes, axis=0)) @ found.inverse
-    blocks = len(slopes)
-    squares = blocks / (blocks - 1.0) * np.sum(moved**2, axis=0)
+    squares = BLOCKS / (BLOCKS - 1.0) * np.sum(moved**2, axis=0)
     factors = np.sqrt(np.maximum(squares / np.diag(found.inverse), 1.0))
     return replace(found, information=found.information / np.outer(factors, factors))
