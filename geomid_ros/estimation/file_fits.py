@@ -44,10 +44,12 @@ def fit_files(
 
 
 def held_columns(model: MeasurementModel, chosen: IntArray, elements: Collection[str]) -> IntArray:
-    """The ``chosen`` parameters that a file with these ``elements`` holds, and errors of sensors, by their columns."""
+    """The ``chosen`` parameters that a file with these ``elements`` holds, and errors of sensors, by their columns; of
+    effects in their usual shape, as no file says another."""
     first = len(model.nominal_inertias)
-    kept = [column < first or _is_held(model.coefficients[column - first], elements) for column in chosen.tolist()]
-    return chosen[kept]
+    own = [(column, model.coefficients[column - first]) for column in chosen.tolist() if column >= first]
+    held = [model.usual_shapes[c.mechanism] for _, c in own if _is_held(c, elements)]
+    return np.array([*chosen[chosen < first].tolist(), *held], dtype=np.int64)
 
 
 def _is_held(coefficient: Coefficient, elements: Collection[str]) -> bool:

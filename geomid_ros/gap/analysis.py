@@ -33,8 +33,8 @@ Columns = dict[EffectTerm, dict[int, FloatArray]]
 class Analysis:
     """Where the search ended: the last ``problem`` and ``search``; the fit with ``names`` and the one without
     (``bare``); what ``supports`` each name; the standard deviation of each channel's noise, ``floor (C,)``, from
-    repeats of a motion if there are any, and the ``noise`` that rows were whitened by; ``contested``: whether the link
-    that has been changed may as well be another one."""
+    repeats of a motion if there are any; ``contested``: whether the link that has been changed may as well be another
+    one."""
 
     problem: LinearisedProblem
     search: NamesSearch
@@ -42,7 +42,6 @@ class Analysis:
     names: NamesFit
     supports: dict[Candidate, Support[Candidate]]
     floor: FloatArray
-    noise: tuple[Autoregression, ...]
     contested: bool = False
 
 
@@ -106,7 +105,6 @@ def _searched(task: _Task, prior: NamesPrior, stage: str) -> Analysis:
         bare=search.fit([]),
         names=names,
         supports=supports,
-        noise=last.noise,
         floor=repeats.floor(_root_mean_square(left, problem.valid) / np.sqrt(freedom)),
     )
 
@@ -145,7 +143,6 @@ class _Round:
 
     problem: LinearisedProblem
     columns: Columns
-    noise: tuple[Autoregression, ...]
     search: NamesSearch
     found: NamesFit
 
@@ -212,7 +209,7 @@ def _round(
     found = search.within_range(search.fit(found.chosen, found))
     if searches:
         found = search.settle(found) if settling else search.grow(found, to_the_end=is_last)
-    return _Round(problem, columns, noise, search, found)
+    return _Round(problem, columns, search, found)
 
 
 def _near(found: TotalModel, total: TotalModel) -> bool:

@@ -153,9 +153,7 @@ class Solver:
         """By rows in which each effect has its usual shape alone: all shapes together would fit away what is to be
         noticed, and take long to learn."""
         model = self._session.model
-        first = model.dimension - len(model.coefficients)
-        shapes = {c.mechanism: first + k for k, c in reversed([*enumerate(model.coefficients)])}
-        usual = [*range(first), *shapes.values()]
+        usual = [*range(len(model.nominal_inertias)), *model.usual_shapes.values()]
         channels = [replace(c, columns=np.intersect1d(c.columns, usual)) for c in model.channels]
         return ChangeDetector(channels, self._session.configuration.buffer.forgetting_time)
 

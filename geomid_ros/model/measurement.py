@@ -281,6 +281,7 @@ class MeasurementModel:
         """The same model with one body more, the last, which moves with the identified ``link`` and has its frame."""
         model = copy(self)
         model.__dict__.pop("_carried", None)
+        model.__dict__.pop("usual_shapes", None)
         model.identified = (*self.identified, self.identified[self.body_names.index(link)])
         model.body_names = (*self.body_names, f"payload of {link}")
         model.dimension = self.dimension + 10
@@ -291,6 +292,7 @@ class MeasurementModel:
         """The same model with these of its coefficients alone."""
         model = copy(self)
         model.__dict__.pop("_carried", None)
+        model.__dict__.pop("usual_shapes", None)
         model.coefficients = tuple(self.coefficients[index] for index in chosen)
         model.positives = sum(coefficient.positive for coefficient in model.coefficients)
         model.dimension = 10 * len(self.identified) + len(model.coefficients)
@@ -306,6 +308,12 @@ class MeasurementModel:
     def nominal_parameters(self) -> FloatArray:
         """The nominal model ``(D,)``: the URDF's inertias and no effects."""
         return np.append(self.nominal_inertias, np.zeros(len(self.coefficients)))
+
+    @cached_property
+    def usual_shapes(self) -> dict[Mechanism, int]:
+        """The parameter, by its place among the D, that each effect is in its usual shape."""
+        first = 10 * len(self.identified)
+        return {c.mechanism: first + k for k, c in reversed([*enumerate(self.coefficients)])}
 
     @property
     def described_coefficients(self) -> FloatArray:

@@ -195,14 +195,11 @@ def _model_of(session: Session) -> MeasurementModel:
     if session.loaded.source:
         known = read_posterior(beside(Path(session.loaded.source)))
         found = {(effect.name, effect.place, effect.parameter, effect.positive) for effect in known.effects}
-        said = np.full(model.dimension, np.nan) if session.prior is None else session.prior
-        of_shape = np.isfinite(said[len(model.nominal_inertias) :]).tolist()
-        loaded = {c.mechanism for c, is_there in zip(model.coefficients, of_shape, strict=True) if is_there}
+        said = session.loaded.in_its_shape(model)
         chosen = [
             index
-            for index, (c, is_there) in enumerate(zip(model.coefficients, of_shape, strict=True))
-            if (c.effect.name, c.place_name, c.parameter, c.positive) in found
-            and (is_there or c.mechanism not in loaded)
+            for index, (c, is_said) in enumerate(zip(model.coefficients, said.tolist(), strict=True))
+            if is_said and (c.effect.name, c.place_name, c.parameter, c.positive) in found
         ]
         return model.with_coefficients(chosen)
     return model.with_coefficients([index for index, c in enumerate(model.coefficients) if not c.optional])

@@ -117,7 +117,7 @@ def test_the_identified_urdf_has_the_friction_that_was_fitted_for_it(estimates: 
     for name, found in {"viscous_friction": robot.damping, "coulomb_friction": robot.friction}.items():
         expected = np.zeros(3)
         for known in (known for known in effects if known["effect"] == name):
-            parameter = next(iter(known["parameters"].values()))
+            (parameter,) = known["parameters"].values()
             expected[robot.joints[robot.getJointId(known["joint"])].idx_v] = parameter["value"]
         assert np.all(expected)
         np.testing.assert_allclose(found, expected, rtol=1e-8)

@@ -32,8 +32,8 @@ def errors() -> np.ndarray:
 
 
 def test_planted_sizes_are_off_by_no_more_than_is_stated(errors: np.ndarray) -> None:
-    """And not by less than two fifths of it: a remainder that may be there, and is not, costs sharpness, of which the
-    size that is written, fitted on the rows alone, has no less."""
+    """And not by less than two fifths of it: what is written is fitted on the rows alone, and stated with a deviation
+    that allows for a remainder, which is not there."""
     most = chi2.ppf(1.0 - FALSE_ALARMS, len(errors)) / len(errors)
     assert most < 1.5**2
     assert 0.4**2 < np.mean(errors**2) < most

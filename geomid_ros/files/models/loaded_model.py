@@ -42,7 +42,7 @@ from geomid_ros.model.effects import (
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.sensors import AXES, WrenchSensor
 from geomid_ros.signals.settings import SignalSettings
-from geomid_ros.types import FloatArray
+from geomid_ros.types import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -185,6 +185,13 @@ class LoadedModel:
         if np.any(found[positive] <= 0.0) or np.any(np.isinf(found)):
             raise InputError(f"{self.source}: an effect that must be positive and finite is not")
         return np.concatenate([*inertias, found])
+
+    def in_its_shape(self, model: MeasurementModel) -> BoolArray:
+        """Which coefficients ``(coefficients,)`` of ``model`` are not another shape of one that is known."""
+        known = [(c.effect, c.place_name, c.parameter) in self._coefficients for c in model.coefficients]
+        mechanisms = {c.mechanism for c, is_there in zip(model.coefficients, known, strict=True) if is_there}
+        pairs = zip(model.coefficients, known, strict=True)
+        return np.array([is_there or c.mechanism not in mechanisms for c, is_there in pairs], dtype=bool)
 
     def _check_merged(self, model: MeasurementModel) -> None:
         """Raises InputError if a body consists of other links than the one of its name in the file. Links that weigh
