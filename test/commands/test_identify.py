@@ -238,6 +238,17 @@ def test_an_estimate_is_started_from(tmp_path: Path) -> None:
     assert link(again, "wrist_ft")["mass"] != pytest.approx(0.5, rel=0.05), "the URDF's"
 
 
+def test_the_shape_of_dry_friction_stands_beside_its_level(run: tuple[str, Path, str]) -> None:
+    """Where it is not the usual one; it is no other effect for that."""
+    _, out, text = run
+    table, _, others = text.partition("Joint effects")[2].partition("RMS of the residual")[0].partition("Other effects")
+    shapes = [entry["smoothing"] for entry in read(out)["effects"] if "smoothing" in entry]
+    assert shapes
+    assert "smoothing" in table
+    assert all(f" {smoothing:g} " in table for smoothing in shapes)
+    assert "Coulomb friction" not in others
+
+
 def test_an_effect_that_only_some_joints_have(tmp_path: Path) -> None:
     """The model knows it at one joint, and it is not identified everywhere: it is among the others."""
     small(tmp_path / "a", "--effects", "viscous_friction", status=4)

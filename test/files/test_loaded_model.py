@@ -22,6 +22,7 @@ from geomid_ros.files.models.results import estimate_document
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect
+from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import GRAVITY, Robot
 from geomid_ros.model.sensors import WrenchSensor
@@ -276,3 +277,26 @@ def write_model_and_load(tmp_path: Path, effects: list[KnownEffect]) -> Session:
     ]
     write_json(tmp_path / "estimate.json", document | {"added": entries})
     return Session(ARM, Configuration({"model": str(tmp_path / "estimate.json")}, "test"), "arm3.urdf")
+
+
+@pytest.mark.parametrize("smoothing", [0.0, -0.1, float("nan"), "slow", None])
+def test_an_impossible_smoothing_is_refused_by_name(tmp_path: Path, smoothing: Any) -> None:
+    session_with(tmp_path, [effect("coulomb_friction", "joint1", level=0.6, smoothing=0.3)])
+    path = tmp_path / "estimate.json"
+    document = json.loads(path.read_text())
+    assert document["effects"][0]["smoothing"] == 0.3
+    document["effects"][0]["smoothing"] = smoothing
+    path.write_text(json.dumps(document))
+    with pytest.raises(InputError, match=r"json: smoothing of coulomb_friction at 'joint1' is .*above 0 rad/s"):
+        LoadedModel.read(str(path))
+
+
+def test_of_several_shapes_the_known_one_counts(tmp_path: Path) -> None:
+    """Of what nothing is known every shape may be there."""
+    session = session_with(tmp_path, [effect("coulomb_friction", "joint1", level=0.6, smoothing=0.01)], effects=[""])
+    shapes = [CoulombFriction(speed) for speed in (0.003, 0.01, 0.05)]
+    model = MeasurementModel(session.robot, (), candidates=shapes)
+    told = session.loaded.in_its_shape(model)
+    found = {(c.place_name, c.effect.smoothing) for c, is_told in zip(model.coefficients, told, strict=True) if is_told}
+    others = {(joint, shape.smoothing) for joint in ("joint2", "joint3") for shape in shapes}
+    assert found == {("joint1", 0.01)} | others

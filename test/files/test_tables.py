@@ -29,7 +29,15 @@ ESTIMATE: dict[str, Any] = {
     "links": [LINK],
     "urdf_masses": {EVIL: 1.5},
     "effects": [
-        {"name": "viscous_friction", "joint": "joint1", "value": 3.0, "std": 0.2, "unit": "N m s/rad", "from_data": 0.9}
+        {
+            "name": "viscous_friction",
+            "joint": "joint1",
+            "value": 3.0,
+            "std": 0.2,
+            "unit": "N m s/rad",
+            "from_data": 0.9,
+        },
+        {"name": "coulomb_friction", "joint": "joint1", "value": 2.0, "std": 0.3, "unit": "N m", "smoothing": 0.01},
     ],
     "added": [FRICTION],
     "channels": [{"channel": "joint1", "unit": "N m", "judged_on": "held-out data", "urdf": 2.0, "identified": 1.0}],
@@ -57,10 +65,12 @@ def test_every_parameter_of_an_effect_has_a_row(tmp_path: Path) -> None:
     rows = read((tmp_path / "effects.csv").read_text())
     assert [(row["effect"], row["joint"], row["parameter"], row["value"], row["std"]) for row in rows] == [
         ("viscous_friction", "joint1", "coefficient", "3.0", "0.2"),
+        ("coulomb_friction", "joint1", "level", "2.0", "0.3"),
+        ("coulomb_friction", "joint1", "smoothing", "0.01", "0.0"),
         ("stribeck_friction", "joint2", "level", "0.5", "0.1"),
         ("stribeck_friction", "joint2", "excess", "0.2", ""),
     ]
-    assert [row["from_data"] for row in rows] == ["0.9", "", ""]
+    assert [row["from_data"] for row in rows] == ["0.9", "", "", "", ""]
 
 
 def test_channels_are_as_the_document_has_them() -> None:

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.gap import result as result_module
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.judgement import written as written_module
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import find_gap
-from geomid_ros.model.effects import Quantity
+from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, Quantity
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.model.measurement import MeasurementModel
@@ -111,6 +112,26 @@ def test_beside_a_urdf_joints_have_the_friction_that_every_joint_has(monkeypatch
         assert size.std < 0.1 * true
     assert {effect for effect, _ in values} <= {"viscous_friction", "coulomb_friction"}, "nothing else is there"
     assert np.max(result.gap.after) < 1.2
+
+
+def test_the_file_predicts_as_well_as_an_identified_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A file has no remainder: what it says is fitted without one, or friction would be left to that."""
+    monkeypatch.setattr(result_module, "SURE", 2.0)
+
+    def lacking(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        known = planted.rigid(GIVEN)(q, v, a) + VISCOUS * v + LEVEL * np.tanh(v / 0.02)
+        return known + 0.5 * np.sin(9.0 * q + 1.0) + 0.3 * np.sin(3.0 * q[:, [1, 2, 0]])
+
+    train, unseen = planted.recording(lacking, 3), planted.recording(lacking, 1003, 15.0)
+    trace = find_gap(BARE, [train], [unseen]).trace
+    identifier = Identifier(MeasurementModel(BARE.robot, [EFFECTS[name]() for name in DEFAULT_EFFECTS[:-1]]))  # type: ignore[misc]
+    identifier.add(train)
+    rows = identifier.model.rows(unseen)
+    residual = rows.targets - rows.coefficients @ identifier.solve().parameters
+    left, expected = (np.sqrt(np.mean(each**2, axis=0)) for each in (trace.measured - trace.after, residual))
+    assert np.all(left < 1.1 * expected)
 
 
 def test_friction_that_no_file_can_say_is_folded_into_what_files_say() -> None:
