@@ -119,8 +119,6 @@ def find_gap(
         prior = _as_simulated(bare, Records.make(simulated, settings.cutoff), prior, report)
     analysis = analyse(bare, records, prior, report)
     report("judging", 0.0)
-    unseen = HeldOut(bare, held, analysis)
-    left = unexplained(bare, analysis, unseen)
     links = changed_links(bare, analysis)
     kept = written(bare, records, analysis, findings(bare, analysis), links)
     files = HeldOut(bare, held, replace(analysis, names=kept.found))
@@ -130,10 +128,10 @@ def find_gap(
     problem = LinearisedProblem(bare, records, total_model(bare, untouched))
     first = problem.residual(problem.columns((), prior.terms), untouched)
     return GapResult(
-        verdict=verdict(analysis, unseen),
+        verdict=verdict(analysis, files),
         findings=kept.findings,
         links=kept.links,
-        unexplained=left,
+        unexplained=unexplained(bare, analysis, files),
         channels=tuple(channel.name for channel in bare.channels),
         units=tuple(channel.unit for channel in bare.channels),
         floor=analysis.floor,

@@ -81,7 +81,9 @@ def test_a_planted_effect_is_named(effect: str, joint: int) -> None:
 def test_what_the_library_does_not_know_is_not_named() -> None:
     result = run(beside(31, lambda q, _v, _a: 0.3 * np.sin(9.0 * q + 1.0), 1), 31)
     assert result.verdict == "unexplained"
-    assert {(u.joint, u.depends_on) for u in result.unexplained} == {(JOINTS[1], "position")}
+    (left,) = result.unexplained
+    assert (left.joint, left.depends_on) == (JOINTS[1], "position")
+    assert left.gap == result.moving[1], "what the table says of the model that is written"
     assert not [finding for finding in result.findings if finding.confidence == "confident"]
 
 
