@@ -354,25 +354,24 @@ class _Fit:
         return any(bool(np.any(one.left < (1.0 - _VISIBLE) * other.left)) for one, other in pairs)
 
     @cached_property
-    def _folds(self) -> FloatArray:
-        """All columns and the target by each other, weighted, of each fold that has rows, ``(folds, n + 1, n + 1)``."""
-        size = self.rows.size + 1
-        totals = np.zeros((self.rows.problem.summary.folds, size, size))
-        for weight, (places, products) in zip(self.weights, self.rows.products, strict=True):
-            totals[:, places[:, None], places] += weight * products
-        return totals[np.any(totals, axis=(1, 2))]
-
-    @cached_property
-    def _slopes(self) -> FloatArray:
-        """Half the derivative of each fold's squares by every coefficient ``(folds, n + 1)``."""
+    def _vector(self) -> FloatArray:
+        """All parameters and minus one ``(n + 1,)``: the residual is what the columns with the target leave of it."""
         vector = np.zeros(self.rows.size + 1)
         vector[self.columns], vector[-1] = self.point.parameters, -1.0
-        return self._folds @ vector
+        return vector
+
+    @property
+    def _slopes(self) -> FloatArray:
+        """Half the derivative of the squares of each fold that has rows by each of its coefficients ``(folds, k)``."""
+        slopes = np.zeros((self.rows.problem.summary.folds, self.rows.size + 1))
+        for weight, (places, products) in zip(self.weights, self.rows.products, strict=True):
+            slopes[:, places] += weight * (products @ self._vector[places])
+        return slopes[np.any(slopes, axis=1)][:, self.columns]
 
     def squares_of(self, columns: IntArray) -> FloatArray:
         """Squares of some of its coefficients in units of their variances."""
         inverse, manifold = definite.inverse(self.hessian), self.objective.manifold
-        slopes = manifold.whiten(self.point, self._slopes[:, self.columns])
+        slopes = manifold.whiten(self.point, self._slopes)
         real = self.columns >= self.rows.first
         variances = np.diag(inverse)[real]
         inflation = self._inflation(self.columns[real], (slopes @ inverse)[:, real], variances)
@@ -386,12 +385,12 @@ class _Fit:
         coefficient that would be negative and cannot be."""
         manifold = self.objective.manifold
         whitener = manifold.whiten(self.point, np.eye(len(self.columns)))
-        products = np.sum(self._folds, axis=0)
-        shared = products[np.ix_(self.columns, columns)]
+        products = np.tensordot(self.weights, self.rows.all_products[:, columns], axes=1)
+        shared = products[:, self.columns].T
         projected = whitener @ definite.inverse(self.hessian) @ whitener.T @ shared
-        squares = np.diag(products)[columns]
+        squares = products[np.arange(len(columns)), columns]
         left = squares - np.sum(shared * projected, axis=0)
-        values = -np.sum(self._slopes[:, columns], axis=0)
+        values = -products @ self._vector
         positive = np.array([self.rows.positive(column) for column in columns])
         possible = (left > _PARALLEL * squares) & ~(positive & (values < 0.0))
         return np.asarray(np.where(possible, values**2 / np.where(possible, left, 1.0), 0.0))
