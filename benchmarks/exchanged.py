@@ -6,7 +6,8 @@ Reads the recordings of :mod:`benchmarks.measured_data`, each once, and fits par
 
 A recording's halves train for each other, each of its thirds is tested on the other two, its slow windows train for its
 fast ones, and bags swap their roles. Every split is solved with the effects that ``identify`` chooses and with none of
-them. A ratio above 1 to "none" is a split on which the choice did harm.
+them. A ratio above 1 to "none" is a split on which the choice did harm. What both halves of a recording say of an
+effect is compared: intervals that are right overlap as often as they state.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from rich.table import Table
 
 from benchmarks.measured_data import CASES, DATA, Case
 from geomid_ros.api.options import RecordingOptions
-from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimate import SURE, Estimate
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.model.effects import DEFAULT_EFFECTS
 from geomid_ros.model.samples import Samples
@@ -46,6 +47,7 @@ SETS = tuple(name for name in CASES if name != "human")
 _WINDOW = 2.0  # [s]
 _FASTER = (1.3, 20.0)  # factors between the median speeds of slow and fast windows: none differ, the slow ones rest
 _UNSURE = 2.0  # standard deviations
+_ONE_HALF, _OTHER_HALF = "1st half -> 2nd", "2nd half -> 1st"
 
 Parts: TypeAlias = tuple[Samples, ...]
 
@@ -100,8 +102,8 @@ def splits(recordings: dict[str, Samples]) -> Iterator[Split]:
             yield Split(f"{' + '.join(others)} -> {name}", tuple(others.values()), (samples,))
     for name, samples in recordings.items():
         first, second = _parts(samples, 2)
-        yield Split(f"{name}: 1st half -> 2nd", (first,), (second,))
-        yield Split(f"{name}: 2nd half -> 1st", (second,), (first,))
+        yield Split(f"{name}: {_ONE_HALF}", (first,), (second,))
+        yield Split(f"{name}: {_OTHER_HALF}", (second,), (first,))
         thirds = _parts(samples, 3)
         for number, test in enumerate(thirds):
             train = tuple(part for place, part in enumerate(thirds) if place != number)
@@ -144,7 +146,9 @@ def _by_speed(name: str, samples: Samples) -> Iterator[Split]:
 class Row:
     """The result of one split: ``total`` is the sum over channels of the RMS on its test part, ``none`` the same
     without optional effects; ``effects`` counts the optional ones that were taken, ``unsure`` those of them that are
-    smaller than twice their own standard deviation, ``negative`` those that are a negative Stribeck excess."""
+    smaller than twice their own standard deviation, ``negative`` those that are a negative Stribeck excess. Of the
+    ``common`` effects, which both halves of a recording have, ``agreeing`` differ by no more than 95 % of such pairs
+    do."""
 
     total: float
     none: float
@@ -152,6 +156,16 @@ class Row:
     unsure: int
     negative: int
     seconds: float
+    common: int = 0
+    agreeing: int = 0
+
+
+def agreement(one: Estimate, other: Estimate) -> tuple[int, int]:
+    """Number of effects that both estimates have, and of those whose difference may be chance."""
+    values = {(effect.name, effect.joint): effect for effect in one.effects}
+    pairs = [(values[key], own) for own in other.effects if (key := (own.name, own.joint)) in values]
+    agreeing = [abs(a.value - b.value) < SURE * np.hypot(a.std, b.std) for a, b in pairs]
+    return len(pairs), int(sum(agreeing))
 
 
 def solved(session: Session, split: Split) -> tuple[float, Estimate]:
@@ -169,6 +183,7 @@ def rows(names: Iterable[str]) -> Iterator[tuple[str, Row]]:
         chosen, bare = (Robot(CASES[name], candidates) for candidates in (True, False))
         recordings, configuration = chosen.read()
         recordings_of_bare, bare_configuration = bare.read()
+        half: Estimate | None = None
         for split, without in zip(splits(recordings), splits(recordings_of_bare), strict=True):
             begin = time.process_time()
             total, estimate = solved(chosen.session(configuration), split)
@@ -177,7 +192,9 @@ def rows(names: Iterable[str]) -> Iterator[tuple[str, Row]]:
             optional = [effect for effect in estimate.effects if effect.name not in DEFAULT_EFFECTS]
             unsure = sum(abs(effect.value) < _UNSURE * effect.std for effect in optional)
             negative = sum(effect.name == "stribeck_friction" and effect.value < 0.0 for effect in optional)
-            yield f"{name} {split.name}", Row(total, none, len(optional), unsure, negative, seconds)
+            both = agreement(half, estimate) if half is not None and split.name.endswith(_OTHER_HALF) else (0, 0)
+            half = estimate if split.name.endswith(_ONE_HALF) else None
+            yield f"{name} {split.name}", Row(total, none, len(optional), unsure, negative, seconds, *both)
 
 
 def summary(found: dict[str, Row], before: dict[str, dict[str, float]]) -> Iterator[str]:
@@ -200,6 +217,9 @@ def summary(found: dict[str, Row], before: dict[str, dict[str, float]]) -> Itera
         sum(getattr(row, name) for row in found.values()) for name in ("effects", "unsure", "negative")
     )
     yield f"{effects} optional effects, {unsure} below {_UNSURE:g} of their own std; {negative} negative Stribeck"
+    common, agreeing = (sum(getattr(row, name) for row in found.values()) for name in ("common", "agreeing"))
+    share = f" ({100.0 * agreeing / common:.0f} %)" if common else ""
+    yield f"95 % intervals of {agreeing} of {common} effects agree between the halves of a recording{share}"
 
 
 def main() -> None:

@@ -127,7 +127,7 @@ def verdict_sentence(result: GapResult) -> str:
     fall = f"the worst channel falls from {ratio(before)} to {ratio(after)} times the noise floor"
     fall += f" ({moving} while joints move)" if moving != ratio(after) else ""
     named = _named(result.findings)
-    missing = "; ".join(f"at {joint}, which depends on {on}" for joint, _, on in not_explained(result))
+    missing = _missing(not_explained(result))
     if result.verdict == "no gap":
         if before <= _CLOSED * after:
             return f"No gap found: the model explains the measurement to within {ratio(after)} times the noise floor."
@@ -139,6 +139,12 @@ def verdict_sentence(result: GapResult) -> str:
         return f"Found: {named or 'no effect'}. {rest}."
     found = f" Also found: {named}." if named else ""
     return f"No known effect explains the residual {missing or 'of several joints'}.{found}"
+
+
+def _missing(left: Sequence[tuple[str, float, str]]) -> str:
+    """Where something is unexplained; on what it depends, too, where that is one joint."""
+    where = f"at {_listed([joint for joint, *_ in left])}" if left else ""
+    return f"{where}, which depends on {left[0][2]}" if len(left) == 1 else where
 
 
 def of_every_joint(result: GapResult) -> list[str]:
@@ -163,7 +169,7 @@ def in_short(result: GapResult) -> list[str]:
     sentences = {
         "Sure": _few([what for confidence, what in said if confidence == "confident"]),
         "Possible": _few([what for confidence, what in said if confidence != "confident"]),
-        "Unexplained": _few(left),
+        "Unexplained": "; ".join(left),
         "Record next": f"{record[0]}{_more(len(record) - 1)}" if record else "",
     }
     return [f"{about}: {sentence}." for about, sentence in sentences.items() if sentence]

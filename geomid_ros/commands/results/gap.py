@@ -44,9 +44,6 @@ def show(found: Gap) -> None:
         say(console, "No resimulation", f"  {found.not_simulated}")
     if result.ranking and result.verdict != "no gap":
         console.print(_candidates_table(result))
-    for joint, times, variables in gap_words.not_explained(result):
-        left = f"{joint}: {gap_words.ratio(times)} times the floor remain; the residual depends on {variables}"
-        say(console, "Unexplained", f"  {left}")
     record = gap_words.to_record(result)
     if record:
         say(console, "Next recording", "")
@@ -65,18 +62,19 @@ def _print_file(console: Console, judged: Judged | None) -> None:
 
 def _findings_table(result: GapResult) -> Table:
     table = plain_table("Findings (confident ones are in the written model)")
-    table.add_column("effect", no_wrap=True)
-    table.add_column("where", overflow="fold", min_width=16)
-    table.add_column("parameter")
+    table.add_column("effect", overflow="fold")
+    table.add_column("where", overflow="fold")
+    table.add_column("parameter", no_wrap=True)
     number_columns(table, ["value"])
-    table.add_column("confidence")
-    number_columns(table, ["probability", "closes", "separable"])
+    table.add_column("probability", no_wrap=True)
+    number_columns(table, ["closes"])
     for finding in result.findings:
         names = lines(name.replace("_", " ") for name in finding.parameters)
         values = lines(map(gap_words.measured, finding.parameters.values()))
         where = gap_words.place(finding.joint, finding.link)
-        shares = map(gap_words.percent, (finding.probability, finding.share, finding.separability))
-        table.add_row(gap_words.headline(finding.effect), where, names, values, finding.confidence, *shares)
+        probability = f"{gap_words.percent(finding.probability):>5}, {finding.confidence}"
+        closes = gap_words.percent(finding.share)
+        table.add_row(gap_words.headline(finding.effect), where, names, values, probability, closes)
     return table
 
 
