@@ -12,8 +12,9 @@ import numpy as np
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, estimate
 from geomid_ros.estimation.summary import RowSummary
-from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Knowledge, samples_of
+from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Knowledge
 from geomid_ros.excitation.motion import Motion
+from geomid_ros.model.samples import samples_of
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.excitation import Task, Wish, task_of
 from geomid_ros.session.surroundings import Surroundings

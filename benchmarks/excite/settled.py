@@ -16,13 +16,14 @@ import numpy as np
 
 from benchmarks.excite.robots import SPREAD, task, wish
 from benchmarks.report import Report
-from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, samples_of
+from geomid_ros.excitation.knowledge import ROWS_PER_SECOND
 from geomid_ros.excitation.motion import Motion
 from geomid_ros.excitation.response import Responses
 from geomid_ros.excitation.rivals import DECIDED, Judge, deciding_motion
 from geomid_ros.excitation.search import random_feasible
 from geomid_ros.model.effects import OnLink, joints_of
 from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.samples import samples_of
 from geomid_ros.session.excitation import Task
 from geomid_ros.session.open_questions import open_questions
 from geomid_ros.types import FloatArray

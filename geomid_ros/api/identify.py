@@ -15,7 +15,7 @@ from geomid_ros.api.origin import origin
 from geomid_ros.checks.verdict import DOUBTFUL, Verdict
 from geomid_ros.errors import unknown_name
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
-from geomid_ros.estimation.telling_motions import telling_motions
+from geomid_ros.estimation.suggested_motions import suggested_motions
 from geomid_ros.exports.handover import HandedOver, Judged
 from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.effect_forms import unsaid
@@ -183,7 +183,7 @@ class Identification:
     @cached_property
     def _telling(self) -> dict[str, dict[str, list[str]]]:
         """By link and motion, the quantities that it would identify."""
-        return telling_motions(self.session.model, self.estimate)
+        return suggested_motions(self.session.model, self.estimate)
 
     def urdf(self) -> str:
         """The robot description with the identified inertias and friction; every other character is kept."""

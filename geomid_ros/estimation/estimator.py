@@ -15,6 +15,7 @@ from geomid_ros.estimation.choice import choose
 from geomid_ros.estimation.estimate import SURE, Estimate
 from geomid_ros.estimation.file_fits import fit_files
 from geomid_ros.estimation.fit import INDEPENDENT, Fit, fit
+from geomid_ros.estimation.identified import WITHIN
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.population_prior import PopulationPrior, fit_with_population, unlike_population
@@ -22,14 +23,13 @@ from geomid_ros.estimation.problem import Problem, subproblem
 from geomid_ros.estimation.rows import OBJECTIVES
 from geomid_ros.estimation.solvers import SOLVERS
 from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_rows
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
 _FAR = 2.0  # times the usual distance
-_SAME_MASS = 0.2  # logarithm of the ratio of masses
-_ROUNDING = 1e-9
 _SPENT = (
     "the solver's budget of steps was spent before noise and spreads of the links had settled: masses are those of the "
     "last step; is the URDF this robot's, in SI units?"
@@ -282,7 +282,7 @@ def _run_away(model: MeasurementModel, fitted: Fit, point: Point) -> Iterator[st
     for name, outlier, far, (prior, found) in zip(model.body_names, _outliers(fitted), times, pairs, strict=True):
         if outlier:
             what = f"moved from {prior[3, 3]:.3g} to {found[3, 3]:.3g} kg"
-            if abs(np.log(found[3, 3] / prior[3, 3])) < _SAME_MASS:
+            if abs(np.log(found[3, 3] / prior[3, 3])) < WITHIN:
                 what = "changed its centre of mass or its inertia"
             yield (
                 f"link '{name}' {what} ({far:.1f} default prior std); it probably absorbs an unmodelled "
@@ -309,7 +309,7 @@ def _geodesic_objective(objective: ResidualObjective) -> GeodesicObjective:
 
     manifold, prior = objective.manifold, objective.prior
     left, values, _ = np.linalg.svd(manifold.whiten(prior, objective.rows), full_matrices=False)
-    left = left.T[values >= _ROUNDING * values[0]]  # what no parameters can change has no directions of its own
+    left = left.T[values >= ROUNDING * values[0]]  # what no parameters can change has no directions of its own
     residuals = left @ (objective.rows @ prior.parameters - objective.targets)
     signs = np.where(residuals < 0.0, -1.0, 1.0) * np.random.default_rng(0).choice((-1.0, 1.0), len(left))
     mixing = dct(signs[:, None] * left, axis=0, norm="ortho")

@@ -14,14 +14,12 @@ import numpy as np
 
 from geomid_ros.estimation.population import FEWEST, SHARED, Evidence, Population, PopulationFit, common, linear
 from geomid_ros.estimation.posterior import manifold_of
+from geomid_ros.estimation.tolerances import LARGEST_STEP, LEAST_DEVIATION, ROUNDS, SETTLED
 from geomid_ros.types import FloatArray, IntArray
 
 _CHANCE = 1e-2  # at most, that a robot of the type is taken for another, of all its blocks
 _IDENTIFIED = 0.1  # of the variance between robots in a direction that counts, at least, is seen
 _FEWEST_JUDGED = 5
-_LEAST_DEVIATION = 1e-3
-_LINEARISED, _LONGEST = 3, 1.0  # rounds, and the largest coordinate in which rows are still linear
-_OF_NORMAL = 1.4826  # standard deviations per median absolute deviation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +67,7 @@ def _most_alike(robots: Sequence[Evidence]) -> tuple[int, ...]:
     base = manifold.point(first.prior)
     places = np.array([manifold.log(base, manifold.point(robot.parameters)) for robot in robots])
     off = places - np.median(places, axis=0)
-    deviations = _OF_NORMAL * np.median(np.abs(off), axis=0) + _LEAST_DEVIATION
+    deviations = np.median(np.abs(off), axis=0) + LEAST_DEVIATION
     nearest = np.argsort(np.mean((off / deviations) ** 2, axis=1), kind="stable")
     return tuple(sorted(nearest[: max(FEWEST, len(robots) // 2 + 1)].tolist()))
 
@@ -92,11 +90,15 @@ def _seen(population: Population, robot: Evidence) -> tuple[FloatArray, FloatArr
     manifold, mean = population.manifold, population.point
     precision = np.linalg.inv(population.covariance)
     point = manifold.point(robot.parameters)
-    for _ in range(_LINEARISED):
+    found = manifold.log(mean, point)
+    for _ in range(ROUNDS):
+        before = found
         information, pull = linear(manifold, mean, robot, point)
         unsure = np.linalg.inv(precision + information)
         found = unsure @ pull
-        point = manifold.exp(mean, found / max(1.0, np.max(np.abs(found)) / _LONGEST))
+        if np.max(np.abs(found - before)) < SETTLED:
+            break
+        point = manifold.exp(mean, found * min(1.0, LARGEST_STEP / np.max(np.abs(found))))
     return found, population.covariance - unsure
 
 

@@ -21,6 +21,7 @@ from geomid_ros.estimation.channel_summary import triangular
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.posterior import EffectCoordinate, manifold_of
 from geomid_ros.estimation.starting_point import usual_spreads
+from geomid_ros.estimation.tolerances import LARGEST_STEP, LEAST_DEVIATION, ROUNDS, SETTLED
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray, IntArray, frozen
 
@@ -28,11 +29,6 @@ FEWEST = 3
 """Of fewer robots nothing is said of all."""
 SHARED = 10.0
 """The common variance counts as much as so many robots."""
-_FIRST_SPREAD = 0.5  # times the usual
-_LEAST_VARIANCE = 1e-8
-_ROUNDS = 50
-_SETTLED = 1e-2  # of the logarithms of variances, and of the mean in standard deviations
-_LONGEST_STEP = 0.5  # of a robot in tangent coordinates
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -187,7 +183,7 @@ class PopulationFit:
         self._prior = manifold.point(np.median(starts, axis=0))
         self._usual = usual_spreads(manifold)
         self._mean = self._prior
-        self._covariance = np.diag((_FIRST_SPREAD * self._usual) ** 2)
+        self._covariance = np.diag(self._usual**2)
         self._common: FloatArray | None = None
         self._of_mean = np.diag(self._usual**2)
         self._points = [manifold.point(robot.parameters) for robot in robots]
@@ -221,7 +217,7 @@ class PopulationFit:
 
     def _settle(self) -> None:
         """Go on until a round changes next to nothing."""
-        for _ in range(_ROUNDS):
+        for _ in range(ROUNDS):
             if self._advance():
                 break
 
@@ -249,7 +245,7 @@ class PopulationFit:
         self._points = [self._towards(point, end) for point, end in zip(self._points, ends, strict=True)]
         self._mean = manifold.exp(self._mean, mean)
         change = np.max(np.abs(np.log(np.diag(self._covariance) / before)))
-        return bool(max(change, np.max(np.abs(mean) / np.sqrt(before))) < _SETTLED)
+        return bool(max(change, np.max(np.abs(mean) / np.sqrt(before))) < SETTLED)
 
     def _mean_of(self, shares: Sequence[_Share]) -> tuple[FloatArray, FloatArray]:
         """Covariance ``(D, D)`` and tangent coordinates ``(D,)`` of the mean, by what robots and prior say of it."""
@@ -263,7 +259,7 @@ class PopulationFit:
         """A robot's next point: that with the tangent coordinates ``end``, or a part of the way."""
         begin = self._manifold.log(self._mean, point)
         step = end - begin
-        return self._manifold.exp(self._mean, begin + step * min(1.0, _LONGEST_STEP / max(np.max(np.abs(step)), 1e-12)))
+        return self._manifold.exp(self._mean, begin + step * min(1.0, LARGEST_STEP / max(np.max(np.abs(step)), 1e-12)))
 
     def _between(self, shares: Sequence[_Share]) -> FloatArray:
         """The covariance of robots, from their expected squares."""
@@ -272,7 +268,7 @@ class PopulationFit:
             return np.asarray((squares + SHARED * self._common) / (len(shares) + SHARED))
         variances = np.diag(squares) / len(shares)
         for columns in self._groups:
-            variances[columns] = max(float(np.mean(variances[columns])), _LEAST_VARIANCE)
+            variances[columns] = max(float(np.mean(variances[columns])), LEAST_DEVIATION**2)
         return np.diag(variances)
 
     @cached_property

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.estimation.telling_motions import instants
+from geomid_ros.estimation.suggested_motions import instants
 from geomid_ros.exports.descriptions import described_robot
 from geomid_ros.exports.drawn_robots import DrawnRobots
 from geomid_ros.files.models.loaded_model import LoadedModel

@@ -19,7 +19,7 @@ import numpy as np
 
 from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.identifier import Memory
+from geomid_ros.estimation.identifier import LONGEST_STEP, Memory
 from geomid_ros.estimation.summary import RowSummary, SummaryState
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded, encoded
 from geomid_ros.model.measurement import MeasurementModel
@@ -31,7 +31,6 @@ from geomid_ros.session.recorded import Recorded
 from geomid_ros.session.recordings import Bags, read_bags
 from geomid_ros.session.session import Session
 
-_LONGEST_PAUSE = 1.0  # [s] as between any two instants
 _FITTED, _HELD_OUT, _BESIDE = "fitted", "held_out", "beside"
 
 
@@ -89,7 +88,7 @@ class BagSummary:
 
     def plus(self, later: BagSummary) -> BagSummary:
         """The rows of both, of which the other was recorded later."""
-        pause = min(max(0.0, 1e-9 * (later.begin - self.end)), _LONGEST_PAUSE)
+        pause = min(max(0.0, 1e-9 * (later.begin - self.end)), LONGEST_STEP)
         rows = self.fitted.summary.plus(later.fitted.summary, pause)
         return BagSummary(
             fitted=Memory(rows, self.fitted.rows_rejected + later.fitted.rows_rejected, None, None),

@@ -7,9 +7,9 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.feasibility import Feasibility
-from geomid_ros.excitation.knowledge import samples_of
 from geomid_ros.excitation.motion import Motion
 from geomid_ros.excitation.search import random_feasible, random_motion
+from geomid_ros.model.samples import samples_of
 from geomid_ros.session.excitation import Wish
 from geomid_ros.session.surroundings import Surroundings
 

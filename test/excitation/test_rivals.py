@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, samples_of
+from geomid_ros.excitation.knowledge import ROWS_PER_SECOND
 from geomid_ros.excitation.motion import Motion
 from geomid_ros.excitation.response import Responses
 from geomid_ros.excitation.rivals import deciding_motion
 from geomid_ros.excitation.search import Search, random_motion
 from geomid_ros.model.effects import AtJoint, OnRobot, effect_class
+from geomid_ros.model.samples import samples_of
 from geomid_ros.session.excitation import Wish
 from geomid_ros.session.open_questions import open_questions
 from geomid_ros.session.surroundings import Surroundings

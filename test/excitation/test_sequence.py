@@ -11,9 +11,10 @@ from geomid_ros.estimation.estimator import EstimatorSettings, estimate
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.excitation.criteria import weight_of
 from geomid_ros.excitation.feasibility import Feasibility
-from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Knowledge, known_before, samples_of
+from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Knowledge, known_before
 from geomid_ros.excitation.motion import Motion
 from geomid_ros.excitation.search import Search, expected_error, random_motion
+from geomid_ros.model.samples import samples_of
 from geomid_ros.types import FloatArray
 
 from .arm import small_task
