@@ -177,7 +177,7 @@ class Estimate:
 
     converged: bool
     reason: str
-    seconds: float
+    seconds: float = 0.0
     steps: int
     gamma: float
     rows_accepted: int

@@ -5,6 +5,7 @@ In all functions ``point`` is where it ended, on the ``manifold`` of the ``model
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import compress
 
 import numpy as np
@@ -18,7 +19,7 @@ from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.weighed_masses import WeighedRows
-from geomid_ros.types import BoolArray, FloatArray, frozen
+from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
 
 def links(
@@ -120,6 +121,12 @@ def effect_coordinates(model: MeasurementModel) -> tuple[EffectCoordinate, ...]:
         )
         for c in model.coefficients
     )
+
+
+def effect_columns(names: Iterable[str], first: int) -> dict[str, IntArray]:
+    """The columns of each effect at all of its places, by its name, where those of all ``names`` begin at ``first``."""
+    every = np.array(list(names))
+    return {name: first + np.flatnonzero(every == name) for name in dict.fromkeys(every.tolist())}
 
 
 def weighed(

@@ -8,7 +8,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.clearance import Distances, clearances_from, overlap
-from geomid_ros.excitation.knowledge import Knowledge
+from geomid_ros.excitation.knowledge import Belief
 from geomid_ros.excitation.limits import MotionLimits
 from geomid_ros.excitation.motion import Motion
 from geomid_ros.model.collision import CollisionModel
@@ -48,7 +48,7 @@ class Feasibility:
 
     def __init__(
         self,
-        knowledge: Knowledge,
+        knowledge: Belief,
         limits: MotionLimits,
         start: FloatArray,
         collision: CollisionModel | None = None,

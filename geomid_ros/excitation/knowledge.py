@@ -35,7 +35,7 @@ _OTHERS = (
 
 
 @dataclass(frozen=True, eq=False)
-class Knowledge:
+class Belief:
     """What is known before a motion.
 
     Attributes:
@@ -80,7 +80,7 @@ class Knowledge:
         flat = rows.reshape(-1, rows.shape[-1])
         return np.asarray(ROWS_PER_SECOND * duration / len(rows) * (flat.T @ flat))
 
-    def after(self, information: FloatArray) -> Knowledge:
+    def after(self, information: FloatArray) -> Belief:
         """What is known when that ``information (D, D)`` is added; the estimate itself stays."""
         covariance = covariance_of(self.precision + information)
         return replace(self, posterior=replace(self.posterior, covariance=frozen(covariance)))
@@ -106,7 +106,7 @@ def covariance_of(precision: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.inv(precision * np.outer(units, units)) * np.outer(units, units))
 
 
-def prior_knowledge(model: MeasurementModel, limits: MotionLimits) -> Knowledge:
+def prior_knowledge(model: MeasurementModel, limits: MotionLimits) -> Belief:
     """What a URDF says: inertias as sure as CAD's, effects of any size about the usual, or about
     what its <dynamics> say where that is more."""
     fastest = np.minimum(ACCELERATION_PER_SPEED * limits.velocity, limits.acceleration)
@@ -133,10 +133,10 @@ def prior_knowledge(model: MeasurementModel, limits: MotionLimits) -> Knowledge:
         prior=frozen(parameters),
         prior_spreads=frozen(spreads),
     )
-    return Knowledge(model, posterior, frozen(NOISE / _USUAL_SHARE * usual))
+    return Belief(model, posterior, frozen(NOISE / _USUAL_SHARE * usual))
 
 
-def known_before(model: MeasurementModel, posterior: Posterior, sigmas: Sequence[float], source: str) -> Knowledge:
+def known_before(model: MeasurementModel, posterior: Posterior, sigmas: Sequence[float], source: str) -> Belief:
     """What an estimate knows, of a model with the same links and effects.
 
     The order of the effects may be another. Raises InputError naming the ``source`` if it is of another robot.
@@ -147,7 +147,7 @@ def known_before(model: MeasurementModel, posterior: Posterior, sigmas: Sequence
         known = posterior.with_effects(effect_coordinates(model))
     except ValueError as error:
         raise InputError(_OTHERS.format(source, error)) from error
-    return Knowledge(model, known, frozen(sigmas))
+    return Belief(model, known, frozen(sigmas))
 
 
 def _channel_sizes(model: MeasurementModel, limits: MotionLimits, coefficients: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from geomid_ros.exports.drawn_robots import DrawnRobots
+from geomid_ros.exports.posterior_samples import DrawnRobots
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import effect_class
 from geomid_ros.model.effects.parameters import COM_ENTRIES

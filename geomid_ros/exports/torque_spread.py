@@ -8,7 +8,7 @@ import numpy as np
 
 from geomid_ros.estimation.suggested_motions import instants
 from geomid_ros.exports.descriptions import described_robot
-from geomid_ros.exports.drawn_robots import DrawnRobots
+from geomid_ros.exports.posterior_samples import DrawnRobots
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples

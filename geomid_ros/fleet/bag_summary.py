@@ -25,11 +25,11 @@ from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded, encoded
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.fitting import Fitting
 from geomid_ros.session.locking import read_with_locked
-from geomid_ros.session.recorded import Recorded
+from geomid_ros.session.recording_facts import Recorded
 from geomid_ros.session.recordings import Bags, read_bags
 from geomid_ros.session.session import Session
+from geomid_ros.session.training import Training
 
 _FITTED, _HELD_OUT, _BESIDE = "fitted", "held_out", "beside"
 
@@ -132,14 +132,14 @@ def summarise(text: str, source: str, configuration: Configuration, bags: Bags) 
 
 def _read(session: Session, bags: Bags) -> tuple[list[Samples], int, int]:
     """The samples to judge on, and the first and the last stamp of those that were fitted."""
-    fitting, stamps = Fitting(session), list[int]()
+    training, stamps = Training(session), list[int]()
 
     def fit(samples: Samples) -> None:
-        fitting.add(samples)
+        training.add(samples)
         stamps[:] = [*stamps[:1], int(samples.stamps[0]), int(samples.stamps[-1])]
 
     held_out = read_bags(session, bags, fit)
-    fitting.end()
+    training.end()
     return held_out, stamps[0], stamps[-1]
 
 

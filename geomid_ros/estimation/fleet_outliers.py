@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.estimation.population import FEWEST, SHARED, Evidence, Population, PopulationFit, common, linear
+from geomid_ros.estimation.population import FEWEST, SHARED, Population, PopulationFit, RobotLikelihood, common, linear
 from geomid_ros.estimation.posterior import manifold_of
 from geomid_ros.estimation.tolerances import LARGEST_STEP, LEAST_DEVIATION, ROUNDS, SETTLED
 from geomid_ros.types import FloatArray, IntArray
@@ -37,7 +37,7 @@ class Membership:
     unlike: tuple[str, ...]
 
 
-def population_and_members(robots: Sequence[Evidence]) -> tuple[Population, list[Membership]]:
+def population_and_members(robots: Sequence[RobotLikelihood]) -> tuple[Population, list[Membership]]:
     """The population of most of these robots, and who is of it; of few, all are.
 
     Raises:
@@ -60,7 +60,7 @@ def population_and_members(robots: Sequence[Evidence]) -> tuple[Population, list
         chosen = inside
 
 
-def _most_alike(robots: Sequence[Evidence]) -> tuple[int, ...]:
+def _most_alike(robots: Sequence[RobotLikelihood]) -> tuple[int, ...]:
     """The half of the robots whose estimates are nearest to the medians."""
     first = robots[0]
     manifold = manifold_of(first.links, first.effects, np.ones(len(first.scales)))
@@ -72,7 +72,7 @@ def _most_alike(robots: Sequence[Evidence]) -> tuple[int, ...]:
     return tuple(sorted(nearest[: max(FEWEST, len(robots) // 2 + 1)].tolist()))
 
 
-def _membership(population: Population, robot: Evidence) -> Membership:
+def _membership(population: Population, robot: RobotLikelihood) -> Membership:
     """How far a robot is from a population."""
     found, variance = _seen(population, robot)
     whole, _ = _distance(population, found, variance, np.arange(len(found)))
@@ -84,7 +84,7 @@ def _membership(population: Population, robot: Evidence) -> Membership:
     return Membership(member=not unlike, distance=float(np.sqrt(whole)), unlike=tuple(unlike))
 
 
-def _seen(population: Population, robot: Evidence) -> tuple[FloatArray, FloatArray]:
+def _seen(population: Population, robot: RobotLikelihood) -> tuple[FloatArray, FloatArray]:
     """A robot's tangent coordinates ``(D,)`` at the mean, by its data and the population, and the covariance ``(D, D)``
     that these have among robots of the population."""
     manifold, mean = population.manifold, population.point

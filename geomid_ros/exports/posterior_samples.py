@@ -18,8 +18,8 @@ from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.exports.descriptions import DESCRIPTIONS, as_described
 from geomid_ros.exports.formats import JSON
 from geomid_ros.exports.inertial import UncertainInertia
-from geomid_ros.exports.into import OwnMjcf, read_own_mjcf
 from geomid_ros.exports.model import Model, read_model
+from geomid_ros.exports.patch_mjcf import OwnMjcf, read_own_mjcf
 from geomid_ros.files.models.effect_forms import coefficient_entry, effect_entry, is_coefficient
 from geomid_ros.files.models.posterior import beside, read_posterior
 from geomid_ros.files.models.results import link_entry
