@@ -14,7 +14,8 @@ from geomid_ros.model.effects import Motion, MotionEffect, Place
 from geomid_ros.types import AnyArray, FloatArray, IntArray
 
 _PAUSE = 1.5  # sampling periods
-_WIDEST = np.pi  # [rad, m] of random positions
+WIDEST = np.pi
+"""[rad, m] to either side, where a joint has no ends."""
 ACCELERATION_PER_SPEED = 4.0
 """[1/s] of usual motion."""
 PIECE = 1000
@@ -148,7 +149,7 @@ def random_states(
 ) -> FloatArray:
     """Random positions, velocities and accelerations ``(3, count, J)``: between position ``limits (J, 2)`` and within a
     turn, and as fast in either direction as ``velocity (J,)`` and ``acceleration (J,)`` at most."""
-    low, high = np.clip(limits, -_WIDEST, _WIDEST).T
+    low, high = np.clip(limits, -WIDEST, WIDEST).T
     position = random.uniform(low, high, (count, len(low)))
     return np.array([position, *(random.uniform(-1.0, 1.0, (2, *position.shape)) * [[velocity], [acceleration]])])
 

@@ -13,11 +13,10 @@ from geomid_ros.excitation.criteria import PREDICTION, meaning_of, weight_of
 from geomid_ros.excitation.feasibility import Feasibility, Margins
 from geomid_ros.excitation.knowledge import Belief, known_before, prior_knowledge
 from geomid_ros.excitation.learning import Learning, expected_learning
-from geomid_ros.excitation.limits import MotionLimits, motion_limits
+from geomid_ros.excitation.limits import MotionLimits, motion_limits, starts
 from geomid_ros.excitation.motion import Motion, MotionForm
 from geomid_ros.excitation.rivals import DECIDED, DiscriminationCriterion, deciding_motion
 from geomid_ros.excitation.search import Search, expected_error, other_motions, random_feasible
-from geomid_ros.excitation.start import starts
 from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.files.models.joint_limits import read_joint_limits
 from geomid_ros.files.models.posterior import beside, read_posterior
