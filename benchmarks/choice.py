@@ -12,7 +12,7 @@ from benchmarks.human import human_problem
 from benchmarks.measured_data import CASES
 from benchmarks.problem import measured
 from benchmarks.report import Report
-from geomid_ros.estimation.rows import best_weight, choose_gamma, held_out_losses
+from geomid_ros.estimation.paper_estimator import best_weight, choose_gamma, held_out_losses
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray

@@ -16,7 +16,7 @@ from scipy.stats import norm
 from benchmarks.report import Report
 from benchmarks.simulated_arm import FRESH, MOTIONS, Arm, Run, arm, identified, noise, truth
 from geomid_ros.estimation.estimate import QUANTITIES, Estimate
-from geomid_ros.estimation.rows import PAPER
+from geomid_ros.estimation.paper_estimator import PAPER
 from geomid_ros.geometry.pseudo_inertia import inertia_entries, quantities_of
 from geomid_ros.types import FloatArray
 

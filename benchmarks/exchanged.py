@@ -37,10 +37,10 @@ from geomid_ros.files.bags.bag import Bag
 from geomid_ros.model.effects import DEFAULT_EFFECTS
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.fitting import Fitting
 from geomid_ros.session.locking import read_with_locked
 from geomid_ros.session.recordings import read_samples
 from geomid_ros.session.session import Session
+from geomid_ros.session.training import Training
 from geomid_ros.types import IntArray
 
 SETS = tuple(name for name in CASES if name != "human")
@@ -170,9 +170,9 @@ def agreement(one: Estimate, other: Estimate) -> tuple[int, int]:
 
 def solved(session: Session, split: Split) -> tuple[float, Estimate]:
     """Sum over channels of the RMS on the test part, and the estimate from the other."""
-    fitting = Fitting(session)
+    training = Training(session)
     for samples in split.train:
-        fitting.add(samples)
+        training.add(samples)
     estimate = session.identifier.solve()
     return float(np.nansum(session.rms(split.test, estimate.parameters))), estimate
 

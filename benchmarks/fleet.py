@@ -28,13 +28,13 @@ import numpy as np
 
 from benchmarks.report import Report
 from geomid_ros.estimation.estimator import EstimatorSettings
-from geomid_ros.estimation.members import population_and_members
-from geomid_ros.estimation.population import Evidence
+from geomid_ros.estimation.fleet_outliers import population_and_members
+from geomid_ros.estimation.population import RobotLikelihood
 from geomid_ros.estimation.summary import RowSummary, SummaryState
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.fleet.bag_summary import summarise, total
 from geomid_ros.fleet.cluster import Cluster
-from geomid_ros.fleet.plan import Plan
+from geomid_ros.fleet.plan import FleetPlan
 from geomid_ros.fleet.recordings import find_bags
 from geomid_ros.fleet.store import Store
 from geomid_ros.fleet.work import summarise_bag
@@ -162,11 +162,11 @@ def _nothing() -> None:
     return None
 
 
-def _plan() -> Plan:
-    return Plan(description=read_urdf(_URDF), source=str(_URDF), given={}, topics=Topics("joint_states", "odom"))
+def _plan() -> FleetPlan:
+    return FleetPlan(description=read_urdf(_URDF), source=str(_URDF), given={}, topics=Topics("joint_states", "odom"))
 
 
-def _store(folder: str, plan: Plan) -> Store:
+def _store(folder: str, plan: FleetPlan) -> Store:
     store = Store(folder)
     store.put(plan.name, json.dumps(plan.document).encode())
     return store
@@ -316,8 +316,8 @@ def prior(report: Report, _: Path) -> None:
         )
         report.result(f"ratio with {seconds:g} s", by_population / by_urdf)
     calm, _ = population_and_members(robots[:-1])
-    tool = Evidence.of(solved(kind.recorded(with_tool(kind.robot(19), 1.0), 19, 10.0)))
-    stranger = Evidence.of(solved(other.recorded(other.robot(19), 19, 10.0)))
+    tool = RobotLikelihood.of(solved(kind.recorded(with_tool(kind.robot(19), 1.0), 19, 10.0)))
+    stranger = RobotLikelihood.of(solved(other.recorded(other.robot(19), 19, 10.0)))
     for what, robot in (("a tool of 1 kg left on", tool), ("a robot of another type", stranger)):
         found, members = population_and_members([*robots[:-1], robot])
         mean = calm.manifold.log(calm.point, found.point) / np.sqrt(np.diag(calm.covariance))

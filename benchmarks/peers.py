@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 
 from benchmarks.problem import Problem
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
-from geomid_ros.estimation.rows import PAPER, solve_rows
+from geomid_ros.estimation.paper_estimator import PAPER, solve_rows
 from geomid_ros.estimation.solvers import cyclic, trust_region
 from geomid_ros.geometry import pseudo_inertia, symmetric
 from geomid_ros.geometry.manifold import ParameterManifold

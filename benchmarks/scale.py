@@ -15,7 +15,7 @@ from benchmarks.peers import method
 from benchmarks.problem import Problem
 from benchmarks.report import Report
 from benchmarks.simulated_person import simulated_person
-from geomid_ros.estimation.rows import PAPER
+from geomid_ros.estimation.paper_estimator import PAPER
 from geomid_ros.geometry.pseudo_inertia import SIZE
 
 _METHODS = ("trust_region (19)", "trust_region (19), rows compressed", "residual (Remark 3)")

@@ -16,7 +16,7 @@ from benchmarks.problem import Problem
 from benchmarks.report import Report
 from benchmarks.simulated_person import simulated_person
 from geomid_ros.estimation.estimator import WarmStart
-from geomid_ros.estimation.rows import PAPER, solve_rows
+from geomid_ros.estimation.paper_estimator import PAPER, solve_rows
 from geomid_ros.estimation.solvers import cyclic, trust_region
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.urdf import read_urdf

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from geomid_ros.api.sample import SampledRobots, sample
     from geomid_ros.api.verify import Verification, verify
     from geomid_ros.errors import GeomidError, InputError
-    from geomid_ros.estimation.rows import RowsSolution, solve_rows
+    from geomid_ros.estimation.paper_estimator import RowsSolution, solve_rows
     from geomid_ros.exports.weighed_payload import Payload
     from geomid_ros.model.effects import Effect, JointEffect, JointMotion, ParameterForm, register
 
@@ -90,7 +90,7 @@ _NAMES = {
     "geomid_ros.api.sample": ("SampledRobots", "sample"),
     "geomid_ros.api.verify": ("Verification", "verify"),
     "geomid_ros.errors": ("GeomidError", "InputError"),
-    "geomid_ros.estimation.rows": ("RowsSolution", "solve_rows"),
+    "geomid_ros.estimation.paper_estimator": ("RowsSolution", "solve_rows"),
     "geomid_ros.model.effects": ("Effect", "JointEffect", "JointMotion", "ParameterForm", "register"),
     "geomid_ros.exports.weighed_payload": ("Payload",),
 }

@@ -31,11 +31,11 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.monitoring.change_detection import BLOCK, ChangeDetector
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.fitting import Fitting
 from geomid_ros.session.gap import Recordings, find, gap_cutoff, gap_pipeline, gap_session, rate
+from geomid_ros.session.ledger_findings import faulty_streams
 from geomid_ros.session.recordings import HELD_OUT, Topics, divided, read_samples
 from geomid_ros.session.session import Session
-from geomid_ros.session.streams import faulty_streams
+from geomid_ros.session.training import Training
 from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.simulation.robots import robot_description
 
@@ -94,9 +94,9 @@ def _estimated(estimate: Estimate, held_out: float) -> Figures:
 
 
 def _solve(session: Session, train: Sequence[Samples], test: Sequence[Samples]) -> tuple[Estimate, float]:
-    fitting = Fitting(session)
+    training = Training(session)
     for samples in train:
-        fitting.add(samples)
+        training.add(samples)
     estimate = session.identifier.solve()
     return estimate, float(np.nansum(session.rms(test, estimate.parameters)))
 
@@ -273,9 +273,9 @@ def _wrenches() -> Iterator[Case]:
 
             def run(planted: _Planted = planted, samples: Samples = samples) -> Figures:
                 session = planted.session()
-                fitting = Fitting(session)
-                fitting.add(samples)
-                fitting.end()
+                training = Training(session)
+                training.add(samples)
+                training.end()
                 return {"said": _words("; ".join(finding.sentence for finding in session.findings))}
 
             yield Case("wrenches", f"{fault.name} {size}", run)

@@ -10,10 +10,10 @@ from benchmarks.excite.robots import Recorded, identified, predicted_error, reco
 from benchmarks.report import Report
 from geomid_ros.excitation.criteria import weight_of
 from geomid_ros.excitation.feasibility import Feasibility
-from geomid_ros.excitation.knowledge import Knowledge, known_before
+from geomid_ros.excitation.knowledge import Belief, known_before
 from geomid_ros.excitation.motion import Motion, MotionForm
 from geomid_ros.excitation.search import Search, expected_error, other_motions, random_feasible
-from geomid_ros.session.excitation import Task
+from geomid_ros.session.excitation import DesignTask
 from geomid_ros.types import FloatArray
 
 _RANDOM = 60
@@ -55,21 +55,21 @@ def against_random(report: Report, robots: list[str], seconds: float, truths: in
     report.table(f"Error of predicted efforts in units of noise, {truths} truths", headings, rows, caption)
 
 
-def _weight(own: Task, knowledge: Knowledge, random: np.random.Generator) -> FloatArray:
+def _weight(own: DesignTask, knowledge: Belief, random: np.random.Generator) -> FloatArray:
     others = other_motions(own.feasibility, own.form, random, _EXPECTED)
     return weight_of("prediction", knowledge, others)
 
 
-def _designed(own: Task, weight: FloatArray, random: np.random.Generator) -> Motion:
+def _designed(own: DesignTask, weight: FloatArray, random: np.random.Generator) -> Motion:
     return Search(own.feasibility, own.form, expected_error(own.feasibility, weight, own.form)).run(random)
 
 
-def _expected(knowledge: Knowledge, weight: FloatArray, motion: Motion) -> float:
+def _expected(knowledge: Belief, weight: FloatArray, motion: Motion) -> float:
     after = knowledge.after(knowledge.information(motion))
     return float(np.sqrt(np.sum(weight * after.posterior.covariance)))
 
 
-def _errors(knowledge: Knowledge, motions: list[Motion], others: list[Motion], truths: int) -> list[float]:
+def _errors(knowledge: Belief, motions: list[Motion], others: list[Motion], truths: int) -> list[float]:
     errors = []
     for seed in range(truths):
         random = np.random.default_rng(seed)
@@ -84,7 +84,7 @@ class _Poor:
     """A recording from which little is known, and what an estimate makes of it."""
 
     recording: Recorded
-    knowledge: Knowledge
+    knowledge: Belief
 
 
 def after_poor_data(report: Report, robots: list[str], seconds: float, truths: int) -> None:
@@ -121,11 +121,11 @@ def after_poor_data(report: Report, robots: list[str], seconds: float, truths: i
     report.table(f"Error of predicted efforts after 60 s of pick and place, {truths} truths", headings, rows, caption)
 
 
-def _error_after(knowledge: Knowledge, recordings: list[Recorded], true: FloatArray, others: list[Motion]) -> float:
+def _error_after(knowledge: Belief, recordings: list[Recorded], true: FloatArray, others: list[Motion]) -> float:
     return predicted_error(knowledge, identified(knowledge, recordings).parameters, true, others)
 
 
-def _pick_and_place(own: Task, true: FloatArray, random: np.random.Generator) -> _Poor:
+def _pick_and_place(own: DesignTask, true: FloatArray, random: np.random.Generator) -> _Poor:
     """A minute of the same two small motions to and fro."""
     form = MotionForm(period=6.0, slow_share=0.999, repeats=10)
     motion = Motion(form, own.feasibility.start, random.standard_normal((form.size, len(own.feasibility.start))))
@@ -140,7 +140,7 @@ def _pick_and_place(own: Task, true: FloatArray, random: np.random.Generator) ->
     )
 
 
-def _knowing(own: Task, knowledge: Knowledge) -> Task:
+def _knowing(own: DesignTask, knowledge: Belief) -> DesignTask:
     """The task of one who knows that."""
     before = own.feasibility
     feasibility = Feasibility(knowledge, before.limits, before.start, before.collision)

@@ -12,11 +12,12 @@ import numpy as np
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, estimate
 from geomid_ros.estimation.summary import RowSummary
-from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Knowledge, samples_of
+from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Belief
 from geomid_ros.excitation.motion import Motion
+from geomid_ros.model.samples import samples_of
+from geomid_ros.session.collision_scene import Surroundings
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.excitation import Task, Wish, task_of
-from geomid_ros.session.surroundings import Surroundings
+from geomid_ros.session.excitation import DesignTask, MotionRequest, task_of
 from geomid_ros.types import FloatArray
 
 PACKAGE = "example-robot-data"
@@ -50,20 +51,20 @@ def description(robot: str) -> Description:
     return Description(file.read_text(encoding="utf-8"), file, package, tuple(filter(None, [locked])))
 
 
-def wish(robot: str, seconds: float, seed: int = 0, aim: str = "prediction") -> Wish:
+def wish(robot: str, seconds: float, seed: int = 0, aim: str = "prediction") -> MotionRequest:
     """One period of a design for a robot."""
     around = Surroundings(packages={PACKAGE: description(robot).package})
-    return Wish(duration=seconds, repeats=1, surroundings=around, seed=seed, aim=aim)
+    return MotionRequest(duration=seconds, repeats=1, surroundings=around, seed=seed, aim=aim)
 
 
-def task(robot: str, asked: Wish) -> Task:
+def task(robot: str, asked: MotionRequest) -> DesignTask:
     """What a search needs."""
     own = description(robot)
     configuration = Configuration({"locked_joints": list(own.locked)}, "benchmark")
     return task_of(own.text, own.path, configuration, asked)
 
 
-def truth(prior: Knowledge, random: np.random.Generator) -> FloatArray:
+def truth(prior: Belief, random: np.random.Generator) -> FloatArray:
     """Parameters ``(D,)``: links at geodesic distances, effects of any usual size."""
     posterior = prior.posterior
     tangent = random.standard_normal(prior.model.dimension)
@@ -81,7 +82,7 @@ class Recorded:
     measured: FloatArray
 
 
-def recorded(knowledge: Knowledge, motion: Motion, true: FloatArray, random: np.random.Generator) -> Recorded:
+def recorded(knowledge: Belief, motion: Motion, true: FloatArray, random: np.random.Generator) -> Recorded:
     """A motion that a robot ran, with white noise."""
     count = int(np.ceil(ROWS_PER_SECOND * motion.form.duration))
     times = (np.arange(count) + 0.5) * motion.form.duration / count
@@ -90,7 +91,7 @@ def recorded(knowledge: Knowledge, motion: Motion, true: FloatArray, random: np.
     return Recorded(rows, rows @ true + noise)
 
 
-def identified(knowledge: Knowledge, recordings: list[Recorded]) -> Estimate:
+def identified(knowledge: Belief, recordings: list[Recorded]) -> Estimate:
     """The estimate from some recordings."""
     summary = RowSummary(knowledge.model.channels)
     for recording in recordings:
@@ -99,7 +100,7 @@ def identified(knowledge: Knowledge, recordings: list[Recorded]) -> Estimate:
     return estimate(knowledge.model, summary, EstimatorSettings())
 
 
-def predicted_error(knowledge: Knowledge, parameters: FloatArray, true: FloatArray, others: list[Motion]) -> float:
+def predicted_error(knowledge: Belief, parameters: FloatArray, true: FloatArray, others: list[Motion]) -> float:
     """RMS error of the efforts on other motions, in units of the noise."""
     squares = []
     for motion in others:

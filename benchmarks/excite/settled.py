@@ -16,15 +16,16 @@ import numpy as np
 
 from benchmarks.excite.robots import SPREAD, task, wish
 from benchmarks.report import Report
-from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, samples_of
+from geomid_ros.excitation.knowledge import ROWS_PER_SECOND
 from geomid_ros.excitation.motion import Motion
 from geomid_ros.excitation.response import Responses
-from geomid_ros.excitation.rivals import DECIDED, Judge, deciding_motion
+from geomid_ros.excitation.rivals import DECIDED, DiscriminationCriterion, deciding_motion
 from geomid_ros.excitation.search import random_feasible
 from geomid_ros.model.effects import OnLink, joints_of
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.session.excitation import Task
-from geomid_ros.session.open_questions import open_questions
+from geomid_ros.model.samples import samples_of
+from geomid_ros.session.excitation import DesignTask
+from geomid_ros.session.rival_effects import open_questions
 from geomid_ros.types import FloatArray
 
 ROBOTS = ("panda", "ur10")
@@ -75,7 +76,7 @@ def settled(report: Report, seconds: float, folder: Path) -> None:
     report.result("settled", total)
 
 
-def _outcomes(own: Task, case: Case, folder: Path) -> list[tuple[list[str], dict[str, int]]]:
+def _outcomes(own: DesignTask, case: Case, folder: Path) -> list[tuple[list[str], dict[str, int]]]:
     random = np.random.default_rng(3)
     others = [random_feasible(own.feasibility, own.form, random) for _ in range(3)]
     judge = _sized(own, case, others, folder)
@@ -99,7 +100,7 @@ def _repeated(motion: Motion, times: int) -> Motion:
     return Motion(replace(motion.form, repeats=times), motion.start, motion.coefficients)
 
 
-def _sized(own: Task, case: Case, others: list[Motion], folder: Path) -> Judge:
+def _sized(own: DesignTask, case: Case, others: list[Motion], folder: Path) -> DiscriminationCriterion:
     """The judge of a finding that is so large that random motions leave it open."""
     low, high = -7.0, 7.0  # of the logarithm of its size
     for _ in range(10):
@@ -111,7 +112,7 @@ def _sized(own: Task, case: Case, others: list[Motion], folder: Path) -> Judge:
     return judge
 
 
-def _judge(own: Task, case: Case, factor: float, folder: Path) -> Judge:
+def _judge(own: DesignTask, case: Case, factor: float, folder: Path) -> DiscriminationCriterion:
     names = own.feasibility.names
 
     def place(index: int | None) -> str:
@@ -130,7 +131,7 @@ def _judge(own: Task, case: Case, factor: float, folder: Path) -> Judge:
     return open_questions(own.feasibility, path)[0]
 
 
-def _score(own: Task, judge: Judge, case: Case, motion: Motion, true_is_found: bool) -> float:
+def _score(own: DesignTask, judge: DiscriminationCriterion, case: Case, motion: Motion, true_is_found: bool) -> float:
     """By how much the score of what is true is better: -2 log p with a penalty for each coefficient."""
     random = np.random.default_rng([1, true_is_found])
     model, sigmas = own.knowledge.model.without_effects(), own.knowledge.sigmas

@@ -55,7 +55,7 @@ def beside(model: PathLike) -> Path:
     return Path(model).parent / "identified.urdf"
 
 
-class Description(NamedTuple):
+class DescribedRobot(NamedTuple):
     """The ``text`` of a URDF, its ``source``, and ``notes`` on where it was found if nobody named it."""
 
     text: str
@@ -65,7 +65,7 @@ class Description(NamedTuple):
 
 def description(
     urdf: PathLike | None, bags: Sequence[Path], *, model: PathLike | None = None, xacro_args: Texts = ()
-) -> Description:
+) -> DescribedRobot:
     """The robot description.
 
     Args:
@@ -79,15 +79,15 @@ def description(
         InputError: there is none, or the file cannot be read.
     """
     if isinstance(urdf, str) and urdf.lstrip().startswith("<"):
-        return Description(urdf, "robot description")
+        return DescribedRobot(urdf, "robot description")
     if urdf is not None and Path(urdf).suffix == SUFFIX:
-        return Description(urdf_of_xacro(Path(urdf), texts(xacro_args)), str(urdf))
+        return DescribedRobot(urdf_of_xacro(Path(urdf), texts(xacro_args)), str(urdf))
     if xacro_args:
         raise InputError(f"arguments for xacro are given, and {urdf or 'no file'} is not a {SUFFIX} file")
     if urdf is not None:
-        return Description(read_urdf(Path(urdf)), str(urdf))
+        return DescribedRobot(read_urdf(Path(urdf)), str(urdf))
     if model is not None and (own := beside(model)).is_file():
         text, source = read_urdf(own), str(own)
     else:
         text, source = recorded_description(bags)
-    return Description(text, source, (f"no --urdf is given: using the description of {source}",))
+    return DescribedRobot(text, source, (f"no --urdf is given: using the description of {source}",))

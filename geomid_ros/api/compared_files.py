@@ -30,7 +30,7 @@ from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
 
-class Errors(NamedTuple):
+class FileErrors(NamedTuple):
     """RMS of what a side leaves by channel, with its unit, and why that is not to be believed."""
 
     errors: Mapping[str, tuple[float, str]]
@@ -150,7 +150,7 @@ def joined(sides: Sequence[Mapping[str, tuple[float, str]]]) -> list[ChannelErro
     ]
 
 
-def judged_on(side: Side, urdf: PathLike | None, bags: Paths, options: RobotKeywords, progress: Progress) -> Errors:
+def judged_on(side: Side, urdf: PathLike | None, bags: Paths, options: RobotKeywords, progress: Progress) -> FileErrors:
     """What a side leaves of recordings."""
     if isinstance(side, Result):
         chosen = RobotOptions(urdf=urdf, **options)
@@ -162,7 +162,7 @@ def judged_on(side: Side, urdf: PathLike | None, bags: Paths, options: RobotKeyw
         session, samples = read_to_judge(chosen, bags, progress, effects=names)
         parameters = _with_effects(session, side)
     errors = zip(session.model.channels, session.rms(samples, parameters).tolist(), strict=True)
-    return Errors({channel.name: (error, channel.unit) for channel, error in errors}, doubts_of(session))
+    return FileErrors({channel.name: (error, channel.unit) for channel, error in errors}, doubts_of(session))
 
 
 def _with_effects(session: Session, model: Model) -> FloatArray:

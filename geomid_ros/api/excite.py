@@ -7,17 +7,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from geomid_ros.api.arguments import Description, PathLike, Texts, texts
+from geomid_ros.api.arguments import DescribedRobot, PathLike, Texts, texts
 from geomid_ros.api.options import RobotOptions
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.criteria import PREDICTION
 from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.report.excitation import save
 from geomid_ros.session import excitation
+from geomid_ros.session.collision_scene import Surroundings
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.excitation import Excitation, Wish
+from geomid_ros.session.excitation import Excitation, MotionRequest
 from geomid_ros.session.recordings import Progress, silent
-from geomid_ros.session.surroundings import Surroundings
 
 _SHORTEST, _LONGEST, _MOST_REPEATS = 2.0, 600.0, 20
 
@@ -101,7 +101,7 @@ def excite(
     """
     _check(duration, repeats, speed, clearance)
     robot, known = robot_to_excite(RobotOptions(urdf=urdf, xacro_args=xacro_args, lock=lock, wrench=wrench), model)
-    wish = Wish(
+    wish = MotionRequest(
         limits=None if limits is None else Path(limits),
         duration=duration,
         repeats=repeats,
@@ -129,14 +129,16 @@ def _check(duration: float, repeats: int, speed: float, clearance: float) -> Non
             raise InputError(f"{name} is {value:g}, expected a number {expected}")
 
 
-def robot_to_excite(options: RobotOptions, model: PathLike | None) -> tuple[Description, Configuration]:
+def robot_to_excite(options: RobotOptions, model: PathLike | None) -> tuple[DescribedRobot, Configuration]:
     """The robot to design motions for, and what is known of it. Raises InputError where none is given."""
     if options.urdf is None and model is None:
         raise InputError("no robot is given: add --urdf ROBOT.urdf (or --from estimate.json, with identified.urdf)")
     return options.description([], model), options.configuration(model)
 
 
-def designed_motion(robot: Description, known: Configuration, wish: Wish, progress: Progress = silent) -> MotionDesign:
+def designed_motion(
+    robot: DescribedRobot, known: Configuration, wish: MotionRequest, progress: Progress = silent
+) -> MotionDesign:
     """Design a motion as it is wished for, from what is ``known`` of a robot."""
     task = excitation.task_of(robot.text, Path(robot.source), known, wish)
     return MotionDesign(excitation.design(task, wish, progress))

@@ -11,8 +11,8 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.exports.descriptions import DESCRIPTIONS, Whole
 from geomid_ros.exports.formats import CONTROLLERS
 from geomid_ros.exports.inertial import Export
-from geomid_ros.exports.into import into_mjcf
 from geomid_ros.exports.model import Model, read_model
+from geomid_ros.exports.patch_mjcf import into_mjcf
 from geomid_ros.exports.payload import attached, chosen, difference, each_link
 from geomid_ros.files.models.readers import INTO
 

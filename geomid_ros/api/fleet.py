@@ -11,14 +11,14 @@ from typing import Unpack
 from geomid_ros.api.arguments import PathLike
 from geomid_ros.api.options import RobotKeywords, RobotOptions
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
-from geomid_ros.estimation.members import population_and_members
-from geomid_ros.estimation.population import FEWEST, Evidence, Population
+from geomid_ros.estimation.fleet_outliers import population_and_members
+from geomid_ros.estimation.population import FEWEST, Population, RobotLikelihood
 from geomid_ros.files.models.population import write_population
 from geomid_ros.files.models.results import read_estimate
 from geomid_ros.fleet.changes import changes
 from geomid_ros.fleet.cluster import Cluster
-from geomid_ros.fleet.fleet import Fleet, Robot
-from geomid_ros.fleet.plan import Plan
+from geomid_ros.fleet.fleet import Fleet, FleetRobot
+from geomid_ros.fleet.plan import FleetPlan
 from geomid_ros.fleet.recordings import find_bags, on_this_disk
 from geomid_ros.fleet.store import Store
 from geomid_ros.report.fleet_page import FleetPage, RobotLine, write_fleet_page
@@ -89,7 +89,7 @@ def identify_fleet(
             described = chosen.description([path])
     else:
         described = chosen.description([])
-    plan = Plan(
+    plan = FleetPlan(
         description=described.text,
         source=described.source,
         given=chosen.configuration().given,
@@ -121,7 +121,9 @@ def identify_fleet(
     return FleetIdentification(lines=ordered, bad=bad, doubtful=doubtful, files=files)
 
 
-def _written(fleet: Fleet, robot: Robot, folder: Path, since: Path | None) -> tuple[RobotLine, Evidence | None]:
+def _written(
+    fleet: Fleet, robot: FleetRobot, folder: Path, since: Path | None
+) -> tuple[RobotLine, RobotLikelihood | None]:
     """The line of a robot, whose files are written, and what it says of its type, if its result can be used."""
     if not robot.kept:
         line = RobotLine(name=robot.name, bags=len(robot.bags), used=0, verdict="no estimate", reasons=(robot.error,))
@@ -144,7 +146,7 @@ def _written(fleet: Fleet, robot: Robot, folder: Path, since: Path | None) -> tu
     return line, results.evidence if word == USABLE else None
 
 
-def _in_words(what: str, robot: Evidence, population: Population) -> str:
+def _in_words(what: str, robot: RobotLikelihood, population: Population) -> str:
     """In what a robot is unlike the others: a link with its mass, or an effect."""
     if what not in robot.links:
         return what.replace("_", " ")

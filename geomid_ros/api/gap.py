@@ -14,7 +14,7 @@ from geomid_ros.api.options import RecordingKeywords, RecordingOptions
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, recording_verdict
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.exports.descriptions import DESCRIPTIONS, Whole, as_described
-from geomid_ros.exports.handover import Judged, file_name, judge
+from geomid_ros.exports.handover import JudgedFile, file_name, judge
 from geomid_ros.exports.model import read_model
 from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.effect_forms import effect_entry
@@ -71,7 +71,7 @@ class Gap:
         return self.result.findings
 
     @cached_property
-    def handover(self) -> Judged | None:
+    def handover(self) -> JudgedFile | None:
         """How well the description for :attr:`reader` predicts the held-out samples, loaded by the program that reads
         it; None beside a simulator of the user's, which has the rest.
 

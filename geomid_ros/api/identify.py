@@ -15,8 +15,8 @@ from geomid_ros.api.origin import origin
 from geomid_ros.checks.verdict import DOUBTFUL, Verdict
 from geomid_ros.errors import unknown_name
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
-from geomid_ros.estimation.telling_motions import telling_motions
-from geomid_ros.exports.handover import HandedOver, Judged
+from geomid_ros.estimation.suggested_motions import suggested_motions
+from geomid_ros.exports.handover import HandedOver, JudgedFile
 from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.effect_forms import unsaid
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
@@ -30,10 +30,10 @@ from geomid_ros.report.identification_page import IdentificationPage, write_iden
 from geomid_ros.report.series import Series
 from geomid_ros.report.sheet import write_picture
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.fitting import Fitting
 from geomid_ros.session.locking import read_with_locked
 from geomid_ros.session.recordings import Bags, Progress, read_bags, read_fitted, silent
 from geomid_ros.session.session import Session
+from geomid_ros.session.training import Training
 from geomid_ros.types import FloatArray
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ class Identification:
         return HandedOver(self.session, self.estimate, self.reader, {})
 
     @cached_property
-    def handover(self) -> Judged:
+    def handover(self) -> JudgedFile:
         """How well that description predicts what is judged on, loaded again by the program that reads it.
 
         Raises:
@@ -183,7 +183,7 @@ class Identification:
     @cached_property
     def _telling(self) -> dict[str, dict[str, list[str]]]:
         """By link and motion, the quantities that it would identify."""
-        return telling_motions(self.session.model, self.estimate)
+        return suggested_motions(self.session.model, self.estimate)
 
     def urdf(self) -> str:
         """The robot description with the identified inertias and friction; every other character is kept."""
@@ -367,13 +367,13 @@ def _parameters(
 
 def _read(session: Session, bags: Bags, progress: Progress) -> tuple[list[Samples], list[Samples]]:
     """The samples that are held out, and those to judge on: the same, or all that were fitted."""
-    fitting, train = Fitting(session), list[Samples]()
+    training, train = Training(session), list[Samples]()
 
     def fit(samples: Samples) -> None:
-        fitting.add(samples)
+        training.add(samples)
         if not bags.holds_out:
             train.append(samples)
 
     held_out = read_bags(session, bags, fit, progress)
-    fitting.end()
+    training.end()
     return held_out, held_out or train

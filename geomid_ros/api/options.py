@@ -7,7 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias, TypedDict
 
-from geomid_ros.api.arguments import Config, Description, PathLike, Paths, Texts, bag_paths, description, entries, texts
+from geomid_ros.api.arguments import (
+    Config,
+    DescribedRobot,
+    PathLike,
+    Paths,
+    Texts,
+    bag_paths,
+    description,
+    entries,
+    texts,
+)
 from geomid_ros.errors import InputError
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.configuration import Configuration
@@ -82,7 +92,7 @@ class RobotOptions:
         """The topics that recordings are read from."""
         return Topics(self.joint_topic, self.odom_topic)
 
-    def description(self, bags: Sequence[Path], model: PathLike | None = None) -> Description:
+    def description(self, bags: Sequence[Path], model: PathLike | None = None) -> DescribedRobot:
         """The robot description, see :func:`~geomid_ros.api.arguments.description`."""
         return description(self.urdf, bags, model=model, xacro_args=self.xacro_args)
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from geomid_ros.api.arguments import PathLike
 from geomid_ros.api.export import check_into
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.exports.drawn_robots import DrawnRobots, described, draw_robots
 from geomid_ros.exports.formats import JSON
+from geomid_ros.exports.posterior_samples import DrawnRobots, described, draw_robots
 from geomid_ros.exports.ranges import ranges_text
 from geomid_ros.exports.torque_spread import TorqueSpread, torque_spread
 from geomid_ros.files.disk import write_text

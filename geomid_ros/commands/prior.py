@@ -122,21 +122,9 @@ def _draw(path: Path, robot: Robot, result: ShapePrior) -> None:
     """The links in the robot's zero pose."""
     import numpy as np
 
-    from geomid_ros.model.samples import Samples
+    from geomid_ros.model.samples import samples_of
     from geomid_ros.report.prior_picture import PlacedLink, prior_picture
 
-    none, zero = np.zeros((1, 0)), np.zeros((1, len(robot.joints)))
-    pose = Samples(
-        stamps=np.zeros(1, dtype=np.int64),
-        position=zero,
-        velocity=zero,
-        acceleration=zero,
-        effort=zero,
-        base_pose=none,
-        base_velocity=none,
-        base_acceleration=none,
-        wrenches=np.zeros((1, 0, 6)),
-    )
-    frames = robot.link_frames(pose)
+    frames = robot.link_frames(samples_of(np.zeros((3, 1, len(robot.joints)))))
     title = f"{robot.name}: {result.mass:.4g} kg in shapes of {result.density:.4g} kg/m³"
     prior_picture(path, title, [PlacedLink(link, *frames[link.name]) for link in result.links])

@@ -9,6 +9,8 @@ import numpy as np
 
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.model.effects import Quantity
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
 QUANTITIES = ("mass", "com x", "com y", "com z", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
@@ -175,7 +177,7 @@ class Estimate:
 
     converged: bool
     reason: str
-    seconds: float
+    seconds: float = 0.0
     steps: int
     gamma: float
     rows_accepted: int
@@ -195,3 +197,27 @@ class Estimate:
     known: tuple[WeighedEstimate, ...] = ()
     within: Mapping[str, FloatArray] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+
+
+def effort_deviations(model: MeasurementModel, samples: Samples, estimate: Estimate) -> FloatArray:
+    """Standard deviations of the efforts that an estimate predicts, as its parameters are unsure together.
+
+    What sensors and the robot do beside the model, ``estimate.sigmas``, is not in them.
+
+    Args:
+        model: That the estimate is of.
+        samples: N samples.
+        estimate: With the parameters and their posterior.
+
+    Returns:
+        ``(N, joints)``, NaN for joints whose effort is not measured.
+    """
+    first = 10 * len(model.identified)
+    columns = np.append(np.arange(first), first + np.flatnonzero(estimate.parameters[first:]))  # zero: left out
+    deviations = np.full(samples.effort.shape, np.nan)
+    efforts = list(model.layout.efforts)
+    if efforts:
+        rows = model.rows(samples).coefficients[:, efforts][:, :, columns]
+        variances = np.sum((rows @ estimate.posterior.parameter_covariance) * rows, axis=2)
+        deviations[:] = np.sqrt(np.maximum(variances, 0.0))
+    return deviations

@@ -5,6 +5,7 @@ In all functions ``point`` is where it ended, on the ``manifold`` of the ``model
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import compress
 
 import numpy as np
@@ -18,7 +19,7 @@ from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.weighed_masses import WeighedRows
-from geomid_ros.types import BoolArray, FloatArray, frozen
+from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
 
 def links(
@@ -36,13 +37,13 @@ def links(
     ``usual``: spreads of the links' priors ``(links,)``; ``outliers``: the links that left them ``(links,)``.
     """
     parameters = pseudo_inertia.to_parameters(point.pseudo_inertias)
-    sensitivity = np.concatenate([uncertainty.physical_sensitivity(point), point.links_jacobian[:, 1:4]], axis=1)
+    sensitivity = sensitivity_of_numbers(point)
     distances = spd.distance(prior.pseudo_inertias, point.pseudo_inertias)
     ratios = spd.relative_eigenvalues(prior.pseudo_inertias, point.pseudo_inertias)[:, 0]
     told = []
     for index, name in enumerate(model.body_names):
         block = manifold.link(index)
-        std, of_prior = (_deviations(sensitivity[index], c[block, block]) for c in (found.covariance, found.prior))
+        std, of_prior = (deviations_of(sensitivity[index], c[block, block]) for c in (found.covariance, found.prior))
         of_usual = usual[index] * np.linalg.norm(sensitivity[index], axis=1)
         of_prior = np.minimum(of_prior, of_usual)
         known = identified(parameters[index], std, of_prior)
@@ -70,7 +71,12 @@ def links(
     return tuple(told)
 
 
-def _deviations(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray:
+def sensitivity_of_numbers(point: Point) -> FloatArray:
+    """Derivative ``(links, 13, 10)`` of each link's quantities and first moments by its tangent coordinates."""
+    return np.concatenate([uncertainty.physical_sensitivity(point), point.links_jacobian[:, 1:4]], axis=1)
+
+
+def deviations_of(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray:
     """Standard deviations ``(n,)`` of numbers with this ``sensitivity (n, 10)`` to what has the ``covariance``."""
     variances = np.einsum("ij,jk,ik->i", sensitivity, covariance, sensitivity)
     return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
@@ -98,18 +104,29 @@ def posterior(problem: Problem, point: Point, found: uncertainty.Uncertainty) ->
     return Posterior(
         links=tuple(model.body_names),
         merged=tuple(model.robot.bodies[body].merged for body in model.identified),
-        effects=tuple(
-            EffectCoordinate(
-                name=c.effect.name, place=c.place_name, parameter=c.parameter, unit=c.unit, positive=c.positive
-            )
-            for c in model.coefficients
-        ),
+        effects=effect_coordinates(model),
         parameters=point.parameters,
         covariance=frozen(found.covariance),
         scales=problem.manifold.scales,
         prior=frozen(problem.prior),
         prior_spreads=frozen(found.prior_spreads),
     )
+
+
+def effect_coordinates(model: MeasurementModel) -> tuple[EffectCoordinate, ...]:
+    """A model's coefficients, as a posterior names them."""
+    return tuple(
+        EffectCoordinate(
+            name=c.effect.name, place=c.place_name, parameter=c.parameter, unit=c.unit, positive=c.positive
+        )
+        for c in model.coefficients
+    )
+
+
+def effect_columns(names: Iterable[str], first: int) -> dict[str, IntArray]:
+    """The columns of each effect at all of its places, by its name, where those of all ``names`` begin at ``first``."""
+    every = np.array(list(names))
+    return {name: first + np.flatnonzero(every == name) for name in dict.fromkeys(every.tolist())}
 
 
 def weighed(

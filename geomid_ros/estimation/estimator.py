@@ -15,21 +15,21 @@ from geomid_ros.estimation.choice import choose
 from geomid_ros.estimation.estimate import SURE, Estimate
 from geomid_ros.estimation.file_fits import fit_files
 from geomid_ros.estimation.fit import INDEPENDENT, Fit, fit
+from geomid_ros.estimation.identified import WITHIN
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
+from geomid_ros.estimation.paper_estimator import OBJECTIVES
 from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.population_prior import PopulationPrior, fit_with_population, unlike_population
 from geomid_ros.estimation.problem import Problem, subproblem
-from geomid_ros.estimation.rows import OBJECTIVES
 from geomid_ros.estimation.solvers import SOLVERS
 from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_rows
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
 _FAR = 2.0  # times the usual distance
-_SAME_MASS = 0.2  # logarithm of the ratio of masses
-_ROUNDING = 1e-9
 _SPENT = (
     "the solver's budget of steps was spent before noise and spreads of the links had settled: masses are those of the "
     "last step; is the URDF this robot's, in SI units?"
@@ -134,31 +134,30 @@ def estimate(
         independent=_independent(summary, settings.cutoff),
         given_spreads=spreads,
     )
-    solve = partial(fit, tolerance=settings.tolerance, max_steps=settings.max_steps)
-    if warm is None or warm.effects_alone:
-        columns = choose(_beside(settings.population, whole), None if warm is None else _kept(model, warm))
-        solved = _with_population(settings.population, subproblem(whole, columns), solve)
-        result = _estimate(columns, model, solved[0], settings, begin)
+
+    def fitted(columns: IntArray, begun: WarmStart | None = None) -> tuple[Fit, Iterable[str]]:
+        problem = subproblem(whole, columns)
+        solve = partial(fit, tolerance=settings.tolerance, max_steps=settings.max_steps)
+        if begun is not None:
+            solve = partial(solve, start=problem.manifold.point(begun.parameters[columns]), spreads=begun.spreads)
+        return _with_population(settings.population, problem, solve)
+
+    kept = None if warm is None else _kept(model, warm)
+    if warm is None or kept is None or warm.effects_alone:
+        columns = choose(_beside(settings.population, whole), kept)
+        result = _estimate(columns, model, fitted(columns), settings)
         while len(unsure := _unsure(model, result, columns)):
             columns = np.setdiff1d(columns, unsure)
-            solved = _with_population(settings.population, subproblem(whole, columns), solve)
-            result = _estimate(columns, model, solved[0], settings, begin)
+            result = _estimate(columns, model, fitted(columns), settings)
     else:
-        columns = _kept(model, warm)
-        problem = subproblem(whole, columns)
-        start = problem.manifold.point(warm.parameters[columns])
-        solved = _with_population(settings.population, problem, partial(solve, start=start, spreads=warm.spreads))
-        result = _estimate(columns, model, solved[0], settings, begin)
-    warnings = solved[1]
-    within = fit_files(
-        whole, columns, settings.files, lambda each: _with_population(settings.population, each, solve)[0]
-    )
-    seconds = time.perf_counter() - begin
-    return replace(result, within=within, seconds=seconds, warnings=(*result.warnings, *warnings))
+        columns = kept
+        result = _estimate(columns, model, fitted(columns, warm), settings)
+    within = fit_files(model, columns, settings.files, lambda held: fitted(held)[0])
+    return replace(result, within=within, seconds=time.perf_counter() - begin)
 
 
 def _with_population(
-    population: Population | None, problem: Problem, solve: Callable[[Problem], Fit]
+    population: Population | None, problem: Problem, solve: Callable[..., Fit]
 ) -> tuple[Fit, Iterable[str]]:
     """A fit, beside a population if there is one, and warnings in sentences."""
     if population is None:
@@ -212,9 +211,10 @@ def least_inflation(summary: RowSummary, cutoff: float) -> float:
 
 
 def _estimate(
-    columns: IntArray, whole: MeasurementModel, fitted: Fit, settings: EstimatorSettings, begin: float
+    columns: IntArray, whole: MeasurementModel, solved: tuple[Fit, Iterable[str]], settings: EstimatorSettings
 ) -> Estimate:
     """All that is said of a fit."""
+    fitted, unlike = solved
     problem = fitted.problem
     model, manifold, summary, known = problem.model, problem.manifold, problem.summary, problem.known
     objective, solution = fitted.objective, fitted.solution
@@ -244,7 +244,6 @@ def _estimate(
     return Estimate(
         converged=solution.converged,
         reason=solution.reason,
-        seconds=time.perf_counter() - begin,
         steps=solution.steps,
         gamma=fitted.gamma,
         rows_accepted=summary.rows,
@@ -266,7 +265,7 @@ def _estimate(
         rows=frozen(independent * fitted.rows[0]),
         targets=frozen(independent * fitted.rows[1]),
         known=estimate_parts.weighed(known, manifold, solution.point, found),
-        warnings=(*_run_away(model, fitted, solution.point), *([_SPENT] if fitted.spent else [])),
+        warnings=(*_run_away(model, fitted, solution.point), *([_SPENT] if fitted.spent else []), *unlike),
     )
 
 
@@ -282,7 +281,7 @@ def _run_away(model: MeasurementModel, fitted: Fit, point: Point) -> Iterator[st
     for name, outlier, far, (prior, found) in zip(model.body_names, _outliers(fitted), times, pairs, strict=True):
         if outlier:
             what = f"moved from {prior[3, 3]:.3g} to {found[3, 3]:.3g} kg"
-            if abs(np.log(found[3, 3] / prior[3, 3])) < _SAME_MASS:
+            if abs(np.log(found[3, 3] / prior[3, 3])) < WITHIN:
                 what = "changed its centre of mass or its inertia"
             yield (
                 f"link '{name}' {what} ({far:.1f} default prior std); it probably absorbs an unmodelled "
@@ -309,7 +308,7 @@ def _geodesic_objective(objective: ResidualObjective) -> GeodesicObjective:
 
     manifold, prior = objective.manifold, objective.prior
     left, values, _ = np.linalg.svd(manifold.whiten(prior, objective.rows), full_matrices=False)
-    left = left.T[values >= _ROUNDING * values[0]]  # what no parameters can change has no directions of its own
+    left = left.T[values >= ROUNDING * values[0]]  # what no parameters can change has no directions of its own
     residuals = left @ (objective.rows @ prior.parameters - objective.targets)
     signs = np.where(residuals < 0.0, -1.0, 1.0) * np.random.default_rng(0).choice((-1.0, 1.0), len(left))
     mixing = dct(signs[:, None] * left, axis=0, norm="ortho")
@@ -337,6 +336,6 @@ def _information_at(manifold: ParameterManifold, point: Point, rows: FloatArray)
 def _parameter_groups(problem: Problem) -> list[uncertainty.ParameterGroup]:
     """The links' coordinates, and each effect's at all joints."""
     first, usual = problem.manifold.inertial.stop, problem.prior_spreads
-    names = np.array([coefficient.effect.name for coefficient in problem.model.coefficients])
-    effects = [first + np.flatnonzero(names == name) for name in dict.fromkeys(names)]
-    return [uncertainty.ParameterGroup(columns, float(usual[columns[0]])) for columns in (np.arange(first), *effects)]
+    effects = estimate_parts.effect_columns((c.effect.name for c in problem.model.coefficients), first)
+    groups = (np.arange(first), *effects.values())
+    return [uncertainty.ParameterGroup(columns, float(usual[columns[0]])) for columns in groups]

@@ -14,33 +14,32 @@ from collections.abc import Callable, Collection, Mapping
 import numpy as np
 
 from geomid_ros.estimation.fit import Fit
-from geomid_ros.estimation.problem import Problem, subproblem
 from geomid_ros.model.measurement import Coefficient, MeasurementModel
 from geomid_ros.types import FloatArray, IntArray, frozen
 
 
 def fit_files(
-    whole: Problem, chosen: IntArray, files: Mapping[str, tuple[str, ...]], solve: Callable[[Problem], Fit]
+    model: MeasurementModel, chosen: IntArray, files: Mapping[str, tuple[str, ...]], fitted: Callable[[IntArray], Fit]
 ) -> dict[str, FloatArray]:
     """Parameters ``(D,)`` of the minimum within each of the ``files``; zero where a file holds nothing.
 
     Args:
-        whole: the problem with all its coefficients.
+        model: with all its coefficients.
         chosen: the parameters that the estimate has, by their columns.
         files: by who reads it, a file's elements (:meth:`~geomid_ros.model.effects.ParameterForm.said_by`).
-        solve: fits a problem.
+        fitted: the fit of the parameters of some columns.
     """
     found: dict[tuple[int, ...], FloatArray] = {}
-    fitted = {}
+    within = {}
     for reader, elements in files.items():
-        columns = held_columns(whole.model, chosen, elements)
+        columns = held_columns(model, chosen, elements)
         key = tuple(columns.tolist())
         if key not in found:
-            parameters = np.zeros(whole.model.dimension)
-            parameters[columns] = solve(subproblem(whole, columns)).point.parameters
+            parameters = np.zeros(model.dimension)
+            parameters[columns] = fitted(columns).point.parameters
             found[key] = frozen(parameters)
-        fitted[reader] = found[key]
-    return fitted
+        within[reader] = found[key]
+    return within
 
 
 def held_columns(model: MeasurementModel, chosen: IntArray, elements: Collection[str]) -> IntArray:

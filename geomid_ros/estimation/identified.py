@@ -15,7 +15,8 @@ from geomid_ros.estimation.estimate import SURE
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.types import BoolArray, FloatArray
 
-_WITHIN = float(np.log(1.2)) / SURE  # standard deviations over sizes: the interval along the geodesic ends at 20 %
+WITHIN = float(np.log(1.2))
+"""How far a number's interval may reach along the geodesic: to 20 % of it."""
 _OF_PRIOR = 0.5
 
 
@@ -27,7 +28,7 @@ def identified(parameters: FloatArray, deviations: FloatArray, of_prior: FloatAr
         deviations: standard deviations of the numbers ``(13,)``.
         of_prior: the same in the prior, or in the usual one where that is narrower ``(13,)``.
     """
-    return np.asarray((deviations <= _WITHIN * sizes(parameters)) & (deviations <= _OF_PRIOR * of_prior))
+    return np.asarray((SURE * deviations <= WITHIN * sizes(parameters)) & (deviations <= _OF_PRIOR * of_prior))
 
 
 def sizes(parameters: FloatArray) -> FloatArray:

@@ -19,8 +19,10 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.channel_summary import triangular
 from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimate_parts import effect_columns
 from geomid_ros.estimation.posterior import EffectCoordinate, manifold_of
 from geomid_ros.estimation.starting_point import usual_spreads
+from geomid_ros.estimation.tolerances import LARGEST_STEP, LEAST_DEVIATION, ROUNDS, SETTLED
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray, IntArray, frozen
 
@@ -28,89 +30,23 @@ FEWEST = 3
 """Of fewer robots nothing is said of all."""
 SHARED = 10.0
 """The common variance counts as much as so many robots."""
-_FIRST_SPREAD = 0.5  # times the usual
-_LEAST_VARIANCE = 1e-8
-_ROUNDS = 50
-_SETTLED = 1e-2  # of the logarithms of variances, and of the mean in standard deviations
-_LONGEST_STEP = 0.5  # of a robot in tangent coordinates
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Evidence:
-    """What one robot's data say of its parameters, without any prior.
+class _OfType:
+    """Parameters of a robot of a type.
 
     Attributes:
         links: names of the moving links.
         effects: the effects' coefficients, the positive ones first.
-        rows, targets: ``(N, D)`` and ``(N,)``: ``rows . parameters = targets`` with independent errors of standard
-            deviation 1.
-        parameters: the robot's estimate ``(D,)``.
-        prior: the parameters ``(D,)`` that its estimate began with.
+        parameters: an estimate ``(D,)`` of links and effects.
         scales: of the real coefficients.
     """
 
     links: tuple[str, ...]
     effects: tuple[EffectCoordinate, ...]
-    rows: FloatArray
-    targets: FloatArray
     parameters: FloatArray
-    prior: FloatArray
     scales: FloatArray
-
-    @staticmethod
-    def of(estimate: Estimate) -> Evidence:
-        """Of an estimate."""
-        posterior = estimate.posterior
-        return Evidence(
-            links=posterior.links,
-            effects=posterior.effects,
-            rows=estimate.rows,
-            targets=estimate.targets,
-            parameters=posterior.parameters,
-            prior=posterior.prior,
-            scales=posterior.scales,
-        )
-
-    def of_effects(self, effects: Sequence[EffectCoordinate]) -> Evidence:
-        """What is said of the links and these effects alone, whatever the others are."""
-        first = 10 * len(self.links)
-        places = {effect: first + index for index, effect in enumerate(self.effects)}
-        kept = [*range(first), *(places[effect] for effect in effects)]
-        others = [column for column in range(first + len(self.effects)) if column not in kept]
-        stacked = np.column_stack([self.rows, self.targets])[:, [*others, *kept, -1]]
-        left = triangular(stacked)[len(others) :, len(others) :]
-        scales = dict(zip([effect for effect in self.effects if not effect.positive], self.scales, strict=True))
-        return Evidence(
-            links=self.links,
-            effects=tuple(effects),
-            rows=left[:, :-1],
-            targets=left[:, -1],
-            parameters=self.parameters[kept],
-            prior=self.prior[kept],
-            scales=np.array([scales[effect] for effect in effects if not effect.positive]),
-        )
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Population:
-    """What is known of a robot of a type before its data: ``exp(parameters, N(0, covariance))`` on the manifold.
-
-    Attributes:
-        links: names of the moving links.
-        effects: the effects' coefficients, the positive ones first.
-        parameters: the Karcher mean ``(D,)``.
-        covariance: ``(D, D)`` of the tangent coordinates at the mean (:mod:`geomid_ros.geometry.manifold`): between
-            robots, and of the mean itself.
-        scales: of the real coefficients.
-        robots: how many it is from.
-    """
-
-    links: tuple[str, ...]
-    effects: tuple[EffectCoordinate, ...]
-    parameters: FloatArray
-    covariance: FloatArray
-    scales: FloatArray
-    robots: int
 
     @cached_property
     def manifold(self) -> ParameterManifold:
@@ -119,36 +55,91 @@ class Population:
 
     @cached_property
     def point(self) -> Point:
-        """The mean."""
+        """The estimate."""
         return self.manifold.point(self.parameters)
-
-    def part(self, links: Sequence[str], effects: Sequence[EffectCoordinate]) -> Population:
-        """What is known of some of the links and effects, in the order in which they are given."""
-        first = 10 * len(self.links)
-        kept = [
-            *(10 * self.links.index(name) + k for name in links for k in range(10)),
-            *(first + self.effects.index(effect) for effect in effects),
-        ]
-        scales = dict(zip([effect for effect in self.effects if not effect.positive], self.scales, strict=True))
-        return Population(
-            links=tuple(links),
-            effects=tuple(effects),
-            parameters=self.parameters[kept],
-            covariance=self.covariance[np.ix_(kept, kept)],
-            scales=np.array([scales[effect] for effect in effects if not effect.positive]),
-            robots=self.robots,
-        )
 
     @cached_property
     def blocks(self) -> dict[str, IntArray]:
         """The coordinates of every link, and of every effect at all joints, by name."""
         links = {name: np.arange(10 * index, 10 * index + 10) for index, name in enumerate(self.links)}
-        names = np.array([effect.name for effect in self.effects])
-        effects = {name: 10 * len(self.links) + np.flatnonzero(names == name) for name in dict.fromkeys(names.tolist())}
-        return links | effects
+        return links | effect_columns((effect.name for effect in self.effects), 10 * len(self.links))
+
+    def _columns(self, links: Sequence[str], effects: Sequence[EffectCoordinate]) -> list[int]:
+        first = 10 * len(self.links)
+        of_links = (10 * self.links.index(name) + k for name in links for k in range(10))
+        return [*of_links, *(first + self.effects.index(effect) for effect in effects)]
+
+    def _scales(self, effects: Sequence[EffectCoordinate]) -> FloatArray:
+        scales = dict(zip([effect for effect in self.effects if not effect.positive], self.scales, strict=True))
+        return np.array([scales[effect] for effect in effects if not effect.positive])
 
 
-def common(robots: Sequence[Evidence]) -> list[Evidence]:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RobotLikelihood(_OfType):
+    """What one robot's data say of its parameters, without any prior.
+
+    Attributes:
+        rows, targets: ``(N, D)`` and ``(N,)``: ``rows . parameters = targets`` with independent errors of standard
+            deviation 1.
+        prior: the parameters ``(D,)`` that its estimate began with.
+    """
+
+    rows: FloatArray
+    targets: FloatArray
+    prior: FloatArray
+
+    @staticmethod
+    def of(estimate: Estimate) -> RobotLikelihood:
+        """Of an estimate."""
+        posterior = estimate.posterior
+        own = {name: getattr(posterior, name) for name in ("links", "effects", "parameters", "prior", "scales")}
+        return RobotLikelihood(rows=estimate.rows, targets=estimate.targets, **own)
+
+    def of_effects(self, effects: Sequence[EffectCoordinate]) -> RobotLikelihood:
+        """What is said of the links and these effects alone, whatever the others are."""
+        kept = self._columns(self.links, effects)
+        others = np.setdiff1d(np.arange(len(self.parameters)), kept)
+        stacked = np.column_stack([self.rows, self.targets])[:, [*others, *kept, -1]]
+        left = triangular(stacked)[len(others) :, len(others) :]
+        return replace(
+            self,
+            effects=tuple(effects),
+            rows=left[:, :-1],
+            targets=left[:, -1],
+            parameters=self.parameters[kept],
+            prior=self.prior[kept],
+            scales=self._scales(effects),
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Population(_OfType):
+    """What is known of a robot of a type before its data: ``exp(parameters, N(0, covariance))`` on the manifold, where
+    ``parameters`` are the Karcher mean.
+
+    Attributes:
+        covariance: ``(D, D)`` of the tangent coordinates at the mean (:mod:`geomid_ros.geometry.manifold`): between
+            robots, and of the mean itself.
+        robots: how many it is from.
+    """
+
+    covariance: FloatArray
+    robots: int
+
+    def part(self, links: Sequence[str], effects: Sequence[EffectCoordinate]) -> Population:
+        """What is known of some of the links and effects, in the order in which they are given."""
+        kept = self._columns(links, effects)
+        return replace(
+            self,
+            links=tuple(links),
+            effects=tuple(effects),
+            parameters=self.parameters[kept],
+            covariance=self.covariance[np.ix_(kept, kept)],
+            scales=self._scales(effects),
+        )
+
+
+def common(robots: Sequence[RobotLikelihood]) -> list[RobotLikelihood]:
     """What is said of the links and of the effects that all robots have.
 
     Raises:
@@ -176,7 +167,7 @@ class _Share:
 class PopulationFit:
     """The population of robots all of which belong to it, by expectation-maximisation."""
 
-    def __init__(self, robots: Sequence[Evidence]) -> None:
+    def __init__(self, robots: Sequence[RobotLikelihood]) -> None:
         """Fit it to at least :data:`FEWEST` robots with the same links and effects (:func:`common`)."""
         first = robots[0]
         self._robots = robots
@@ -187,7 +178,7 @@ class PopulationFit:
         self._prior = manifold.point(np.median(starts, axis=0))
         self._usual = usual_spreads(manifold)
         self._mean = self._prior
-        self._covariance = np.diag((_FIRST_SPREAD * self._usual) ** 2)
+        self._covariance = np.diag(self._usual**2)
         self._common: FloatArray | None = None
         self._of_mean = np.diag(self._usual**2)
         self._points = [manifold.point(robot.parameters) for robot in robots]
@@ -221,7 +212,7 @@ class PopulationFit:
 
     def _settle(self) -> None:
         """Go on until a round changes next to nothing."""
-        for _ in range(_ROUNDS):
+        for _ in range(ROUNDS):
             if self._advance():
                 break
 
@@ -249,7 +240,7 @@ class PopulationFit:
         self._points = [self._towards(point, end) for point, end in zip(self._points, ends, strict=True)]
         self._mean = manifold.exp(self._mean, mean)
         change = np.max(np.abs(np.log(np.diag(self._covariance) / before)))
-        return bool(max(change, np.max(np.abs(mean) / np.sqrt(before))) < _SETTLED)
+        return bool(max(change, np.max(np.abs(mean) / np.sqrt(before))) < SETTLED)
 
     def _mean_of(self, shares: Sequence[_Share]) -> tuple[FloatArray, FloatArray]:
         """Covariance ``(D, D)`` and tangent coordinates ``(D,)`` of the mean, by what robots and prior say of it."""
@@ -263,7 +254,7 @@ class PopulationFit:
         """A robot's next point: that with the tangent coordinates ``end``, or a part of the way."""
         begin = self._manifold.log(self._mean, point)
         step = end - begin
-        return self._manifold.exp(self._mean, begin + step * min(1.0, _LONGEST_STEP / max(np.max(np.abs(step)), 1e-12)))
+        return self._manifold.exp(self._mean, begin + step * min(1.0, LARGEST_STEP / max(np.max(np.abs(step)), 1e-12)))
 
     def _between(self, shares: Sequence[_Share]) -> FloatArray:
         """The covariance of robots, from their expected squares."""
@@ -271,19 +262,16 @@ class PopulationFit:
         if self._common is not None:
             return np.asarray((squares + SHARED * self._common) / (len(shares) + SHARED))
         variances = np.diag(squares) / len(shares)
-        for columns in self._groups:
-            variances[columns] = max(float(np.mean(variances[columns])), _LEAST_VARIANCE)
+        first = self._manifold.inertial.stop
+        effects = effect_columns((effect.name for effect in self._robots[0].effects), first)
+        for columns in (np.arange(first), *effects.values()):
+            variances[columns] = max(float(np.mean(variances[columns])), LEAST_DEVIATION**2)
         return np.diag(variances)
 
-    @cached_property
-    def _groups(self) -> list[IntArray]:
-        """The coordinates of all links, and of every effect."""
-        first = self._manifold.inertial.stop
-        names = np.array([effect.name for effect in self._robots[0].effects])
-        return [np.arange(first), *(first + np.flatnonzero(names == name) for name in dict.fromkeys(names.tolist()))]
 
-
-def linear(manifold: ParameterManifold, base: Point, robot: Evidence, point: Point) -> tuple[FloatArray, FloatArray]:
+def linear(
+    manifold: ParameterManifold, base: Point, robot: RobotLikelihood, point: Point
+) -> tuple[FloatArray, FloatArray]:
     """What a robot's rows, linearised at ``point``, say of its tangent coordinates t at ``base``: the information
     ``(D, D)`` and the vector ``(D,)`` that it is of ``information @ t``."""
     tangent = manifold.log(base, point)

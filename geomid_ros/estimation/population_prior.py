@@ -19,13 +19,12 @@ from geomid_ros.estimation.fit import Fit
 from geomid_ros.estimation.population import SHARED, Population
 from geomid_ros.estimation.posterior import beyond_prior
 from geomid_ros.estimation.problem import Problem
+from geomid_ros.estimation.tolerances import ROUNDS, SETTLED
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.types import FloatArray, IntArray
 
 _LOOSE = 1.0  # spread of the links' own priors, which only keep what the population does not tell from running away
-_ROUNDS = 12
-_SETTLED = 1e-3  # of the logarithms of the blocks' weights
 _DOUBTED = 0.5  # a block of less weight is told
 
 
@@ -132,12 +131,12 @@ def fit_with_population(prior: PopulationPrior, solve: Callable[..., Fit]) -> tu
     """
     found = solve(prior.problem_at(prior.problem.prior_point, dict.fromkeys(prior.population.blocks, 1.0)))
     weights = prior.weights(found)
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         point, before = found.point, weights
         found = solve(prior.problem_at(point, weights), start=point, spreads=found.spreads)
         weights = prior.weights(found)
         change = max(abs(np.log(weights[name] / before[name])) for name in weights)
-        if change < _SETTLED and np.max(np.abs(prior.tangent(found.point) - prior.tangent(point))) < _SETTLED:
+        if change < SETTLED and np.max(np.abs(prior.tangent(found.point) - prior.tangent(point))) < SETTLED:
             break
     return found, weights
 

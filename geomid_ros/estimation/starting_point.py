@@ -9,6 +9,7 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.channel_summary import triangular
 from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.estimation.tolerances import ROUNDING, ROUNDING_OF_PRODUCTS
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.measurement import MeasurementModel
@@ -22,9 +23,6 @@ _NOISE_MOTION = 1e-2
 _LEAST_MOTION = 0.1
 # No model predicts a channel better than this share of its size.
 _LEAST_SIGMA_SHARE = 1e-3
-_ROUNDING = 1e-9
-_ROUNDING_COLUMN = 1e-12
-_ROUNDING_SLOPE = 1e-13
 # Usual error of priors, per direction of the tangent space: inertias from CAD a fifth; positive coefficients a factor
 # of e, for they are a first fit that absorbs what the inertias cannot explain; real ones a fifth of what their channel
 # measures.
@@ -54,14 +52,14 @@ def first_sigmas(summary: RowSummary, dimension: int) -> FloatArray:
 def _least_residual(factor: FloatArray) -> tuple[float, int]:
     """Norm of the least-squares residual of ``[A b]``, and the rank of A, in which rounding does not count."""
     sizes = np.linalg.norm(factor[:, :-1], axis=0)
-    some = sizes > _ROUNDING_COLUMN * np.max(sizes, initial=0.0)
+    some = sizes > ROUNDING_OF_PRODUCTS * np.max(sizes, initial=0.0)
     regressor = factor[:, :-1][:, some] / sizes[some]
     try:
-        solution, _, rank, _ = np.linalg.lstsq(regressor, factor[:, -1], rcond=_ROUNDING)
+        solution, _, rank, _ = np.linalg.lstsq(regressor, factor[:, -1], rcond=ROUNDING)
     except np.linalg.LinAlgError:  # LAPACK's divide and conquer does not always converge; its QR iteration does
         from scipy.linalg import lstsq  # noqa: PLC0415 seldom needed
 
-        solution, _, rank, _ = lstsq(regressor, factor[:, -1], cond=_ROUNDING, lapack_driver="gelss")
+        solution, _, rank, _ = lstsq(regressor, factor[:, -1], cond=ROUNDING, lapack_driver="gelss")
     return float(np.linalg.norm(factor[:, -1] - regressor @ solution)), int(rank)
 
 
@@ -75,7 +73,7 @@ def scales_of_reals(model: MeasurementModel, summary: RowSummary) -> FloatArray:
     for index, channel in enumerate(model.channels):
         squares = sum(np.sum(factor[:, :-1] ** 2, axis=0) for factor in factors[index :: len(sizes)])
         columns = np.sqrt(squares / max(counts[index], 1.0))
-        large = columns > _ROUNDING_COLUMN
+        large = columns > ROUNDING_OF_PRODUCTS
         own = sizes[index] / np.where(large, columns, np.inf)
         scales[channel.columns] = np.maximum(scales[channel.columns], own)
     return np.where(scales > 0.0, scales, 1.0)[first:]
@@ -207,7 +205,7 @@ def _fitted_effects(
 def _non_negative(regressor: FloatArray, targets: FloatArray) -> FloatArray:
     """The ``x >= 0`` with the least ``|regressor x - targets|`` (Lawson & Hanson 1974), of independent columns."""
     x, free = _first_guess(regressor, targets)
-    least = _ROUNDING_SLOPE * np.linalg.norm(regressor, axis=0) * np.linalg.norm(targets)
+    least = ROUNDING_OF_PRODUCTS * np.linalg.norm(regressor, axis=0) * np.linalg.norm(targets)
     for _ in range(3 * len(x)):
         slopes = np.where(free, -np.inf, regressor.T @ (targets - regressor @ x) - least)
         if np.all(slopes <= 0.0):

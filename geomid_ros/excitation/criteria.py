@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Knowledge
+from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Belief
 from geomid_ros.excitation.motion import Motion
 from geomid_ros.model.effects import effect_class
 from geomid_ros.types import FloatArray
@@ -16,7 +16,7 @@ PREDICTION, FRICTION, PAYLOAD, LINK = "prediction", "friction", "payload", "link
 _FRICTION = "dynamics/"  # attributes of a URDF that say friction
 
 
-def weight_of(aim: str, knowledge: Knowledge, others: Sequence[Motion]) -> FloatArray:
+def weight_of(aim: str, knowledge: Belief, others: Sequence[Motion]) -> FloatArray:
     """The weight ``(D, D)`` W of an aim: the criterion is the trace of W times the covariance of the estimate.
 
     - ``prediction`` (I-optimal): mean squared error of the efforts, in units of the noise, on ``others``;
@@ -57,7 +57,7 @@ def meaning_of(aim: str) -> str:
     return f"of the inertia of {'the last link' if aim == PAYLOAD else aim.removeprefix(LINK)}, as a geodesic distance"
 
 
-def _are_friction(knowledge: Knowledge) -> list[bool]:
+def _are_friction(knowledge: Belief) -> list[bool]:
     return [
         any(form.urdf.startswith(_FRICTION) for form in effect_class(effect.name).parameters)
         for effect in knowledge.posterior.effects

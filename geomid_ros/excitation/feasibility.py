@@ -7,15 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimate import SURE
 from geomid_ros.excitation.clearance import Distances, clearances_from, overlap
-from geomid_ros.excitation.knowledge import Knowledge
+from geomid_ros.excitation.knowledge import Belief
 from geomid_ros.excitation.limits import MotionLimits
 from geomid_ros.excitation.motion import Motion
 from geomid_ros.model.collision import CollisionModel
 from geomid_ros.types import FloatArray
 
-SURE = 2.0
-"""Standard deviations of the efforts to expect that must fit below the limits, too."""
 _FINE = 500.0  # [Hz] at which positions, speeds, accelerations, jerks are looked at
 _EFFORTS = 50.0  # [Hz]
 _RESERVE = 1e-3  # of each limit, for what happens between two instants
@@ -48,7 +47,7 @@ class Feasibility:
 
     def __init__(
         self,
-        knowledge: Knowledge,
+        knowledge: Belief,
         limits: MotionLimits,
         start: FloatArray,
         collision: CollisionModel | None = None,

@@ -9,14 +9,15 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimate_parts import effect_coordinates
 from geomid_ros.estimation.fit import INDEPENDENT
-from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
+from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.estimation.starting_point import usual_spreads
 from geomid_ros.estimation.uncertainty import physical_sensitivity
 from geomid_ros.excitation.limits import MotionLimits
 from geomid_ros.excitation.motion import Motion
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.samples import Samples
+from geomid_ros.model.samples import ACCELERATION_PER_SPEED, random_states, samples_of
 from geomid_ros.types import FloatArray, frozen
 
 NOISE = 2e-3
@@ -26,33 +27,15 @@ CUTOFF = 5.0
 ROWS_PER_SECOND = INDEPENDENT * CUTOFF
 """Independent measurements of each joint in a second behind that filter."""
 _USUAL_SHARE = 0.02  # of the joint's effort limit that an effect usually adds
-_RATE = 4.0  # [1/s] of acceleration to speed, in random states
 _STATES = 200
-_WIDEST = np.pi  # [rad, m]
 _OTHERS = (
     "{}: an estimate with other links or effects than this robot ({}); give the URDF and the options of that "
     "identification"
 )
 
 
-def samples_of(states: FloatArray, sensors: int = 0) -> Samples:
-    """Samples at positions, velocities and accelerations ``(3, N, J)``, nothing measured by so many wrench sensors."""
-    still, none = np.zeros_like(states[0]), np.zeros((states.shape[1], 0))
-    return Samples(
-        stamps=np.arange(states.shape[1], dtype=np.int64),
-        position=states[0],
-        velocity=states[1],
-        acceleration=states[2],
-        effort=still,
-        base_pose=none,
-        base_velocity=none,
-        base_acceleration=none,
-        wrenches=np.zeros((states.shape[1], sensors, 6)),
-    )
-
-
 @dataclass(frozen=True, eq=False)
-class Knowledge:
+class Belief:
     """What is known before a motion.
 
     Attributes:
@@ -97,7 +80,7 @@ class Knowledge:
         flat = rows.reshape(-1, rows.shape[-1])
         return np.asarray(ROWS_PER_SECOND * duration / len(rows) * (flat.T @ flat))
 
-    def after(self, information: FloatArray) -> Knowledge:
+    def after(self, information: FloatArray) -> Belief:
         """What is known when that ``information (D, D)`` is added; the estimate itself stays."""
         covariance = covariance_of(self.precision + information)
         return replace(self, posterior=replace(self.posterior, covariance=frozen(covariance)))
@@ -123,11 +106,11 @@ def covariance_of(precision: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.inv(precision * np.outer(units, units)) * np.outer(units, units))
 
 
-def prior_knowledge(model: MeasurementModel, limits: MotionLimits) -> Knowledge:
+def prior_knowledge(model: MeasurementModel, limits: MotionLimits) -> Belief:
     """What a URDF says: inertias as sure as CAD's, effects of any size about the usual, or about
     what its <dynamics> say where that is more."""
-    random = np.random.default_rng(0)
-    states = _random_states(limits, random)
+    fastest = np.minimum(ACCELERATION_PER_SPEED * limits.velocity, limits.acceleration)
+    states = random_states(np.random.default_rng(0), _STATES, limits.position, limits.velocity, fastest)
     coefficients = model.rows(samples_of(states, len(model.sensors))).coefficients
     first = len(model.nominal_inertias)
     usual = _channel_sizes(model, limits, coefficients)
@@ -150,20 +133,10 @@ def prior_knowledge(model: MeasurementModel, limits: MotionLimits) -> Knowledge:
         prior=frozen(parameters),
         prior_spreads=frozen(spreads),
     )
-    return Knowledge(model, posterior, frozen(NOISE / _USUAL_SHARE * usual))
+    return Belief(model, posterior, frozen(NOISE / _USUAL_SHARE * usual))
 
 
-def effect_coordinates(model: MeasurementModel) -> tuple[EffectCoordinate, ...]:
-    """A model's coefficients, as a posterior names them."""
-    return tuple(
-        EffectCoordinate(
-            name=c.effect.name, place=c.place_name, parameter=c.parameter, unit=c.unit, positive=c.positive
-        )
-        for c in model.coefficients
-    )
-
-
-def known_before(model: MeasurementModel, posterior: Posterior, sigmas: Sequence[float], source: str) -> Knowledge:
+def known_before(model: MeasurementModel, posterior: Posterior, sigmas: Sequence[float], source: str) -> Belief:
     """What an estimate knows, of a model with the same links and effects.
 
     The order of the effects may be another. Raises InputError naming the ``source`` if it is of another robot.
@@ -174,7 +147,7 @@ def known_before(model: MeasurementModel, posterior: Posterior, sigmas: Sequence
         known = posterior.with_effects(effect_coordinates(model))
     except ValueError as error:
         raise InputError(_OTHERS.format(source, error)) from error
-    return Knowledge(model, known, frozen(sigmas))
+    return Belief(model, known, frozen(sigmas))
 
 
 def _channel_sizes(model: MeasurementModel, limits: MotionLimits, coefficients: FloatArray) -> FloatArray:
@@ -183,11 +156,3 @@ def _channel_sizes(model: MeasurementModel, limits: MotionLimits, coefficients: 
     limit = np.full(len(model.channels), np.inf)
     limit[: len(limits.effort)] = limits.effort
     return _USUAL_SHARE * np.where(np.isfinite(limit), limit, np.maximum(weights, 1e-6))
-
-
-def _random_states(limits: MotionLimits, random: np.random.Generator) -> FloatArray:
-    low, high = np.clip(limits.position, -_WIDEST, _WIDEST).T
-    fastest = np.minimum(_RATE * limits.velocity, limits.acceleration)
-    position = random.uniform(low, high, (_STATES, len(low)))
-    velocity, acceleration = random.uniform(-1.0, 1.0, (2, _STATES, len(low)))
-    return np.array([position, velocity * limits.velocity, acceleration * fastest])

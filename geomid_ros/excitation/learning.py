@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.excitation.knowledge import Knowledge
+from geomid_ros.excitation.knowledge import Belief
 from geomid_ros.excitation.motion import Motion
 from geomid_ros.types import FloatArray
 
@@ -60,7 +60,7 @@ class Learning:
 
 
 def expected_learning(
-    knowledge: Knowledge, weight: FloatArray, motion: Motion, randoms: Sequence[Motion], aim: Knowledge | None = None
+    knowledge: Belief, weight: FloatArray, motion: Motion, randoms: Sequence[Motion], aim: Belief | None = None
 ) -> Learning:
     """Compare a motion with ``randoms`` of its form, of which the middle one counts.
 
@@ -88,5 +88,5 @@ def expected_learning(
     )
 
 
-def _error(knowledge: Knowledge, weight: FloatArray) -> float:
+def _error(knowledge: Belief, weight: FloatArray) -> float:
     return float(np.sqrt(np.sum(weight * knowledge.posterior.covariance)))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.model.robot import Robot
+from geomid_ros.model.samples import WIDEST
 from geomid_ros.types import FloatArray
 
 JERK = 10.0
@@ -16,7 +17,8 @@ JERK = 10.0
 ACCELERATION = 10.0
 """[1/s] of acceleration to speed at most, where no acceleration limit is given."""
 _POSTURES = 300
-_WIDEST = np.pi  # [rad, m] of joints without ends, and to either side of the start
+TRIED = 100
+"""Postures, at most, to begin from or to go by."""
 _LEAST_SHARE = 0.1  # of the effort is left to accelerate with, wherever gravity takes more
 
 
@@ -108,7 +110,7 @@ def _by_effort(robot: Robot, position: FloatArray, effort: FloatArray, inertias:
     """The accelerations ``(J,)`` for which the efforts suffice beside gravity, each joint's by itself, in the worst of
     some postures."""
     random = np.random.default_rng(0)
-    low, high = np.clip(position, -_WIDEST, _WIDEST).T
+    low, high = np.clip(position, -WIDEST, WIDEST).T
     postures = random.uniform(low, high, (_POSTURES, len(effort)))
     gravity, inertia = _gravity_and_inertia(robot, robot.pinocchio_positions(postures), inertias)
     left = np.maximum(effort - np.abs(gravity), _LEAST_SHARE * effort)
@@ -140,3 +142,17 @@ def _notes(names: Sequence[str], derived: FloatArray, by_jerk: FloatArray, accel
         which = "all joints" if np.all(by_jerk) else ", ".join(np.array(names)[by_jerk])
         notes.append(f"jerk limits are {JERK:g} 1/s times the acceleration limits: {which}")
     return notes
+
+
+def starts(limits: MotionLimits) -> Iterator[FloatArray]:
+    """Postures ``(J,)`` to begin from, the most obvious first: zero where that is in the middle half of a range, the
+    middle of the ranges, and others at random in their middle halves."""
+    low, high = limits.position.T
+    wide = np.clip(low, -WIDEST, None), np.clip(high, None, WIDEST)
+    middle, half = 0.5 * (wide[0] + wide[1]), 0.5 * (wide[1] - wide[0])
+    inner = middle - 0.5 * half, middle + 0.5 * half
+    yield np.where((inner[0] < 0.0) & (inner[1] > 0.0), 0.0, middle)
+    yield middle
+    random = np.random.default_rng(0)
+    for _ in range(TRIED):
+        yield middle + 0.5 * half * random.uniform(-1.0, 1.0, len(low))

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from geomid_ros.excitation.feasibility import Feasibility
-from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Knowledge
+from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Belief
 from geomid_ros.excitation.motion import Motion, MotionForm
 from geomid_ros.excitation.response import Responses
 from geomid_ros.excitation.search import BENDS, Search, random_motion
@@ -44,7 +44,7 @@ class Name:
 
 
 @dataclass(frozen=True, eq=False)
-class Dispute:
+class Ambiguity:
     """A ``found`` name with its ``coefficients (k,)`` at the effect ``variants[0]``, and its ``rivals``."""
 
     found: Name
@@ -52,10 +52,10 @@ class Dispute:
     rivals: tuple[Name, ...]
 
 
-class Judge:
+class DiscriminationCriterion:
     """What a motion would say of disputes."""
 
-    def __init__(self, knowledge: Knowledge, responses: Responses, disputes: Sequence[Dispute]) -> None:
+    def __init__(self, knowledge: Belief, responses: Responses, disputes: Sequence[Ambiguity]) -> None:
         self._knowledge, self._responses, self.disputes = knowledge, responses, disputes
         self.imitations: dict[tuple[int, int], tuple[int, FloatArray]] = {}
         """The variant and the coefficients of each rival that look like what was found, by dispute and rival."""
@@ -98,7 +98,7 @@ class Judge:
         """The least of all differences."""
         return min(difference for differences in self.differences(motion) for difference in differences)
 
-    def _beside(self, rows: FloatArray, own: Callable[[Name], list[FloatArray]], dispute: Dispute) -> _Known:
+    def _beside(self, rows: FloatArray, own: Callable[[Name], list[FloatArray]], dispute: Ambiguity) -> _Known:
         """What is fitted anew with either name: the inertias, and the other findings about as large as they are."""
         others = [other for other in self.disputes if other is not dispute]
         columns = [own(other.found)[0] for other in others]
@@ -155,7 +155,7 @@ class _Known:
 def deciding_motion(
     feasibility: Feasibility,
     form: MotionForm,
-    judge: Judge,
+    judge: DiscriminationCriterion,
     random: np.random.Generator,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Motion:

@@ -82,7 +82,7 @@ class DescribedRobot(NamedTuple):
     read: Callable[[], Robot]
 
 
-class Description(NamedTuple):
+class DescriptionFormat(NamedTuple):
     """Who reads what: the ``files`` that it understands (see :meth:`ParameterForm.said_by`), a ``note`` for its user,
     the form of one ``inertial``, and the ``whole`` robot, its meshes in the packages' folders."""
 
@@ -171,12 +171,12 @@ DESCRIPTIONS = dict(
     zip(
         DESCRIBED_FOR,
         (
-            Description(ELEMENTS["urdf"], (), formats.urdf_inertial, _urdf),
-            Description(ELEMENTS["moveit"], _MOVEIT_NOTE, formats.urdf_inertial, _urdf),
-            Description(ELEMENTS["isaac"], _ISAAC_NOTE, formats.urdf_inertial, _isaac),
-            Description(ELEMENTS["gazebo"], _GAZEBO_NOTE, formats.sdf_inertial, _gazebo),
-            Description(ELEMENTS["drake"], _DRAKE_NOTE, formats.urdf_inertial, _drake),
-            Description(ELEMENTS["mujoco"], _MUJOCO_NOTE, formats.mjcf_inertial, _mujoco),
+            DescriptionFormat(ELEMENTS["urdf"], (), formats.urdf_inertial, _urdf),
+            DescriptionFormat(ELEMENTS["moveit"], _MOVEIT_NOTE, formats.urdf_inertial, _urdf),
+            DescriptionFormat(ELEMENTS["isaac"], _ISAAC_NOTE, formats.urdf_inertial, _isaac),
+            DescriptionFormat(ELEMENTS["gazebo"], _GAZEBO_NOTE, formats.sdf_inertial, _gazebo),
+            DescriptionFormat(ELEMENTS["drake"], _DRAKE_NOTE, formats.urdf_inertial, _drake),
+            DescriptionFormat(ELEMENTS["mujoco"], _MUJOCO_NOTE, formats.mjcf_inertial, _mujoco),
         ),
         strict=True,
     )

@@ -34,7 +34,10 @@ from geomid_ros.exports.inertial import Export
 from geomid_ros.geometry.pseudo_inertia import INERTIA_NAMES
 from geomid_ros.types import FloatArray
 
-_DIGITS = 9
+DIGITS = 9
+"""Of numbers in a description."""
+SAME = 1e-6
+"""Relative difference of one number in two files of fewer digits."""
 _DIAGONAL_FIRST = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 _UR_LARGEST = 133.0  # [kg m^2]
@@ -130,7 +133,7 @@ def mjcf_inertial(export: Export) -> str:
 
 def number(value: float) -> str:
     """A number without an exponent: YAML 1.1 takes ``1e-05`` for text, and URScript does not document exponents."""
-    return str(np.format_float_positional(value, precision=_DIGITS, fractional=False, trim="0"))
+    return str(np.format_float_positional(value, precision=DIGITS, fractional=False, trim="0"))
 
 
 def _numbers(values: Iterable[float], between: str = ", ") -> str:

@@ -76,7 +76,7 @@ class HandedOver:
         effects = model_effects(self.estimate, self.session.loaded.effects)
         return unsaid([effect for effect in effects if joint in effect.joint.split("+")], ELEMENTS[self.reader])
 
-    def judged(self, batches: Sequence[Samples]) -> Judged:
+    def judged(self, batches: Sequence[Samples]) -> JudgedFile:
         """How well it predicts samples. Raises InputError where the program does not take the file."""
         lacks = {channel.name: self.lacks(channel.name) for channel in self.session.model.channels}
         return judge(self.session, self.reader, self._whole, batches, self._errors_of_sensors, lacks)
@@ -102,7 +102,7 @@ def file_name(reader: str) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class JudgedFile:
     """What a file leaves of samples, RMS by channel [N m, N], NaN where nothing is measured.
 
     Attributes:
@@ -159,7 +159,7 @@ def judge(
     batches: Sequence[Samples],
     errors: FloatArray | None = None,
     lacks: Mapping[str, Sequence[str]] = MappingProxyType({}),
-) -> Judged:
+) -> JudgedFile:
     """How well a description predicts samples, loaded by the program that reads it.
 
     Args:
@@ -187,7 +187,7 @@ def judge(
         dict(zip(channels, own, strict=True)) for own in _rms(session.model, batches, kinds).tolist()
     )
     said = {channel: lacks.get(channel, ()) for channel in channels}
-    return Judged(name, program, alone, corrected, before, said)
+    return JudgedFile(name, program, alone, corrected, before, said)
 
 
 def _rms(

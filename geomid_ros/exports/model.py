@@ -12,6 +12,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimate import QUANTITIES
+from geomid_ros.exports.formats import SAME
 from geomid_ros.exports.inertial import UncertainInertia
 from geomid_ros.files.models.effect_forms import coefficient, effects_of_dynamics, is_body, joint_attributes
 from geomid_ros.files.models.handover import written_for
@@ -32,7 +33,6 @@ from geomid_ros.types import FloatArray
 _URDF = "identified.urdf"
 # A payload's parameters in the order of the quantities.
 _PAYLOAD = ("mass", *COM_ENTRIES, *pseudo_inertia.INERTIA_NAMES)
-_SAME_MASS = 1e-6  # relative; the URDF has nine digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +210,7 @@ def _estimated_bodies(document: Mapping[str, Any], tree: UrdfTree, source: str) 
 def _check_same_model(inertias: Mapping[str, FloatArray], tree: UrdfTree, source: str) -> None:
     for name, parameters in inertias.items():
         written = tree.inertials.get(name, np.zeros(10))[0]
-        if abs(written - parameters[0]) > _SAME_MASS * parameters[0]:
+        if abs(written - parameters[0]) > SAME * parameters[0]:
             raise InputError(
                 f"{source}: the {_URDF} beside it is not of this estimate: link '{name}' weighs {written:.6g} kg there "
                 f"and {parameters[0]:.6g} kg here"

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from geomid_ros.errors import InputError
+from geomid_ros.exports.formats import SAME
 from geomid_ros.exports.inertial import Export, Summand, UncertainInertia, total
 from geomid_ros.exports.model import MassiveLink, Model
 
@@ -15,7 +16,6 @@ from geomid_ros.exports.model import MassiveLink, Model
 # the mass.
 _UNIDENTIFIED_SHARE = 0.1
 _AS_INDEPENDENT = "± counts both estimates' errors as independent: too large if one started from the other"
-_SAME = 1e-6  # relative: a URDF has nine digits
 
 
 def attached(model: Model, frame: str) -> Export:
@@ -191,4 +191,4 @@ def _weighing(reference: Model, frame: str) -> str:
 
 
 def _same(one: UncertainInertia, other: UncertainInertia) -> bool:
-    return bool(np.allclose(one.quantities, other.quantities, rtol=_SAME, atol=_SAME * one.mass))
+    return bool(np.allclose(one.quantities, other.quantities, rtol=SAME, atol=SAME * one.mass))

@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 import yaml
 
-from geomid_ros.exports.drawn_robots import DrawnRobots
+from geomid_ros.exports.posterior_samples import BAND, DrawnRobots
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import effect_class
 from geomid_ros.model.effects.parameters import COM_ENTRIES
 from geomid_ros.types import FloatArray
 
-_BAND = (0.025, 0.975)
 _HEADER = """\
 # 95 % ranges [low, high] of robots drawn from an identification, in SI units: masses, centres of mass in the links'
 # frames, inertias about them, and the effects at joints.
@@ -42,7 +41,7 @@ def _yaml(document: dict[str, Any]) -> str:
 
 def _band(values: FloatArray) -> list[float]:
     """The range of drawn ``values (N,)``, to six digits."""
-    return [float(f"{value:.6g}") for value in np.quantile(values, _BAND)]
+    return [float(f"{value:.6g}") for value in np.quantile(values, BAND)]
 
 
 def _quantities(robots: DrawnRobots) -> dict[str, FloatArray]:

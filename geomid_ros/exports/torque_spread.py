@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.estimation.telling_motions import instants
+from geomid_ros.estimation.suggested_motions import instants
 from geomid_ros.exports.descriptions import described_robot
-from geomid_ros.exports.drawn_robots import DrawnRobots
+from geomid_ros.exports.posterior_samples import BAND, ENOUGH, DrawnRobots
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
@@ -16,8 +16,6 @@ from geomid_ros.types import FloatArray
 
 RANGE = 0.2
 """Half of the width of the ranges that drawn robots are compared with, as a share of each number."""
-_BAND = (0.025, 0.975)
-_MOST = 1000  # robots; 95 % bands need no more
 _SEED = 1
 
 
@@ -51,7 +49,7 @@ def torque_spread(robots: DrawnRobots) -> TorqueSpread:
     )
     motion = instants(model, moving=True)
     estimate = _in_order(model, robots, robots.posterior.parameters[None])[0]
-    drawn = _in_order(model, robots, robots.parameters[:_MOST])
+    drawn = _in_order(model, robots, robots.parameters[:ENOUGH])
     bands = [torque_bands(model, motion, each) for each in (drawn, within_ranges(model, estimate))]
     joints = model.robot.joints
     return TorqueSpread(
@@ -65,7 +63,7 @@ def torque_bands(model: MeasurementModel, motion: Samples, parameters: FloatArra
     """Lower and upper ends ``(N, channels)`` of the 95 % bands of what robots with ``parameters (robots, D)`` feel at N
     instants."""
     _, efforts = model.predict(motion, parameters.T)
-    low, high = np.quantile(efforts, _BAND, axis=2)
+    low, high = np.quantile(efforts, BAND, axis=2)
     return low, high
 
 
@@ -88,7 +86,7 @@ def _in_order(model: MeasurementModel, robots: DrawnRobots, parameters: FloatArr
 def within_ranges(model: MeasurementModel, estimate: FloatArray) -> FloatArray:
     """Robots ``(N, D)`` within 20 % of the ``estimate (D,)``: a factor for each link, and one for each effect."""
     links = len(model.body_names)
-    factors = np.random.default_rng(_SEED).uniform(1.0 - RANGE, 1.0 + RANGE, (_MOST, links + len(model.coefficients)))
+    factors = np.random.default_rng(_SEED).uniform(1.0 - RANGE, 1.0 + RANGE, (ENOUGH, links + len(model.coefficients)))
     return np.asarray(
         estimate * np.concatenate([np.repeat(factors[:, :links], 10, axis=1), factors[:, links:]], axis=1)
     )

@@ -19,19 +19,18 @@ import numpy as np
 
 from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.identifier import Memory
+from geomid_ros.estimation.identifier import LONGEST_STEP, Memory
 from geomid_ros.estimation.summary import RowSummary, SummaryState
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded, encoded
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.fitting import Fitting
 from geomid_ros.session.locking import read_with_locked
-from geomid_ros.session.recorded import Recorded
+from geomid_ros.session.recording_facts import Recorded
 from geomid_ros.session.recordings import Bags, read_bags
 from geomid_ros.session.session import Session
+from geomid_ros.session.training import Training
 
-_LONGEST_PAUSE = 1.0  # [s] as between any two instants
 _FITTED, _HELD_OUT, _BESIDE = "fitted", "held_out", "beside"
 
 
@@ -89,7 +88,7 @@ class BagSummary:
 
     def plus(self, later: BagSummary) -> BagSummary:
         """The rows of both, of which the other was recorded later."""
-        pause = min(max(0.0, 1e-9 * (later.begin - self.end)), _LONGEST_PAUSE)
+        pause = min(max(0.0, 1e-9 * (later.begin - self.end)), LONGEST_STEP)
         rows = self.fitted.summary.plus(later.fitted.summary, pause)
         return BagSummary(
             fitted=Memory(rows, self.fitted.rows_rejected + later.fitted.rows_rejected, None, None),
@@ -133,14 +132,14 @@ def summarise(text: str, source: str, configuration: Configuration, bags: Bags) 
 
 def _read(session: Session, bags: Bags) -> tuple[list[Samples], int, int]:
     """The samples to judge on, and the first and the last stamp of those that were fitted."""
-    fitting, stamps = Fitting(session), list[int]()
+    training, stamps = Training(session), list[int]()
 
     def fit(samples: Samples) -> None:
-        fitting.add(samples)
+        training.add(samples)
         stamps[:] = [*stamps[:1], int(samples.stamps[0]), int(samples.stamps[-1])]
 
     held_out = read_bags(session, bags, fit)
-    fitting.end()
+    training.end()
     return held_out, stamps[0], stamps[-1]
 
 

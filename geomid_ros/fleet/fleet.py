@@ -12,7 +12,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.fleet.cluster import Cluster, failure
-from geomid_ros.fleet.plan import Plan
+from geomid_ros.fleet.plan import FleetPlan
 from geomid_ros.fleet.recordings import FleetBag
 from geomid_ros.fleet.results import RobotResults
 from geomid_ros.fleet.store import Store
@@ -21,7 +21,7 @@ from geomid_ros.session.recordings import Progress, silent
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Robot:
+class FleetRobot:
     """A robot of the fleet.
 
     Attributes:
@@ -42,7 +42,7 @@ class Robot:
 class Fleet:
     """The robots and bags of a fleet, and what is known of them."""
 
-    def __init__(self, plan: Plan, bags: Sequence[FleetBag], store: Store) -> None:
+    def __init__(self, plan: FleetPlan, bags: Sequence[FleetBag], store: Store) -> None:
         """Look at what is kept already.
 
         Raises:
@@ -54,7 +54,7 @@ class Fleet:
         self._kept = store.names()
         store.put(plan.name, json.dumps(plan.document).encode())
 
-    def work(self, connect: Callable[[], Cluster], progress: Progress = silent) -> list[Robot]:
+    def work(self, connect: Callable[[], Cluster], progress: Progress = silent) -> list[FleetRobot]:
         """Do all that is not done yet.
 
         Args:
@@ -100,7 +100,7 @@ class Fleet:
 
     def _solve(
         self, workers: Callable[[], Cluster], outcomes: Mapping[FleetBag, BagOutcome], progress: Progress
-    ) -> Iterator[Robot]:
+    ) -> Iterator[FleetRobot]:
         """The robots, once they are solved for."""
         chosen = {name: self._chosen(name, outcomes) for name in dict.fromkeys(bag.robot for bag in self._bags)}
         kept = {robot: [self._plan.of_bag(bag) for bag in used] for robot, (used, _) in chosen.items()}
@@ -117,7 +117,7 @@ class Fleet:
         for robot, (used, _) in chosen.items():
             error = errors.get(robot, "") if used else "none of its bags can be used"
             bags = [(bag, outcomes[bag]) for bag in self._bags if bag.robot == robot]
-            yield Robot(
+            yield FleetRobot(
                 name=robot,
                 bags=bags,
                 used=tuple(bag.url for bag in used),
@@ -137,7 +137,7 @@ class Fleet:
         ((locked, _),) = Counter(outcomes[bag].locked for bag in used).most_common(1)
         return [bag for bag in used if outcomes[bag].locked == locked], locked
 
-    def results(self, robot: Robot) -> RobotResults:
+    def results(self, robot: FleetRobot) -> RobotResults:
         """The results of a robot that has some. Raises InputError if they cannot be read."""
         content = self._store.get(f"{robot.kept}.npz")
         if content is None:

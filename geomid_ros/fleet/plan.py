@@ -17,7 +17,7 @@ _FORMAT = 1  # of what is kept
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plan:
+class FleetPlan:
     """What all bags have in common.
 
     Attributes:
@@ -47,9 +47,9 @@ class Plan:
         return asdict(self)
 
     @staticmethod
-    def of(document: dict[str, Any]) -> Plan:
+    def of(document: dict[str, Any]) -> FleetPlan:
         """From a :attr:`document`."""
-        return Plan(**document | {"topics": Topics(**document["topics"])})
+        return FleetPlan(**document | {"topics": Topics(**document["topics"])})
 
     @property
     def name(self) -> str:

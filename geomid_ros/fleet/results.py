@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.population import Evidence
+from geomid_ros.estimation.population import RobotLikelihood
 from geomid_ros.estimation.posterior import EffectCoordinate
 from geomid_ros.files.disk import write_bytes
 
@@ -26,7 +26,7 @@ class RobotResults:
     """The ``files`` of a robot's folder by name, and the ``evidence`` that a population is made of."""
 
     files: Mapping[str, bytes]
-    evidence: Evidence
+    evidence: RobotLikelihood
 
     @property
     def encoded(self) -> bytes:
@@ -50,7 +50,7 @@ class RobotResults:
     def _read(content: bytes) -> RobotResults:
         with np.load(io.BytesIO(content), allow_pickle=False) as archive:
             header = json.loads(str(archive[_HEADER]))
-            evidence = Evidence(
+            evidence = RobotLikelihood(
                 links=tuple(header["links"]),
                 effects=tuple(EffectCoordinate(**entry) for entry in header["effects"]),
                 **{name: archive[name] for name in _ARRAYS},

@@ -13,11 +13,11 @@ from tempfile import TemporaryDirectory
 from geomid_ros.checks.verdict import Verdict
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.population import Evidence
+from geomid_ros.estimation.population import RobotLikelihood
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.files.models.readers import READERS
 from geomid_ros.fleet.bag_summary import BagSummary, summarise, total
-from geomid_ros.fleet.plan import Plan
+from geomid_ros.fleet.plan import FleetPlan
 from geomid_ros.fleet.recordings import FleetBag, on_this_disk
 from geomid_ros.fleet.results import RobotResults
 from geomid_ros.fleet.store import Store
@@ -135,7 +135,7 @@ def _results(session: Session, estimate: Estimate, held_out: FloatArray | None, 
     with TemporaryDirectory(prefix="geomid_robot_") as folder:
         files = session.save(Path(folder), estimate, held_out, verdict)
         content = {file.name: file.read_bytes() for file in files}
-    return RobotResults(files=content, evidence=Evidence.of(estimate))
+    return RobotResults(files=content, evidence=RobotLikelihood.of(estimate))
 
 
 def _kept(store: Store, name: str, session: Session) -> BagSummary:
@@ -146,7 +146,7 @@ def _kept(store: Store, name: str, session: Session) -> BagSummary:
 
 
 @lru_cache(maxsize=4)
-def _plan(store: Store, name: str) -> Plan:
+def _plan(store: Store, name: str) -> FleetPlan:
     """The plan of that name. Raises InputError if it is another version's, or if it cannot be seen here."""
     content = store.get(name)
     if content is None:
@@ -154,7 +154,7 @@ def _plan(store: Store, name: str) -> Plan:
             f"{store.url}: a worker does not see this folder; --out must be on a disk that all workers share, or "
             "--keep a URL that they reach"
         )
-    plan = Plan.of(json.loads(content))
+    plan = FleetPlan.of(json.loads(content))
     if plan.version != installed_version():
         found = installed_version()
         raise InputError(f"a worker has geomid_ros {found}, not {plan.version}: install the same everywhere")

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
 from types import MappingProxyType
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -129,7 +129,6 @@ class MeasurementModel:
         self.mounted = [sensor for sensor in sensors if sensor.role == "mounted"]
         """The sensors inside the chain, in the order of their channels."""
         self._external = [sensor for sensor in sensors if sensor.role == "external"]
-        self._links = links
         self.identified = self._identified_bodies(links)
         self.body_names = tuple(robot.bodies[index].name for index in self.identified)
         """Names of the identified bodies."""
@@ -144,11 +143,7 @@ class MeasurementModel:
         topics = [sensor.topic for sensor in self._row_sensors]
         self.places = EffectPlaces(robot, self.body_names, topics, self.layout)
         self.coefficients = self._coefficients()
-        self.positives = sum(coefficient.positive for coefficient in self.coefficients)
-        """How many of the effects' coefficients are positive; they come first."""
-        self.dimension = 10 * len(self.identified) + len(self.coefficients)
-        """D, the number of parameters."""
-        self.channels = self._channels()
+        self._number()
         if not self.channels:
             raise InputError(
                 "no measured channel can be predicted: joint efforts need every external wrench sensor to be on a "
@@ -245,59 +240,54 @@ class MeasurementModel:
 
     def without_effects(self) -> MeasurementModel:
         """The same channels and bodies, with no effects."""
-        return MeasurementModel(self.robot, (), self.sensors, self._links)
+        return self.with_coefficients(())
 
     def with_gravity(self, gravity: FloatArray) -> MeasurementModel:
         """The same model under another ``gravity (3,)`` in the base frame [m/s^2]."""
-        model = MeasurementModel(
-            self.robot.with_gravity(gravity),
-            self._common,
-            self.sensors,
-            self._links,
-            self._local,
-            candidates=self._candidates,
-            behind_gear=self._behind_gear,
-        )
-        model._loading, model._resisting = self._loading, self._resisting
-        return model
+        return self._replaced(robot=self.robot.with_gravity(gravity))
 
     def with_known_loads(self, known: FloatArray | None) -> MeasurementModel:
         """The same model, whose gears transmit what ``known (D,)`` parameters say, NaN where nothing is known: efforts
         of the links, by the URDF unless they are known, and what else acts behind the gears."""
         if known is None:
             return self
-        model, first = copy(self), 10 * len(self.identified)
+        first, loading = 10 * len(self.identified), self._loading.copy()
         inertias = np.where(np.isfinite(known[:first]), known[:first], self.nominal_inertias)
-        model._loading = self._loading.copy()  # noqa: SLF001 its own, as below
-        model._loading[list(self.identified)] = inertias.reshape(-1, 10)  # noqa: SLF001
-        model._resisting = tuple(  # noqa: SLF001
+        loading[list(self.identified)] = inertias.reshape(-1, 10)
+        resisting = tuple(
             (c.effect, c.place, float(value))
             for c, value in zip(self.coefficients, known[first:], strict=True)
             if isinstance(c.effect, MotionEffect) and not c.effect.before_gear and np.isfinite(value)
         )
-        return model
+        return self._replaced(_loading=loading, _resisting=resisting)
 
     def with_carried(self, link: str) -> MeasurementModel:
         """The same model with one body more, the last, which moves with the identified ``link`` and has its frame."""
-        model = copy(self)
-        model.__dict__.pop("_carried", None)
-        model.__dict__.pop("usual_shapes", None)
-        model.identified = (*self.identified, self.identified[self.body_names.index(link)])
-        model.body_names = (*self.body_names, f"payload of {link}")
-        model.dimension = self.dimension + 10
-        model.channels = model._channels()  # noqa: SLF001 its own
-        return model
+        return self._replaced(
+            identified=(*self.identified, self.identified[self.body_names.index(link)]),
+            body_names=(*self.body_names, f"payload of {link}"),
+        )
 
     def with_coefficients(self, chosen: Sequence[int]) -> MeasurementModel:
         """The same model with these of its coefficients alone."""
+        return self._replaced(coefficients=tuple(self.coefficients[index] for index in chosen))
+
+    def _replaced(self, **changes: Any) -> MeasurementModel:
+        """A copy with these attributes, and anew what depends on them."""
         model = copy(self)
-        model.__dict__.pop("_carried", None)
-        model.__dict__.pop("usual_shapes", None)
-        model.coefficients = tuple(self.coefficients[index] for index in chosen)
-        model.positives = sum(coefficient.positive for coefficient in model.coefficients)
-        model.dimension = 10 * len(self.identified) + len(model.coefficients)
-        model.channels = model._channels()  # noqa: SLF001 its own
+        for cached in ("_carried", "usual_shapes"):
+            vars(model).pop(cached, None)
+        vars(model).update(changes)
+        model._number()  # noqa: SLF001 its own
         return model
+
+    def _number(self) -> None:
+        """Count the parameters, and say which of them each channel depends on."""
+        self.positives = sum(coefficient.positive for coefficient in self.coefficients)
+        """How many of the effects' coefficients are positive; they come first."""
+        self.dimension = 10 * len(self.identified) + len(self.coefficients)
+        """D, the number of parameters."""
+        self.channels = (*self._joint_channels(), *self._wrench_channels())
 
     @property
     def nominal_inertias(self) -> FloatArray:
@@ -335,9 +325,6 @@ class MeasurementModel:
         first = 10 * len(self.identified)
         columns += [first + k for k, c in enumerate(self.coefficients) if channel in self._reached(c.place)]
         return np.array(columns, dtype=np.int64)
-
-    def _channels(self) -> tuple[Channel, ...]:
-        return (*self._joint_channels(), *self._wrench_channels())
 
     def _joint_channels(self) -> list[Channel]:
         carried = {joint.name: self.robot.subtree(joint.child) for joint in self.robot.tree.joints}

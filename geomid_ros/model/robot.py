@@ -13,7 +13,7 @@ import pinocchio as pin
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model import urdf_tree
-from geomid_ros.model.samples import Samples
+from geomid_ros.model.samples import Samples, samples_of
 from geomid_ros.types import FloatArray, frozen
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -304,20 +304,8 @@ class Robot:
 
     def pinocchio_positions(self, position: FloatArray) -> FloatArray:
         """Pinocchio's q ``(N, nq)`` at positions ``(N, joints)``, with what follows them."""
-        still, none = np.zeros_like(position), np.zeros((len(position), 0))
-        return self.configuration(
-            Samples(
-                stamps=np.zeros(len(position), dtype=np.int64),
-                position=position,
-                velocity=still,
-                acceleration=still,
-                effort=still,
-                base_pose=none,
-                base_velocity=none,
-                base_acceleration=none,
-                wrenches=np.zeros((len(position), 0, 6)),
-            )
-        )[0]
+        still = np.zeros_like(position)
+        return self.configuration(samples_of(np.array([position, still, still])))[0]
 
     def _motions(self, samples: Samples) -> Iterator[tuple[Joint, FloatArray, FloatArray, FloatArray]]:
         """Every moving joint's position, velocity and acceleration, each ``(N,)``."""

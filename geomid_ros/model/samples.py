@@ -14,6 +14,10 @@ from geomid_ros.model.effects import Motion, MotionEffect, Place
 from geomid_ros.types import AnyArray, FloatArray, IntArray
 
 _PAUSE = 1.5  # sampling periods
+WIDEST = np.pi
+"""[rad, m] to either side, where a joint has no ends."""
+ACCELERATION_PER_SPEED = 4.0
+"""[1/s] of usual motion."""
 PIECE = 1000
 """Samples: of so many the rows, and what else is computed of them, take little memory."""
 
@@ -138,3 +142,29 @@ class Samples:
             name: np.concatenate([part.arrays[name] for part in parts]) for name in parts[0].arrays
         }
         return replace(parts[0], **arrays)
+
+
+def random_states(
+    random: np.random.Generator, count: int, limits: FloatArray, velocity: FloatArray, acceleration: FloatArray
+) -> FloatArray:
+    """Random positions, velocities and accelerations ``(3, count, J)``: between position ``limits (J, 2)`` and within a
+    turn, and as fast in either direction as ``velocity (J,)`` and ``acceleration (J,)`` at most."""
+    low, high = np.clip(limits, -WIDEST, WIDEST).T
+    position = random.uniform(low, high, (count, len(low)))
+    return np.array([position, *(random.uniform(-1.0, 1.0, (2, *position.shape)) * [[velocity], [acceleration]])])
+
+
+def samples_of(states: FloatArray, sensors: int = 0) -> Samples:
+    """Samples at positions, velocities and accelerations ``(3, N, J)``, nothing measured by so many wrench sensors."""
+    still, none = np.zeros_like(states[0]), np.zeros((states.shape[1], 0))
+    return Samples(
+        stamps=np.arange(states.shape[1], dtype=np.int64),
+        position=states[0],
+        velocity=states[1],
+        acceleration=states[2],
+        effort=still,
+        base_pose=none,
+        base_velocity=none,
+        base_acceleration=none,
+        wrenches=np.zeros((states.shape[1], sensors, 6)),
+    )

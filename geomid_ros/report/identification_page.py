@@ -54,7 +54,7 @@ class IdentificationPage:
         file: the description that is written.
         alone, corrected: RMS of what it leaves by itself, and with the errors of sensors beside it, by channel.
         telling: by link and motion, the quantities that it would tell, see
-            :func:`~geomid_ros.estimation.telling_motions.telling_motions`.
+            :func:`~geomid_ros.estimation.suggested_motions.suggested_motions`.
         messages: what became of them, by topic.
         refused_rows: numbers of rows that were not used, by reason.
         origin: where the page is from.

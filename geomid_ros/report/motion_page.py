@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from geomid_ros.excitation.knowledge import samples_of
 from geomid_ros.model.collision import HalfSpace, Obstacle
 from geomid_ros.model.robot import Robot
+from geomid_ros.model.samples import samples_of
 from geomid_ros.report.page import Script, write_page
 from geomid_ros.session.excitation import Excitation
 from geomid_ros.types import FloatArray

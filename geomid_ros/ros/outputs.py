@@ -14,8 +14,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import ColorRGBA, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from geomid_ros.estimation.estimate import Estimate, LinkEstimate
-from geomid_ros.estimation.prediction import effort_deviations
+from geomid_ros.estimation.estimate import Estimate, LinkEstimate, effort_deviations
 from geomid_ros.exports.weighed_payload import Payload
 from geomid_ros.files.models.gap_results import FORMAT
 from geomid_ros.geometry import pseudo_inertia

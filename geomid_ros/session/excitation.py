@@ -11,23 +11,22 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.criteria import PREDICTION, meaning_of, weight_of
 from geomid_ros.excitation.feasibility import Feasibility, Margins
-from geomid_ros.excitation.knowledge import Knowledge, known_before, prior_knowledge
+from geomid_ros.excitation.knowledge import Belief, known_before, prior_knowledge
 from geomid_ros.excitation.learning import Learning, expected_learning
-from geomid_ros.excitation.limits import MotionLimits, motion_limits
+from geomid_ros.excitation.limits import MotionLimits, motion_limits, starts
 from geomid_ros.excitation.motion import Motion, MotionForm
-from geomid_ros.excitation.rivals import DECIDED, Judge, deciding_motion
+from geomid_ros.excitation.rivals import DECIDED, DiscriminationCriterion, deciding_motion
 from geomid_ros.excitation.search import Search, expected_error, other_motions, random_feasible
-from geomid_ros.excitation.start import starts
 from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.files.models.joint_limits import read_joint_limits
 from geomid_ros.files.models.posterior import beside, read_posterior
 from geomid_ros.files.models.results import read_estimate
 from geomid_ros.model.collision import CollisionModel, Pair
 from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.session.collision_scene import NOT_LOOKED, Surroundings, not_watched, without_touching
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.open_questions import open_questions
+from geomid_ros.session.rival_effects import open_questions
 from geomid_ros.session.session import Session
-from geomid_ros.session.surroundings import NOT_LOOKED, Surroundings, not_watched, without_touching
 
 RATE = 100.0
 """[Hz] of the points of a trajectory."""
@@ -39,7 +38,7 @@ _MANY = 20.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wish:
+class MotionRequest:
     """What a motion is asked for.
 
     Attributes:
@@ -66,7 +65,7 @@ class Wish:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Task:
+class DesignTask:
     """A robot, its limits and surroundings, and what is known of it.
 
     Attributes:
@@ -78,7 +77,7 @@ class Task:
     """
 
     feasibility: Feasibility
-    knowledge: Knowledge
+    knowledge: Belief
     form: MotionForm
     not_watched: tuple[Pair, ...]
     notes: tuple[str, ...]
@@ -122,7 +121,7 @@ class Excitation:
     """A designed motion, with how far it stays from all limits, what it is expected to teach (of what the expected
     ``error`` is, in words), and which rivals it is expected to tell apart."""
 
-    task: Task
+    task: DesignTask
     error: str
     motion: Motion
     margins: Margins
@@ -153,7 +152,7 @@ class Excitation:
         return Trajectory(self.task.feasibility.names, times, *self.motion.at(times)[:3])
 
 
-def task_of(urdf: str, source: Path, configuration: Configuration, wish: Wish) -> Task:
+def task_of(urdf: str, source: Path, configuration: Configuration, wish: MotionRequest) -> DesignTask:
     """All that a search needs.
 
     Args:
@@ -180,7 +179,7 @@ def task_of(urdf: str, source: Path, configuration: Configuration, wish: Wish) -
     notes = [*limits.notes, "" if collision else NOT_LOOKED, not_watched(unwatched), *robot.repaired.values()]
     slow = _SLOW_SHARE.get(wish.aim, _SLOW_SHARE[PREDICTION])
     form = MotionForm(period=wish.duration / wish.repeats, slow_share=slow, repeats=wish.repeats)
-    return Task(
+    return DesignTask(
         feasibility=feasibility,
         knowledge=knowledge,
         form=form,
@@ -205,7 +204,7 @@ def _model_of(session: Session) -> MeasurementModel:
     return model.with_coefficients([index for index, c in enumerate(model.coefficients) if not c.optional])
 
 
-def _knowledge(session: Session, model: MeasurementModel, limits: MotionLimits) -> Knowledge:
+def _knowledge(session: Session, model: MeasurementModel, limits: MotionLimits) -> Belief:
     prior = prior_knowledge(model, limits)
     if not session.loaded.source:
         return prior
@@ -216,7 +215,7 @@ def _knowledge(session: Session, model: MeasurementModel, limits: MotionLimits) 
 
 
 def _feasibility(
-    knowledge: Knowledge, limits: MotionLimits, collision: CollisionModel | None, wish: Wish
+    knowledge: Belief, limits: MotionLimits, collision: CollisionModel | None, wish: MotionRequest
 ) -> tuple[Feasibility, tuple[Pair, ...]]:
     """The first of the starts that can be begun from, and the pairs that are left out."""
     names = knowledge.model.robot.joint_names
@@ -245,7 +244,7 @@ def _nowhere(refused: Sequence[InputError], around: Surroundings) -> str:
     return f"{said}, or make room: --avoid is in metres in the base frame, each part of a mesh is its convex hull"
 
 
-def design(task: Task, wish: Wish, progress: Callable[[str, float], None]) -> Excitation:
+def design(task: DesignTask, wish: MotionRequest, progress: Callable[[str, float], None]) -> Excitation:
     """Search for a motion and say what to expect of it."""
     random, feasibility = np.random.default_rng(wish.seed), task.feasibility
     judge, labels = (None, []) if wish.settle is None else open_questions(task.feasibility, wish.settle)
@@ -275,7 +274,10 @@ def design(task: Task, wish: Wish, progress: Callable[[str, float], None]) -> Ex
 
 
 def _decisions(
-    judge: Judge, labels: Sequence[tuple[str, Sequence[str]]], motion: Motion, randoms: Sequence[Motion]
+    judge: DiscriminationCriterion,
+    labels: Sequence[tuple[str, Sequence[str]]],
+    motion: Motion,
+    randoms: Sequence[Motion],
 ) -> Iterator[Decision]:
     own, others = judge.differences(motion), [judge.differences(random) for random in randoms]
     for place, (found, rivals) in enumerate(labels):

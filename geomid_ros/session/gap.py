@@ -17,9 +17,9 @@ from geomid_ros.gap.workflow import CUTOFF, GapSettings, find_gap, left_by_model
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.resimulate import CUTOFF as SHARP_CUTOFF
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.fitting import check_measured
 from geomid_ros.session.recordings import HELD_OUT, Bags, Progress, divided, read_samples, silent
 from geomid_ros.session.session import Session
+from geomid_ros.session.training import check_measured
 from geomid_ros.signals.messages import JOINT_STATES, Accepted, message_type, parse
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings

@@ -13,8 +13,8 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.model.samples import Samples
-from geomid_ros.session.fitting import Fit, Fitted
 from geomid_ros.session.session import Session
+from geomid_ros.session.training import TrainingData
 from geomid_ros.signals.arrived import OTHER_FRAME
 from geomid_ros.signals.decoding import Decoder
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, message_type
@@ -155,7 +155,9 @@ def _divided(samples: Samples, boundary: int) -> tuple[Samples, Samples]:
     return samples.select(early), samples.select(~early)
 
 
-def read_bags(session: Session, bags: Bags, fit: Fit, progress: Progress = silent) -> list[Samples]:
+def read_bags(
+    session: Session, bags: Bags, fit: Callable[[Samples], object], progress: Progress = silent
+) -> list[Samples]:
     """Read all bags with the session's settings.
 
     Args:
@@ -171,7 +173,7 @@ def read_bags(session: Session, bags: Bags, fit: Fit, progress: Progress = silen
     Raises:
         InputError: a bag cannot be used, or nothing is left to fit.
     """
-    fitted = Fitted(session, fit)
+    fitted = TrainingData(session, fit)
     held_out: list[Samples] = []
     for path in bags.fitted:
         pipeline = session.new_pipeline()

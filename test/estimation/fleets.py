@@ -10,7 +10,7 @@ from geometry import bodies
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import Identifier
-from geomid_ros.estimation.population import Evidence
+from geomid_ros.estimation.population import RobotLikelihood
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.types import FloatArray
 
@@ -49,10 +49,10 @@ class Type:
         noisy = clean + NOISE * rng.normal(size=clean.shape)
         return Case(self.case.model, samples(moving, noisy), clean, parameters(self.case.model, true), true)
 
-    def fleet(self, robots: int, seconds: float = 10.0, first: int = 0) -> list[Evidence]:
+    def fleet(self, robots: int, seconds: float = 10.0, first: int = 0) -> list[RobotLikelihood]:
         """What the data of so many robots say."""
         seeds = range(first, first + robots)
-        return [Evidence.of(solved(self.recorded(self.robot(seed), seed, seconds))) for seed in seeds]
+        return [RobotLikelihood.of(solved(self.recorded(self.robot(seed), seed, seconds))) for seed in seeds]
 
 
 def typical(name: str, seed: int) -> Type:

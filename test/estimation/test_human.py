@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geomid_ros.estimation.rows import RowsSolution, solve_rows
+from geomid_ros.estimation.paper_estimator import RowsSolution, solve_rows
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.types import FloatArray
 

@@ -9,8 +9,8 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimator import EstimatorSettings
-from geomid_ros.estimation.members import population_and_members
-from geomid_ros.estimation.population import Evidence, Population, PopulationFit, common
+from geomid_ros.estimation.fleet_outliers import population_and_members
+from geomid_ros.estimation.population import Population, PopulationFit, RobotLikelihood, common
 from geomid_ros.types import FloatArray
 
 from .arms import parameters
@@ -28,7 +28,7 @@ def of_type() -> Type:
 
 
 @cache
-def robots() -> tuple[Evidence, ...]:
+def robots() -> tuple[RobotLikelihood, ...]:
     return tuple(of_type().fleet(ROBOTS))
 
 
@@ -112,7 +112,7 @@ def test_much_data_win_over_the_population() -> None:
     np.testing.assert_allclose(fresh.error(beside.parameters), fresh.error(alone.parameters), atol=0.01)
 
 
-def judged(other: Evidence) -> tuple[Population, list[bool], tuple[str, ...]]:
+def judged(other: RobotLikelihood) -> tuple[Population, list[bool], tuple[str, ...]]:
     """The population with another robot instead of the last, who is of it, and in what the other is unlike it."""
     found, members = population_and_members([*robots()[:-1], other])
     return found, [member.member for member in members], members[-1].unlike
@@ -131,7 +131,7 @@ def test_robots_of_one_type_are_members() -> None:
 
 def test_a_robot_of_another_type_is_told_and_moves_nothing() -> None:
     kind = typical("arm3", 4)
-    found, members, unlike = judged(Evidence.of(solved(kind.recorded(kind.robot(ANOTHER), ANOTHER, 10.0))))
+    found, members, unlike = judged(RobotLikelihood.of(solved(kind.recorded(kind.robot(ANOTHER), ANOTHER, 10.0))))
     assert members == [True] * (ROBOTS - 1) + [False]
     assert unlike
     assert moved(found, of_the_others()) < MOST_MOVED
@@ -140,7 +140,7 @@ def test_a_robot_of_another_type_is_told_and_moves_nothing() -> None:
 def test_a_tool_left_on_is_told_and_moves_nothing() -> None:
     kind = of_type()
     case = kind.recorded(with_tool(kind.robot(ANOTHER), 0.8), ANOTHER, 10.0)
-    found, members, unlike = judged(Evidence.of(solved(case)))
+    found, members, unlike = judged(RobotLikelihood.of(solved(case)))
     assert members == [True] * (ROBOTS - 1) + [False]
     assert unlike[0] == kind.case.model.body_names[-1]
     assert moved(found, of_the_others()) < MOST_MOVED

@@ -7,15 +7,15 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.feasibility import Feasibility
-from geomid_ros.excitation.knowledge import samples_of
 from geomid_ros.excitation.motion import Motion
 from geomid_ros.excitation.search import random_feasible, random_motion
-from geomid_ros.session.excitation import Wish
-from geomid_ros.session.surroundings import Surroundings
+from geomid_ros.model.samples import samples_of
+from geomid_ros.session.collision_scene import Surroundings
+from geomid_ros.session.excitation import MotionRequest
 
 from .arm import small_task, urdf
 
-TASK = small_task(Wish(duration=6.0, repeats=1, surroundings=Surroundings(avoid=("box:0.75,0,0.7,0.2,2,2",))))
+TASK = small_task(MotionRequest(duration=6.0, repeats=1, surroundings=Surroundings(avoid=("box:0.75,0,0.7,0.2,2,2",))))
 
 
 def dense(motion: Motion) -> np.ndarray:
@@ -86,9 +86,9 @@ def test_starts_that_cannot_be() -> None:
         with pytest.raises(InputError, match=message):
             Feasibility(own.knowledge, own.limits, np.array(start), own.collision)
     with pytest.raises(InputError, match="effort limit of joint 'j2'"):
-        small_task(Wish(duration=6.0, start=(0.0, 1.5, 0.0)), urdf().replace('effort="60"', 'effort="8"'))
+        small_task(MotionRequest(duration=6.0, start=(0.0, 1.5, 0.0)), urdf().replace('effort="60"', 'effort="8"'))
 
 
 def test_surroundings_that_enclose_the_arm() -> None:
     with pytest.raises(InputError, match="no feasible start was found among"):
-        small_task(Wish(duration=6.0, surroundings=Surroundings(avoid=("box:0,0,0,5,5,5",))))
+        small_task(MotionRequest(duration=6.0, surroundings=Surroundings(avoid=("box:0,0,0,5,5,5",))))

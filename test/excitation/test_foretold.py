@@ -11,8 +11,8 @@ from geomid_ros.excitation.criteria import weight_of
 from geomid_ros.excitation.feasibility import Feasibility
 from geomid_ros.excitation.motion import Motion, MotionForm
 from geomid_ros.excitation.search import random_feasible, random_motion
-from geomid_ros.session.excitation import Wish, design
-from geomid_ros.session.surroundings import Surroundings
+from geomid_ros.session.collision_scene import Surroundings
+from geomid_ros.session.excitation import MotionRequest, design
 
 from .arm import small_task
 
@@ -22,14 +22,14 @@ WALLS = ("plane:1,0,0,-0.08", "plane:-1,0,0,-0.08", "plane:0,1,0,-0.08", "plane:
 @pytest.mark.parametrize("clearance", [0.02, 0.3])
 def test_pairs_that_begin_closer_than_the_clearance_are_said_to_keep_half(clearance: float) -> None:
     """The walls begin 0.05 m from the arm."""
-    wish = Wish(duration=3.0, repeats=1, surroundings=Surroundings(avoid=WALLS, clearance=clearance))
+    wish = MotionRequest(duration=3.0, repeats=1, surroundings=Surroundings(avoid=WALLS, clearance=clearance))
     found = design(small_task(wish), wish, lambda *_: None)
     assert ("half of their distance at the start" in found.closest) is (clearance > 0.05)
 
 
 def test_in_a_tight_place_the_error_on_feasible_motions_is_foretold() -> None:
     """The arm stands upright in a shaft, 0.16 m wide, in which random motions within its limits collide."""
-    wish = Wish(duration=6.0, repeats=1, surroundings=Surroundings(avoid=WALLS))
+    wish = MotionRequest(duration=6.0, repeats=1, surroundings=Surroundings(avoid=WALLS))
     task = small_task(wish)
     found = design(task, wish, lambda *_: None)
     random = np.random.default_rng(8)

@@ -10,22 +10,22 @@ from geomid_ros.excitation.criteria import weight_of
 from geomid_ros.excitation.motion import Motion
 from geomid_ros.excitation.search import Search, expected_error, random_feasible, random_motion
 from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.session.collision_scene import Surroundings
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.excitation import Task, Wish, task_of
-from geomid_ros.session.surroundings import Surroundings
+from geomid_ros.session.excitation import DesignTask, MotionRequest, task_of
 from geomid_ros.types import FloatArray
 
 from .arm import small_task
 
-TASK = small_task(Wish(duration=6.0, repeats=1, surroundings=Surroundings(avoid=("box:0.75,0,0.7,0.2,2,2",))))
+TASK = small_task(MotionRequest(duration=6.0, repeats=1, surroundings=Surroundings(avoid=("box:0.75,0,0.7,0.2,2,2",))))
 
 
-def weight(seed: int, aim: str = "prediction", task: Task = TASK) -> FloatArray:
+def weight(seed: int, aim: str = "prediction", task: DesignTask = TASK) -> FloatArray:
     random = np.random.default_rng(seed)
     return weight_of(aim, task.knowledge, [random_motion(task.feasibility, task.form, random) for _ in range(4)])
 
 
-def search(aim: str = "prediction", task: Task = TASK) -> Search:
+def search(aim: str = "prediction", task: DesignTask = TASK) -> Search:
     return Search(task.feasibility, task.form, expected_error(task.feasibility, weight(0, aim, task), task.form))
 
 
@@ -34,15 +34,15 @@ def error(motion: Motion, of: FloatArray) -> float:
     return float(np.sum(of * after.posterior.covariance))
 
 
-def with_a_sensor() -> Task:
+def with_a_sensor() -> DesignTask:
     sensor = WrenchSensor("/wrench", "wrist_ft", "mounted")
     path = BAGS / "arm3.urdf"
     chosen = Configuration({}, "test").with_sensors([sensor])
-    return task_of(path.read_text(), path, chosen, Wish(duration=6.0, repeats=1))
+    return task_of(path.read_text(), path, chosen, MotionRequest(duration=6.0, repeats=1))
 
 
 @pytest.mark.parametrize("task", [TASK, with_a_sensor()], ids=["efforts", "efforts and wrenches"])
-def test_slopes_are_those_of_the_cost(task: Task) -> None:
+def test_slopes_are_those_of_the_cost(task: DesignTask) -> None:
     own, random = search(task=task), np.random.default_rng(3)
     motion = random_motion(task.feasibility, task.form, random).scaled(1.05)  # beyond limits, which cost
     value, slope = own._value_and_slope(motion)

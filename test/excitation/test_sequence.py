@@ -11,9 +11,10 @@ from geomid_ros.estimation.estimator import EstimatorSettings, estimate
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.excitation.criteria import weight_of
 from geomid_ros.excitation.feasibility import Feasibility
-from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Knowledge, known_before, samples_of
+from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Belief, known_before
 from geomid_ros.excitation.motion import Motion
 from geomid_ros.excitation.search import Search, expected_error, random_motion
+from geomid_ros.model.samples import samples_of
 from geomid_ros.types import FloatArray
 
 from .arm import small_task
@@ -23,7 +24,7 @@ WORTH = 0.15
 MOST = 8
 
 
-def designed(knowledge: Knowledge, random: np.random.Generator) -> tuple[Motion, float]:
+def designed(knowledge: Belief, random: np.random.Generator) -> tuple[Motion, float]:
     """A motion from what is known, and by what share it lowers the expected error."""
     before = TASK.feasibility
     feasibility = Feasibility(knowledge, before.limits, before.start, before.collision)

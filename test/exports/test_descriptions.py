@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from geomid_ros.errors import InputError
 from geomid_ros.exports.descriptions import DESCRIPTIONS
-from geomid_ros.exports.into import into_mjcf
 from geomid_ros.exports.model import Model, read_model
+from geomid_ros.exports.patch_mjcf import into_mjcf
 from geomid_ros.exports.payload import each_link
 from geomid_ros.files.models.gap_model import write_model
 from geomid_ros.files.models.loaded_model import LoadedModel

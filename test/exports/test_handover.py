@@ -15,7 +15,7 @@ from files.recordings import BAGS, QUICK
 import geomid_ros
 from geomid_ros.api.identify import Identification
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
-from geomid_ros.exports.handover import HandedOver, Judged
+from geomid_ros.exports.handover import HandedOver, JudgedFile
 from geomid_ros.exports.model import read_model
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.read_back import ReadBack, read_urdf_back
@@ -110,7 +110,7 @@ def test_mujoco_itself_needs_these_efforts() -> None:
 
 
 def test_a_number_that_is_wrong_in_the_file_shows() -> None:
-    """Judged is the text that is written, not the parameters that it was made from."""
+    """The text that is written is judged, not the parameters that it was made from."""
     session = found().session
     text = handed("urdf").files["identified.urdf"]
     wrong = re.sub(r'damping="[^"]*"', 'damping="10"', text)
@@ -124,11 +124,11 @@ def test_a_number_that_is_wrong_in_the_file_shows() -> None:
 
 def test_a_file_worse_than_what_it_is_from_says_so_with_the_channel_and_what_it_lacks() -> None:
     lacks = {"a": ("spring of a",), "b": ()}
-    judged = Judged("f.urdf", "pinocchio", {"a": 2.0, "b": 1.0}, {"a": 1.2, "b": 1.0}, {"a": 1.0, "b": 1.0}, lacks)
+    judged = JudgedFile("f.urdf", "pinocchio", {"a": 2.0, "b": 1.0}, {"a": 1.2, "b": 1.0}, {"a": 1.0, "b": 1.0}, lacks)
     (sentence,) = judged.worse
     assert sentence.startswith("'a' is predicted worse by f.urdf than by the given description: RMS 2 ")
     assert "it cannot hold spring of a" in sentence
-    offsets = Judged("f.urdf", "pinocchio", {"a": 2.0}, {"a": 0.9}, {"a": 1.0}, {"a": ()})
+    offsets = JudgedFile("f.urdf", "pinocchio", {"a": 2.0}, {"a": 0.9}, {"a": 1.0}, {"a": ()})
     assert not offsets.worse, "an error of a sensor is no part of the robot"
 
 
@@ -176,7 +176,7 @@ def test_what_was_given_is_judged_in_the_same_way() -> None:
 
 
 def test_a_file_worse_than_what_it_is_from_is_not_called_usable() -> None:
-    worse = Judged("f.urdf", "pinocchio", {"a": 2.0}, {"a": 2.0}, {"a": 1.0}, {"a": ()})
+    worse = JudgedFile("f.urdf", "pinocchio", {"a": 2.0}, {"a": 2.0}, {"a": 1.0}, {"a": ()})
     identified, gap = replace(found()), replace(geomid_ros.find_gap(BAGS / "arm3", BAGS / "arm3.urdf"))
     assert (identified.verdict.word, gap.status) == (USABLE, 0)
     for result in (identified, gap):

@@ -17,7 +17,7 @@ from files.estimates import estimate_of, link_estimate
 
 from geomid_ros.checks.verdict import Verdict
 from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate
-from geomid_ros.estimation.telling_motions import FAST, POSES
+from geomid_ros.estimation.suggested_motions import FAST, POSES
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.report.identification_page import IdentificationPage, Origin, write_identification_page
 from geomid_ros.report.series import Series

@@ -20,7 +20,7 @@ from geomid_ros.excitation.running.watch import Watch
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.trajectories.reading import read_trajectory
 from geomid_ros.ros.excite.run import Order, prepared_run
-from geomid_ros.session.surroundings import Surroundings
+from geomid_ros.session.collision_scene import Surroundings
 
 from .processes import Process
 from .stage import Stage

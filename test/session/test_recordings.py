@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from geomid_ros.errors import InputError
 from geomid_ros.model.samples import Samples
 from geomid_ros.session import recordings
-from geomid_ros.session.fitting import check_measured
 from geomid_ros.session.recordings import Bags, divided
+from geomid_ros.session.training import check_measured
 
 PERIOD = 10_000_000  # [ns]
 BAG, OTHER = Path("a"), Path("b")

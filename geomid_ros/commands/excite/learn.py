@@ -17,10 +17,10 @@ from geomid_ros.commands.options import OUT
 from geomid_ros.errors import GeomidError, InputError, printable
 
 if TYPE_CHECKING:
-    from geomid_ros.api.arguments import Description
+    from geomid_ros.api.arguments import DescribedRobot
     from geomid_ros.api.identify import Identification
     from geomid_ros.session.configuration import Configuration
-    from geomid_ros.session.excitation import Excitation, Wish
+    from geomid_ros.session.excitation import Excitation, MotionRequest
 
 _FIRST = 0.2  # of the speed
 
@@ -101,9 +101,9 @@ class _Learning:
         found: after that round.
     """
 
-    robot: Description
+    robot: DescribedRobot
     chosen: Configuration
-    wish: Wish
+    wish: MotionRequest
     out: Path
     options: dict[str, Any]
     number: int = 0

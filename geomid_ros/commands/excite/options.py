@@ -12,8 +12,8 @@ from geomid_ros.commands.options import Names, package_option
 from geomid_ros.errors import InputError
 
 if TYPE_CHECKING:
-    from geomid_ros.session.excitation import Wish
-    from geomid_ros.session.surroundings import Surroundings
+    from geomid_ros.session.collision_scene import Surroundings
+    from geomid_ros.session.excitation import MotionRequest
 
 
 def surroundings_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -47,7 +47,7 @@ def surroundings_options(command: Callable[..., None]) -> Callable[..., None]:
 
 def surroundings_of(options: dict[str, Any]) -> Surroundings:
     """What these options say, which are taken out of the ``options``."""
-    from geomid_ros.session.surroundings import Surroundings
+    from geomid_ros.session.collision_scene import Surroundings
 
     return Surroundings(
         avoid=options.pop("avoid"),
@@ -119,12 +119,12 @@ def motion_options(command: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
-def wish_of(options: dict[str, Any]) -> Wish:
+def wish_of(options: dict[str, Any]) -> MotionRequest:
     """What these options ask for, which are taken out of the ``options``."""
-    from geomid_ros.session.excitation import Wish
+    from geomid_ros.session.excitation import MotionRequest
 
     own = {name: options.pop(name) for name in ("limits", "duration", "repeats", "speed", "aim", "seed")}
-    return Wish(start=numbers(options.pop("start")), surroundings=surroundings_of(options), **own)
+    return MotionRequest(start=numbers(options.pop("start")), surroundings=surroundings_of(options), **own)
 
 
 def robot_run_options(command: Callable[..., None]) -> Callable[..., None]:

@@ -12,7 +12,7 @@ from rich.table import Table
 from geomid_ros.api.gap import Gap
 from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.commands.tables import lines, number_columns, plain_table, print_remarks, results_console, say
-from geomid_ros.exports.handover import Judged
+from geomid_ros.exports.handover import JudgedFile
 from geomid_ros.gap.result import GapResult
 from geomid_ros.report import gap_words
 from geomid_ros.report.simulated_again import SimulatedAgain
@@ -51,7 +51,7 @@ def show(found: Gap) -> None:
             say(console, "", f"- {what}")
 
 
-def _print_file(console: Console, judged: Judged | None) -> None:
+def _print_file(console: Console, judged: JudgedFile | None) -> None:
     """Print how well the written description predicts, and where it does worse than the given one."""
     if judged is None:
         return

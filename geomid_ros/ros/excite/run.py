@@ -13,17 +13,17 @@ import numpy as np
 from rclpy.node import Node
 
 from geomid_ros.errors import GeomidError, InputError
+from geomid_ros.excitation.running.approach_and_stop import stopping_accelerations, way_by, way_to_rest
+from geomid_ros.excitation.running.approach_path import Passage
 from geomid_ros.excitation.running.limits import RobotLimits, check_motion
-from geomid_ros.excitation.running.passage import Passage
 from geomid_ros.excitation.running.watch import JointState, Watch
-from geomid_ros.excitation.running.ways import stopping_accelerations, way_by, way_to_rest
 from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.model.robot import Robot
 from geomid_ros.ros.excite.controller import Controller, find_controller
 from geomid_ros.ros.excite.recorder import Recorder
 from geomid_ros.ros.excite.robot import HeardRobot
 from geomid_ros.ros.starting import running_node
-from geomid_ros.session.surroundings import NOT_LOOKED, Surroundings, not_watched, without_touching
+from geomid_ros.session.collision_scene import NOT_LOOKED, Surroundings, not_watched, without_touching
 from geomid_ros.types import FloatArray
 
 _PATIENCE = 5.0  # [s] for joint states and a description

@@ -16,10 +16,10 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.exports.descriptions import DESCRIPTIONS, as_described
-from geomid_ros.exports.formats import JSON
+from geomid_ros.exports.formats import JSON, SAME
 from geomid_ros.exports.inertial import UncertainInertia
-from geomid_ros.exports.into import OwnMjcf, read_own_mjcf
 from geomid_ros.exports.model import Model, read_model
+from geomid_ros.exports.patch_mjcf import OwnMjcf, read_own_mjcf
 from geomid_ros.files.models.effect_forms import coefficient_entry, effect_entry, is_coefficient
 from geomid_ros.files.models.posterior import beside, read_posterior
 from geomid_ros.files.models.results import link_entry
@@ -28,8 +28,10 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.types import FloatArray
 
-_ENOUGH = 1000  # robots, for 95 % ranges
-_SAME = 1e-6  # relative; the same number in two files
+BAND = (0.025, 0.975)
+"""Quantiles at the ends of 95 % ranges."""
+ENOUGH = 1000
+"""Robots for these."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +106,7 @@ class DrawnRobots:
         found = {}
         for column, c in self._coefficients.items():
             key, value = (c.name, c.place, c.parameter), self.posterior.parameters[column]
-            if abs(said.get(key, np.inf) - value) <= _SAME * abs(value):
+            if abs(said.get(key, np.inf) - value) <= SAME * abs(value):
                 found[key] = column
         return found
 
@@ -132,7 +134,7 @@ def draw_robots(path: Path, count: int, seed: int, spread: float) -> DrawnRobots
     file = beside(path)
     posterior = read_posterior(file)
     _check_same(model, posterior, file)
-    drawn = posterior.draw(max(count, _ENOUGH), np.random.default_rng(seed), spread)
+    drawn = posterior.draw(max(count, ENOUGH), np.random.default_rng(seed), spread)
     return DrawnRobots(model, posterior, drawn, count)
 
 
@@ -144,7 +146,7 @@ def _check_same(model: Model, posterior: Posterior, file: Path) -> None:
         )
     for name, own in zip(posterior.links, pseudo_inertia.quantities_of(parameters), strict=True):
         there = model.bodies[name].inertial.quantities
-        if not np.allclose(own, there, rtol=_SAME, atol=_SAME * np.max(np.abs(there))):
+        if not np.allclose(own, there, rtol=SAME, atol=SAME * np.max(np.abs(there))):
             raise InputError(f"{file}: not of the estimate beside it, {model.source}; keep together what one run wrote")
 
 

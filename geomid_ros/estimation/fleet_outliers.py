@@ -12,16 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.estimation.population import FEWEST, SHARED, Evidence, Population, PopulationFit, common, linear
+from geomid_ros.estimation.population import FEWEST, SHARED, Population, PopulationFit, RobotLikelihood, common, linear
 from geomid_ros.estimation.posterior import manifold_of
+from geomid_ros.estimation.tolerances import LARGEST_STEP, LEAST_DEVIATION, ROUNDS, SETTLED
 from geomid_ros.types import FloatArray, IntArray
 
 _CHANCE = 1e-2  # at most, that a robot of the type is taken for another, of all its blocks
 _IDENTIFIED = 0.1  # of the variance between robots in a direction that counts, at least, is seen
 _FEWEST_JUDGED = 5
-_LEAST_DEVIATION = 1e-3
-_LINEARISED, _LONGEST = 3, 1.0  # rounds, and the largest coordinate in which rows are still linear
-_OF_NORMAL = 1.4826  # standard deviations per median absolute deviation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +37,7 @@ class Membership:
     unlike: tuple[str, ...]
 
 
-def population_and_members(robots: Sequence[Evidence]) -> tuple[Population, list[Membership]]:
+def population_and_members(robots: Sequence[RobotLikelihood]) -> tuple[Population, list[Membership]]:
     """The population of most of these robots, and who is of it; of few, all are.
 
     Raises:
@@ -62,19 +60,19 @@ def population_and_members(robots: Sequence[Evidence]) -> tuple[Population, list
         chosen = inside
 
 
-def _most_alike(robots: Sequence[Evidence]) -> tuple[int, ...]:
+def _most_alike(robots: Sequence[RobotLikelihood]) -> tuple[int, ...]:
     """The half of the robots whose estimates are nearest to the medians."""
     first = robots[0]
     manifold = manifold_of(first.links, first.effects, np.ones(len(first.scales)))
     base = manifold.point(first.prior)
     places = np.array([manifold.log(base, manifold.point(robot.parameters)) for robot in robots])
     off = places - np.median(places, axis=0)
-    deviations = _OF_NORMAL * np.median(np.abs(off), axis=0) + _LEAST_DEVIATION
+    deviations = np.median(np.abs(off), axis=0) + LEAST_DEVIATION
     nearest = np.argsort(np.mean((off / deviations) ** 2, axis=1), kind="stable")
     return tuple(sorted(nearest[: max(FEWEST, len(robots) // 2 + 1)].tolist()))
 
 
-def _membership(population: Population, robot: Evidence) -> Membership:
+def _membership(population: Population, robot: RobotLikelihood) -> Membership:
     """How far a robot is from a population."""
     found, variance = _seen(population, robot)
     whole, _ = _distance(population, found, variance, np.arange(len(found)))
@@ -86,17 +84,21 @@ def _membership(population: Population, robot: Evidence) -> Membership:
     return Membership(member=not unlike, distance=float(np.sqrt(whole)), unlike=tuple(unlike))
 
 
-def _seen(population: Population, robot: Evidence) -> tuple[FloatArray, FloatArray]:
+def _seen(population: Population, robot: RobotLikelihood) -> tuple[FloatArray, FloatArray]:
     """A robot's tangent coordinates ``(D,)`` at the mean, by its data and the population, and the covariance ``(D, D)``
     that these have among robots of the population."""
     manifold, mean = population.manifold, population.point
     precision = np.linalg.inv(population.covariance)
     point = manifold.point(robot.parameters)
-    for _ in range(_LINEARISED):
+    found = manifold.log(mean, point)
+    for _ in range(ROUNDS):
+        before = found
         information, pull = linear(manifold, mean, robot, point)
         unsure = np.linalg.inv(precision + information)
         found = unsure @ pull
-        point = manifold.exp(mean, found / max(1.0, np.max(np.abs(found)) / _LONGEST))
+        if np.max(np.abs(found - before)) < SETTLED:
+            break
+        point = manifold.exp(mean, found * min(1.0, LARGEST_STEP / np.max(np.abs(found))))
     return found, population.covariance - unsure
 
 

@@ -8,13 +8,13 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.clearance import Distances, clearances_from, overlap
+from geomid_ros.excitation.limits import TRIED
 from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.model.collision import CollisionModel, Pair
 from geomid_ros.model.robot import Robot
+from geomid_ros.model.samples import WIDEST
 from geomid_ros.types import FloatArray
 
-_TRIED = 100  # postures to go by
-_NEAR = np.pi  # [rad, m] to either side, where a joint has no ends
 _INSTANTS = 50  # of a straight way at which the effort against gravity is looked at
 
 
@@ -66,8 +66,8 @@ class Passage:
         """
         if not (obstacle := self._obstacle(here, there)):
             return [there]
-        low, high = np.maximum(self._low, -_NEAR), np.minimum(self._high, _NEAR)
-        tried = np.random.default_rng(0).uniform(low, high, (_TRIED, len(low)))
+        low, high = np.maximum(self._low, -WIDEST), np.minimum(self._high, WIDEST)
+        tried = np.random.default_rng(0).uniform(low, high, (TRIED, len(low)))
         tried = tried[np.argsort(np.max(np.abs(tried - here), axis=1) + np.max(np.abs(tried - there), axis=1))]
         for posture in tried:
             if not self._obstacle(here, posture) and not self._obstacle(posture, there):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 
@@ -14,11 +13,8 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.session.session import Session
 from geomid_ros.session.wrench_guard import WrenchGuard
 
-Fit: TypeAlias = Callable[[Samples], object]
-"""Called with samples to fit."""
 
-
-class Fitting:
+class Training:
     """Gives samples to a session's identifier, without the rows of wrench sensors that are not as declared."""
 
     def __init__(self, session: Session) -> None:
@@ -47,16 +43,16 @@ def check_measured(session: Session, train: Iterable[Samples], bags: Sequence[Pa
     Raises:
         InputError: it names the ``bags`` that the data are from.
     """
-    fitted = Fitted(session)
+    fitted = TrainingData(session)
     for samples in train:
         fitted.add(samples)
     fitted.check(bags)
 
 
-class Fitted:
+class TrainingData:
     """Passes on what is fitted, and sees whether it can be."""
 
-    def __init__(self, session: Session, fit: Fit = lambda _: None) -> None:
+    def __init__(self, session: Session, fit: Callable[[Samples], object] = lambda _: None) -> None:
         """
         Args:
             session: in which it is fitted.

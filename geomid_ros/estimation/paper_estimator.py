@@ -11,6 +11,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.channel_summary import triangular
 from geomid_ros.estimation.objective import GeodesicObjective, ProductsObjective, ResidualObjective, dual_square
 from geomid_ros.estimation.solvers import SOLVERS, Solution, trust_region
+from geomid_ros.estimation.tolerances import LEAST_GRADIENT, ROUNDING_OF_PRODUCTS
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import BoolArray, FloatArray, frozen
@@ -23,8 +24,6 @@ _GRID = 10.0 ** -np.arange(1.0, 7.0)
 _BLOCKS = 3
 _START_TOLERANCE = 1e-4
 _RADIUS = 10.0  # geodesic distance: straight steps never leave the cone
-_ROUNDING = 1e-12  # of products, relative: smaller eigenvalues say nothing
-_LEAST_GRADIENT = 1e-14  # relative to the sum of the weights; rounding allows no less
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +102,7 @@ def solve_rows(
     if gamma is None:
         gamma = choose_gamma(manifold, rows / sigmas[:, None], targets / sigmas, start, objective, exact=exact)
     # The prior bounds the curvature from below: a gradient of so little of the prior's weight is so little off.
-    gradient = max(tolerance * gamma / (1.0 + gamma), _LEAST_GRADIENT)
+    gradient = max(tolerance * gamma / (1.0 + gamma), LEAST_GRADIENT)
     minimised: GeodesicObjective | ResidualObjective
     set_aside = np.zeros(len(rows), dtype=bool)
     if objective == "residual":
@@ -132,7 +131,7 @@ def principal_rows(manifold: ParameterManifold, prior: Point, augmented: FloatAr
     products = augmented.T @ augmented
     jacobian = manifold.whiten(prior, np.eye(manifold.dimension))
     values, vectors = np.linalg.eigh(jacobian.T @ products[:-1, :-1] @ jacobian)
-    kept = values > _ROUNDING * values[-1]
+    kept = values > ROUNDING_OF_PRODUCTS * values[-1]
     principal = (jacobian @ vectors[:, kept] / np.sqrt(values[kept])).T @ products[:-1]
     return principal[:, :-1], principal[:, -1]
 

@@ -25,9 +25,9 @@ from geomid_ros.live.inbox import Received
 from geomid_ros.live.worker import Worker
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.fitting import Fitting
 from geomid_ros.session.recordings import Bags, read_bags
 from geomid_ros.session.session import Session
+from geomid_ros.session.training import Training
 from geomid_ros.signals.gates import CLOCK_SET, EARLY, SPIKE_OR_CONTACT
 from geomid_ros.signals.joint_messages import UNWRAPPED
 from geomid_ros.signals.sampler import IN_BURSTS
@@ -94,9 +94,9 @@ def from_bag(messages: list[Recorded], folder: Path) -> tuple[Session, Estimate]
     """As ``geomid identify`` reads it."""
     found = session()
     bag = write_bag(folder, messages)
-    fitting = Fitting(found)
-    read_bags(found, Bags(fitted=[bag], hold_out=0.0), fitting.add)
-    fitting.end()
+    training = Training(found)
+    read_bags(found, Bags(fitted=[bag], hold_out=0.0), training.add)
+    training.end()
     return found, found.identifier.solve()
 
 

@@ -10,7 +10,7 @@ from geometry import bodies
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation import rows
-from geomid_ros.estimation.rows import PAPER, solve_rows
+from geomid_ros.estimation.paper_estimator import PAPER, solve_rows
 from geomid_ros.geometry import projection, pseudo_inertia, spd
 from geomid_ros.types import FloatArray
 

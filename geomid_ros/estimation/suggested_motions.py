@@ -1,4 +1,4 @@
-"""Which motion would tell what a recording does not: the model is tried on some, as the estimate has it.
+"""Suggested motions: which would identify what a recording does not, tried on the estimated model.
 
 What instants of a motion would say is added to what the data say of all links together. The effects' coefficients are
 taken as unknown in every motion, so that what only an effect could be is not put down to a link.
@@ -7,25 +7,25 @@ taken as unknown in every motion, so that what only an effect could be is not pu
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
+from itertools import compress
 
 import numpy as np
 
 from geomid_ros.estimation.channel_summary import triangular
 from geomid_ros.estimation.estimate import QUANTITIES, Estimate
+from geomid_ros.estimation.estimate_parts import deviations_of, sensitivity_of_numbers
 from geomid_ros.estimation.identified import identified
-from geomid_ros.estimation.uncertainty import physical_sensitivity
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.samples import Samples
+from geomid_ros.model.samples import ACCELERATION_PER_SPEED, Samples, random_states, samples_of
 from geomid_ros.types import FloatArray
 
 _INSTANTS = 80
 _AVERAGED = 10.0  # independent measurements that an instant stands for: a second of a pose, or of a motion
 _FASTEST = 2.0  # [rad/s, m/s]
 _OF_LIMIT = 0.5  # of the speed that a joint may have
-_RATE = 4.0  # [1/s] of acceleration to speed
-_WIDEST = np.pi  # [rad, m]
 _TILT = np.array([[1.0, 0.0, 0.0], [0.0, np.sqrt(0.5), -np.sqrt(0.5)], [0.0, np.sqrt(0.5), np.sqrt(0.5)]])
 
 POSES = "standing still in many poses"
@@ -33,7 +33,7 @@ FAST = "fast motion of all joints at once"
 TILTED = "fast motion of all joints with a tilted base"
 
 
-def telling_motions(model: MeasurementModel, estimate: Estimate) -> dict[str, dict[str, list[str]]]:
+def suggested_motions(model: MeasurementModel, estimate: Estimate) -> dict[str, dict[str, list[str]]]:
     """What would tell the quantities that an estimate's data do not tell.
 
     Returns:
@@ -58,30 +58,32 @@ def telling_motions(model: MeasurementModel, estimate: Estimate) -> dict[str, di
 
 
 class _Problem:
-    """What the data say of all links together, and the prior."""
+    """The information of an estimate's data on all links together, and the prior."""
 
     def __init__(self, estimate: Estimate) -> None:
         self._of_prior = [link.std_prior for link in estimate.links]
         self._manifold = ParameterManifold(len(estimate.links), 0, np.zeros(0))
         self._point: Point = self._manifold.point(estimate.parameters[self._manifold.inertial])
         self._spreads = np.repeat(estimate.spreads, 10)
-        self._sensitivity = np.concatenate([physical_sensitivity(self._point), self._point.links_jacobian[:, 1:4]], 1)
-        self._rows = self._manifold.whiten(self._point, estimate.information.rows) * self._spreads
+        self._sensitivity = sensitivity_of_numbers(self._point)
+        self._rows = self._scaled(estimate.information.rows)
+
+    def _scaled(self, rows: FloatArray) -> FloatArray:
+        """Rows by tangent coordinates in units of their prior deviations."""
+        return np.asarray(self._manifold.whiten(self._point, rows) * self._spreads)
 
     def told_with(self, rows: FloatArray) -> list[set[str]]:
         """The quantities of each link that are told with further rows ``(N, 10 links)`` of standard deviation 1."""
-        more = self._manifold.whiten(self._point, rows) * self._spreads
-        both = np.concatenate([self._rows, more])
+        both = np.concatenate([self._rows, self._scaled(rows)])
         covariance = np.linalg.inv(np.eye(both.shape[1]) + both.T @ both)
         bodies = pseudo_inertia.to_parameters(self._point.pseudo_inertias)
         told = []
         for index, derivative in enumerate(self._sensitivity):
             block = self._manifold.link(index)
             scaled = derivative * self._spreads[block]
-            variances = np.einsum("ij,jk,ik->i", scaled, covariance[block, block], scaled)
             of_prior = np.minimum(self._of_prior[index], np.linalg.norm(scaled, axis=1))
-            known = identified(bodies[index], np.sqrt(np.maximum(variances, 0.0)), of_prior)
-            told.append({name for name, is_known in zip(QUANTITIES, known[:10], strict=True) if is_known})
+            known = identified(bodies[index], deviations_of(scaled, covariance[block, block]), of_prior)
+            told.append(set(compress(QUANTITIES, known)))
         return told
 
 
@@ -108,26 +110,16 @@ def _rows(model: MeasurementModel, samples: Samples, estimate: Estimate) -> Floa
 
 
 def instants(model: MeasurementModel, *, moving: bool) -> Samples:
-    """Instants in which all joints are anywhere, and move anyhow if they do."""
+    """Instants at random positions of all joints, with random speeds if they move."""
     random, robot = np.random.default_rng(0), model.robot
-    count, joints = _INSTANTS, len(robot.joints)
-    low, high = np.clip(robot.position_limits, -_WIDEST, _WIDEST).T
+    turns = random.normal(size=(_INSTANTS, 4))
+    base = np.concatenate([np.zeros((_INSTANTS, 3)), turns / np.linalg.norm(turns, axis=1, keepdims=True)], axis=1)
     fastest = np.minimum(_OF_LIMIT * robot.speed_limits, _FASTEST) * moving
-    turns = random.normal(size=(count, 4))
-    base = np.concatenate([np.zeros((count, 3)), turns / np.linalg.norm(turns, axis=1, keepdims=True)], axis=1)
-    size = int(robot.floating_base)
-
-    def anyhow(scale: FloatArray | float, columns: int) -> FloatArray:
-        return np.asarray(scale * random.uniform(-1.0, 1.0, (count, columns)))
-
-    return Samples(
-        stamps=np.arange(count, dtype=np.int64) * 1_000_000_000,
-        position=random.uniform(low, high, (count, joints)),
-        velocity=anyhow(fastest, joints),
-        acceleration=anyhow(_RATE * fastest, joints),
-        effort=np.zeros((count, joints)),
-        base_pose=base[:, : 7 * size],
-        base_velocity=anyhow(moving, 6 * size),
-        base_acceleration=anyhow(_RATE * moving, 6 * size),
-        wrenches=np.zeros((count, len(model.sensors), 6)),
+    states = random_states(random, _INSTANTS, robot.position_limits, fastest, ACCELERATION_PER_SPEED * fastest)
+    still = samples_of(states, len(model.sensors))
+    if not robot.floating_base:
+        return still
+    velocity, acceleration = moving * random.uniform(-1.0, 1.0, (2, _INSTANTS, 6))
+    return replace(
+        still, base_pose=base, base_velocity=velocity, base_acceleration=ACCELERATION_PER_SPEED * acceleration
     )

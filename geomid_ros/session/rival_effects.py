@@ -12,7 +12,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.excitation.feasibility import Feasibility
 from geomid_ros.excitation.knowledge import prior_knowledge
 from geomid_ros.excitation.response import Responses, coefficients_of
-from geomid_ros.excitation.rivals import Dispute, Judge, Name
+from geomid_ros.excitation.rivals import Ambiguity, DiscriminationCriterion, Name
 from geomid_ros.files.models.effect_forms import payload_parameters
 from geomid_ros.files.models.gap_rivals import OpenFinding, read_open_findings
 from geomid_ros.gap.candidates import Candidate
@@ -24,7 +24,7 @@ from geomid_ros.types import FloatArray, frozen
 _OF_BODY = 4.0  # parameters
 
 
-def open_questions(feasibility: Feasibility, path: Path) -> tuple[Judge, list[tuple[str, list[str]]]]:
+def open_questions(feasibility: Feasibility, path: Path) -> tuple[DiscriminationCriterion, list[tuple[str, list[str]]]]:
     """Who says what a motion would decide, and of each finding its label and those of its rivals.
 
     Raises InputError naming the ``path`` of the gap.json, and what does not fit the robot.
@@ -40,7 +40,7 @@ def open_questions(feasibility: Feasibility, path: Path) -> tuple[Judge, list[tu
     disputes = [_dispute(model, finding) for finding in findings]
     inertias = np.array([body.parameters for body in model.robot.bodies])
     labels = [(dispute.found.label, [rival.label for rival in dispute.rivals]) for dispute in disputes]
-    return Judge(knowledge, Responses(model, inertias), disputes), labels
+    return DiscriminationCriterion(knowledge, Responses(model, inertias), disputes), labels
 
 
 def _refuse_others(model: MeasurementModel, floor: Mapping[str, float], path: Path) -> None:
@@ -51,10 +51,10 @@ def _refuse_others(model: MeasurementModel, floor: Mapping[str, float], path: Pa
             raise InputError(f"{path}: was written for another robot: {unknown_name('joint', name, joints)}")
 
 
-def _dispute(model: MeasurementModel, entry: OpenFinding) -> Dispute:
+def _dispute(model: MeasurementModel, entry: OpenFinding) -> Ambiguity:
     found = _name_of_finding(model, entry.finding)
     rivals = [_any(model, effect, joint) for effect, joint in entry.rivals]
-    return Dispute(found, _coefficients(entry.finding, found), tuple(rivals))
+    return Ambiguity(found, _coefficients(entry.finding, found), tuple(rivals))
 
 
 def _name_of_finding(model: MeasurementModel, finding: KnownEffect) -> Name:

@@ -10,7 +10,7 @@ from files.estimates import estimate_of, link_estimate
 from files.recordings import BAGS
 
 from geomid_ros.estimation.estimate import QUANTITIES, Estimate, LinksInformation
-from geomid_ros.estimation.telling_motions import FAST, POSES, TILTED, telling_motions
+from geomid_ros.estimation.suggested_motions import FAST, POSES, TILTED, suggested_motions
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.sensors import WrenchSensor
@@ -32,7 +32,7 @@ def problem(*sensors: WrenchSensor) -> tuple[MeasurementModel, Estimate]:
 
 @pytest.fixture(scope="module")
 def bare() -> dict[str, dict[str, list[str]]]:
-    return telling_motions(*problem())
+    return suggested_motions(*problem())
 
 
 def test_every_quantity_is_told_by_one_motion_or_by_none(bare: dict[str, dict[str, list[str]]]) -> None:
@@ -53,17 +53,17 @@ def test_fast_motion_tells_moments_of_inertia(bare: dict[str, dict[str, list[str
 
 
 def test_a_wrist_sensor_weighs_what_is_beyond_it_in_any_pose() -> None:
-    found = telling_motions(*problem(WrenchSensor("/wrench", "wrist_ft", "mounted")))
+    found = suggested_motions(*problem(WrenchSensor("/wrench", "wrist_ft", "mounted")))
     assert {"mass", "com x", "com y", "com z"} <= set(found["wrist_ft"][POSES])
 
 
 def test_what_is_told_needs_no_motion() -> None:
     model, estimate = problem()
     told = replace(estimate, links=tuple(replace(link, cannot_tell=()) for link in estimate.links))
-    assert telling_motions(model, told) == {link.name: {} for link in estimate.links}
+    assert suggested_motions(model, told) == {link.name: {} for link in estimate.links}
 
 
 def test_noise_hides_everything() -> None:
     model, estimate = problem()
     loud = replace(estimate, sigmas=np.full(len(model.channels), 1e6))
-    assert all(set(motions) == {""} for motions in telling_motions(model, loud).values())
+    assert all(set(motions) == {""} for motions in suggested_motions(model, loud).values())
