@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from geomid_ros.files.disk import write_json
-from geomid_ros.files.models.gap_results import gap_document
+from geomid_ros.files.models.gap_file import gap_document, is_open
 from geomid_ros.files.models.sidecar import effect_of
 from geomid_ros.model.effects import Quantity
 
-from .gaps import FLOOR, gap_result
+from .gaps import FLOOR, Case, gap_result
 
 JOINTS = ("hip", "knee", "ankle")
 KEYS = {
@@ -89,3 +89,8 @@ def test_a_finding_can_be_read_as_an_effect(case: str) -> None:
     effect = effect_of(entry, "gap.json")
     assert (effect.effect, effect.joint) == ("coulomb_friction", "knee")
     assert effect.parameters == result.findings[0].parameters
+
+
+@pytest.mark.parametrize(("case", "answer"), [("ambiguous", True), ("named", False), ("no gap", False)])
+def test_rivals_of_a_name_that_is_not_sure_are_open(case: Case, answer: bool) -> None:
+    assert is_open(gap_result(case, ("shoulder", "elbow"))) is answer
