@@ -90,7 +90,7 @@ def _identification_page(file: EstimateFile, entries: PageEntries) -> Identifica
         corrected=written.corrected,
         telling=entries.telling,
         messages=entries.messages,
-        refused_rows=entries.rows.rejected,
+        refused_rows=entries.rows["rejected"],
         origin=Origin(**entries.origin),
     )
 

@@ -9,15 +9,17 @@ alone, reads and writes these files; made strict (no text is a number), cattrs t
 
 from __future__ import annotations
 
+import base64
 import json
 import math
 import reprlib
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -78,6 +80,10 @@ def _structured(kind: Any, value: Any, where: str) -> Any:
         return value
     if origin is Annotated:
         return _array(value, inner[1], where)
+    if origin is Literal:
+        if not isinstance(value, str) or value not in inner:
+            raise _wrong(value, where, " or ".join(map(repr, inner)))
+        return value
     if origin in (Union, UnionType):
         return None if value is None else _structured(inner[0], value, where)
     if is_dataclass(kind):
@@ -88,7 +94,8 @@ def _structured(kind: Any, value: Any, where: str) -> Any:
         return tuple(_structured(inner[0], each, f"{where}[{index}]") for index, each in enumerate(value))
     if inner:
         _check_keys(value, where, "an object")
-        entries = {name: _structured(inner[-1], own, _at(where, name)) for name, own in value.items()}
+        kind = int if origin is Counter else inner[-1]
+        entries = {name: _structured(kind, own, _at(where, name)) for name, own in value.items()}
         return entries if origin is Mapping else origin(entries)
     return _simple(kind, value, where)
 
@@ -134,6 +141,24 @@ def _array(value: Any, shape: tuple[int, ...], where: str) -> FloatArray:
     if array.shape != shape or np.any(np.abs(array) >= _LARGEST):
         raise _wrong(value, where, f"finite numbers, {' by '.join(map(str, shape))}")
     return array
+
+
+def packed(numbers: FloatArray, form: str) -> str:
+    """Numbers in base64, each of this ``form``: ``<f4`` or ``<f8``."""
+    return base64.b64encode(numbers.astype(form).tobytes()).decode()
+
+
+def unpacked(text: str, form: str, count: int) -> FloatArray:
+    """So many numbers of such a text. Raises ValueError."""
+    return np.frombuffer(base64.b64decode(text, validate=True), form).astype(np.float64).reshape(count)
+
+
+def unpacked_triangle(text: str, form: str, size: int) -> FloatArray:
+    """The upper triangular matrix ``(size, size)`` whose numbers are in such a text, row by row. Raises ValueError."""
+    triangle = unpacked(text, form, size * (size + 1) // 2)  # before the matrix: the file has room for as many
+    matrix = np.zeros((size, size))
+    matrix[np.triu_indices(size)] = triangle
+    return matrix
 
 
 def _at(where: str, name: str) -> str:

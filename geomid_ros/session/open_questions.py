@@ -53,7 +53,7 @@ def _refuse_others(model: MeasurementModel, floor: Mapping[str, float], path: Pa
 
 def _dispute(model: MeasurementModel, entry: OpenFinding) -> Dispute:
     found = _name_of_finding(model, entry.finding)
-    rivals = [_any(model, effect, joint) for effect, joint in entry.rivals]
+    rivals = [_any(model, rival.effect, rival.joint) for rival in entry.rivals]
     return Dispute(found, _coefficients(entry.finding, found), tuple(rivals))
 
 

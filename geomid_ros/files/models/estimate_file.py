@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import base64
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -28,7 +27,17 @@ from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.files.models.effect_forms import coefficient, combined, continued, is_coefficient
 from geomid_ros.files.models.sidecar import EffectEntry, coefficient_entry, effect_entry
 from geomid_ros.files.models.urdf import Inertia
-from geomid_ros.files.schema import Matrix, Vector, entry, plain, read_document, structured
+from geomid_ros.files.schema import (
+    Matrix,
+    Vector,
+    entry,
+    packed,
+    plain,
+    read_document,
+    structured,
+    unpacked,
+    unpacked_triangle,
+)
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class, identifiable
@@ -41,6 +50,7 @@ _MOST_BYTES = 5_000_000
 _MOST_LINKS_TOGETHER = 100  # of more, what is known of all together would be most of the file
 _LARGEST_RESIDUAL = 1e9
 _PACKED = "<f4"  # seven digits do, and nobody reads so many
+ByChannel: TypeAlias = Mapping[str, float]
 _WITHOUT_INFORMATION = "identify again, or delete 'information', without which less is known of payloads"
 
 
@@ -113,17 +123,17 @@ class HandoverEntry:
     links: tuple[LinkEntry, ...]
     effects: tuple[EffectEntry, ...]
     file: str = ""
-    alone: Mapping[str, float] = field(default_factory=dict)
-    corrected: Mapping[str, float] = field(default_factory=dict)
+    alone: ByChannel = field(default_factory=dict)
+    corrected: ByChannel = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ErrorsEntry:
     """RMS residuals by channel."""
 
-    nominal: Mapping[str, float] = field(default_factory=dict)
-    train: Mapping[str, float] = field(default_factory=dict)
-    held_out: Mapping[str, float] | None = None
+    nominal: ByChannel = field(default_factory=dict)
+    train: ByChannel = field(default_factory=dict)
+    held_out: ByChannel | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,15 +147,6 @@ class ChannelEntry:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RowsEntry:
-    """What became of the rows."""
-
-    accepted: int
-    set_aside: int
-    rejected: Mapping[str, int]
-
-
-@dataclass(frozen=True, kw_only=True)
 class PageEntries:
     """What the page of a result needs beside its :class:`EstimateFile`."""
 
@@ -155,9 +156,9 @@ class PageEntries:
     seconds: float
     steps: int
     gamma: float
-    rows: RowsEntry
+    rows: Mapping[str, Any]
     known: tuple[WeighedEstimate, ...]
-    sigma: Mapping[str, float]
+    sigma: ByChannel
     urdf_masses: Mapping[str, float]
     channels: tuple[ChannelEntry, ...]
     warnings: tuple[str, ...]
@@ -187,8 +188,8 @@ class EstimateFile:
     information: InformationEntry | None = None
     handover: Mapping[str, HandoverEntry] = field(default_factory=dict)
     rms: ErrorsEntry = ErrorsEntry()
-    sigma: Mapping[str, float] = field(default_factory=dict)
-    floor: Mapping[str, float] = field(default_factory=dict)
+    sigma: ByChannel = field(default_factory=dict)
+    floor: ByChannel = field(default_factory=dict)
     cutoff: float | None = None
     channels: tuple[ChannelEntry, ...] = ()
 
@@ -259,14 +260,12 @@ class EstimateFile:
             return None
         size = 10 * len(self.links)
         try:
-            triangle = _unpacked(self.information.rows).reshape(size * (size + 1) // 2)  # the file has room for as many
-            residuals = _unpacked(self.information.residuals).reshape(size)
+            rows = unpacked_triangle(self.information.rows, _PACKED, size)
+            residuals = unpacked(self.information.residuals, _PACKED, size)
         except ValueError as error:
             raise self._useless(f"on {len(self.links)} links cannot be read ({error})") from error
         if list(self.information.links) != list(self.inertias):
             raise self._useless("is on other links than those listed, or in another order")
-        rows = np.zeros((size, size))
-        rows[np.triu_indices(size)] = triangle
         if not _can_be_measured(rows, self.inertias) or not np.all(np.abs(residuals) < _LARGEST_RESIDUAL):
             raise self._useless("on the links is more than any measurement can tell")
         return LinksInformation(rows, residuals)
@@ -284,8 +283,8 @@ class EstimateFile:
             seconds=page.seconds,
             steps=page.steps,
             gamma=page.gamma,
-            rows_accepted=page.rows.accepted,
-            rows_set_aside=page.rows.set_aside,
+            rows_accepted=page.rows["accepted"],
+            rows_set_aside=page.rows["set_aside"],
             links=tuple(_link_estimate(link, self.inertias[link.name], self.source) for link in self.links),
             effects=tuple(self._effect_estimates),
             parameters=posterior.parameters,
@@ -381,14 +380,6 @@ def _can_be_measured(rows: FloatArray, inertias: Mapping[str, FloatArray]) -> bo
     return bool(np.all(np.abs(whitened) < 2.0 * FINEST))  # rounded to seven digits
 
 
-def _unpacked(text: str) -> FloatArray:
-    return np.frombuffer(base64.b64decode(text, validate=True), _PACKED).astype(np.float64)
-
-
-def _packed(numbers: FloatArray) -> str:
-    return base64.b64encode(numbers.astype(_PACKED).tobytes()).decode()
-
-
 def estimate_document(
     estimate: Estimate,
     rows_rejected: Mapping[str, int],
@@ -410,8 +401,8 @@ def estimate_document(
     rows = estimate.information.rows
     together = InformationEntry(
         links=tuple(link.name for link in estimate.links),
-        rows=_packed(rows[np.triu_indices(len(rows))]),
-        residuals=_packed(estimate.information.residuals),
+        rows=packed(rows[np.triu_indices(len(rows))], _PACKED),
+        residuals=packed(estimate.information.residuals, _PACKED),
     )
     return {
         "format": FORMAT,

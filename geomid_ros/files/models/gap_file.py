@@ -1,45 +1,8 @@
-"""``gap.json``: what the gap workflow found, for programs.
+"""``gap.json``: what the gap workflow found, for programs; :class:`GapFile` is its schema.
 
-==============  =======================================================================================================
-key             value
-==============  =======================================================================================================
-format          1
-verdict         ``no gap``, ``named``, ``incomplete`` or ``unexplained``
-findings        list of named effects, the surest first:
-                ``effect``, ``joint`` (a wrench sensor's topic, or empty for the whole robot), ``link`` (of a payload),
-                ``parameters`` {name: {``value``, ``std``, ``unit``}},
-                ``probability`` (of the name beside nothing and its rivals), ``confidence`` (the same in a word:
-                ``confident`` above .95, ``tentative`` from .5, ``ambiguous``),
-                ``rivals`` [{``effect``, ``joint``, ``loss``}] other names for the same, ``loss`` by how much worse,
-                ``separability`` (0: this motion cannot tell it from the inertias, to 1: nothing like it),
-                ``loss`` (how much worse without it, a difference of -2 log p), ``share`` (of the gap that it closes),
-                ``was`` {name: value} (the parameters that the model had, if the effect has changed),
-                ``sentence``, ``settled_by`` (the recording that would settle an ambiguity, or empty) and
-                ``moment`` {name: {``value``, ``std``, ``unit``}} (mass times centre of mass, of a payload whose mass
-                the motion does not tell; else empty)
-links           list of links that weigh something else than the model says, the surest first:
-                ``link``, ``joint`` (that moves it), ``mass`` {``value``, ``std``, ``unit``} (by how much more),
-                ``was`` (in the model), ``loss``, ``probability``, ``confidence`` and ``sentence``
-unexplained     list of {``joint`` (or wrench channel), ``depends_on``, ``gap`` (times the floor)}
-ordinary        list of effects that no finding says and that are in the written model: beside a URDF alone, friction,
-                rotor inertia and offsets of all joints, as ``geomid identify`` finds them (as in the sidecar)
-gap             {``before``, ``inertias_only``, ``after``}, each {channel: residual of all held-out samples in units of
-                the floor}, ``after`` that of the written model, in which are the findings that are ``confident``;
-                ``moving``: the same of ``after`` where joints move one way; and ``expected``: what noise and the
-                uncertainty of the fit would leave there if the model were right
-floor           {channel: the noise's standard deviation in N m or N, of efforts without the gains that were found}
-resimulated     {``before``, ``after``}, each {joint or wrench channel: error of held-out data simulated again in short
-                windows, in units of what noise makes of it}; null where it could not be simulated
-closed_loop     the same of efforts in closed loop under the recorded commands, or null
-causes          what makes the recording doubtful: list of {``kind``, ``places``, ``sentence``, ``settings`` (to write
-                into the configuration), ``sure``, ``rivals``}
-warnings        what else to know, in sentences: of the recording, and of the model that it was compared with
-notes           what was settled for the user, in sentences: where the description was found, which joints were locked
-robot ...       what the page shows beside: ``robot``, ``recordings``, ``known`` (effects that the model had),
-                ``judged_seconds``, ``not_simulated``, and what :func:`page_entries` adds
-==============  =======================================================================================================
-
-Numbers that do not exist (a channel without measurements, say) are null.
+Its ``format`` is 1. Effects are as in the sidecar; of a finding and of a link ``confidence`` says the probability in a
+word: ``confident`` above .95, ``tentative`` from .5, ``ambiguous``. Numbers that do not exist (a channel without
+measurements, say) are null.
 """
 
 from __future__ import annotations
@@ -64,6 +27,7 @@ from geomid_ros.gap.result import (
     LinkChange,
     Located,
     Ranked,
+    Rival,
     Trace,
     Unexplained,
     effort_gains,
@@ -103,7 +67,25 @@ class CauseEntry(Cause):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GapFile:
-    """All that the page of a gap needs."""
+    """All that the page of a gap needs.
+
+    Attributes:
+        verdict, findings, links, unexplained, ordinary, located, ranking: see
+            :class:`~geomid_ros.gap.result.GapResult`, the surest first.
+        gap: ``before``, ``inertias_only``, ``after`` (the written model, in which are the findings that are confident),
+            ``expected`` and ``moving``, each the residual of held-out samples in units of the floor by channel.
+        floor: the noise's standard deviation by channel [N m, N], of efforts without the gains that were found.
+        resimulated: ``before`` and ``after``, each the error of held-out data that are simulated again in short windows
+            by joint or wrench channel, in units of what noise makes of it; None where that could not be.
+        closed_loop: the same of efforts in closed loop under the recorded commands.
+        units: by channel.
+        bodies, cutoff, seconds: bodies before and after; of the low-pass [Hz]; that the search took.
+        robot, recordings: names.
+        known: effects that the model had.
+        judged_seconds, not_simulated: of held-out data; why nothing was simulated, or empty.
+        causes, warnings, notes: what makes the recording doubtful, with the ``settings`` that mend it; what else to
+            know of it and of the model that it was compared with; what was settled for the user.
+    """
 
     verdict: str
     findings: tuple[Finding, ...]
@@ -199,27 +181,21 @@ def read_gap(path: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class _OpenFinding(EffectEntry):
-    rivals: tuple[_Named, ...] = ()
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Named:
-    effect: str
-    joint: str = ""
+    rivals: tuple[Rival, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Findings:
     findings: tuple[_OpenFinding, ...]
-    floor: Mapping[str, float | None] | None = None
+    floor: Mapping[str, float] | None = None
 
 
 @dataclass(frozen=True)
 class OpenFinding:
-    """A finding, and its ``rivals``: effects with the names of their places."""
+    """A finding, and its ``rivals``."""
 
     finding: KnownEffect
-    rivals: tuple[tuple[str, str], ...]
+    rivals: tuple[Rival, ...]
 
 
 def read_open_findings(path: Path) -> tuple[list[OpenFinding], dict[str, float]]:
@@ -228,16 +204,13 @@ def read_open_findings(path: Path) -> tuple[list[OpenFinding], dict[str, float]]
     Raises InputError naming the file and what is wrong in it, or that nothing is open.
     """
     document = structured(_Findings, read_gap(path), f"{path}:")
-    found = [
-        OpenFinding(own.known(f"{path}: findings[{index}]"), tuple((r.effect, r.joint) for r in own.rivals))
-        for index, own in enumerate(document.findings)
-    ]
-    for name in {name for own in found for name, _ in own.rivals}:
-        effect_class(name)
-    if not any(own.rivals for own in found):
+    found = [OpenFinding(own.known(f"{path}: findings[{k}]"), own.rivals) for k, own in enumerate(document.findings)]
+    left = [finding for finding in found if finding.rivals]
+    for rival in (rival for finding in left for rival in finding.rivals):
+        effect_class(rival.effect)
+    if not left:
         raise InputError(f"{path}: no finding has a rival, so that there is nothing to settle")
-    floor = {name: value for name, value in (document.floor or {}).items() if value is not None}
-    return [own for own in found if own.rivals], floor
+    return left, {name: value for name, value in (document.floor or {}).items() if np.isfinite(value)}
 
 
 def is_open(result: GapResult) -> bool:

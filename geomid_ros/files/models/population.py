@@ -10,7 +10,6 @@ the link's origin: X11, X22, X33, X44, and sqrt(2) times X12, X13, X14, X23, X24
 
 from __future__ import annotations
 
-import base64
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,7 +24,7 @@ from geomid_ros.estimation.posterior import EffectCoordinate
 from geomid_ros.files.disk import write_json
 from geomid_ros.files.models.estimate_file import LinkEntry, inertias_of, link_entry
 from geomid_ros.files.models.urdf import inertia_of
-from geomid_ros.files.schema import plain, read_document, structured
+from geomid_ros.files.schema import packed, plain, read_document, structured, unpacked_triangle
 from geomid_ros.types import FloatArray, frozen
 
 FORMAT = 1
@@ -54,7 +53,7 @@ def population_document(population: Population) -> dict[str, Any]:
             plain(effect) | {"value": value} | ({} if effect.positive else {"scale": next(scales)})
             for effect, value in zip(population.effects, values, strict=True)
         ],
-        "covariance": base64.b64encode(triangle.astype(_NUMBER).tobytes()).decode(),
+        "covariance": packed(triangle, _NUMBER),
     }
 
 
@@ -78,11 +77,12 @@ def read_population(path: Path) -> Population:
     found = structured(_Document, document, f"{path}:")
     inertias, effects = inertias_of(found.links, str(path)), found.effects
     try:
-        covariance = _symmetric(found.covariance, 10 * len(inertias) + len(effects))
+        triangle = unpacked_triangle(found.covariance, _NUMBER, 10 * len(inertias) + len(effects))
     except ValueError as error:
         raise InputError(
             f"{path}: covariance is not of its links and effects ({error!r:.200}); run geomid fleet again"
         ) from error
+    covariance = triangle + np.triu(triangle, 1).T
     values = np.array([each.value for each in effects])
     scales = np.array([each.scale for each in effects if not each.positive])
     coordinates = tuple(EffectCoordinate(**{key: getattr(each, key) for key in _OF_EFFECT}) for each in effects)
@@ -95,13 +95,6 @@ def read_population(path: Path) -> Population:
         scales=frozen(scales),
         robots=found.robots,
     )
-
-
-def _symmetric(text: str, size: int) -> FloatArray:
-    triangle = np.frombuffer(base64.b64decode(text, validate=True), _NUMBER).astype(np.float64)
-    matrix = np.zeros((size, size))
-    matrix[np.triu_indices(size)] = triangle.reshape(size * (size + 1) // 2)  # as many as the file has room for
-    return matrix + np.triu(matrix, 1).T
 
 
 def _check(
