@@ -13,7 +13,7 @@ from benchmarks.excite.learned import after_poor_data, against_random
 from benchmarks.excite.robots import ROBOTS, description, task, wish
 from benchmarks.excite.settled import settled
 from benchmarks.report import Report, chosen
-from geomid_ros.files.trajectories.writing import write_yaml
+from geomid_ros.files.trajectories import write_yaml
 from geomid_ros.session.excitation import Excitation, design
 
 SECONDS = 10.0

@@ -22,7 +22,8 @@ from geomid_ros.api.options import RobotKeywords
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.comparison import Compared, Difference, compared
-from geomid_ros.files.models.effect_forms import finite, quantity_entry
+from geomid_ros.files.models.sidecar import quantities_entry, quantity_entry
+from geomid_ros.files.schema import plain
 from geomid_ros.report.comparison_page import ChannelErrors, ComparisonPage, write_comparison_page
 from geomid_ros.session.recordings import Progress, silent
 
@@ -68,7 +69,7 @@ class Comparison:
                 {
                     "link": link.link,
                     "mass": quantity_entry(link.mass),
-                    "moment": {axis: quantity_entry(own) for axis, own in link.moment.items()},
+                    "moment": quantities_entry(link.moment),
                     "gain": link.gain,
                     "rivals": list(link.rivals),
                 }
@@ -77,7 +78,7 @@ class Comparison:
             "not_compared": list(self.compared.not_compared),
             "judged_on": self.judged_on,
             "errors": [
-                {"channel": e.name, "unit": e.unit, "first": finite(e.first), "second": finite(e.second)}
+                {"channel": e.name, "unit": e.unit, "first": plain(e.first), "second": plain(e.second)}
                 for e in self.errors
             ],
             "doubts": list(self.doubts),
@@ -146,8 +147,8 @@ def compare(
         raise InputError(f"{first}, {second}: neither is an estimate.json, so that nothing says how sure a number is")
     values = [side.values if isinstance(side, Result) else urdf_values(side, results[0]) for side in sides]
     check_same_robot(sides, values)
-    doubts = [f"{result.path}: {remark}" for result in results for remark in result.verdict.remarks]
-    status = max(result.verdict.status for result in results)
+    doubts = [f"{result.path}: {remark}" for result in results for remark in result.file.judgement.remarks]
+    status = max(result.file.judgement.status for result in results)
     errors, data = own_errors(sides), _OWN
     if bag:
         predicted = [judged_on(side, urdf, bag, options, progress) for side in sides]
@@ -173,6 +174,6 @@ def _entry(difference: Difference) -> dict[str, Any]:
         "effect": difference.effect,
         "parameter": difference.parameter,
         **{key: None if value is None else quantity_entry(value) for key, value in values.items()},
-        "joint_interval": finite(difference.half_width),
+        "joint_interval": plain(difference.half_width),
         "differs": difference.differs,
     }

@@ -6,21 +6,18 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from geomid_ros.api.arguments import PathLike, Paths, beside
 from geomid_ros.api.options import RobotKeywords, RobotOptions
-from geomid_ros.api.verify import doubts_of, entry_of, identified, number, read_to_judge
-from geomid_ros.checks.verdict import Verdict
+from geomid_ros.api.verify import doubts_of, identified, read_to_judge
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.comparison import LinkValues, RobotValues
 from geomid_ros.exports.inertial import Summand, total
 from geomid_ros.exports.model import Model, read_model
-from geomid_ros.files.models.judgements import read_verdict
-from geomid_ros.files.models.results import read_estimate
-from geomid_ros.files.models.robot_values import robot_values
+from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.urdf_tree import read_xml
@@ -39,19 +36,19 @@ class FileErrors(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Result:
-    """An estimate.json: its ``path`` and ``document``, and what these say."""
+    """An estimate.json at a ``path``, and what it says of links and effects."""
 
     path: Path
-    document: Mapping[str, Any]
+    file: EstimateFile
     values: RobotValues
-    verdict: Verdict
 
     @property
     def robot(self) -> str:
         """The robot's name; empty where neither the file nor the description beside it says it."""
         own = beside(self.path)
-        said = self.document.get("robot") or (read_xml(read_urdf(own), str(own)).get("name") if own.is_file() else "")
-        return str(said)
+        if self.file.robot or not own.is_file():
+            return self.file.robot
+        return read_xml(read_urdf(own), str(own)).get("name", "")
 
 
 Side: TypeAlias = Result | Model
@@ -62,10 +59,8 @@ def read_side(path: Path) -> Side:
     """A result, or a URDF. Raises InputError naming the file."""
     if path.suffix != ".json":
         return read_model(path)
-    document, source = read_estimate(path), str(path)
-    return Result(
-        path=path, document=document, values=robot_values(document, source), verdict=read_verdict(document, source)
-    )
+    file = EstimateFile.read(path)
+    return Result(path=path, file=file, values=file.values)
 
 
 def urdf_values(model: Model, result: Result) -> RobotValues:
@@ -113,8 +108,7 @@ def _other_robot(source: str, links: Iterable[str], other: str, others: Iterable
 def notes_on(results: Sequence[Result], *, own_data: bool) -> list[str]:
     """What is worth knowing of the comparison; ``own_data``: of the errors, too, each on its own recording."""
     exact = [r.path for r in results if not any(np.any(np.isfinite(link.std)) for link in r.values.links.values())]
-    rms = [(result.path, entry_of(result.document, "rms")) for result in results]
-    fitted = [path for path, errors in rms if own_data and errors and not entry_of(errors, "held_out")]
+    fitted = [r.path for r in results if own_data and r.file.rms.train and not r.file.rms.held_out]
     return [
         *(f"{path} says no standard deviations: its links count as exact" for path in exact),
         *(f"{path} held nothing out: its errors are of the data that were fitted" for path in fitted),
@@ -123,16 +117,14 @@ def notes_on(results: Sequence[Result], *, own_data: bool) -> list[str]:
 
 def own_errors(sides: Sequence[Side]) -> list[ChannelErrors]:
     """What each result leaves of its own recording."""
-    return joined([_said(side.document) if isinstance(side, Result) else {} for side in sides])
+    return joined([_said(side.file) if isinstance(side, Result) else {} for side in sides])
 
 
-def _said(document: Mapping[str, Any]) -> dict[str, tuple[float, str]]:
-    """What a document says of the errors of held-out data, or of the fitted ones if none were held out."""
-    entries, rms = document.get("channels"), entry_of(document, "rms")
-    rows = [entry for entry in entries if isinstance(entry, dict)] if isinstance(entries, list) else []
-    units = {str(row.get("channel")): str(row.get("unit", "")) for row in rows}
-    errors = entry_of(rms, "held_out") or entry_of(rms, "train")
-    return {name: (number(error), units.get(name, "")) for name, error in errors.items()}
+def _said(file: EstimateFile) -> dict[str, tuple[float, str]]:
+    """What a file says of the errors of held-out data, or of the fitted ones if none were held out."""
+    units = {row.channel: row.unit for row in file.channels}
+    errors = file.rms.held_out or file.rms.train
+    return {name: (error, units.get(name, "")) for name, error in errors.items()}
 
 
 def joined(sides: Sequence[Mapping[str, tuple[float, str]]]) -> list[ChannelErrors]:

@@ -13,8 +13,8 @@ from geomid_ros.api.options import RobotKeywords, RobotOptions
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.estimation.fleet_outliers import population_and_members
 from geomid_ros.estimation.population import FEWEST, Population, RobotLikelihood
+from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.population import write_population
-from geomid_ros.files.models.results import read_estimate
 from geomid_ros.fleet.changes import changes
 from geomid_ros.fleet.cluster import Cluster
 from geomid_ros.fleet.fleet import Fleet, FleetRobot
@@ -129,21 +129,21 @@ def _written(
         line = RobotLine(name=robot.name, bags=len(robot.bags), used=0, verdict="no estimate", reasons=(robot.error,))
         return line, None
     results = fleet.results(robot)
-    document = results.document
+    estimate = results.estimate
+    verdict = estimate.judgement
     before = None if since is None else since / robot.name / "estimate.json"
-    changed = changes(read_estimate(before), document) if before is not None and before.is_file() else ()
+    changed = changes(EstimateFile.read(before), estimate) if before is not None and before.is_file() else ()
     results.write(folder / robot.name)
-    word = document["verdict"]["result"]
     line = RobotLine(
         name=robot.name,
         bags=len(robot.bags),
         used=len(robot.used),
-        verdict=word,
-        reasons=tuple(document["verdict"]["reasons"]),
+        verdict=verdict.word,
+        reasons=verdict.reasons,
         changed=tuple(changed),
-        mass=sum(link["mass"] for link in document["links"]),
+        mass=sum(link.mass for link in estimate.links),
     )
-    return line, results.evidence if word == USABLE else None
+    return line, results.evidence if verdict.word == USABLE else None
 
 
 def _in_words(what: str, robot: RobotLikelihood, population: Population) -> str:

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from jinja2 import TemplateError
 
 from geomid_ros.api.arguments import PathLike
 from geomid_ros.errors import InputError
-from geomid_ros.files.models.gap_reading import gap_of, number, read_gap
-from geomid_ros.files.models.judgements import doubts_of, read_verdict
-from geomid_ros.files.models.loaded_model import known_effects
+from geomid_ros.files.models.estimate_file import EstimateFile, HandoverEntry, PageEntries
+from geomid_ros.files.models.gap_file import Errors, GapFile, read_gap
 from geomid_ros.files.models.posterior import beside, read_posterior
-from geomid_ros.files.models.reading import accounts_of, estimate_of
-from geomid_ros.files.models.results import read_estimate
-from geomid_ros.files.models.sidecar import effect_of
 from geomid_ros.files.models.tables import tables, write_tables
+from geomid_ros.files.schema import structured
 from geomid_ros.report.gap_page import GapPage, write_gap_page
 from geomid_ros.report.identification_page import IdentificationPage, Origin, write_identification_page
 from geomid_ros.report.series import SavedFit
@@ -51,14 +47,16 @@ def rebuild_report(folder: PathLike, *, out: PathLike | None = None) -> list[Pat
         document = read_gap(source / _GAP)
         with _needed(source / _GAP, "geomid gap"):
             found = tables(document)
-            write_gap_page(page, _gap_page(document, str(source / _GAP)), lambda _: None)
+            file = GapFile.of(document, str(source / _GAP))
+            write_gap_page(page, _gap_page(file, str(source / _GAP)), lambda _: None)
         return [page, *write_tables(target, found)]
     if not (source / _ESTIMATE).is_file():
         raise InputError(f"{source}: no result is in this folder, neither {_ESTIMATE} nor {_GAP}")
-    document = read_estimate(source / _ESTIMATE)
+    estimate = EstimateFile.read(source / _ESTIMATE)
     with _needed(source / _ESTIMATE, "geomid identify"):
-        found = tables(document)
-        write_identification_page(page, _identification_page(document, source / _ESTIMATE))
+        entries = structured(PageEntries, estimate.document, f"{estimate.source}:")
+        found = tables(estimate.document)
+        write_identification_page(page, _identification_page(estimate, entries))
     return [page, *write_tables(target, found)]
 
 
@@ -67,72 +65,66 @@ def _needed(path: Path, command: str) -> Iterator[None]:
     """Say of a file that lacks what its page needs which one it is. Raises InputError."""
     try:
         yield
-    except (AttributeError, IndexError, KeyError, TypeError, ValueError, TemplateError) as error:
+    except (InputError, AttributeError, IndexError, KeyError, TypeError, ValueError, TemplateError) as error:
         raise InputError(
-            f"{path}: lacks what its page needs ({error}): it was not written by '{command}', or by an earlier "
-            f"version; run '{command}' again"
+            f"{path}: lacks what its page needs ({str(error).removeprefix(f'{path}: ')}): it was not written by "
+            f"'{command}', or by an earlier version; run '{command}' again"
         ) from error
 
 
-def _identification_page(document: Mapping[str, Any], path: Path) -> IdentificationPage:
-    source = str(path)
-    estimate = estimate_of(document, read_posterior(beside(path)), source)
-    masses, rows = document["urdf_masses"], document["channels"]
-    written: Mapping[str, Any] = next((own for own in document["handover"].values() if "file" in own), {})
+def _identification_page(file: EstimateFile, entries: PageEntries) -> IdentificationPage:
+    estimate = file.estimate(entries, read_posterior(beside(Path(file.source))))
+    written = next((own for own in file.handover.values() if own.file), HandoverEntry(links=(), effects=()))
     return IdentificationPage(
-        robot=str(document["robot"]),
-        verdict=read_verdict(document, source),
-        warnings=document["warnings"],
-        notes=document["notes"],
+        robot=entries.robot,
+        verdict=file.judgement,
+        warnings=entries.warnings,
+        notes=entries.notes,
         estimate=estimate,
-        masses=np.array([float(masses[link.name]) for link in estimate.links]),
-        effects=known_effects(document, source),
-        series=[SavedFit(row["channel"], row["unit"], (row["urdf"], row["identified"])) for row in rows],
-        held_out=document["rms"]["held_out"] is not None,
-        file=str(written.get("file", "identified.urdf")),
-        alone=_numbers(written.get("alone", {})),
-        corrected=_numbers(written.get("corrected", {})),
-        telling=document["telling"],
-        messages=accounts_of(document),
-        refused_rows=document["rows"]["rejected"],
-        origin=Origin(**document["origin"]),
+        masses=np.array([entries.urdf_masses[link.name] for link in estimate.links]),
+        effects=file.known_effects,
+        series=[SavedFit(row.channel, row.unit, (row.urdf, row.identified)) for row in entries.channels],
+        held_out=file.rms.held_out is not None,
+        file=written.file or "identified.urdf",
+        alone=written.alone,
+        corrected=written.corrected,
+        telling=entries.telling,
+        messages=entries.messages,
+        refused_rows=entries.rows["rejected"],
+        origin=Origin(**entries.origin),
     )
 
 
-def _numbers(given: Mapping[str, Any]) -> dict[str, float]:
-    return {name: math.nan if value is None else float(value) for name, value in given.items()}
-
-
-def _gap_page(document: Mapping[str, Any], source: str) -> GapPage:
-    result, nominal = gap_of(document, source)
+def _gap_page(file: GapFile, source: str) -> GapPage:
+    result = file.result(source)
     return GapPage(
-        robot=str(document["robot"]),
-        recordings=document["recordings"],
+        robot=file.robot,
+        recordings=file.recordings,
         joints=[],
         units=[],
         result=result,
-        nominal=nominal,
+        nominal=file.nominal,
         rigid=np.zeros((0, len(result.channels))),
-        known=[effect_of(entry, f"{source}: known") for entry in document["known"]],
-        simulated=_simulated(document),
-        not_simulated=str(document["not_simulated"]),
-        seconds=float(document["judged_seconds"]),
-        doubts=doubts_of(document),
-        warnings=document["warnings"],
-        notes=document["notes"],
+        known=file.known_effects("known", source),
+        simulated=_simulated(file),
+        not_simulated=file.not_simulated,
+        seconds=file.judged_seconds,
+        doubts=[own.doubt for own in file.causes],
+        warnings=file.warnings,
+        notes=file.notes,
     )
 
 
-def _simulated(document: Mapping[str, Any]) -> list[SimulatedAgain]:
+def _simulated(file: GapFile) -> list[SimulatedAgain]:
     """The errors of the simulations that there were, without their motions."""
     nothing = np.zeros((0, 0))
-    kinds: list[tuple[Literal["windows", "closed_loop"], Any]]
-    kinds = [("windows", document["resimulated"]), ("closed_loop", document["closed_loop"])]
+    kinds: list[tuple[Literal["windows", "closed_loop"], Errors | None]]
+    kinds = [("windows", file.resimulated), ("closed_loop", file.closed_loop)]
     return [
         SimulatedAgain(
             kind=kind,
             sentence=SENTENCES[kind],
-            errors={key: {name: number(value) for name, value in own.items()} for key, own in errors.items()},
+            errors=errors,
             joints=[],
             units=[],
             times=np.zeros(0),

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from geomid_ros.api.options import RobotKeywords, RobotOptions
 from geomid_ros.api.requirements import TOTAL, Outcome, Requirement, Values
 from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.errors import InputError
-from geomid_ros.files.models.results import read_estimate
+from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.gap import rms_of_model
 from geomid_ros.session.locking import read_with_locked
@@ -73,7 +73,7 @@ def verify(
         InputError: a file, an argument, a requirement or the data cannot be used.
     """
     required = [Requirement.parse(text) for text in texts(require)]
-    document = read_estimate(Path(model))
+    file = EstimateFile.read(Path(model))
     relative = next((each for each in required if each.reference == "urdf"), None)
     if relative and urdf is None and (own := beside(model)).is_file():
         raise InputError(
@@ -81,9 +81,9 @@ def verify(
             "former with --urdf"
         )
     session, samples = read_to_judge(
-        RobotOptions(urdf=urdf, **options), validate, progress, model=model, cutoff=document.get("cutoff")
+        RobotOptions(urdf=urdf, **options), validate, progress, model=model, cutoff=file.cutoff
     )
-    values = _values(session, samples, document)
+    values = _values(session, samples, file)
     return Verification(
         session=session,
         rms=values["rms"],
@@ -136,33 +136,22 @@ def identified(session: Session) -> FloatArray:
     return nominal if prior is None else np.where(np.isnan(prior), nominal, prior)
 
 
-def _values(session: Session, samples: Sequence[Samples], document: Mapping[str, Any]) -> dict[str, Values]:
+def _values(session: Session, samples: Sequence[Samples], file: EstimateFile) -> dict[str, Values]:
     """The numbers of every quantity that may be required."""
     nominal, found = session.nominal_parameters, identified(session)
     channels = [channel.name for channel in session.model.channels]
-    floors = entry_of(document, "floor") or entry_of(entry_of(document, "rms"), "train")
+    floors = file.floor or file.rms.train
     left = rms_of_model(session, samples), session.rms(samples, nominal)
     errors = zip(channels, *(each.tolist() for each in left), strict=True)
     bodies = session.model.body_names
     masses = [[*each, sum(each)] for each in (_masses(found, bodies), _masses(nominal, bodies))]
     return {
-        "rms": {name: {"value": own, "floor": number(floors.get(name)), "urdf": urdf} for name, own, urdf in errors},
+        "rms": {name: {"value": own, "floor": floors.get(name, math.nan), "urdf": urdf} for name, own, urdf in errors},
         "mass": {name: {"value": own, "urdf": urdf} for name, own, urdf in zip([*bodies, TOTAL], *masses, strict=True)},
-        "from_data": {str(link["name"]): {"value": number(link.get("from_data"))} for link in document["links"]},
+        "from_data": {link.name: {"value": link.from_data} for link in file.links},
     }
 
 
 def _masses(parameters: FloatArray, bodies: Sequence[str]) -> list[float]:
     masses: list[float] = parameters[: 10 * len(bodies) : 10].tolist()
     return masses
-
-
-def entry_of(document: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    """An object of a file, empty if it is none."""
-    found = document.get(key)
-    return found if isinstance(found, dict) else {}
-
-
-def number(value: object) -> float:
-    """A number of a file, NaN if it is none."""
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan

@@ -6,7 +6,7 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from geomid_ros.files.models.estimate_file import EstimateFile
     from geomid_ros.session.session import Session
 
 _WRENCH = {
@@ -47,7 +48,7 @@ def demo(out: Path, rate: float) -> None:
 
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.tables import results_console
-    from geomid_ros.files.models.results import read_estimate
+    from geomid_ros.files.models.estimate_file import EstimateFile
     from geomid_ros.files.models.urdf import read_urdf
     from geomid_ros.report.sheet import write_picture
     from geomid_ros.session.configuration import Configuration
@@ -69,14 +70,14 @@ def demo(out: Path, rate: float) -> None:
     ):
         for masses in run.watch():
             live.update(_table(session, masses, truth, run.diagnostics.get("rows")))
-    document = read_estimate(out / "estimate.json")
+    file = EstimateFile.read(out / "estimate.json")
     with progress_bar() as progress:
         offline = geomid_ros.identify(bag, urdf, config=configuration, hold_out=0.0, progress=progress)
         progress("drawing", 0.0)
         write_picture(out / "identification.png", offline.plot())
-    masses = {link["name"]: link["mass"] for link in document["links"]}
+    masses = {link.name: link.mass for link in file.links}
     difference = max(abs(link.mass / float(masses[link.name]) - 1.0) for link in offline.links)
-    _conclude(console, session, document, truth, difference, out)
+    _conclude(console, session, file, truth, difference, out)
 
 
 def shared_file(relative: str) -> Path:
@@ -113,17 +114,16 @@ def _table(session: Session, masses: dict[str, float], truth: dict[str, float], 
 
 
 def _conclude(
-    console: Console, session: Session, document: dict[str, Any], truth: dict[str, float], difference: float, out: Path
+    console: Console, session: Session, file: EstimateFile, truth: dict[str, float], difference: float, out: Path
 ) -> None:
-    tool = max(document["links"], key=lambda link: link["from_data"])
-    true_mass = _true_mass(session, tool["name"], truth)
-    untold = [link["name"] for link in document["links"] if "mass" in link["cannot_tell"]]
-    rms = document["rms"]
-    shares = [1.0 - rms["train"][channel] / nominal for channel, nominal in rms["nominal"].items()]
+    tool = max(file.links, key=lambda link: link.from_data)
+    true_mass = _true_mass(session, tool.name, truth)
+    untold = [link.name for link in file.links if "mass" in (link.cannot_tell or ())]
+    shares = [1.0 - file.rms.train[channel] / nominal for channel, nominal in file.rms.nominal.items()]
     console.print(
-        f"\nIdentified from {document['rows']['accepted']} rows. The most certain body is {tool['name']} with "
-        f"{tool['mass']:.4f} ± {tool['std']['mass']:.4f} kg (truth {true_mass:.4f}), "
-        f"{100 * tool['from_data']:.0f} % from data.\n"
+        f"\nIdentified from {file.document['rows']['accepted']} rows. The most certain body is {tool.name} with "
+        f"{tool.mass:.4f} ± {tool.std_quantities[0]:.4f} kg (truth {true_mass:.4f}), "
+        f"{100 * tool.from_data:.0f} % from data.\n"
         f"Masses not individually identifiable: {', '.join(untold) or 'none'}; these stay near the URDF.\n"
         f"The estimate removes {100 * sum(shares) / len(shares):.0f} % of the URDF's RMS error (mean over channels); "
         f"all bodies "

@@ -39,7 +39,7 @@ def gap(bags: tuple[Path, ...], out: Path, as_json: bool, **options: Any) -> Non
     """
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import gap as results
-    from geomid_ros.files.models.gap_rivals import is_open
+    from geomid_ros.files.models.gap_file import is_open
 
     with progress_bar() as progress:
         found = geomid_ros.find_gap(bags, progress=progress, **options)

@@ -12,11 +12,12 @@ import numpy as np
 
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.exports.descriptions import DESCRIPTIONS, DescribedRobot, Whole
-from geomid_ros.files.models.effect_forms import finite, unsaid
+from geomid_ros.files.models.effect_forms import unsaid
+from geomid_ros.files.models.estimate_file import model_effects
 from geomid_ros.files.models.handover import WrittenModel
 from geomid_ros.files.models.read_back import ReadBack, read_urdf_back
 from geomid_ros.files.models.readers import ELEMENTS, URDF
-from geomid_ros.files.models.results import model_effects
+from geomid_ros.files.schema import entry
 from geomid_ros.model.effects import effect_class
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
@@ -144,11 +145,9 @@ class JudgedFile:
     @property
     def entry(self) -> dict[str, object]:
         """As ``estimate.json`` has it."""
-        kinds = {kind: {name: finite(rms) for name, rms in getattr(self, kind).items()} for kind in _KINDS}
-        return {"file": self.name, "loaded_by": self.program, **kinds}
+        return {"file": self.name, "loaded_by": self.program, **entry(self, "alone", "corrected", "given")}
 
 
-_KINDS = ("alone", "corrected", "given")
 _ADVICE = "choose another format (--for), or record more motion of this joint"
 
 

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,13 +14,10 @@ from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.exports.formats import SAME
 from geomid_ros.exports.inertial import UncertainInertia
 from geomid_ros.files.models.effect_forms import coefficient, effects_of_dynamics, is_body, joint_attributes
+from geomid_ros.files.models.estimate_file import EstimateFile, LinkEntry
 from geomid_ros.files.models.handover import written_for
 from geomid_ros.files.models.joint_frames import joint_frames
-from geomid_ros.files.models.judgements import doubt
-from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.readers import URDF
-from geomid_ros.files.models.results import gravity_of, known_inertias, read_estimate
-from geomid_ros.files.models.robot_values import quantities_entry
 from geomid_ros.files.models.urdf import inertia_of, read_urdf, with_inertials
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
@@ -106,7 +102,7 @@ def read_model(path: Path, reader: str = "") -> Model:
     """
     if path.suffix != ".json":
         return _of_urdf(path)
-    document, urdf = read_estimate(path), path.parent / _URDF
+    file, urdf = EstimateFile.read(path), path.parent / _URDF
     if not urdf.exists():
         raise InputError(
             f"{path}: there is no {_URDF} beside it, which says where the links are; keep the files that were written "
@@ -114,9 +110,9 @@ def read_model(path: Path, reader: str = "") -> Model:
         )
     text, source = read_urdf(urdf), str(path)
     tree = parse(text, str(urdf))
-    bodies = _estimated_bodies(document, tree, source)
-    known = found = tuple(LoadedModel.read(source).beside_inertias)
-    written = written_for(document, reader, source)
+    bodies = _estimated_bodies(file, tree)
+    known = found = tuple(effect for effect in file.known_effects if not is_body(effect))
+    written = written_for(file, reader)
     friction = _dynamics(text, str(urdf), found)
     if written is not None:
         found = tuple(effect for effect in written.effects if not is_body(effect))
@@ -127,13 +123,13 @@ def read_model(path: Path, reader: str = "") -> Model:
         tree=tree,
         placements=_placements(text, tree, str(urdf)),
         bodies=bodies,
-        estimated=tuple(str(link["name"]) for link in document["links"]),
-        doubt=doubt(document, source),
+        estimated=tuple(link.name for link in file.links),
+        doubt=file.doubt,
         urdf=text,
         urdf_path=urdf,
         effects=(*found, *friction),
         known=(*known, *friction),
-        gravity=gravity_of(document, source),
+        gravity=file.gravity,
         fitted=written is not None or not reader,
     )
 
@@ -194,17 +190,15 @@ def _urdf_bodies(tree: UrdfTree) -> dict[str, MassiveLink]:
     }
 
 
-def _estimated_bodies(document: Mapping[str, Any], tree: UrdfTree, source: str) -> dict[str, MassiveLink]:
-    """The URDF's bodies, with the document's estimates of those that were identified."""
-    inertias = known_inertias(document, source)
-    written = written_for(document, URDF, source)
-    _check_same_model(inertias if written is None else written.inertias, tree, source)
+def _estimated_bodies(file: EstimateFile, tree: UrdfTree) -> dict[str, MassiveLink]:
+    """The URDF's bodies, with a file's estimates of those that were identified."""
+    written = written_for(file, URDF)
+    _check_same_model(file.inertias if written is None else written.inertias, tree, file.source)
     bodies = _urdf_bodies(tree)
-    if any("cannot_tell" in link for link in document["links"]):
+    if any(link.cannot_tell is not None for link in file.links):
         bodies = {name: MassiveLink(body.inertial, unidentified=QUANTITIES) for name, body in bodies.items()}
-    for link in document["links"]:
-        bodies[link["name"]] = _estimated_body(link, inertias[link["name"]], source)
-    return bodies | _found_payloads(bodies, source)
+    bodies |= {link.name: _estimated_body(link, file.inertias[link.name]) for link in file.links}
+    return bodies | _found_payloads(bodies, file.known_effects)
 
 
 def _check_same_model(inertias: Mapping[str, FloatArray], tree: UrdfTree, source: str) -> None:
@@ -217,26 +211,15 @@ def _check_same_model(inertias: Mapping[str, FloatArray], tree: UrdfTree, source
             )
 
 
-def _estimated_body(link: Mapping[str, Any], parameters: FloatArray, source: str) -> MassiveLink:
-    try:
-        unidentified = link.get("cannot_tell")
-        std = quantities_entry(link["std"]) if "std" in link else np.full(10, np.nan)
-        return MassiveLink(
-            UncertainInertia(pseudo_inertia.quantities_of(parameters), std),
-            tuple(map(str, link["merged"])),
-            None if unidentified is None else tuple(map(str, unidentified)),
-            float(link.get("from_data", np.nan)),
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            f"{source}: link '{link['name']}' lacks a valid std, merged or cannot_tell ({error})"
-        ) from error
+def _estimated_body(link: LinkEntry, parameters: FloatArray) -> MassiveLink:
+    inertial = UncertainInertia(pseudo_inertia.quantities_of(parameters), link.std_quantities)
+    return MassiveLink(inertial, link.merged or (), link.cannot_tell, link.from_data)
 
 
-def _found_payloads(bodies: Mapping[str, MassiveLink], source: str) -> dict[str, MassiveLink]:
+def _found_payloads(bodies: Mapping[str, MassiveLink], effects: Sequence[KnownEffect]) -> dict[str, MassiveLink]:
     """Payloads that ``geomid gap`` found: links of their own in the URDF, whose standard deviations the file has."""
     found = {}
-    for effect in LoadedModel.read(source).effects:
+    for effect in effects:
         name = f"{effect.link}_payload"
         if is_body(effect) and name in bodies:
             std = [effect.parameters[key].std if key in effect.parameters else np.nan for key in _PAYLOAD]

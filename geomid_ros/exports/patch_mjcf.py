@@ -15,7 +15,7 @@ from geomid_ros.exports.model import Model
 from geomid_ros.files.disk import read_text
 from geomid_ros.files.models.effect_forms import joint_attributes
 from geomid_ros.files.models.joint_frames import joint_frames
-from geomid_ros.files.models.mjcf_edits import with_identified
+from geomid_ros.files.models.mjcf import with_identified
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.urdf_tree import MOST_BYTES
 from geomid_ros.resimulation.body_frames import BodyFrames, body_frames

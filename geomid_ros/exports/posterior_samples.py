@@ -20,9 +20,10 @@ from geomid_ros.exports.formats import JSON, SAME
 from geomid_ros.exports.inertial import UncertainInertia
 from geomid_ros.exports.model import Model, read_model
 from geomid_ros.exports.patch_mjcf import OwnMjcf, read_own_mjcf
-from geomid_ros.files.models.effect_forms import coefficient_entry, effect_entry, is_coefficient
+from geomid_ros.files.models.effect_forms import is_coefficient
+from geomid_ros.files.models.estimate_file import link_entry
 from geomid_ros.files.models.posterior import beside, read_posterior
-from geomid_ros.files.models.results import link_entry
+from geomid_ros.files.models.sidecar import coefficient_entry, effect_entry
 from geomid_ros.files.models.urdf import inertia_of, with_inertials
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity

@@ -12,7 +12,7 @@ from geomid_ros.estimation.estimate import QUANTITIES, SURE
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.exports.formats import CONTROLLERS
 from geomid_ros.exports.inertial import Export, Summand, UncertainInertia, total
-from geomid_ros.files.models.judgements import verdict_entry
+from geomid_ros.files.models.estimate_file import verdict_entry
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import GAIN
 from geomid_ros.session.payload import WeighedPayload, weigh

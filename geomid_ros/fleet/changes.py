@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from geomid_ros.estimation.comparison import compared
-from geomid_ros.files.models.robot_values import robot_values
+from geomid_ros.files.models.estimate_file import EstimateFile
 
 _CHANCE = 1e-4  # a fleet has many robots: of any of one robot's numbers, if none has changed
 
 
-def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
+def changes(before: EstimateFile, after: EstimateFile) -> list[str]:
     """The links that have changed, and the numbers of links and effects that differ by more than their standard
     deviations explain, in words, the surest first.
 
     What both estimates took from the same prior counts as uncertain twice: little data tell no change.
 
     Args:
-        before, after: documents of ``estimate.json`` of one robot.
+        before, after: of one robot.
 
     Raises:
-        InputError: a document is none.
+        InputError: a file says what cannot be.
     """
-    pair = robot_values(before, "the earlier estimate"), robot_values(after, "the new estimate")
-    found = compared(*pair, _CHANCE)
+    found = compared(before.values, after.values, _CHANCE)
     return [*(link.sentence for link in found.changed), *(number.sentence for number in found.differing)]

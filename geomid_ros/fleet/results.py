@@ -8,7 +8,6 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.population import RobotLikelihood
 from geomid_ros.estimation.posterior import EffectCoordinate
 from geomid_ros.files.disk import write_bytes
+from geomid_ros.files.models.estimate_file import EstimateFile
 
 _HEADER, _FILE = "header", "file "
 _ARRAYS = ("rows", "targets", "parameters", "prior", "scales")
@@ -59,10 +59,9 @@ class RobotResults:
         return RobotResults(files=files, evidence=evidence)
 
     @property
-    def document(self) -> dict[str, Any]:
+    def estimate(self) -> EstimateFile:
         """What ``estimate.json`` says."""
-        document: dict[str, Any] = json.loads(self.files["estimate.json"])
-        return document
+        return EstimateFile.of(json.loads(self.files["estimate.json"]), "the new estimate")
 
     def write(self, folder: Path) -> None:
         """Write the files into a folder. Raises GeomidError if they cannot be written."""

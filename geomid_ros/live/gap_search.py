@@ -10,8 +10,8 @@ from typing import Any
 
 from geomid_ros.checks.causes import Finding
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.files.models.gap_results import gap_document
-from geomid_ros.files.models.judgements import causes_entry
+from geomid_ros.files.models.estimate_file import causes_entry
+from geomid_ros.files.models.gap_file import gap_document
 from geomid_ros.gap.result import GapResult
 from geomid_ros.report.gap_words import verdict_sentence
 from geomid_ros.session.configuration import Configuration

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.excitation.learning import Expected
 from geomid_ros.files.disk import make_folder, write_json
-from geomid_ros.files.trajectories.writing import write_bag, write_csv, write_yaml
+from geomid_ros.files.trajectories import write_bag, write_csv, write_yaml
 from geomid_ros.report.motion_page import write_motion_page
 from geomid_ros.report.sheet import DPI, FAINT, IDENTIFIED, INK, write_picture
 from geomid_ros.session.excitation import Excitation

@@ -10,7 +10,7 @@ from typing import Any
 
 from geomid_ros.checks.verdict import Verdict
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.files.models.results import shares_from_data
+from geomid_ros.files.models.estimate_file import shares_from_data
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.report import identification_words
 from geomid_ros.report.gap_words import percent

@@ -8,15 +8,10 @@ from collections.abc import Iterable, Sequence
 
 from geomid_ros.errors import one_line
 from geomid_ros.live.supervisor import Log
-from geomid_ros.ros.diagnostics import NO_DESCRIPTION, NOTHING_COMES, Complaint
+from geomid_ros.ros.diagnostics import Advised, Complaint
 
 AGAIN = 60.0  # [s] until a sentence is said again
 _MOST_KINDS = 200  # of sentences that are remembered: names in them are from outside
-_HINTS = {
-    NO_DESCRIPTION: "start robot_state_publisher, or set the parameter robot_description",
-    NOTHING_COMES: "does the driver run? 'ros2 topic list -t' shows topics, '--ros-args -r NAME:=TOPIC' renames one",
-}
-"""What to do, by the beginning of a sentence that does not say so itself."""
 
 
 class Console:
@@ -78,5 +73,4 @@ def _kind(sentence: str) -> str:
 
 
 def _with_hint(sentence: str) -> str:
-    hint = next((hint for beginning, hint in _HINTS.items() if sentence.startswith(beginning)), "")
-    return f"{sentence} ({hint})" if hint else sentence
+    return f"{sentence} ({sentence.advice})" if isinstance(sentence, Advised) else sentence

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -20,15 +20,29 @@ from geomid_ros.live.status import Status
 from geomid_ros.model.channels import is_of
 from geomid_ros.monitoring.change_detection import ChannelGap
 from geomid_ros.report.gap_words import not_explained
-from geomid_ros.signals.joint_messages import DRIVER_ERROR
-from geomid_ros.signals.ledger import Account
+from geomid_ros.signals.ledger import Account, meaning_of
 from geomid_ros.signals.messages import JOINT_STATES
 
-NO_DESCRIPTION = "no robot description yet"
-NOTHING_COMES = "no messages on"
 STOPPED = "stopped"
 _SIMULATED = 1_000_000_000_000_000_000  # [ns] earlier stamps are of a simulation
 _QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
+
+
+class Advised(str):
+    """A sentence that does not say itself what to do, with ``advice`` that does."""
+
+    advice: str
+
+    def __new__(cls, sentence: str, advice: str) -> Self:
+        own = super().__new__(cls, sentence)
+        own.advice = advice
+        return own
+
+
+NO_DESCRIPTION = Advised(
+    "no robot description yet", "start robot_state_publisher, or set the parameter robot_description"
+)
+_NOTHING_COMES = "does the driver run? 'ros2 topic list -t' shows topics, '--ros-args -r NAME:=TOPIC' renames one"
 
 
 class Complaint(NamedTuple):
@@ -239,11 +253,9 @@ def _errors(status: Status, new: Status) -> list[str]:
     for topic in status.topics:
         account = new.account(topic)
         nothing = account.received >= _MANY and account.accepted <= 0
-        bad = {
-            reason: count for reason, count in account.rejected.items() if nothing or reason.startswith(DRIVER_ERROR)
-        }
+        bad = {why: count for why, count in account.rejected.items() if nothing or meaning_of(why) == "driver error"}
         sentences += _most_frequent(_refusals(topic, Account(rejected=Counter(bad))))
-        sentences += [f"{topic}: {remark}" for remark in account.noted if remark.startswith(DRIVER_ERROR)]
+        sentences += [f"{topic}: {remark}" for remark in account.noted if meaning_of(remark) == "driver error"]
     return sentences
 
 
@@ -255,7 +267,7 @@ def _warnings(status: Status, new: Status) -> list[str]:
         return sentences
     silent = [topic for topic in status.topics if new.account(topic).received == 0]
     if silent:
-        sentences.append(f"{NOTHING_COMES} {', '.join(silent)}")
+        sentences.append(Advised(f"no messages on {', '.join(silent)}", _NOTHING_COMES))
     refusals: dict[str, int] = {}
     for topic, account in new.accounts.items():
         refusals |= _refusals(topic, account)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.shapes.outlines import link_shapes, obstacles
+from geomid_ros.files.shapes.shapes import link_shapes, obstacles
 from geomid_ros.model.collision import CollisionModel, Pair
 from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray
@@ -23,7 +23,7 @@ class Surroundings:
     """What must not be touched.
 
     Attributes:
-        avoid: obstacles, see :func:`~geomid_ros.files.shapes.outlines.obstacles`.
+        avoid: obstacles, see :func:`~geomid_ros.files.shapes.shapes.obstacles`.
         clearance: [m] of all that may collide.
         collide: whether collisions are looked for.
         packages: folders of ``package://``.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,9 +19,9 @@ from geomid_ros.excitation.motion import Motion, MotionForm
 from geomid_ros.excitation.rivals import DECIDED, DiscriminationCriterion, deciding_motion
 from geomid_ros.excitation.search import Search, expected_error, other_motions, random_feasible
 from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.joint_limits import read_joint_limits
 from geomid_ros.files.models.posterior import beside, read_posterior
-from geomid_ros.files.models.results import read_estimate
 from geomid_ros.model.collision import CollisionModel, Pair
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.session.collision_scene import NOT_LOOKED, Surroundings, not_watched, without_touching
@@ -208,9 +209,12 @@ def _knowledge(session: Session, model: MeasurementModel, limits: MotionLimits) 
     prior = prior_knowledge(model, limits)
     if not session.loaded.source:
         return prior
-    measured = read_estimate(Path(session.loaded.source)).get("sigma") or {}
+    measured = EstimateFile.read(Path(session.loaded.source)).sigma
     sigmas = [measured.get(channel.name) for channel in model.channels]
-    own = [float(sigma) if sigma else usual for sigma, usual in zip(sigmas, prior.sigmas.tolist(), strict=True)]
+    own = [
+        sigma if sigma and math.isfinite(sigma) else usual
+        for sigma, usual in zip(sigmas, prior.sigmas.tolist(), strict=True)
+    ]
     return known_before(model, read_posterior(beside(Path(session.loaded.source))), own, session.loaded.source)
 
 

@@ -14,7 +14,7 @@ from geomid_ros.excitation.knowledge import prior_knowledge
 from geomid_ros.excitation.response import Responses, coefficients_of
 from geomid_ros.excitation.rivals import Ambiguity, DiscriminationCriterion, Name
 from geomid_ros.files.models.effect_forms import payload_parameters
-from geomid_ros.files.models.gap_rivals import OpenFinding, read_open_findings
+from geomid_ros.files.models.gap_file import OpenFinding, read_open_findings
 from geomid_ros.gap.candidates import Candidate
 from geomid_ros.model.channels import is_wrench_channel
 from geomid_ros.model.effects import Effect, KnownEffect, OnLink, Place, effect_class, values_of
@@ -53,7 +53,7 @@ def _refuse_others(model: MeasurementModel, floor: Mapping[str, float], path: Pa
 
 def _dispute(model: MeasurementModel, entry: OpenFinding) -> Ambiguity:
     found = _name_of_finding(model, entry.finding)
-    rivals = [_any(model, effect, joint) for effect, joint in entry.rivals]
+    rivals = [_any(model, rival.effect, rival.joint) for rival in entry.rivals]
     return Ambiguity(found, _coefficients(entry.finding, found), tuple(rivals))
 
 

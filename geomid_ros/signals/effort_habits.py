@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from geomid_ros.signals.ledger import Reason, driver_error
 from geomid_ros.signals.saturation import STANDING
 from geomid_ros.signals.usual_efforts import CHUNK
 from geomid_ros.types import BoolArray, FloatArray, IntArray
@@ -20,25 +21,27 @@ _ZERO_RUNS, _BRAKED = 0.02, 4.0  # of the messages; usual changes, that one from
 _FILLED = 8.0  # standard deviations: a range that efforts fill
 _ENDS, _OVERFLOWS = 0.05, 3  # of the range: a usual change is less; overflows in either direction
 _ALIKE, _EVERY = 0.95, 8  # of the messages; looked at
-
-COARSE = "come in steps of a quarter or more of their variation: only what is larger is seen of the motion"
+_SENTENCES = {
+    "held": "come only every {:.1g} s, and are the same numbers in between",
+    "zero": "fall to exactly zero, and rise again, at once: a dead band, or a drive switched off or braked",
+    "overflow": "jump from one end of their range to the other: their numbers overflow",
+    "copied": "are the same numbers: one of them is a copy",
+    "coarse": "come in steps of a quarter or more of their variation: only what is larger is seen of the motion",
+}
 
 
 class EffortHabits:
     """Learns from chunks of messages with efforts of J joints, and tells once what is peculiar about them."""
 
-    def __init__(
-        self, joints: Sequence[str], turning: BoolArray, wrong: Callable[[str], None], note: Callable[[str], None]
-    ) -> None:
+    def __init__(self, joints: Sequence[str], turning: BoolArray, note: Callable[[str], None]) -> None:
         """
         Args:
             joints: their names.
             turning: ``(J,)`` which are revolute: two fingers of a gripper may have one effort.
-            wrong: told what makes efforts doubtful.
-            note: told what is to be known of them.
+            note: told what is peculiar about efforts, as an error of the driver where it makes them doubtful.
         """
         self._joints, self._turning = tuple(joints), turning
-        self._wrong, self._note = wrong, note
+        self._note = note
         count = len(joints)
         self._stamps = np.zeros(CHUNK, dtype=np.int64)
         self._positions, self._efforts = np.zeros((CHUNK, count)), np.zeros((CHUNK, count))
@@ -116,7 +119,7 @@ class EffortHabits:
             self._tell()
 
     def _kinds(self) -> dict[str, BoolArray]:
-        """Which joints are concerned ``(J,)``, by what is wrong; each joint by one thing alone."""
+        """Which joints are concerned ``(J,)``, by the kind of what is wrong; each joint by one thing alone."""
         count = np.maximum(self._messages, 1.0)
         spread = np.sqrt(np.maximum(self._squares / count - (self._sum / count) ** 2, 0.0))
         usual, full = self._way / np.maximum(self._changes, 1.0), self._range
@@ -137,25 +140,21 @@ class EffortHabits:
         over &= full < _FILLED * spread  # else it is a few spikes that make the range
         same = np.triu(self._alike > _ALIKE * self._messages / _EVERY, 1) & np.outer(fine, fine)
         same &= np.outer(self._turning, self._turning)
-        return {
-            "come only every {:.1g} s, and are the same numbers in between": held,
-            "fall to exactly zero, and rise again, at once: a dead band, or a drive switched off or braked": zero,
-            "jump from one end of their range to the other: their numbers overflow": over,
-            "are the same numbers: one of them is a copy": same.any(axis=0) | same.any(axis=1),
-            COARSE: coarse,
-        }
+        copied = same.any(axis=0) | same.any(axis=1)
+        return {"held": held, "zero": zero, "overflow": over, "copied": copied, "coarse": coarse}
 
     def _tell(self) -> None:
         """Tell of each joint once what is found twice in a row."""
         found = self._kinds()
-        for what, now in found.items():
-            told = self._told.get(what, np.zeros_like(now))
-            joints = now & self._before.get(what, told) & ~told
+        for kind, now in found.items():
+            told = self._told.get(kind, np.zeros_like(now))
+            joints = now & self._before.get(kind, told) & ~told
             if joints.any():
-                self._told[what] = told | joints
+                self._told[kind] = told | joints
                 every = np.median(self._time[joints] / np.maximum(self._renewed[joints], 1.0))
                 who = "all joints" if joints.all() else ", ".join(repr(self._joints[j]) for j in np.flatnonzero(joints))
-                (self._note if what == COARSE else self._wrong)(f"efforts of {who} {what.format(every)}")
+                sentence = f"efforts of {who} {_SENTENCES[kind].format(every)}"
+                self._note(Reason(sentence, "told") if kind == "coarse" else driver_error(sentence))
         self._before = found
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.signals.arrived import Arrived
-from geomid_ros.signals.joint_messages import DRIVER_ERROR
+from geomid_ros.signals.ledger import Reason, driver_error
 from geomid_ros.signals.motion_time import end_of, unlikely
 from geomid_ros.signals.periods import SHORT
 from geomid_ros.signals.usual_efforts import CLEAR, UsualEfforts
@@ -28,11 +28,10 @@ PATIENCE = 1000
 EARLY = "stamp ahead of its time"
 SPIKE = "is a spike"
 SPIKE_OR_CONTACT = "is a spike, or a contact that messages as slow cannot tell from one"
-KEPT = ": kept"
-CLOCK_SET = "clock set: a new segment begins"
+CLOCK_SET = Reason("clock set: a new segment begins", "told")
 UNIT_CHANGED = (
-    DRIVER_ERROR + "efforts change at once by a factor of about {:g}, at all joints: another unit or sign begins; use "
-    "one of the two parts, with effort_gain for its unit"
+    "efforts change at once by a factor of about {:g}, at all joints: another unit or sign begins; use one of the two "
+    "parts, with effort_gain for its unit"
 )
 _MOST = 3  # messages in a row that a fault lasts
 _USUAL_STEP = 1.9  # periods between two stamps, above which one may be ahead
@@ -256,7 +255,7 @@ class JointGate:
         if not factor or not soon:
             return _Answer()
         self._efforts.forget()
-        return _Answer(changed=UNIT_CHANGED.format(factor))
+        return _Answer(changed=driver_error(UNIT_CHANGED.format(factor)))
 
     @staticmethod
     def _spike(effort: str, count: int, elapsed: float) -> _Answer:
@@ -266,7 +265,7 @@ class JointGate:
             return _Answer(count, refused=f"{effort} {SPIKE}")
         if count == 1 and elapsed <= 2.0 * _SHORTEST_CONTACT:
             return _Answer(count, refused=f"{effort} {SPIKE_OR_CONTACT}")
-        return _Answer(noted=f"{effort} {SPIKE_OR_CONTACT}{KEPT}")
+        return _Answer(noted=Reason(f"{effort} {SPIKE_OR_CONTACT}: kept", "told"))
 
     def _early(self, stamps: IntArray, length: int) -> str:
         """The next two messages are later than the last good one, and not later than these."""

@@ -9,19 +9,22 @@ import numpy as np
 from geomid_ros.signals.arrived import plausible
 from geomid_ros.signals.effort_habits import EffortHabits
 from geomid_ros.signals.joint_names import missing_joint
+from geomid_ros.signals.ledger import Reason, driver_error
 from geomid_ros.signals.messages import Block
 from geomid_ros.signals.saturation import STANDING, SaturationDetector
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
-DRIVER_ERROR = "driver error: "
-"""Reasons begin with this when the driver fills in its messages wrongly."""
 _UNLIKE_A_TURN = 0.5  # [rad] a step that is no further from a whole turn is the driver's
 UNWRAPPED = "jump by whole turns: unwrapped"
-FROZEN = "frozen: all numbers are those of the message before, though the robot moves"
+FROZEN = Reason("frozen: all numbers are those of the message before, though the robot moves", "repeated")
 
 
 class RejectedError(Exception):
-    """A message that cannot be used; the text is the reason that is counted."""
+    """A message that cannot be used, for the ``reason`` that is counted."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.reason = reason
 
 
 class JointReader:
@@ -58,7 +61,7 @@ class JointReader:
         self._names: tuple[str, ...] = ()
         self._order = np.zeros(len(joints), dtype=np.int64)
         self._saturation = SaturationDetector(len(joints))
-        self._habits = EffortHabits(joints, continuous | self._turning, lambda what: note(DRIVER_ERROR + what), note)
+        self._habits = EffortHabits(joints, continuous | self._turning, note)
         self.restart()
 
     def restart(self) -> None:
@@ -98,7 +101,7 @@ class JointReader:
             order = self._order_of(names)
             _check_lengths(block)
         except RejectedError as error:
-            refusals[:] = str(error)
+            refusals[:] = error.reason
             return vector, refusals
         if not block.arrays[1].shape[1]:
             self._note_once("no velocities: positions are differentiated")
@@ -161,12 +164,12 @@ class JointReader:
     def _order_of(self, names: tuple[str, ...]) -> IntArray:
         """The places of the robot's joints among a message's names. Most messages have those of the one before."""
         if not names:
-            raise RejectedError(DRIVER_ERROR + "no joint names")
+            raise RejectedError(driver_error("no joint names"))
         if self._names != names:
             index = {name: place for place, name in enumerate(names)}
             if len(index) != len(names):
                 twice = next(name for place, name in enumerate(names) if index[name] != place)
-                raise RejectedError(f"{DRIVER_ERROR}joint '{twice}' is named twice")
+                raise RejectedError(driver_error(f"joint '{twice}' is named twice"))
             if missing := missing_joint(self._joints, names):
                 raise RejectedError(missing)
             extra = next((name for name in names if name not in self._joints), None)
@@ -191,7 +194,7 @@ class JointReader:
         turns = np.round(steps / (2.0 * np.pi))
         wraps = self._turning & (turns != 0.0) & (np.abs(steps - 2.0 * np.pi * turns) < _UNLIKE_A_TURN)
         for joint in np.flatnonzero(wraps.any(axis=0)):
-            self._note_once(f"positions of '{self._joints[joint]}' {UNWRAPPED}")
+            self._note_once(Reason(f"positions of '{self._joints[joint]}' {UNWRAPPED}", "told"))
         added = self._turns - np.cumsum(np.where(self._continuous | wraps, turns, 0.0), axis=0)
         positions += 2.0 * np.pi * added
         return np.asarray(added)
@@ -242,14 +245,15 @@ class JointReader:
         lost = ~measured & (latest[:-1] > 0) & (stamps[:, None] - latest[:-1] <= self._max_gap)
         if lost.any():
             row, joint = (int(place[0]) for place in np.nonzero(lost))
-            reason = "effort of '{}' missing or not finite"
+            name = self._joints[joint]
+            reason = f"effort of '{name}' missing or not finite"
             if saturated[row].any():
-                reason = "effort of '{}' saturated: for long the same, and never larger"
+                reason = f"effort of '{name}' saturated: for long the same, and never larger"
             elif zeros[row]:
-                reason = DRIVER_ERROR + "effort of '{}' and of all others is zero while the robot moves"
+                reason = driver_error(f"effort of '{name}' and of all others is zero while the robot moves")
             elif not measured[row].any():
-                reason = DRIVER_ERROR + "no effort of '{}' or any other joint"
-            raise RejectedError(reason.format(self._joints[joint]))
+                reason = driver_error(f"no effort of '{name}' or any other joint")
+            raise RejectedError(reason)
         self._effort_stamps = latest[-1]
 
     def _zeros(self, effort: FloatArray, moving: BoolArray) -> BoolArray:
@@ -268,4 +272,4 @@ def _check_lengths(block: Block) -> None:
     names = len(block.names)
     for kind, values in zip(("position", "velocity", "effort"), block.arrays, strict=True):
         if values.shape[1] not in ((names,) if kind == "position" else (0, names)):
-            raise RejectedError(f"{DRIVER_ERROR}{kind} has {values.shape[1]} entries for {names} names")
+            raise RejectedError(driver_error(f"{kind} has {values.shape[1]} entries for {names} names"))

@@ -8,7 +8,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.signals.joint_messages import DRIVER_ERROR, JointReader, RejectedError
+from geomid_ros.signals.joint_messages import JointReader, RejectedError
+from geomid_ros.signals.ledger import driver_error
 from geomid_ros.types import FloatArray
 
 SILENT = 1_000_000_000
@@ -83,10 +84,10 @@ class JointParts:
         if part in self.readers:
             return part
         if not part:
-            raise RejectedError("none of the robot's joints" if names else DRIVER_ERROR + "no joint names")
+            raise RejectedError("none of the robot's joints" if names else driver_error("no joint names"))
         known = next((joint for other in self.readers for joint in other if joint in part), None)
         if known is not None:
-            raise RejectedError(f"{DRIVER_ERROR}joint '{known}' comes with others than before")
+            raise RejectedError(driver_error(f"joint '{known}' comes with others than before"))
         self.readers = {**self.readers, part: self._make_reader(part)}
         self._waiting[part] = deque()
         return part

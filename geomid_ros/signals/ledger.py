@@ -8,12 +8,48 @@ import threading
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any, Literal, Self, TypeAlias
 
 from geomid_ros.errors import one_line
 
 _MOST_REASONS = 50  # of a topic: the sender of nonsense decides how many there are
 _LONGEST_REASON = 200  # characters
 _OTHER = "other reasons"
+_HEADING = "driver error: "
+Meaning: TypeAlias = Literal["", "driver error", "told", "repeated"]
+
+
+class Reason(str):
+    """Why messages were not used, or what is peculiar about them, in words; ``meaning`` says what follows from it.
+
+    ``driver error``: the driver fills in its messages wrongly, all of them are doubtful; ``told``: the user is told of
+    it though the other messages can be used; ``repeated``: the driver may publish more often than it measures.
+    """
+
+    meaning: Meaning
+
+    def __new__(cls, text: str, meaning: Meaning) -> Self:
+        own = super().__new__(cls, text)
+        own.meaning = meaning
+        return own
+
+    @property
+    def sentence(self) -> str:
+        """The text without its heading."""
+        return self.removeprefix(_HEADING)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Reason, (str(self), self.meaning)
+
+
+def driver_error(sentence: str) -> Reason:
+    """The reason of a message that the driver has filled in wrongly."""
+    return Reason(_HEADING + sentence, "driver error")
+
+
+def meaning_of(reason: str) -> Meaning:
+    """What follows from a reason."""
+    return reason.meaning if isinstance(reason, Reason) else ""
 
 
 @dataclass
@@ -113,6 +149,7 @@ class Ledger:
 
 def count_reason(reasons: Counter[str], reason: str, count: int = 1) -> None:
     """Count a reason once more, or ``count`` times. Long reasons are cut short; those beyond a bound count as one."""
-    reason = one_line(reason)
-    short = reason if len(reason) <= _LONGEST_REASON else reason[:_LONGEST_REASON] + "..."
+    meaning, text = meaning_of(reason), one_line(reason)
+    short = text if len(text) <= _LONGEST_REASON else text[:_LONGEST_REASON] + "..."
+    short = Reason(short, meaning) if meaning else short
     reasons[short if short in reasons or len(reasons) < _MOST_REASONS else _OTHER] += count

@@ -201,7 +201,7 @@ class SignalPipeline:
             try:
                 source = block.topic, self._part(block)
             except RejectedError as error:
-                self._refused(block.topic, str(error), len(block.stamps))
+                self._refused(block.topic, error.reason, len(block.stamps))
                 continue
             numbers, refusals = self._numbers(source, block)
             found.setdefault(source, []).append(Arrived(block.order + self._arrived, block.stamps, numbers, refusals))
@@ -272,7 +272,7 @@ class SignalPipeline:
                     for part in (slice(half), slice(half, None)):
                         self._take({source: arrived.select(part)})
                 else:
-                    self._refused(source[0], str(error))
+                    self._refused(source[0], error.reason)
                 return
             frozen[used] = ~taken
             stamps = stamps[taken]

@@ -12,27 +12,28 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.model.columns import Columns, Entries
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.joint_messages import DRIVER_ERROR, FROZEN
-from geomid_ros.signals.ledger import Account, Ledger
+from geomid_ros.signals.joint_messages import FROZEN
+from geomid_ros.signals.ledger import Account, Ledger, Reason, driver_error
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted
 from geomid_ros.signals.periods import FEWEST, FEWEST_IN_BURSTS, RegularClock, in_bursts
 from geomid_ros.signals.settings import PERIOD_ROUNDING, SignalSettings
 from geomid_ros.signals.streams import Grid, JointSegment, PoseSegment, Stream, VectorSegment
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
-IN_BURSTS = (
-    DRIVER_ERROR + "messages come in bursts: their stamps do not say when they were measured, their numbers in the row "
+IN_BURSTS = driver_error(
+    "messages come in bursts: their stamps do not say when they were measured, their numbers in the row "
     "do; stamp them where they are measured"
 )
-SCALED = (
+SCALED = Reason(
     "velocities are the positions' derivatives but for a factor: do the stamps run too fast or too slow, or is their "
-    "unit another one? They are not used"
+    "unit another one? They are not used",
+    "told",
 )
-NOW_IN_BURSTS = (
-    DRIVER_ERROR + "messages have begun to come in bursts: their stamps do not say when they were measured; stamp them "
+NOW_IN_BURSTS = driver_error(
+    "messages have begun to come in bursts: their stamps do not say when they were measured; stamp them "
     "where they are measured"
 )
-UNEVEN = DRIVER_ERROR + "messages come in uneven bursts: nothing says when they were measured"
+UNEVEN = driver_error("messages come in uneven bursts: nothing says when they were measured")
 _UNITS_OF_SPEED = (180.0 / np.pi, 1000.0, 30.0 / np.pi, 0.5 / np.pi)  # degrees, mrad, 1/min, turns in a rad/s
 _MOST_WAITING = 10_000  # messages kept until the period is known
 _HORIZON = 60_000_000_000  # [ns] a topic this far behind the others is not waited for
@@ -259,8 +260,8 @@ class Sampler:
 
 
 def _wrong_clock(rate: float) -> str:
-    return (
-        f"{DRIVER_ERROR}stamps run {max(rate, 1.0 / rate):.3g} times too {'slow' if rate < 1.0 else 'fast'}: at all "
+    return driver_error(
+        f"stamps run {max(rate, 1.0 / rate):.3g} times too {'slow' if rate < 1.0 else 'fast'}: at all "
         "joints the velocities are so many times as small or large as the positions' derivatives; stamp messages in "
         "seconds, when they are measured"
     )

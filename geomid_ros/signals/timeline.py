@@ -8,10 +8,11 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
+from geomid_ros.signals.ledger import Reason
 from geomid_ros.types import BoolArray, IntArray
 
 NO_STAMP = "stamp is zero: whoever publishes has to fill in header.stamp"
-NOT_LATER = "stamp not later than the one before"
+NOT_LATER = Reason("stamp not later than the one before", "repeated")
 _TO_CONFIRM_SLOWNESS = 3  # messages, each after a pause
 _TO_CONFIRM_A_RESET = 10  # messages; a few late ones do not mean that a clock was set back
 

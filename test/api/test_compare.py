@@ -191,11 +191,13 @@ def test_another_robot_is_refused_by_name(halves: tuple[Path, Path], tmp_path: P
 def test_what_is_no_result_is_refused(halves: tuple[Path, Path], tmp_path: Path) -> None:
     assert "neither is an estimate.json" in refused("compare", ARM7, ARM7, "--out", tmp_path)
     (tmp_path / "empty.json").write_text("{}")
-    assert "not an estimate.json" in refused("compare", halves[0], tmp_path / "empty.json", "--out", tmp_path)
+    assert "not a model as geomid writes it" in refused(
+        "compare", halves[0], tmp_path / "empty.json", "--out", tmp_path
+    )
     links = json.loads(halves[0].read_text())["links"]
     links[0]["std"] = {"mass": "much"}
     wrong = changed_copy(halves[0], tmp_path / "wrong", links=links)
-    assert "link 'link1' lacks a valid std" in refused("compare", halves[0], wrong, "--out", tmp_path)
+    assert "links[0].std.com is not given" in refused("compare", halves[0], wrong, "--out", tmp_path)
 
 
 def test_no_link_in_common_is_another_robot(halves: tuple[Path, Path], tmp_path: Path) -> None:

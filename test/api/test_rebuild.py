@@ -13,7 +13,9 @@ from report.pages import Page
 
 import geomid_ros
 from geomid_ros.checks.causes import Cause, Finding
-from geomid_ros.files.models.judgements import causes_entry, doubts_of
+from geomid_ros.files.models.estimate_file import causes_entry
+from geomid_ros.files.models.gap_file import CauseEntry
+from geomid_ros.files.schema import structured
 
 BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
 MISSING = "Time series need the recordings; this page was made from the files of the result alone."
@@ -82,7 +84,7 @@ def test_a_result_that_lacks_something_is_refused(key: str, identified: Path, tm
     del document[key]
     (tmp_path / "old/estimate.json").write_text(json.dumps(document))
     message = refused("report", tmp_path / "old", "--out", tmp_path / "new")
-    assert f"{tmp_path / 'old/estimate.json'}: lacks what its page needs ('{key}')" in message
+    assert f"{tmp_path / 'old/estimate.json'}: lacks what its page needs ({key} is not given)" in message
     assert not (tmp_path / "new").exists()
 
 
@@ -92,7 +94,7 @@ def test_a_gap_that_lacks_something_is_refused(key: str, gap: Path, tmp_path: Pa
     del document[key]
     (tmp_path / "gap.json").write_text(json.dumps(document))
     message = refused("report", tmp_path, "--out", tmp_path / "new")
-    assert f"{tmp_path / 'gap.json'}: lacks what its page needs ('{key}')" in message
+    assert f"{tmp_path / 'gap.json'}: lacks what its page needs ({key} is not given)" in message
     assert not (tmp_path / "new").exists()
 
 
@@ -129,5 +131,5 @@ def test_doubts_are_said_again_as_they_were() -> None:
     """Sure, suspected, and with rivals."""
     signs, units = Cause(kind="signs", sentence="signs are reversed"), Cause(kind="units", sentence="in mN m")
     findings = [Finding(cause=signs), Finding(cause=units, sure=False), Finding(cause=signs, rivals=(units,))]
-    written = json.loads(json.dumps({"causes": causes_entry(findings)}))
-    assert doubts_of(written) == [finding.sentence for finding in findings]
+    written = json.loads(json.dumps(causes_entry(findings)))
+    assert [structured(CauseEntry, own, "gap.json:").doubt for own in written] == [own.sentence for own in findings]

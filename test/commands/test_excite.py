@@ -13,7 +13,7 @@ from files.recordings import BAGS
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from geomid_ros.files.trajectories.reading import read_trajectory
+from geomid_ros.files.trajectories import read_trajectory
 
 from .running import WRIST, done, geomid, identify, link, refused
 

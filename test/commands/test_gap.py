@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from files.recordings import BAGS, QUICK, Recorded, altered, recorded, write_bag
 
-from geomid_ros.files.models.results import read_estimate
+from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.sidecar import read_sidecar
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.geometry import pseudo_inertia
@@ -117,7 +117,7 @@ def test_the_written_model_has_what_was_found(found: tuple[Path, str]) -> None:
     assert sidecar.robot == "arm3"
     assert sidecar.effects[0].parameters["level"].value == level
     assert f'friction="{level:.9g}"' in (out / "identified.urdf").read_text()
-    links = read_estimate(out / "estimate.json")["links"]
+    links = EstimateFile.read(out / "estimate.json").document["links"]
     bodies = {body.name: body for body in Robot(read_urdf(out / "identified.urdf")).bodies}
     assert {link["name"]: link["mass"] for link in links} == pytest.approx(
         {name: body.parameters[0] for name, body in bodies.items()}, rel=1e-8
@@ -165,7 +165,7 @@ def test_the_model_of_a_doubtful_recording_is_marked_so(tmp_path: Path) -> None:
     parameters.write_text("/**: {ros__parameters: {effort_gain: -1.0}}")
     result = geomid("gap", BAGS / "arm3", "--urdf", URDF, "--config", parameters, "--out", tmp_path / "out")
     assert result.exit_code == 4, result.output
-    verdict = read_estimate(tmp_path / "out/estimate.json")["verdict"]
+    verdict = EstimateFile.read(tmp_path / "out/estimate.json").document["verdict"]
     assert (verdict["result"], verdict["causes"]) == ("doubtful", read(tmp_path / "out")["causes"])
     assert result.stdout.lstrip().startswith("DOUBTFUL: ")
 

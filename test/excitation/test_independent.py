@@ -13,7 +13,7 @@ from benchmarks.excite.independent import Limits, Simulated
 from benchmarks.excite.robots import Description
 from geomid_ros.excitation.search import random_feasible
 from geomid_ros.excitation.trajectory import Trajectory
-from geomid_ros.files.trajectories.writing import write_yaml
+from geomid_ros.files.trajectories import write_yaml
 
 from .arm import small_task, urdf
 

@@ -132,7 +132,7 @@ def test_columns_of_effects_that_depend_on_the_load() -> None:
     ("document", "message"),
     [
         ({"findings": []}, "no finding has a rival"),
-        ({"findings": 3}, "not a gap.json"),
+        ({"findings": 3}, "findings is 3, expected a list"),
         ({"format": 2, "findings": []}, "has format 2"),
         ({"findings": [finding("spring", "j2", [("ghost", "")], stiffness=1.0)]}, "'ghost'"),
         ({"findings": [ROTOR], "floor": {"j1": 0.1, "joint4": 0.1}}, "written for another robot.*'joint4'"),

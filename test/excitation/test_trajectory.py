@@ -12,7 +12,7 @@ import yaml
 from numpy.polynomial import Polynomial
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.trajectories.reading import read_trajectory
+from geomid_ros.files.trajectories import read_trajectory
 
 from .motions import Motion, bump, lively
 

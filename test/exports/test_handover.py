@@ -20,8 +20,7 @@ from geomid_ros.exports.model import read_model
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.read_back import ReadBack, read_urdf_back
 from geomid_ros.files.models.readers import READERS
-from geomid_ros.files.models.urdf import with_inertials
-from geomid_ros.files.models.urdf_extensions import for_drake
+from geomid_ros.files.models.urdf import for_drake, with_inertials
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.read_back import read_mjcf_back

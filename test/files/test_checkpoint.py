@@ -8,6 +8,7 @@ import json
 import os
 import re
 import stat
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
@@ -26,14 +27,14 @@ from geomid_ros.estimation.identifier import Memory
 from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.summary import SummaryState
 from geomid_ros.files.checkpoints import checkpoint_folder
-from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded, encoded, largest_size
+from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded, encoded, largest_size, pack, unpack
 from geomid_ros.files.checkpoints.checkpoint_folder import CheckpointFolder
-from geomid_ros.files.checkpoints.tensor_file import pack, unpack
 from geomid_ros.files.models.population import write_population
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
-from geomid_ros.signals.ledger import Account, Ledger
+from geomid_ros.signals.gates import CLOCK_SET
+from geomid_ros.signals.ledger import Account, Ledger, driver_error, meaning_of
 
 from .recordings import BAGS
 
@@ -165,6 +166,24 @@ class TestRoundTrip:
         account = ledger.topics["joint_states"]
         assert (account.accepted, account.dropped) == (1234, {"queue full": 9})
 
+    def test_what_follows_from_reasons_is_kept(self) -> None:
+        """Of a file that says none, driver errors are known by their heading."""
+        known, _ = small()
+        account = Account(
+            rejected=Counter({driver_error("no joint names"): 1, "late": 2}), noted=Counter({CLOCK_SET: 1})
+        )
+        content = encoded(replace(known.checkpoint(), accounts={"joint_states": account}), known.model.channels)
+        texts, vectors = unpack(content)
+        document = json.loads(texts["checkpoint"])
+        del document["ledger"]["joint_states"]["meanings"]
+        for file, told in ((content, "told"), (pack({"checkpoint": json.dumps(document)}, vectors), "")):
+            found = read(file).accounts["joint_states"]
+            assert {str(why): meaning_of(why) for why in found.rejected} == {
+                "driver error: no joint names": "driver error",
+                "late": "",
+            }
+            assert [meaning_of(why) for why in found.noted] == [told]
+
     def test_others_can_read_it(self) -> None:
         """The reference implementation of the format, if it is installed."""
         tensors = pytest.importorskip("safetensors.numpy").load(small()[1])
@@ -227,19 +246,18 @@ def altered(change: Callable[[dict[str, Any], dict[str, Any]], Any]) -> bytes:
 FIRST = "fold 0/channel 0/joint1"
 CRAFTED: dict[str, Callable[[dict[str, Any], dict[str, Any]], Any]] = {
     "has format 1": lambda d, _: d.update(format=1),
-    "lacks 'rows'": lambda d, _: d.pop("rows"),
-    "lacks 'lost'": lambda d, _: d["ledger"]["/wrench"].pop("lost"),
+    "rows is not given": lambda d, _: d.pop("rows"),
+    "ledger./wrench.lost is not given": lambda d, _: d["ledger"]["/wrench"].pop("lost"),
     "lacks 'fold 0": lambda _, v: v.pop(FIRST),
     "lacks 'counts'": lambda _, v: v.pop("counts"),
-    "-1 is not a count": lambda d, _: d.update(rows=-1),
-    "1.5 is not a count": lambda d, _: d.update(instants=1.5),
-    "True is not a count": lambda d, _: d.update(number=True),
-    "9223372036854775808 is not a count": lambda d, _: d.update(last_stamp=2**63),
-    "'7' is not a count": lambda d, _: d["rows_rejected"].update(x="7"),
-    "'x' is not a number": lambda d, _: d.update(weight="x"),
-    "0 is not a number": lambda d, _: d.update(time=0),
-    r"\[\] has no names": lambda d, _: d.update(ledger=[]),
-    "None has no names": lambda d, _: d["ledger"].update(joint_states=None),
+    "rows is -1, expected a count": lambda d, _: d.update(rows=-1),
+    "instants is 1.5, expected a count": lambda d, _: d.update(instants=1.5),
+    "number is True, expected a count": lambda d, _: d.update(number=True),
+    "last_stamp is 9223372036854775808, expected a count": lambda d, _: d.update(last_stamp=2**63),
+    "rows_rejected.x is '7', expected a count": lambda d, _: d["rows_rejected"].update(x="7"),
+    "weight is 'x', expected a finite number": lambda d, _: d.update(weight="x"),
+    r"ledger is \[\], expected an object": lambda d, _: d.update(ledger=[]),
+    "ledger.joint_states is None, expected an object with accepted": lambda d, _: d["ledger"].update(joint_states=None),
     "does not say what": lambda d, _: d.update(meaning=None),
     "another robot": lambda d, _: d["meaning"].update(robot_description="0"),
     "filter.cutoff is 8.0, here 5.0": lambda d, _: d["meaning"].update({"filter.cutoff": 8.0}),
@@ -255,7 +273,7 @@ CRAFTED: dict[str, Callable[[dict[str, Any], dict[str, Any]], Any]] = {
     "pose of shape": lambda _, v: v.update(last_pose=np.zeros(4)),
     "an estimate of 3 parameters": lambda _, v: v.update(estimate=np.zeros(3)),
     "estimate is not finite": lambda _, v: v["estimate"].__setitem__(0, np.nan),
-    "None is not a count": lambda d, _: d.update(chosen_at_rows=None),
+    "chosen_at_rows is None": lambda d, _: d.update(chosen_at_rows=None),
 }
 
 
@@ -270,7 +288,7 @@ class TestCrafted:
     def test_infinity_in_disguise(self) -> None:
         texts, vectors = unpack(small()[1])
         text = re.sub(r'"weight": [0-9.]+', '"weight": 1e999', texts["checkpoint"])
-        with pytest.raises(InputError, match="not finite"):
+        with pytest.raises(InputError, match="weight is inf, expected a finite number"):
             read(pack({"checkpoint": text}, vectors))
         with pytest.raises(InputError, match="Infinity is not JSON"):
             read(pack({"checkpoint": text.replace("1e999", "Infinity")}, vectors))

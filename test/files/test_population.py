@@ -63,14 +63,14 @@ def _effect(**changes: Any) -> Callable[[dict[str, Any]], None]:
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        (lambda document: document.pop("covariance"), "no population.json of geomid fleet"),
+        (lambda document: document.pop("covariance"), "it has no 'covariance'"),
         (lambda document: document.update(format=9), "has format 9, this version reads format 1"),
-        (lambda document: document.update(covariance="AAAA"), "no population.json of geomid fleet"),
-        (lambda document: document["links"].pop(), "no population.json of geomid fleet"),
+        (lambda document: document.update(covariance="AAAA"), "covariance is not of its links and effects"),
+        (lambda document: document["links"].pop(), "covariance is not of its links and effects"),
         (lambda document: document["links"][0].update(mass=-1.0), "belongs to no body that can exist"),
         (_effect(value=-1.0), "none that robots can have"),
-        (_effect(value=float("nan")), "none that robots can have"),
-        (_effect(positive=1), "none that robots can have"),
+        (_effect(value=float("nan")), r"effects\[0\].value is nan, expected a finite number"),
+        (_effect(positive=1), r"effects\[0\].positive is 1, expected true or false"),
         (lambda document: document["effects"][1].update(scale=0.0), "none that robots can have"),
         (lambda document: document["effects"].reverse(), "none that robots can have"),
         (lambda document: document["effects"][2].update(document["effects"][1]), "none that robots can have"),
@@ -99,5 +99,7 @@ def test_a_covariance_that_is_none_is_refused(tmp_path: Path) -> None:
 def test_what_is_no_document_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "population.json"
     path.write_text(text)
-    with pytest.raises(InputError, match=r"no population\.json of geomid fleet"):
+    with pytest.raises(
+        InputError, match=r"population\.json: (the population cannot be read|not a population as geomid writes it)"
+    ):
         read_population(path)

@@ -82,17 +82,20 @@ def edited(*path: str | int, value: Any = None) -> Callable[[dict[str, Any]], No
 FIRST = ("effects", 0)
 LEVEL = (*FIRST, "parameters", "coefficient")
 UNUSABLE: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
-    "no effects": (edited("effects"), "no list 'effects'"),
-    "effects is a text": (edited("effects", value="none"), "no list 'effects'"),
+    "no effects": (edited("effects"), "no 'effects'"),
+    "effects is a text": (edited("effects", value="none"), "effects is 'none', expected a list"),
     "another format": (edited("format", value=7), "format 7"),
-    "an effect is a number": (edited(*FIRST, value=3), r"effects\[0\]: expected an effect"),
+    "an effect is a number": (edited(*FIRST, value=3), r"effects\[0\] is 3, expected an object with effect"),
     "an unknown effect": (edited(*FIRST, "effect", value="viscous_frictoin"), "Did you mean 'viscous_friction'"),
     "no joint": (edited(*FIRST, "joint"), r"effects\[0\] \(viscous_friction\): joint is not given"),
-    "a joint that is a list": (edited(*FIRST, "joint", value=["a"]), "joint is .*expected a name"),
-    "no parameters": (edited(*FIRST, "parameters"), "parameters: expected coefficient"),
+    "a joint that is a list": (edited(*FIRST, "joint", value=["a"]), "joint is .*expected a text"),
+    "no parameters": (edited(*FIRST, "parameters"), "parameters: coefficient is not given"),
     "a missing parameter": (edited(*LEVEL), "coefficient is not given"),
-    "an unknown parameter": (edited(*FIRST, "parameters", "slope", value=1.0), "unknown parameter 'slope'"),
-    "a bare number": (edited(*LEVEL, value=1.0), "coefficient is 1.0, expected value, std and unit"),
+    "an unknown parameter": (
+        edited(*FIRST, "parameters", "slope", value={"value": 1.0, "unit": ""}),
+        "unknown parameter 'slope'",
+    ),
+    "a bare number": (edited(*LEVEL, value=1.0), "coefficient is 1.0, expected an object with value, unit"),
     "a text as a value": (edited(*LEVEL, "value", value="much"), "expected a finite number"),
     "a truth value": (edited(*LEVEL, "value", value=True), "expected a finite number"),
     "an infinite value": (edited(*LEVEL, "value", value=float("inf")), "expected a finite number"),
@@ -100,7 +103,7 @@ UNUSABLE: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "negative friction": (edited(*LEVEL, "value", value=-0.1), "coefficient is -0.1, expected a number above 0"),
     "a negative deviation": (edited(*LEVEL, "std", value=-1.0), "std is -1"),
     "another unit": (edited(*LEVEL, "unit", value="lb in"), "unit is 'lb in', expected N m s/rad or N s/m"),
-    "no unit": (edited(*LEVEL, "unit"), "unit is None"),
+    "no unit": (edited(*LEVEL, "unit"), "unit is not given"),
 }
 
 

@@ -177,17 +177,32 @@ def model(**fields: Any) -> dict[str, Any]:
 
 ONE = {"effect": "rotor_inertia", "joint": "joint1", "parameters": {}}
 MODELS: dict[str, tuple[dict[str, Any], str]] = {
-    "many links": (model(links=model()["links"] * 1001), "links is .*at most 1000"),
+    "many links": (model(links=model()["links"] * 10_001), "links is .*at most 10000"),
     "many effects": (model(effects=[{"name": "x"}] * 10_001), "effects is .*at most 10000"),
-    "an effect is a list": (model(effects=[[]]), r"effects\[0\] is \[\], expected an object"),
-    "an effect without a name": (model(effects=[{}]), "an effect lacks a valid name"),
-    "an effect's name is a list": (model(effects=[{"name": [], "joint": "x", "value": 1}]), r"unknown effect '\[\]'"),
+    "an effect is a list": (model(effects=[[]]), r"effects\[0\] is \[\], expected an object with name"),
+    "an effect without a name": (model(effects=[{}]), r"effects\[0\].name is not given"),
+    "an effect's name is a list": (
+        model(effects=[{"name": [], "joint": "x", "value": 1}]),
+        r"effects\[0\].name is \[\], expected a text",
+    ),
     "added is a text": (model(added="x"), "added is 'x', expected a list"),
-    "what is added is a list": (model(added=[{**ONE, "effect": ["x"]}]), "unknown effect"),
-    "a number of 400 digits": (model(effects=[{"name": "rotor_inertia", "joint": "x", "value": 10**400}]), "valid"),
-    "a mass of 400 digits": (model(links=[{**model()["links"][0], "mass": 10**400}]), "valid mass"),
-    "a huge mass": (model(links=[{**model()["links"][0], "mass": 1e300}]), "no body that can exist"),
-    "an infinite centre": (model(links=[{**model()["links"][0], "com": [1e308] * 3}]), "no body that can exist"),
+    "what is added is a list": (
+        model(added=[{**ONE, "effect": ["x"]}]),
+        r"added\[0\].effect is \['x'\], expected a text",
+    ),
+    "a number of 400 digits": (
+        model(effects=[{"name": "rotor_inertia", "joint": "x", "value": 10**400}]),
+        "value is .*expected a finite number",
+    ),
+    "a mass of 400 digits": (
+        model(links=[{**model()["links"][0], "mass": 10**400}]),
+        "mass is .*expected a finite number",
+    ),
+    "a huge mass": (model(links=[{**model()["links"][0], "mass": 1e300}]), "mass is .*expected a finite number"),
+    "an infinite centre": (
+        model(links=[{**model()["links"][0], "com": [1e308] * 3}]),
+        "com is .*expected finite numbers",
+    ),
 }
 
 

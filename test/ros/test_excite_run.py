@@ -18,7 +18,7 @@ from trajectory_msgs.msg import JointTrajectory
 from benchmarks.trajectory_controller import DEAF, GONE, PUSHED, SILENT, STRONG
 from geomid_ros.excitation.running.watch import Watch
 from geomid_ros.files.bags.bag import Bag
-from geomid_ros.files.trajectories.reading import read_trajectory
+from geomid_ros.files.trajectories import read_trajectory
 from geomid_ros.ros.excite.run import Order, prepared_run
 from geomid_ros.session.collision_scene import Surroundings
 

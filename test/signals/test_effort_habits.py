@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from geomid_ros.signals.effort_habits import COARSE, EffortHabits
+from geomid_ros.signals.effort_habits import EffortHabits
+from geomid_ros.signals.ledger import meaning_of
 from geomid_ros.types import FloatArray
 
 COUNT, PERIOD = 3000, 10_000_000
@@ -16,16 +17,17 @@ NAMES = ("one", "two", "three")
 
 def told(efforts: FloatArray, turning: bool = True, piece: int = 50, speed: float = 0.1) -> tuple[list[str], list[str]]:
     """What is wrong, and what is noted."""
-    wrong: list[str] = []
-    noted: list[str] = []
-    habits = EffortHabits(NAMES, np.full(3, turning), wrong.append, noted.append)
+    found: list[str] = []
+    habits = EffortHabits(NAMES, np.full(3, turning), found.append)
     stamps = np.arange(COUNT) * PERIOD
     stamps[COUNT // 2 :] += 100_000_000_000  # a pause is no rate
     positions = np.cumsum(speed * np.ones((COUNT, 3)), axis=0) * PERIOD * 1e-9
     for begin in range(0, COUNT, piece):
         part = slice(begin, begin + piece)
         habits.add(stamps[part], positions[part], efforts[part])
-    return wrong, noted
+    by_meaning = {meaning: [one for one in found if meaning_of(one) == meaning] for meaning in ("driver error", "told")}
+    assert sum(map(len, by_meaning.values())) == len(found)
+    return by_meaning["driver error"], by_meaning["told"]
 
 
 def usual(noise: float = 0.02, seed: int = 1) -> FloatArray:
@@ -88,7 +90,7 @@ def test_a_coarse_sensor_is_noted() -> None:
     effort[:, 0] = np.round(effort[:, 0])
     wrong, (sentence,) = told(effort)
     assert wrong == []
-    assert sentence.endswith(COARSE)
+    assert "come in steps of a quarter or more of their variation" in sentence
     assert "'one'" in sentence
 
 

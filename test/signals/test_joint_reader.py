@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.signals.arrived import plausible
-from geomid_ros.signals.joint_messages import DRIVER_ERROR, JointReader, RejectedError
+from geomid_ros.signals.joint_messages import JointReader, RejectedError
 from geomid_ros.signals.joint_parts import JointParts
 from geomid_ros.signals.messages import JointMessage
 from geomid_ros.signals.sampler import VelocityChoice
@@ -277,4 +277,4 @@ def test_efforts_that_are_held_are_the_driver_s_fault_and_told_once() -> None:
         then = index // 20
         read(own, replace(message(index), effort=(np.sin(0.3 * then), np.cos(0.3 * then))))
     (note,) = notes
-    assert note.startswith(DRIVER_ERROR + "efforts of all joints come only every 0.2 s")
+    assert note.startswith("driver error: efforts of all joints come only every 0.2 s")

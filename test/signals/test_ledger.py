@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from collections import Counter
 
 import pytest
 
-from geomid_ros.signals.ledger import Account, Ledger, count_reason
+from geomid_ros.signals.ledger import Account, Ledger, Reason, count_reason, driver_error, meaning_of
 
 TOPIC, OTHER = "joint_states", "/wrench"
 
@@ -94,3 +96,15 @@ def test_nonsense_does_not_fill_the_memory() -> None:
     for length in (200, 201, 300):
         count_reason(long, length * "x")
     assert long == {200 * "x": 1, 200 * "x" + "...": 2}
+
+
+def test_what_follows_from_a_reason_survives_counting_copies_and_processes() -> None:
+    ledger, other = Ledger(), Ledger()
+    for reason in (driver_error("no joint names"), Reason("x" * 1000, "told"), "late"):
+        ledger.reject(TOPIC, reason)
+    other.add(pickle.loads(pickle.dumps(copy.deepcopy(ledger.topics))))
+    for accounts in (ledger.topics, other.topics, {TOPIC: other.topics[TOPIC].since(Account()).plus(Account())}):
+        meanings = [meaning_of(reason) for reason in accounts[TOPIC].rejected]
+        assert meanings == ["driver error", "told", ""]
+        assert "driver error: no joint names" in accounts[TOPIC].rejected
+    assert driver_error("no joint names").sentence == "no joint names"

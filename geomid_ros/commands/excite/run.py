@@ -47,7 +47,7 @@ def run(trajectory: Path, urdf: Path | None, execute: bool, identify: bool, out:
     """
     from geomid_ros.api.arguments import description
     from geomid_ros.files.disk import check_writable
-    from geomid_ros.files.trajectories.reading import read_trajectory
+    from geomid_ros.files.trajectories import read_trajectory
 
     if execute:
         check_writable(out)

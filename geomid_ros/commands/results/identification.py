@@ -15,7 +15,7 @@ from geomid_ros.checks.verdict import USABLE
 from geomid_ros.commands.tables import lines, number_columns, plain_table, print_remarks, results_console, say
 from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate
 from geomid_ros.files.models.effect_forms import is_coefficient
-from geomid_ros.files.models.results import model_effects
+from geomid_ros.files.models.estimate_file import model_effects
 from geomid_ros.model.effects import EFFECTS, KnownEffect
 from geomid_ros.report import gap_words, identification_words
 from geomid_ros.signals.ledger import Account

@@ -6,6 +6,9 @@ writes are read: views, generated columns and the like are programs of the file'
 Of a file that is cut off the rows are read that stand before the first missing page. What a recorder that was killed
 left in a write-ahead log is read, too, from a copy, as SQLite writes into its folder. A rollback journal is not: it may
 name other files, which SQLite would delete.
+
+The reader of the library rosbags does not serve: of a file that is cut off it reads nothing ("database disk image is
+malformed"), where 3,464 of 5,000 messages are whole in 70 % of a file, and it runs what a crafted schema says.
 """
 
 from __future__ import annotations

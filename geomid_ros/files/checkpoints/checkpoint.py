@@ -1,11 +1,19 @@
 """A checkpoint: all that an identification has learned, so that it can go on after a crash.
 
-A file of :mod:`geomid_ros.files.checkpoints.tensor_file`. Nothing in it is pickled; all of it is checked on reading.
+A file in the safetensors format: arrays by name and texts, nothing that could run; all of it is checked on reading. The
+length of a JSON header (8 bytes, little-endian), the header, the arrays' numbers one after the other. The header has
+``dtype``, ``shape`` and ``data_offsets`` by name, and texts under ``__metadata__``. Arrays here are vectors of float64,
+and ``sha256``, which is that of all bytes before it.
+
+The library of that name is not used: rosdep has no key for it, and the node must run on packages of Ubuntu alone. It
+also takes every type and shape, and writes arrays in an order of its own, in which the checksum would not be the last.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,16 +25,19 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.identifier import Memory
 from geomid_ros.estimation.summary import SummaryState
-from geomid_ros.files.checkpoints.tensor_file import MOST_HEADER, pack, parsed, unpack
+from geomid_ros.files.schema import plain, structured
 from geomid_ros.model.channels import Channel
-from geomid_ros.signals.ledger import Account
-from geomid_ros.types import FloatArray
+from geomid_ros.signals.ledger import Account, Meaning, Reason, meaning_of
+from geomid_ros.types import FloatArray, IntArray
 
 FORMAT = 2
 _DOCUMENT = "checkpoint"
 _COUNTS, _POSE, _ESTIMATE = "counts", "last_pose", "estimate"
-_LARGEST_COUNT = 2**63
 _MOST_NAMED = 5  # differences in one message
+_MOST_HEADER = 4_000_000  # bytes
+_TEXTS, _CHECKSUM = "__metadata__", "sha256"
+_LENGTH, _DIGEST = 8, 32  # bytes of the header's length and of the checksum
+_OLDER = "driver error: "  # how such reasons begin in a file that does not say what they mean
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,27 +64,70 @@ class Checkpoint:
 def largest_size(channels: Sequence[Channel], folds: int) -> int:
     """Bytes that no checkpoint of these channels exceeds."""
     numbers = sum(_packed(len(channel.columns) + 1, len(channel.columns) + 1) for channel in _groups(channels))
-    return 2 * MOST_HEADER + 8 * folds * (numbers + len(_groups(channels)))
+    return 2 * _MOST_HEADER + 8 * folds * (numbers + len(_groups(channels)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Account:
+    """What became of a topic's messages; ``meanings`` of those reasons and remarks from which something follows."""
+
+    accepted: int
+    rejected: Counter[str]
+    dropped: Counter[str]
+    noted: Counter[str]
+    lost: int
+    meanings: Mapping[str, Meaning] | None = None
+
+    @property
+    def account(self) -> Account:
+        """The same as a ledger has it."""
+        kinds = (self.rejected, self.dropped, self.noted)
+        rejected, dropped, noted = (Counter({self._reason(text): n for text, n in kind.items()}) for kind in kinds)
+        return Account(self.accepted, rejected, dropped, noted, self.lost)
+
+    def _reason(self, text: str) -> str:
+        older: Meaning = "driver error" if text.startswith(_OLDER) else ""
+        meaning = older if self.meanings is None else self.meanings.get(text, "")
+        return Reason(text, meaning) if meaning else text
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Header:
+    """What a checkpoint says beside its vectors."""
+
+    number: int
+    meaning: Mapping[str, Any]
+    folds: int
+    instants: int
+    time: float
+    rows: int
+    weight: float
+    rows_rejected: Counter[str]
+    last_stamp: int | None
+    chosen_at_rows: int | None
+    solving: str
+    ledger: Mapping[str, _Account]
 
 
 def encoded(checkpoint: Checkpoint, channels: Sequence[Channel]) -> bytes:
     """The file of a checkpoint. Raises InputError when its ledger is too long."""
     memory, summary, warm = checkpoint.memory, checkpoint.memory.summary, checkpoint.warm
-    document = {
-        "format": FORMAT,
-        "number": checkpoint.number,
-        "meaning": checkpoint.meaning,
-        "folds": len(summary.factors),
-        "instants": summary.instants,
-        "time": summary.time,
-        "rows": summary.rows,
-        "weight": summary.weight,
-        "rows_rejected": memory.rows_rejected,
-        "last_stamp": memory.last_stamp,
-        "chosen_at_rows": warm.rows if warm is not None else None,
-        "solving": checkpoint.solving,
-        "ledger": {topic: vars(account) for topic, account in checkpoint.accounts.items()},
-    }
+    header = _Header(
+        number=checkpoint.number,
+        meaning=checkpoint.meaning,
+        folds=len(summary.factors),
+        instants=summary.instants,
+        time=summary.time,
+        rows=summary.rows,
+        weight=summary.weight,
+        rows_rejected=memory.rows_rejected,
+        last_stamp=memory.last_stamp,
+        chosen_at_rows=warm.rows if warm is not None else None,
+        solving=checkpoint.solving,
+        ledger={},
+    )
+    document = {"format": FORMAT, **plain(header)}
+    document["ledger"] = {topic: _account_entry(account) for topic, account in checkpoint.accounts.items()}
     vectors = {_COUNTS: summary.counts.ravel()}
     if memory.last_pose is not None:
         vectors[_POSE] = memory.last_pose
@@ -81,8 +135,13 @@ def encoded(checkpoint: Checkpoint, channels: Sequence[Channel]) -> bytes:
         vectors[_ESTIMATE] = warm.parameters
     for fold, factors in enumerate(summary.factors):
         for index, (channel, factor) in enumerate(zip(_groups(channels), factors, strict=True)):
-            vectors[_name(fold, index, channel)] = _upper(factor)
+            vectors[_name(fold, index, channel)] = factor[_triangle(*factor.shape)]
     return pack({_DOCUMENT: json.dumps(document, allow_nan=False)}, vectors)
+
+
+def _account_entry(account: Account) -> dict[str, Any]:
+    reasons = [*account.rejected, *account.dropped, *account.noted]
+    return {**plain(vars(account)), "meanings": {why: meaning_of(why) for why in reasons if meaning_of(why)}}
 
 
 def decoded(content: bytes, meaning: Mapping[str, Any], channels: Sequence[Channel]) -> Checkpoint:
@@ -91,12 +150,12 @@ def decoded(content: bytes, meaning: Mapping[str, Any], channels: Sequence[Chann
     Raises InputError for a file that is damaged or crafted, or of another robot or configuration.
     """
     texts, vectors = unpack(content)
-    document = parsed(texts.get(_DOCUMENT, ""))
+    document = _parsed(texts.get(_DOCUMENT, ""))
     if document.get("format") != FORMAT:
         raise InputError(f"has format {document.get('format')!r:.80}, this version reads format {FORMAT}")
     _require_meaning(document.get("meaning"), meaning)
     try:
-        return _checkpoint(document, vectors, channels)
+        return _checkpoint(structured(_Header, document, "its text:"), vectors, channels)
     except KeyError as error:
         raise InputError(f"lacks {error}") from error
 
@@ -113,38 +172,30 @@ def _require_meaning(found: Any, expected: Mapping[str, Any]) -> None:
         raise InputError(f"of another configuration: {'; '.join(named[:_MOST_NAMED])}")
 
 
-def _checkpoint(document: dict[str, Any], vectors: dict[str, FloatArray], channels: Sequence[Channel]) -> Checkpoint:
-    folds, groups = _count(document["folds"]), _groups(channels)
-    if vectors[_COUNTS].size != folds * len(groups):
-        raise InputError(f"{folds} folds with {vectors[_COUNTS].size} numbers of rows")
-    summary = SummaryState(
-        _count(document["instants"]),
-        _number(document["time"]),
-        _count(document["rows"]),
-        _number(document["weight"]),
-        vectors[_COUNTS].reshape(folds, len(groups)),
-        tuple(
-            tuple(_factor(vectors[_name(fold, index, channel)], channel) for index, channel in enumerate(groups))
-            for fold in range(folds)
-        ),
+def _checkpoint(header: _Header, vectors: dict[str, FloatArray], channels: Sequence[Channel]) -> Checkpoint:
+    groups, counts = _groups(channels), vectors[_COUNTS]
+    if counts.size != header.folds * len(groups):
+        raise InputError(f"{header.folds} folds with {counts.size} numbers of rows")
+    factors = tuple(
+        tuple(_factor(vectors[_name(fold, index, channel)], channel) for index, channel in enumerate(groups))
+        for fold in range(header.folds)
     )
-    pose, stamp = vectors.get(_POSE), document["last_stamp"]
-    if pose is not None and not np.all(np.isfinite(pose)):
-        raise InputError("the last pose is not finite")
+    counts = counts.reshape(header.folds, len(groups))
+    summary = SummaryState(header.instants, header.time, header.rows, header.weight, counts, factors)
+    pose, estimate, rows = vectors.get(_POSE), vectors.get(_ESTIMATE), header.chosen_at_rows
+    for name, own in (("pose", pose), ("estimate", estimate)):
+        if own is not None and not np.all(np.isfinite(own)):
+            raise InputError(f"the last {name} is not finite")
+    if estimate is not None and rows is None:
+        raise InputError("its text: chosen_at_rows is None, expected a count beside an estimate")
     return Checkpoint(
-        document["meaning"],
-        Memory(summary, _counter(document["rows_rejected"]), pose, None if stamp is None else _count(stamp)),
-        {topic: _account(account) for topic, account in _object(document["ledger"]).items()},
-        _warm(document, vectors[_ESTIMATE]) if _ESTIMATE in vectors else None,
-        str(document["solving"]),
-        _count(document["number"]),
+        header.meaning,
+        Memory(summary, header.rows_rejected, pose, header.last_stamp),
+        {topic: own.account for topic, own in header.ledger.items()},
+        None if estimate is None or rows is None else WarmStart(estimate, rows),
+        header.solving,
+        header.number,
     )
-
-
-def _warm(document: dict[str, Any], parameters: FloatArray) -> WarmStart:
-    if not np.all(np.isfinite(parameters)):
-        raise InputError("the last estimate is not finite")
-    return WarmStart(parameters, _count(document["chosen_at_rows"]))
 
 
 def _name(fold: int, index: int, channel: Channel) -> str:
@@ -156,9 +207,9 @@ def _packed(rows: int, columns: int) -> int:
     return rows * columns - rows * (rows - 1) // 2
 
 
-def _upper(factor: FloatArray) -> FloatArray:
-    """The numbers in the upper triangle, row by row."""
-    return np.concatenate([np.zeros(0), *(row[index:] for index, row in enumerate(factor))])
+def _triangle(rows: int, columns: int) -> tuple[IntArray, IntArray]:
+    """The places of the numbers in the upper triangle, row by row."""
+    return np.triu_indices(rows, 0, columns)
 
 
 def _factor(numbers: FloatArray, channel: Channel) -> FloatArray:
@@ -168,41 +219,75 @@ def _factor(numbers: FloatArray, channel: Channel) -> FloatArray:
     if rows is None:
         raise InputError(f"channel '{channel.name}' has {numbers.size} numbers, not a triangle of {width} columns")
     factor = np.zeros((rows, width))
-    for index, row in enumerate(factor):
-        begin = _packed(index, width)
-        row[index:] = numbers[begin : begin + width - index]
+    factor[_triangle(rows, width)] = numbers
     return factor
-
-
-def _count(value: Any) -> int:
-    if type(value) is not int or not 0 <= value < _LARGEST_COUNT:
-        raise InputError(f"{value!r:.80} is not a count")
-    return value
-
-
-def _number(value: Any) -> float:
-    """A number as JSON has it, which may be infinite: 1e999. Those who use it check that."""
-    if type(value) is not float:
-        raise InputError(f"{value!r:.80} is not a number")
-    return value
-
-
-def _object(value: Any) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise InputError(f"{value!r:.80} has no names")
-    return value
-
-
-def _counter(value: Any) -> Counter[str]:
-    return Counter({reason: _count(count) for reason, count in _object(value).items()})
-
-
-def _account(value: Any) -> Account:
-    entry = _object(value)
-    reasons = {kind: _counter(entry[kind]) for kind in ("rejected", "dropped", "noted")}
-    return Account(accepted=_count(entry["accepted"]), lost=_count(entry["lost"]), **reasons)
 
 
 def _groups(channels: Sequence[Channel]) -> tuple[Channel, ...]:
     """The channel of each group of rows."""
     return (*channels, *channels)
+
+
+def pack(texts: Mapping[str, str], vectors: Mapping[str, FloatArray]) -> bytes:
+    """The file with these texts and vectors. Raises InputError when their names and texts are too long."""
+    header: dict[str, Any] = {_TEXTS: dict(texts)}
+    end = 0
+    for name, vector in vectors.items():
+        begin, end = end, end + 8 * len(vector)
+        header[name] = {"dtype": "F64", "shape": [len(vector)], "data_offsets": [begin, end]}
+    header[_CHECKSUM] = {"dtype": "U8", "shape": [_DIGEST], "data_offsets": [end, end + _DIGEST]}
+    encoded = json.dumps(header, allow_nan=False).encode()
+    encoded += b" " * (-len(encoded) % 8)
+    if len(encoded) > _MOST_HEADER:
+        raise InputError(f"a header of {len(encoded)} bytes, at most {_MOST_HEADER} are allowed")
+    numbers = [np.asarray(vector, dtype="<f8").tobytes() for vector in vectors.values()]
+    content = b"".join([len(encoded).to_bytes(_LENGTH, "little"), encoded, *numbers])
+    return content + hashlib.sha256(content).digest()
+
+
+@dataclass(frozen=True)
+class _Vector:
+    dtype: str
+    shape: tuple[int, ...]
+    data_offsets: tuple[int, ...]
+
+
+def unpack(content: bytes) -> tuple[dict[str, str], dict[str, FloatArray]]:
+    """The texts and vectors of a file. Raises InputError for what :func:`pack` cannot have made."""
+    body, checksum = content[:-_DIGEST], content[-_DIGEST:]
+    if hashlib.sha256(body).digest() != checksum:
+        raise InputError("the checksum is wrong: damaged or truncated")
+    length = int.from_bytes(body[:_LENGTH], "little")
+    if length > min(_MOST_HEADER, len(body) - _LENGTH):
+        raise InputError("the header is longer than the file, or than is allowed")
+    header = _parsed(body[_LENGTH : _LENGTH + length].decode("utf-8", errors="replace"))
+    numbers = body[_LENGTH + length :]
+    texts, _ = header.pop(_TEXTS, None), header.pop(_CHECKSUM, None)
+    if not isinstance(texts, dict) or not all(isinstance(text, str) for text in texts.values()):
+        raise InputError("the header has no text")
+    vectors, end = {}, 0
+    for name, entry in header.items():
+        own = structured(_Vector, entry, f"the header: {name}")
+        size = math.prod(own.shape)
+        begin, end = end, end + 8 * size
+        if own != _Vector("F64", (size,), (begin, end)) or end > len(numbers):
+            raise InputError(f"the header does not describe {name!r} as a vector of float64 that is there")
+        vectors[name] = np.frombuffer(numbers[begin:end], dtype="<f8").astype(np.float64)
+    if end != len(numbers):
+        raise InputError(f"{len(numbers)} bytes of numbers, {end} are described")
+    return texts, vectors
+
+
+def _parsed(text: str) -> dict[str, Any]:
+    """A JSON object without NaN or infinity. Raises InputError."""
+    try:
+        document = json.loads(text, parse_constant=_refuse)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"not JSON ({error})") from error
+    if not isinstance(document, dict):
+        raise InputError("not a JSON object")
+    return document
+
+
+def _refuse(constant: str) -> None:
+    raise ValueError(f"{constant} is not JSON")

@@ -1,10 +1,8 @@
-"""A model's effects as files have them: the values of their parameters, and what follows from these."""
+"""What follows from the values of a model's effects: attributes in descriptions, and what a file cannot say."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -129,36 +127,3 @@ def coefficient(name: str, joint: str, quantity: Quantity, constant: Quantity | 
     cls = effect_class(name)
     constants = {} if constant is None else {cls.usual_constant: constant}
     return KnownEffect(name, joint, "", {cls.parameters[0].name: quantity} | constants)
-
-
-def effect_entry(effect: KnownEffect) -> dict[str, Any]:
-    """An effect with its place and parameters, as :func:`geomid_ros.files.models.sidecar.effect_of` reads it."""
-    return {
-        "effect": effect.effect,
-        "joint": effect.joint,
-        "link": effect.link,
-        "parameters": {name: quantity_entry(quantity) for name, quantity in effect.parameters.items()},
-    }
-
-
-def coefficient_entry(effect: KnownEffect) -> dict[str, Any]:
-    """An effect of one coefficient at a joint, as ``estimate.json`` has it; with its constant unless that is usual."""
-    quantity, *_ = effect.parameters.values()
-    name = effect_class(effect.effect).usual_constant
-    constants = {name: effect.parameters[name].value} if name in effect.parameters else {}
-    return {"name": effect.effect, "joint": effect.joint, **quantity_entry(quantity), **constants}
-
-
-def quantity_entry(quantity: Quantity) -> dict[str, Any]:
-    """A value with its unit and standard deviation; null for what is not finite."""
-    return {"value": finite(quantity.value), "unit": quantity.unit, "std": finite(quantity.std)}
-
-
-def by_channel(channels: Sequence[str], values: FloatArray) -> dict[str, float | None]:
-    """Values by the names of their channels; what is no number is null."""
-    return {name: finite(value) for name, value in zip(channels, values, strict=True)}
-
-
-def finite(value: float) -> float | None:
-    """A number as JSON can have it: None for what is not finite."""
-    return float(value) if math.isfinite(value) else None

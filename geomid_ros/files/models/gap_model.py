@@ -1,9 +1,8 @@
 """The model with what the gap workflow found, as files: ``estimate.json``, URDF, MJCF and the sidecar of effects.
 
-``estimate.json`` is a starting point like any other (:mod:`geomid_ros.files.models.results`), with less in it: of links
-``name``, ``merged``, ``mass``, ``com`` and ``inertia``; ``effects`` of one coefficient at a joint; ``added``, the other
-effects, as the sidecar has them; the ``verdict`` on the recording that it is from; and the ``floor``, the standard
-deviation of each channel's noise [N m, N] below the ``cutoff`` [Hz], in which ``geomid verify`` judges it.
+``estimate.json`` is an :class:`~geomid_ros.files.models.estimate_file.EstimateFile` like any other, with less in it (no
+standard deviations of links); and the ``floor``, the standard deviation of each channel's noise [N m, N] below the
+``cutoff`` [Hz], in which ``geomid verify`` judges it.
 """
 
 from __future__ import annotations
@@ -11,17 +10,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from geomid_ros.checks.causes import Finding
 from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.files.disk import write_json, write_text
-from geomid_ros.files.models.effect_forms import by_channel, coefficient_entry, combined, effect_entry, is_coefficient
-from geomid_ros.files.models.judgements import verdict_entry
+from geomid_ros.files.models.effect_forms import combined, is_coefficient
+from geomid_ros.files.models.estimate_file import FORMAT, by_channel, link_entry, verdict_entry
 from geomid_ros.files.models.mjcf import mjcf
-from geomid_ros.files.models.results import FORMAT, link_entry
-from geomid_ros.files.models.sidecar import write_sidecar
-from geomid_ros.files.models.urdf import Inertia, inertia_of, with_effects, with_inertials
+from geomid_ros.files.models.sidecar import coefficient_entry, effect_entry, write_sidecar
+from geomid_ros.files.models.urdf import inertia_of, with_effects, with_inertials
 from geomid_ros.model.effects import KnownEffect, effect_class
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
@@ -71,9 +68,16 @@ def write_model(
     bodies = {name: inertia_of(parameters) for name, parameters in inertias.items()}
     merged = {body.name: body.merged for body in model.robot.bodies if body.name in bodies}
     removed = [name for names in merged.values() for name in names]
-    judged = {"robot": model.robot.name, "verdict": verdict_entry(recording_verdict(findings), findings)}
     noise = {} if floor is None else {"floor": by_channel(floor.channels, floor.stds), "cutoff": floor.cutoff}
-    write_json(folder / ESTIMATE, _estimate(bodies, merged, effects) | judged | noise)
+    document = {
+        "format": FORMAT,
+        "links": [link_entry(name, merged[name], inertia) for name, inertia in bodies.items()],
+        "effects": [coefficient_entry(effect) for effect in effects if is_coefficient(effect)],
+        "added": [effect_entry(effect) for effect in effects if not is_coefficient(effect)],
+        "robot": model.robot.name,
+        "verdict": verdict_entry(recording_verdict(findings), findings),
+    }
+    write_json(folder / ESTIMATE, document | noise)
     write_text(folder / URDF, with_effects(with_inertials(urdf, bodies, removed), alone))
     write_text(folder / MJCF, mjcf(model.robot, inertias, alone, model.sensors, gravity))
     write_sidecar(folder / EFFECTS_FILE, model.robot.name, effects, alone)
@@ -98,14 +102,3 @@ def _with_folded(effects: Sequence[KnownEffect], folded: Mapping[tuple[str, str]
 def model_files(folder: Path) -> ModelFiles:
     """The files of :func:`write_model` in ``folder`` that a simulation needs."""
     return ModelFiles(folder / MJCF, folder / EFFECTS_FILE)
-
-
-def _estimate(
-    bodies: Mapping[str, Inertia], merged: Mapping[str, Sequence[str]], effects: Sequence[KnownEffect]
-) -> dict[str, Any]:
-    return {
-        "format": FORMAT,
-        "links": [link_entry(name, merged[name], inertia) for name, inertia in bodies.items()],
-        "effects": [coefficient_entry(effect) for effect in effects if is_coefficient(effect)],
-        "added": [effect_entry(effect) for effect in effects if not is_coefficient(effect)],
-    }

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-import reprlib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.files.models.effect_forms import combined, continued, effect_entry
+from geomid_ros.files.models.effect_forms import combined, continued
+from geomid_ros.files.models.estimate_file import EstimateFile, inertias_of, link_entry
 from geomid_ros.files.models.readers import ELEMENTS
-from geomid_ros.files.models.results import known_inertias, link_entry
-from geomid_ros.files.models.sidecar import effect_of
+from geomid_ros.files.models.sidecar import effect_entry
 from geomid_ros.files.models.urdf import inertia_of
 from geomid_ros.model.effects import Effect, KnownEffect, Place, effect_class
 from geomid_ros.model.measurement import Coefficient, MeasurementModel
@@ -91,21 +89,12 @@ def handover_entry(model: WrittenModel, merged: Mapping[str, Sequence[str]]) -> 
     return {"links": links, "effects": [effect_entry(effect) for effect in model.effects]}
 
 
-def written_for(document: Mapping[str, Any], reader: str, source: str) -> WrittenModel | None:
-    """The model that was fitted for a ``reader``, from a document; None if the document has none.
-
-    Raises:
-        InputError: it is no such thing; the message names the file ``source``.
-    """
-    entries = document.get("handover", {})
-    if not isinstance(entries, dict):
-        raise InputError(f"{source}: handover is {reprlib.repr(entries)}, expected an object")
+def written_for(file: EstimateFile, reader: str) -> WrittenModel | None:
+    """The model that was fitted for a ``reader``; None if the file has none. Raises InputError for what cannot be."""
     alike = (name for name, elements in ELEMENTS.items() if elements == ELEMENTS.get(reader))
-    entry = next((entries[name] for name in alike if name in entries), None)
-    if entry is None:
+    found = next((file.handover[name] for name in alike if name in file.handover), None)
+    if found is None:
         return None
-    where = f"{source}: handover for {reader}"
-    if not isinstance(entry, dict) or not all(isinstance(entry.get(key), list) for key in ("links", "effects")):
-        raise InputError(f"{where} is {reprlib.repr(entry)}, expected links and effects")
-    effects = [effect_of(each, f"{where}: effects[{index}]") for index, each in enumerate(entry["effects"])]
-    return WrittenModel(known_inertias(entry, where), tuple(effects))
+    where = f"{file.source}: handover for {reader}"
+    effects = [each.known(f"{where}: effects[{index}]") for index, each in enumerate(found.effects)]
+    return WrittenModel(inertias_of(found.links, where), tuple(effects))

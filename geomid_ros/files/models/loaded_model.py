@@ -11,32 +11,20 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimate import LinksInformation
-from geomid_ros.files.models.effect_forms import (
-    coefficient,
-    combined,
-    continued,
-    is_body,
-    payload_parameters,
-    turned_gravity,
-)
-from geomid_ros.files.models.judgements import doubt
-from geomid_ros.files.models.results import known_inertias, known_information, read_estimate
-from geomid_ros.files.models.sidecar import effect_of
+from geomid_ros.files.models.effect_forms import combined, continued, is_body, payload_parameters, turned_gravity
+from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.model.effects import (
     Effect,
     IdentifiedEffect,
     KnownEffect,
     LoadEffect,
-    Quantity,
     SituationEffect,
     effect_class,
-    identifiable,
     values_of,
 )
 from geomid_ros.model.measurement import MeasurementModel
@@ -64,11 +52,9 @@ class LoadedModel:
         what is wrong in it."""
         if not path:
             return LoadedModel()
-        document = read_estimate(Path(path))
-        inertias = known_inertias(document, path)
-        known = known_information(document, inertias, path)
-        merged = merged_links(document, path)
-        return LoadedModel(path, inertias, tuple(known_effects(document, path)), known, merged, doubt(document, path))
+        file = EstimateFile.read(Path(path))
+        known = file.known_information
+        return LoadedModel(path, file.inertias, tuple(file.known_effects), known, file.merged, file.doubt)
 
     def refitted(
         self, model: MeasurementModel, coefficients: FloatArray, beside: Sequence[KnownEffect] = ()
@@ -239,63 +225,7 @@ class LoadedModel:
         return total
 
 
-def known_effects(document: Mapping[str, Any], source: str) -> list[KnownEffect]:
-    """The effects in a document of :mod:`geomid_ros.files.models.results`. Raises InputError for what is none."""
-    added = [effect_of(entry, f"{source}: added[{index}]") for index, entry in enumerate(document.get("added", []))]
-    return combined([*_single_coefficients(document, source), *added])
-
-
 def _is_beside(known: KnownEffect) -> bool:
     cls = effect_class(known.effect)
     identified = issubclass(cls, LoadEffect) or cls.corrected_in_samples or cls.absorbed
     return issubclass(cls, SituationEffect) and not identified
-
-
-def merged_links(document: Mapping[str, Any], source: str) -> dict[str, frozenset[str]]:
-    """The fixed links that are merged into each link of a document that says so. Raises InputError for other things."""
-    try:
-        return {
-            str(link["name"]): frozenset(map(str, link["merged"])) for link in document["links"] if "merged" in link
-        }
-    except TypeError as error:
-        raise InputError(f"{source}: a link's 'merged' is no list of names ({error})") from error
-
-
-def _single_coefficients(document: Mapping[str, Any], source: str) -> list[KnownEffect]:
-    """The effects of one coefficient at a joint, in a document of :mod:`geomid_ros.files.models.results`."""
-    try:
-        entries = [
-            (str(entry["name"]), str(entry["joint"]), float(entry["value"]), float(entry.get("std") or math.nan), entry)
-            for entry in document["effects"]
-        ]
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{source}: an effect lacks a valid name, joint or value ({error})") from error
-    for name, *_ in entries:
-        if name not in identifiable():
-            raise InputError(f"{source}: {unknown_name('effect', name, identifiable())}")
-        if not effect_class(name).is_one_number():
-            raise InputError(f"{source}: effect '{name}' has several parameters, expected it under 'added'")
-    return [
-        coefficient(
-            name, joint, Quantity(value, std, effect_class(name).parameters[0].units[0]), _constant(entry, source)
-        )
-        for name, joint, value, std, entry in entries
-    ]
-
-
-def _constant(entry: Mapping[str, Any], source: str) -> Quantity | None:
-    """The constant of an effect of one coefficient; None if it is as usual."""
-    cls = effect_class(entry["name"])
-    if cls.usual_constant not in entry:
-        return None
-    (form,) = (form for form in cls.parameters if form.name == cls.usual_constant)
-    try:
-        value = float(entry[form.name])
-    except (TypeError, ValueError, OverflowError):
-        value = math.nan
-    if not form.above < value < form.below:
-        raise InputError(
-            f"{source}: {form.name} of {cls.name} at '{entry['joint']}' is {entry[form.name]!r}, "
-            f"expected a number above {form.above:g} {form.units[0]}"
-        )
-    return Quantity(value, 0.0, form.units[0])

@@ -1,7 +1,7 @@
-"""MJCF of an identified robot with its effects, as far as MJCF can say them.
+"""MJCF of an identified robot with its effects, as far as MJCF can say them; or their numbers in an MJCF of a user.
 
-Kinematics are the URDF's. Gravity, damping, dry friction, armature and springs are MuJoCo's own
-elements; a payload is a body fixed to its link. A joint that gives, by elasticity or backlash, has a further hinge (or
+Kinematics are the URDF's. Gravity, damping, dry friction, armature and springs are MuJoCo's own elements; a payload
+is a body fixed to its link. A joint that gives, by elasticity or backlash, has a further hinge (or
 slide) named ``JOINT/elasticity`` or ``JOINT/backlash`` on the same axis behind its own, which is the motor's: the one
 that is measured and driven.
 """
@@ -9,7 +9,8 @@ that is measured and driven.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
@@ -17,6 +18,7 @@ import numpy as np
 from geomid_ros.files.models.effect_forms import is_body, joint_attributes, payload_parameters, turned_gravity
 from geomid_ros.files.models.joint_frames import JointFrame, joint_frames
 from geomid_ros.files.models.mjcf_shapes import Shapes, words
+from geomid_ros.files.models.xml_edits import Edit, descendants_of, edited, insertion, with_attributes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import EFFECTS, Hinge, KnownEffect, joints_of, values_of
 from geomid_ros.model.effects.places import place_named
@@ -255,3 +257,38 @@ def inertial_attributes(parameters: FloatArray) -> dict[str, str]:
         "mass": words(parameters[0]),
         "fullinertia": words(inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]),
     }
+
+
+_WORLD = ["mujoco", "worldbody"]
+_NOTHING = b'<inertial pos="0 0 0" mass="0" diaginertia="0 0 0"/>'
+_RADIANS = re.compile(r"""<compiler\b[^>]*\sangle\s*=\s*["']radian["']""")
+
+
+def with_identified(
+    mjcf: str,
+    bodies: Mapping[str, FloatArray],
+    joints: Mapping[str, Mapping[str, float]],
+    emptied: Collection[str] = (),
+) -> str:
+    """An MJCF with what was identified.
+
+    Args:
+        mjcf: the text.
+        bodies: inertial parameters ``(10,)`` of bodies by name, in their own frames.
+        joints: attributes of joints by name, angles in radians.
+        emptied: bodies that weigh nothing of their own, as others count them in.
+    """
+    data = mjcf.encode()
+    places, tags = descendants_of(data, _WORLD, "body", "inertial"), descendants_of(data, _WORLD, "joint")
+    edits: list[Edit] = [
+        insertion(data, places[name], with_attributes(b"<inertial/>", inertial_attributes(parameters)))
+        for name, parameters in bodies.items()
+    ]
+    edits += [insertion(data, places[name], _NOTHING) for name in emptied]
+    for name, numbers in joints.items():
+        start, end = tags[name].tag
+        slides = re.search(rb"""\stype\s*=\s*["']slide""", data[start:end])
+        turns = {} if slides or _RADIANS.search(mjcf) else {"springref": 180.0 / np.pi}
+        words = {key: repr(float(value * turns.get(key, 1.0))) for key, value in sorted(numbers.items())}
+        edits.append((start, end, with_attributes(data[start:end], words)))
+    return edited(data, edits).decode()

@@ -10,8 +10,9 @@ the link's origin: X11, X22, X33, X44, and sqrt(2) times X12, X13, X14, X23, X24
 
 from __future__ import annotations
 
-import base64
-import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +21,10 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.posterior import EffectCoordinate
-from geomid_ros.files.disk import read_text, write_json
-from geomid_ros.files.models.results import known_inertias, link_entry
-from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.files.disk import write_json
+from geomid_ros.files.models.estimate_file import LinkEntry, inertias_of, link_entry
+from geomid_ros.files.models.urdf import inertia_of
+from geomid_ros.files.schema import packed, plain, read_document, structured, unpacked_triangle
 from geomid_ros.types import FloatArray, frozen
 
 FORMAT = 1
@@ -40,73 +42,70 @@ def population_document(population: Population) -> dict[str, Any]:
     """The document of ``population.json``."""
     first = 10 * len(population.links)
     bodies = population.parameters[:first].reshape(-1, 10)
-    masses, central = bodies[:, 0], pseudo_inertia.central_inertia(bodies)
     scales = iter(population.scales.tolist())
     values = population.parameters[first:].tolist()
     triangle = population.covariance[np.triu_indices(len(population.parameters))]
     return {
         "format": FORMAT,
         "robots": population.robots,
-        "links": [
-            link_entry(name, (), (float(mass), body[1:4] / mass, inertia))
-            for name, mass, body, inertia in zip(population.links, masses, bodies, central, strict=True)
-        ],
+        "links": [link_entry(name, (), inertia_of(own)) for name, own in zip(population.links, bodies, strict=True)],
         "effects": [
-            {key: getattr(effect, key) for key in _OF_EFFECT}
-            | {"value": value}
-            | ({} if effect.positive else {"scale": next(scales)})
+            plain(effect) | {"value": value} | ({} if effect.positive else {"scale": next(scales)})
             for effect, value in zip(population.effects, values, strict=True)
         ],
-        "covariance": base64.b64encode(triangle.astype(_NUMBER).tobytes()).decode(),
+        "covariance": packed(triangle, _NUMBER),
     }
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Effect(EffectCoordinate):
+    value: float
+    scale: float = math.nan
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Document:
+    robots: int
+    links: tuple[LinkEntry, ...]
+    effects: tuple[_Effect, ...]
+    covariance: str
+
+
 def read_population(path: Path) -> Population:
-    """Read a population. Raises InputError naming the file."""
+    """Read a population. Raises InputError naming the file and what is wrong in it."""
+    document = read_document(path, "population", _MOST_BYTES, FORMAT, ("robots", "links", "effects", "covariance"))
+    found = structured(_Document, document, f"{path}:")
+    inertias, effects = inertias_of(found.links, str(path)), found.effects
     try:
-        document = json.loads(read_text(path, "population", _MOST_BYTES))
-        if document["format"] != FORMAT:
-            raise InputError(f"{path}: has format {document['format']!r:.80}, this version reads format {FORMAT}")
-        inertias = known_inertias(document, str(path))
-        effects = tuple(EffectCoordinate(**{key: entry[key] for key in _OF_EFFECT}) for entry in document["effects"])
-        values = np.array([float(entry["value"]) for entry in document["effects"]])
-        scales = np.array([float(entry["scale"]) for entry in document["effects"] if not entry["positive"]])
-        covariance = _symmetric(document["covariance"], 10 * len(inertias) + len(effects))
-        robots = int(document["robots"])
-    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise InputError(f"{path}: no population.json of geomid fleet ({error!r:.200})") from error
-    _check(path, effects, values, scales, covariance)
-    parameters = np.concatenate([*inertias.values(), values])
+        triangle = unpacked_triangle(found.covariance, _NUMBER, 10 * len(inertias) + len(effects))
+    except ValueError as error:
+        raise InputError(
+            f"{path}: covariance is not of its links and effects ({error!r:.200}); run geomid fleet again"
+        ) from error
+    covariance = triangle + np.triu(triangle, 1).T
+    values = np.array([each.value for each in effects])
+    scales = np.array([each.scale for each in effects if not each.positive])
+    coordinates = tuple(EffectCoordinate(**{key: getattr(each, key) for key in _OF_EFFECT}) for each in effects)
+    _check(path, coordinates, values, scales, covariance)
     return Population(
         links=tuple(inertias),
-        effects=effects,
-        parameters=frozen(parameters),
+        effects=coordinates,
+        parameters=frozen(np.concatenate([*inertias.values(), values])),
         covariance=frozen(covariance),
         scales=frozen(scales),
-        robots=robots,
+        robots=found.robots,
     )
 
 
-def _symmetric(text: str, size: int) -> FloatArray:
-    triangle = np.frombuffer(base64.b64decode(text, validate=True), _NUMBER).astype(np.float64)
-    matrix = np.zeros((size, size))
-    matrix[np.triu_indices(size)] = triangle.reshape(size * (size + 1) // 2)  # as many as the file has room for
-    return matrix + np.triu(matrix, 1).T
-
-
 def _check(
-    path: Path, effects: tuple[EffectCoordinate, ...], values: FloatArray, scales: FloatArray, covariance: FloatArray
+    path: Path, effects: Sequence[EffectCoordinate], values: FloatArray, scales: FloatArray, covariance: FloatArray
 ) -> None:
     """Raise InputError for what no population can be."""
-    texts = [(effect.name, effect.place, effect.parameter, effect.unit) for effect in effects]
-    positive = np.array([effect.positive is True for effect in effects], dtype=bool)
+    positive = np.array([effect.positive for effect in effects], dtype=bool)
     possible = (
-        all(isinstance(text, str) for own in texts for text in own)
-        and all(isinstance(effect.positive, bool) for effect in effects)
-        and len(set(texts)) == len(texts)
+        len({(effect.name, effect.place, effect.parameter, effect.unit) for effect in effects}) == len(effects)
         and bool(np.all(np.diff(positive.astype(int)) <= 0))  # the positive ones come first
-        and bool(np.all(np.isfinite(values)) and np.all(values[positive] > 0.0))
-        and bool(np.all(np.isfinite(scales)) and np.all(scales > 0.0))
+        and bool(np.all(np.isfinite(values)) and np.all(values[positive] > 0.0) and np.all(scales > 0.0))
         and bool(np.all(np.isfinite(covariance)) and np.all(np.diag(covariance) > 0.0))
     )
     if possible:

@@ -20,9 +20,9 @@
 from __future__ import annotations
 
 import math
-import reprlib
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -31,11 +31,17 @@ import yaml
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.disk import write_text
 from geomid_ros.files.parameter_file import read_yaml
-from geomid_ros.model.effects import EFFECTS, KnownEffect, ParameterForm, PlaceKind, Quantity, effect_class
+from geomid_ros.files.schema import check_form, entry, structured
+from geomid_ros.model.effects import EFFECTS, KnownEffect, ParameterForm, Quantity, effect_class
+from geomid_ros.model.effects.parameters import Quantities
 
 FORMAT = 1
-_MOST_EFFECTS = 10_000
-_LARGEST = 1e50  # products of three still fit
+_PLACES = {
+    "joint": ("joint", "the joint at which it acts"),
+    "joints": ("joint", "the two joints at which it acts, FIRST+SECOND"),
+    "sensor": ("joint", "the topic of the wrench sensor"),
+    "link": ("link", "the link at which it acts"),
+}
 _HEADER = """\
 # Effects of this robot's joints and sensors, in SI units. "urdf" and "mjcf" list the parameters that the URDF and the
 # MJCF also contain. If you load one of these files, add only the others. "alone" is the value in both files: it was
@@ -50,6 +56,83 @@ class Sidecar:
 
     robot: str
     effects: tuple[KnownEffect, ...]
+
+
+@dataclass(frozen=True)
+class QuantityEntry:
+    """A parameter of an effect in files."""
+
+    value: float
+    unit: str
+    std: float = math.nan
+
+
+@dataclass(frozen=True, kw_only=True)
+class EffectEntry:
+    """An effect in files: with its place, and with the share of its uncertainty that data removed if that is known."""
+
+    effect: str
+    joint: str = ""
+    link: str = ""
+    parameters: Mapping[str, QuantityEntry] = field(default_factory=dict)
+    from_data: float = math.nan
+
+    def known(self, where: str) -> KnownEffect:
+        """The effect. Raises InputError beginning with ``where`` if it cannot be."""
+        if self.effect not in EFFECTS:
+            raise InputError(f"{where}: {unknown_name('effect', self.effect, EFFECTS)}")
+        cls, where = EFFECTS[self.effect], f"{where} ({self.effect})"
+        key, what = _PLACES.get(cls.place, ("effect", ""))
+        if not getattr(self, key):
+            raise InputError(f"{where}: {key} is not given, expected {what}")
+        forms = {form.name: form for form in cls.parameters}
+        for name in self.parameters:
+            if name not in forms:
+                raise InputError(f"{where}: parameters: {unknown_name('parameter', name, forms)}")
+        for name, form in forms.items():
+            if name not in self.parameters and not form.optional:
+                raise InputError(f"{where}: parameters: {name} is not given")
+        found = {name: _quantity(q, forms[name], f"{where}: parameters: {name}") for name, q in self.parameters.items()}
+        return KnownEffect(self.effect, self.joint, self.link, found)
+
+
+def _quantity(given: QuantityEntry, form: ParameterForm, where: str) -> Quantity:
+    if not form.above < given.value < form.below:
+        raise InputError(f"{where} is {given.value:g}, expected a number above {form.above:g} and below {form.below:g}")
+    if given.std < 0.0:
+        raise InputError(f"{where}: std is {given.std:g}, expected a number from zero on, or null")
+    if given.unit not in form.units:
+        expected = " or ".join(dict.fromkeys(form.units))
+        raise InputError(f"{where}: unit is {given.unit!r:.80}, expected {expected}")
+    return Quantity(given.value, given.std, given.unit)
+
+
+def effect_of(given: Any, where: str) -> KnownEffect:
+    """The effect that a file has. Raises InputError that begins with ``where``."""
+    return structured(EffectEntry, given, where).known(where)
+
+
+def effect_entry(effect: KnownEffect) -> dict[str, Any]:
+    """An effect as :func:`effect_of` reads it."""
+    return entry(effect, "effect", "joint", "link") | {"parameters": quantities_entry(effect.parameters)}
+
+
+def coefficient_entry(effect: KnownEffect) -> dict[str, Any]:
+    """An effect of one coefficient at a joint, as ``estimate.json`` has it; with its constant unless that is usual."""
+    quantity, *_ = effect.parameters.values()
+    name = effect_class(effect.effect).usual_constant
+    constants = {name: effect.parameters[name].value} if name in effect.parameters else {}
+    return {"name": effect.effect, "joint": effect.joint, **quantity_entry(quantity), **constants}
+
+
+def quantities_entry(quantities: Quantities) -> dict[str, Any]:
+    """Values with their units and standard deviations; null for what is not finite."""
+    return {name: quantity_entry(quantity) for name, quantity in quantities.items()}
+
+
+def quantity_entry(quantity: Quantity) -> dict[str, Any]:
+    """A value with its unit and standard deviation; null for what is not finite."""
+    return entry(quantity, "value", "unit", "std")
 
 
 def write_sidecar(
@@ -84,85 +167,15 @@ def _entry(effect: KnownEffect, alone: KnownEffect) -> dict[str, Any]:
 def read_sidecar(path: Path) -> Sidecar:
     """Read a sidecar. Raises InputError naming the file and the key."""
     document = read_yaml(path, "file of effects")
-    if not isinstance(document, dict) or not isinstance(document.get("effects"), list):
-        raise InputError(f"{path}: not a file of effects, it has no list 'effects'")
-    if document.get("format") != FORMAT:
-        raise InputError(f"{path}: has format {document.get('format')}, this version reads format {FORMAT}")
-    if len(document["effects"]) > _MOST_EFFECTS:
-        raise InputError(f"{path}: has {len(document['effects'])} effects, more than {_MOST_EFFECTS}")
-    effects = [effect_of(entry, f"{path}: effects[{index}]") for index, entry in enumerate(document["effects"])]
-    _refuse_repeats(effects, path)
+    check_form(document, FORMAT, ("effects",), f"{path}:", "file of effects")
+    entries = structured(_Document, document, f"{path}:").effects
+    effects = [each.known(f"{path}: effects[{index}]") for index, each in enumerate(entries)]
+    for (name, place), count in Counter((effect.effect, effect.link or effect.joint) for effect in effects).items():
+        if count > 1:
+            raise InputError(f"{path}: {name} is said twice at '{place}'")
     return Sidecar(str(document.get("robot", "")), tuple(effects))
 
 
-def _refuse_repeats(effects: list[KnownEffect], path: Path) -> None:
-    seen: set[tuple[str, str]] = set()
-    for effect in effects:
-        key = effect.effect, effect.link or effect.joint
-        if key in seen:
-            raise InputError(f"{path}: {effect.effect} is said twice at '{key[1]}'")
-        seen.add(key)
-
-
-def effect_of(entry: Any, where: str) -> KnownEffect:
-    """The effect of a mapping as files have it. Raises InputError that begins with ``where``."""
-    if not isinstance(entry, dict):
-        raise InputError(f"{where}: expected an effect with its parameters, found {reprlib.repr(entry)}")
-    name = str(entry.get("effect"))
-    if name not in EFFECTS:
-        raise InputError(f"{where}: {unknown_name('effect', name, EFFECTS)}")
-    forms = {form.name: form for form in EFFECTS[name].parameters}
-    where = f"{where} ({name})"
-    parameters = entry.get("parameters")
-    if not isinstance(parameters, dict):
-        raise InputError(f"{where}: parameters: expected {', '.join(forms)}")
-    joint, link = (_text(entry, key, where) for key in ("joint", "link"))
-    _check_place(EFFECTS[name].place, joint, link, where)
-    return KnownEffect(name, joint, link, _parameters(parameters, forms, f"{where}: parameters"))
-
-
-def _text(entry: Mapping[str, Any], key: str, where: str) -> str:
-    value = entry.get(key) or ""
-    if not isinstance(value, str):
-        raise InputError(f"{where}: {key} is {reprlib.repr(value)}, expected a name")
-    return value
-
-
-def _check_place(place: PlaceKind, joint: str, link: str, where: str) -> None:
-    needed = {"joint": joint, "joints": joint, "sensor": joint, "link": link}
-    if place in needed and not needed[place]:
-        key = "link" if place == "link" else "joint"
-        others = {"sensor": "the topic of the wrench sensor", "joints": "the two joints at which it acts, FIRST+SECOND"}
-        what = others.get(place, f"the {key} at which it acts")
-        raise InputError(f"{where}: {key} is not given, expected {what}")
-
-
-def _parameters(given: Mapping[Any, Any], forms: Mapping[str, ParameterForm], where: str) -> dict[str, Quantity]:
-    for name in given:
-        if name not in forms:
-            raise InputError(f"{where}: {unknown_name('parameter', str(name), forms)}")
-    for name, expected in forms.items():
-        if name not in given and not expected.optional:
-            raise InputError(f"{where}: {name} is not given")
-    return {name: _quantity(given[name], forms[name], f"{where}: {name}") for name in given}
-
-
-def _quantity(given: Any, form: ParameterForm, where: str) -> Quantity:
-    if not isinstance(given, dict):
-        raise InputError(f"{where} is {reprlib.repr(given)}, expected value, std and unit")
-    value, std = _number(given.get("value"), where), given.get("std")
-    if not form.above < value < form.below:
-        raise InputError(f"{where} is {value:g}, expected a number above {form.above:g} and below {form.below:g}")
-    deviation = math.nan if std is None else _number(std, f"{where}: std")
-    if deviation < 0.0:
-        raise InputError(f"{where}: std is {deviation:g}, expected a number from zero on, or null")
-    if given.get("unit") not in form.units:
-        units = " or ".join(dict.fromkeys(form.units))
-        raise InputError(f"{where}: unit is {reprlib.repr(given.get('unit'))}, expected {units}")
-    return Quantity(value, deviation, given["unit"])
-
-
-def _number(value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < _LARGEST:
-        raise InputError(f"{where} is {reprlib.repr(value)}, expected a finite number")
-    return float(value)
+@dataclass(frozen=True)
+class _Document:
+    effects: tuple[EffectEntry, ...]

@@ -10,14 +10,14 @@ from typing import Any, TypeAlias
 
 from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.files.disk import write_text
-from geomid_ros.files.models.robot_values import quantities_entry
+from geomid_ros.files.models.estimate_file import InertiaEntry
+from geomid_ros.files.schema import structured
 from geomid_ros.model.effects import effect_class
 
 Rows: TypeAlias = list[dict[str, Any]]
 """A table: each row has its cells by column."""
 
 _BETWEEN = ";"
-_UNKNOWN = {"mass": "nan", "com": ["nan"] * 3, "inertia": [["nan"] * 3] * 3}
 _FINDING = ("probability", "confidence", "share", "separability", "loss", "sentence")
 
 
@@ -62,13 +62,15 @@ def csv_text(rows: Rows) -> str:
 def _link(link: Mapping[str, Any], urdf_masses: Mapping[str, float]) -> dict[str, Any]:
     """Quantities and standard deviations of a link, with what the file says of how they are known."""
     names = [name.replace(" ", "_") for name in QUANTITIES]
-    values, std = (quantities_entry(entry).tolist() for entry in (link, link.get("std", _UNKNOWN)))
+    given = {"": link, "std_": link["std"]} if "std" in link else {"": link}
+    known = {
+        prefix: structured(InertiaEntry, entry, f"link {link['name']}:").quantities for prefix, entry in given.items()
+    }
     return {
         "link": link["name"],
         "merged": _BETWEEN.join(link.get("merged", ())),
         "urdf_mass": urdf_masses.get(link["name"]),
-        **dict(zip(names, values, strict=True)),
-        **({f"std_{name}": own for name, own in zip(names, std, strict=True)} if "std" in link else {}),
+        **{f"{p}{name}": own for p, values in known.items() for name, own in zip(names, values.tolist(), strict=True)},
         **{key: link[key] for key in ("distance_from_prior", "from_data") if key in link},
         "not_identifiable": _BETWEEN.join(link.get("cannot_tell", ())),
     }

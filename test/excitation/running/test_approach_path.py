@@ -13,7 +13,7 @@ from excitation.arm import urdf
 from excitation.motions import bump, lively
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.running.approach_path import Passage
-from geomid_ros.files.trajectories.reading import read_trajectory
+from geomid_ros.files.trajectories import read_trajectory
 from geomid_ros.model.collision import CollisionModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.session.collision_scene import Surroundings

@@ -12,7 +12,7 @@ from excitation.motions import BUMP, Motion, bump
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.running.limits import RobotLimits, check_motion
 from geomid_ros.excitation.trajectory import Trajectory
-from geomid_ros.files.trajectories.reading import read_trajectory
+from geomid_ros.files.trajectories import read_trajectory
 from geomid_ros.model.robot import Robot
 
 ROBOT = Robot((BAGS / "arm3.urdf").read_text(), source="arm3.urdf")

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from geomid_ros.files.disk import write_json
-from geomid_ros.files.models.gap_results import gap_document
+from geomid_ros.files.models.gap_file import GapFile, gap_document, is_open, page_entries
 from geomid_ros.files.models.sidecar import effect_of
 from geomid_ros.model.effects import Quantity
 
-from .gaps import FLOOR, gap_result
+from .gaps import FLOOR, Case, gap_result
 
 JOINTS = ("hip", "knee", "ankle")
 KEYS = {
@@ -89,3 +89,22 @@ def test_a_finding_can_be_read_as_an_effect(case: str) -> None:
     effect = effect_of(entry, "gap.json")
     assert (effect.effect, effect.joint) == ("coulomb_friction", "knee")
     assert effect.parameters == result.findings[0].parameters
+
+
+@pytest.mark.parametrize(("case", "answer"), [("ambiguous", True), ("named", False), ("no gap", False)])
+def test_rivals_of_a_name_that_is_not_sure_are_open(case: Case, answer: bool) -> None:
+    assert is_open(gap_result(case, ("shoulder", "elbow"))) is answer
+
+
+def test_the_probability_of_an_older_file_is_that_of_its_word() -> None:
+    result = gap_result("incomplete", JOINTS)
+    document = json.loads(json.dumps(gap_document(result, {}) | page_entries(result, np.zeros_like(result.inertias))))
+    document |= {"robot": "", "recordings": [], "judged_seconds": 1.0, "known": [], "not_simulated": ""}
+    document |= {"causes": [], "warnings": [], "notes": []}
+    for entry in (*document["findings"], *document["links"]):
+        del entry["probability"]
+    read, gap = GapFile.of(document, "gap.json"), gap_document(result, {})
+    pairs = zip((*read.findings, *read.links), (*gap["findings"], *gap["links"]), strict=True)
+    for found, entry in pairs:
+        assert found.confidence == entry["confidence"]
+    assert read.result("gap.json").corrected_floor.tolist() == pytest.approx(result.corrected_floor.tolist())

@@ -14,12 +14,7 @@ import pytest
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import EffectEstimate
 from geomid_ros.files.disk import write_json
-from geomid_ros.files.models.results import (
-    estimate_document,
-    known_inertias,
-    known_information,
-    read_estimate,
-)
+from geomid_ros.files.models.estimate_file import EstimateFile, estimate_document
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.effects import Quantity
 from geomid_ros.session.configuration import Configuration
@@ -84,19 +79,19 @@ def test_nothing_held_out_is_null() -> None:
 def test_round_trip(tmp_path: Path) -> None:
     path = tmp_path / "out/estimate.json"
     write_json(path, document())
-    assert read_estimate(path) == document()
+    assert EstimateFile.read(path).document == document()
     assert json.loads(path.read_text()) == document()
-    known = known_inertias(read_estimate(path), str(path))
+    known = EstimateFile.read(path).inertias
     for link in ESTIMATE.links:
         np.testing.assert_allclose(known[link.name], link.parameters, rtol=ROUNDING, atol=ROUNDING)
 
 
 def test_what_is_known_of_the_links_together_is_read_again() -> None:
-    known = known_information(document(), known_inertias(document(), "estimate.json"), "estimate.json")
+    known = EstimateFile.of(document(), "estimate.json").known_information
     assert known is not None
     np.testing.assert_allclose(known.rows, ESTIMATE.information.rows, rtol=1e-6)
     np.testing.assert_allclose(known.residuals, ESTIMATE.information.residuals, rtol=1e-6)
-    assert known_information({"links": []}, {}, "estimate.json") is None
+    assert EstimateFile.of({"links": [], "effects": []}, "estimate.json").known_information is None
 
 
 def test_the_estimate_of_many_links_can_be_read_again(tmp_path: Path) -> None:
@@ -104,8 +99,7 @@ def test_the_estimate_of_many_links_can_be_read_again(tmp_path: Path) -> None:
     for count, said in ((100, True), (101, False)):
         many = estimate_of(*(link_estimate(f"link{number}") for number in range(count)))
         write_json(tmp_path / "many.json", estimate_document(many, {}))
-        read = read_estimate(tmp_path / "many.json")
-        assert (known_information(read, known_inertias(read, "many.json"), "many.json") is not None) is said
+        assert (EstimateFile.read(tmp_path / "many.json").known_information is not None) is said
 
 
 def session_from(model: Path) -> Session:
@@ -150,33 +144,45 @@ UNUSABLE: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "no effects": (edited(["effects"], None), "'effects'"),
     "another format": (edited(["format"], 99), "format 99"),
     "links is a number": (edited(["links"], 3), "links is 3, expected a list"),
-    "a link is a text": (edited(["links", 0], "link"), r"links\[0\] is .link., expected an object"),
-    "a link without mass": (edited(["links", 0, "mass"], None), "valid mass"),
-    "a mass that is a text": (edited(["links", 0, "mass"], "heavy"), "valid mass"),
-    "a centre in the plane": (edited(["links", 0, "com"], [1.0, 2.0]), "valid mass"),
-    "an inertia without shape": (edited(["links", 0, "inertia"], [1.0, 2.0]), "valid mass"),
+    "a link is a text": (edited(["links", 0], "link"), r"links\[0\] is .link., expected an object with mass"),
+    "a link without mass": (edited(["links", 0, "mass"], None), r"links\[0\].mass is not given"),
+    "a mass that is a text": (
+        edited(["links", 0, "mass"], "heavy"),
+        r"links\[0\].mass is 'heavy', expected a finite number",
+    ),
+    "a centre in the plane": (
+        edited(["links", 0, "com"], [1.0, 2.0]),
+        r"links\[0\].com is .*expected finite numbers, 3",
+    ),
+    "an inertia without shape": (edited(["links", 0, "inertia"], [1.0, 2.0]), "expected finite numbers, 3 by 3"),
     "information of other links": (edited(["information", "rows"], "AAAAAA=="), "the information on 2 links"),
     "information that is no base64": (edited(["information", "rows"], "?"), "the information on 2 links"),
-    "information without rows": (edited(["information", "rows"], None), "the information on 2 links"),
-    "information without residuals": (edited(["information", "residuals"], None), "the information on 2 links"),
+    "information without rows": (edited(["information", "rows"], None), "information.rows is not given"),
+    "information without residuals": (edited(["information", "residuals"], None), "information.residuals is not given"),
     "information in another order": (edited(["information", "links"], ["link1", "link3"]), "in another order"),
-    "information without links": (edited(["information", "links"], None), "the information on 2 links"),
+    "information without links": (edited(["information", "links"], None), "information.links is not given"),
     "a link twice": (edited(["links", 1, "name"], "link3"), "two links 'link3'"),
-    "a link merged with a number": (edited(["links", 0, "merged"], 3), "'merged' is no list"),
+    "a link merged with a number": (edited(["links", 0, "merged"], 3), r"links\[0\].merged is 3, expected a list"),
     "a link merged with another one": (
         edited(["links", 0, "merged"], ["hand"]),
         "'link3' was identified together with",
     ),
-    "information that is a number": (edited(["information"], 3), "the information on 2 links"),
+    "information that is a number": (
+        edited(["information"], 3),
+        "information is 3, expected an object with links, rows, residuals",
+    ),
     "information that is not finite": (edited(["information", "residuals"], NOT_FINITE), "more than any measurement"),
     "a negative mass": (edited(["links", 0, "mass"], -1.0), "'link3' belongs to no body"),
-    "a mass that is not a number": (edited(["links", 0, "mass"], float("nan")), "'link3' belongs to no body"),
+    "a mass that is not a number": (
+        edited(["links", 0, "mass"], float("nan")),
+        "mass is nan, expected a finite number",
+    ),
     "an impossible inertia": (edited(["links", 0, "inertia", 0], [9.0, 0.0, 0.0]), "'link3' belongs to no body"),
     "effects is a number": (edited(["effects"], 3), "effect"),
     "an effect without value": (edited(["effects", 0, "value"], None), "effect"),
     "an effect that is a text": (edited(["effects", 0], "friction"), "effect"),
     "negative friction": (edited(["effects", 0, "value"], -0.1), "must be positive"),
-    "infinite friction": (edited(["effects", 0, "value"], float("inf")), "must be positive and finite"),
+    "infinite friction": (edited(["effects", 0, "value"], float("inf")), "value is inf, expected a finite number"),
     "another robot": (of_another_robot, "another robot.*leg_link3.*link1, link2, link3"),
 }
 

@@ -11,8 +11,8 @@ import pytest
 from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.errors import InputError
+from geomid_ros.files.models.estimate_file import EstimateFile, verdict_entry
 from geomid_ros.files.models.gap_model import write_model
-from geomid_ros.files.models.judgements import doubt, verdict_entry
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import GRAVITY, Robot
@@ -64,7 +64,7 @@ def test_a_usable_model_is_not_told(tmp_path: Path) -> None:
     ],
 )
 def test_what_speaks_against_an_estimate(document: dict[str, Any], said: str) -> None:
-    sentence = doubt(document, "a.json")
+    sentence = EstimateFile.of({"links": [], "effects": [], **document}, "a.json").doubt
     assert bool(sentence) == bool(said)
     assert said in sentence
 
@@ -72,4 +72,4 @@ def test_what_speaks_against_an_estimate(document: dict[str, Any], said: str) ->
 @pytest.mark.parametrize("entry", ["doubtful", None, {"result": "fine"}, {"result": "usable", "reasons": "none"}, {}])
 def test_what_is_no_verdict_is_refused(entry: object) -> None:
     with pytest.raises(InputError, match=r"a\.json: "):
-        doubt({"verdict": entry}, "a.json")
+        assert EstimateFile.of({"links": [], "effects": [], "verdict": entry}, "a.json").doubt

@@ -1,0 +1,480 @@
+"""``estimate.json``: its schema, an estimate as people and programs read it, and what it says as a starting point."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from geomid_ros.checks.causes import Cause, Finding
+from geomid_ros.checks.verdict import NOT_CONVERGED, STATUS, USABLE, Verdict
+from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.estimation.comparison import LinkValues, RobotValues
+from geomid_ros.estimation.estimate import (
+    FINEST,
+    EffectEstimate,
+    Estimate,
+    LinkEstimate,
+    LinksInformation,
+    WeighedEstimate,
+)
+from geomid_ros.estimation.posterior import Posterior
+from geomid_ros.files.models.effect_forms import coefficient, combined, continued, is_coefficient
+from geomid_ros.files.models.sidecar import EffectEntry, coefficient_entry, effect_entry
+from geomid_ros.files.models.urdf import Inertia
+from geomid_ros.files.schema import (
+    Matrix,
+    Vector,
+    entry,
+    packed,
+    plain,
+    read_document,
+    structured,
+    unpacked,
+    unpacked_triangle,
+)
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.geometry.manifold import ParameterManifold
+from geomid_ros.model.effects import KnownEffect, Quantity, effect_class, identifiable
+from geomid_ros.model.robot import GRAVITY
+from geomid_ros.signals.ledger import Account
+from geomid_ros.types import FloatArray
+
+FORMAT = 1
+_MOST_BYTES = 5_000_000
+_MOST_LINKS_TOGETHER = 100  # of more, what is known of all together would be most of the file
+_LARGEST_RESIDUAL = 1e9
+_PACKED = "<f4"  # seven digits do, and nobody reads so many
+ByChannel: TypeAlias = Mapping[str, float]
+_WITHOUT_INFORMATION = "identify again, or delete 'information', without which less is known of payloads"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class InertiaEntry:
+    """A body's mass [kg], centre of mass [m] and inertia about it [kg m^2], or the standard deviations of these."""
+
+    mass: float
+    com: Vector
+    inertia: Matrix
+
+    @property
+    def quantities(self) -> FloatArray:
+        """The same ``(10,)`` in the order of :func:`~geomid_ros.geometry.pseudo_inertia.quantities_of`."""
+        return np.concatenate([[self.mass], self.com, pseudo_inertia.inertia_entries(self.inertia)])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LinkEntry(InertiaEntry):
+    """A link; what an estimate says beside its inertia, the written model of a gap does not."""
+
+    name: str
+    merged: tuple[str, ...] | None = None
+    std: InertiaEntry | None = None
+    distance_from_prior: float = math.nan
+    from_data: float = math.nan
+    min_eigenvalue_ratio: float = math.nan
+    cannot_tell: tuple[str, ...] | None = None
+    identified_moments: tuple[str, ...] = ()
+    outlier: bool = False
+
+    @property
+    def std_quantities(self) -> FloatArray:
+        """Standard deviations ``(10,)``, NaN where the file says none."""
+        return np.full(10, np.nan) if self.std is None else self.std.quantities
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoefficientEntry:
+    """An effect of one coefficient at a joint."""
+
+    name: str
+    joint: str
+    value: float
+    std: float = math.nan
+    from_data: float = math.nan
+
+
+@dataclass(frozen=True, kw_only=True)
+class VerdictEntry:
+    """A verdict and why."""
+
+    result: str
+    reasons: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class InformationEntry:
+    """What is known of all ``links`` together: an upper triangle and residuals, float32 in base64."""
+
+    links: tuple[str, ...]
+    rows: str
+    residuals: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandoverEntry:
+    """The model that was fitted for a reader of descriptions, and what its file leaves of data by channel."""
+
+    links: tuple[LinkEntry, ...]
+    effects: tuple[EffectEntry, ...]
+    file: str = ""
+    alone: ByChannel = field(default_factory=dict)
+    corrected: ByChannel = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ErrorsEntry:
+    """RMS residuals by channel."""
+
+    nominal: ByChannel = field(default_factory=dict)
+    train: ByChannel = field(default_factory=dict)
+    held_out: ByChannel | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChannelEntry:
+    """How well a channel fits: RMS residuals of the URDF and of the estimate."""
+
+    channel: str
+    unit: str = ""
+    urdf: float = math.nan
+    identified: float = math.nan
+
+
+@dataclass(frozen=True, kw_only=True)
+class PageEntries:
+    """What the page of a result needs beside its :class:`EstimateFile`."""
+
+    robot: str
+    converged: bool
+    reason: str
+    seconds: float
+    steps: int
+    gamma: float
+    rows: Mapping[str, Any]
+    known: tuple[WeighedEstimate, ...]
+    sigma: ByChannel
+    urdf_masses: Mapping[str, float]
+    channels: tuple[ChannelEntry, ...]
+    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+    telling: Mapping[str, Mapping[str, tuple[str, ...]]]
+    messages: Mapping[str, Account]
+    origin: Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class EstimateFile:
+    """A file that ``geomid identify`` or ``geomid gap`` has written, or a person with as much as they know.
+
+    ``source`` names it in messages; ``document`` is all that it says. Properties raise InputError for what cannot be.
+    """
+
+    source: str
+    document: Mapping[str, Any]
+    links: tuple[LinkEntry, ...]
+    effects: tuple[CoefficientEntry, ...]
+    added: tuple[EffectEntry, ...] = ()
+    robot: str = ""
+    converged: bool = True
+    reason: str = ""
+    verdict: VerdictEntry = VerdictEntry(result="")
+    gravity: Vector = field(default_factory=GRAVITY.copy)
+    information: InformationEntry | None = None
+    handover: Mapping[str, HandoverEntry] = field(default_factory=dict)
+    rms: ErrorsEntry = ErrorsEntry()
+    sigma: ByChannel = field(default_factory=dict)
+    floor: ByChannel = field(default_factory=dict)
+    cutoff: float | None = None
+    channels: tuple[ChannelEntry, ...] = ()
+
+    @staticmethod
+    def read(path: Path) -> EstimateFile:
+        """Read a file. Raises InputError naming it and the key that is wrong."""
+        document = read_document(path, "model", _MOST_BYTES, FORMAT, ("links", "effects"))
+        return EstimateFile.of(document, str(path))
+
+    @staticmethod
+    def of(document: Mapping[str, Any], source: str) -> EstimateFile:
+        """The file with this content. Raises InputError naming the ``source``."""
+        return structured(EstimateFile, {**document, "source": source, "document": document}, f"{source}:")
+
+    @cached_property
+    def inertias(self) -> dict[str, FloatArray]:
+        """Parameters ``(10,)`` in pinocchio's order of the links, by name."""
+        return inertias_of(self.links, self.source)
+
+    @property
+    def merged(self) -> dict[str, frozenset[str]]:
+        """The fixed links that are merged into each link of which the file says so."""
+        return {link.name: frozenset(link.merged) for link in self.links if link.merged is not None}
+
+    @property
+    def known_effects(self) -> list[KnownEffect]:
+        """All effects."""
+        single = [
+            _known(each, own, f"{self.source}:")
+            for each, own in zip(self.effects, self.document["effects"], strict=True)
+        ]
+        return combined([*single, *(e.known(f"{self.source}: added[{k}]") for k, e in enumerate(self.added))])
+
+    @property
+    def judgement(self) -> Verdict:
+        """The verdict; a file without any is usable if its solver converged."""
+        if "verdict" not in self.document:
+            word = USABLE if self.converged else NOT_CONVERGED
+            return Verdict(word=word, reasons=() if self.converged else (self.reason,))
+        if self.verdict.result not in STATUS:
+            raise InputError(f"{self.source}: {unknown_name('verdict', self.verdict.result, STATUS)}")
+        return Verdict(word=self.verdict.result, reasons=self.verdict.reasons)
+
+    @property
+    def doubt(self) -> str:
+        """Why the estimate should not be used, in a sentence; empty if nothing speaks against it."""
+        verdict = self.judgement
+        if verdict.word == USABLE:
+            return ""
+        reasons = "; ".join(verdict.reasons) or "no reason is given"
+        return f"{self.source}: this model's verdict is '{verdict.word}': {reasons}"
+
+    @property
+    def values(self) -> RobotValues:
+        """What it says, to be compared with another."""
+        links = {
+            link.name: LinkValues(
+                parameters=self.inertias[link.name], std=link.std_quantities, merged=frozenset(link.merged or ())
+            )
+            for link in self.links
+        }
+        return RobotValues(links=links, effects=tuple(self.known_effects), information=self.known_information)
+
+    @property
+    def known_information(self) -> LinksInformation | None:
+        """What is known of the links together, in their order; None if nothing is."""
+        if self.information is None:
+            return None
+        size = 10 * len(self.links)
+        try:
+            rows = unpacked_triangle(self.information.rows, _PACKED, size)
+            residuals = unpacked(self.information.residuals, _PACKED, size)
+        except ValueError as error:
+            raise self._useless(f"on {len(self.links)} links cannot be read ({error})") from error
+        if list(self.information.links) != list(self.inertias):
+            raise self._useless("is on other links than those listed, or in another order")
+        if not _can_be_measured(rows, self.inertias) or not np.all(np.abs(residuals) < _LARGEST_RESIDUAL):
+            raise self._useless("on the links is more than any measurement can tell")
+        return LinksInformation(rows, residuals)
+
+    def _useless(self, why: str) -> InputError:
+        return InputError(f"{self.source}: the information {why}; {_WITHOUT_INFORMATION}")
+
+    def estimate(self, page: PageEntries, posterior: Posterior) -> Estimate:
+        """The estimate of the same run as a ``posterior``, with what no file has left out."""
+        rows, targets = posterior.evidence
+        size = 10 * len(self.links)
+        return Estimate(
+            converged=page.converged,
+            reason=page.reason,
+            seconds=page.seconds,
+            steps=page.steps,
+            gamma=page.gamma,
+            rows_accepted=page.rows["accepted"],
+            rows_set_aside=page.rows["set_aside"],
+            links=tuple(_link_estimate(link, self.inertias[link.name], self.source) for link in self.links),
+            effects=tuple(self._effect_estimates),
+            parameters=posterior.parameters,
+            channels=tuple(self.rms.train),
+            sigmas=np.array([*page.sigma.values()]),
+            spreads=np.full(len(self.links), np.nan),
+            rms_nominal=np.array([*self.rms.nominal.values()]),
+            rms=np.array([*self.rms.train.values()]),
+            information=self.known_information or LinksInformation(np.zeros((size, size)), np.zeros(size)),
+            posterior=posterior,
+            rows=rows,
+            targets=targets,
+            known=page.known,
+        )
+
+    @property
+    def _effect_estimates(self) -> list[EffectEstimate]:
+        """The effects that the data say something of."""
+        shares = {(each.name, each.joint): each.from_data for each in self.effects}
+        shares |= {(each.effect, each.joint): each.from_data for each in self.added}
+        return [
+            EffectEstimate(name=known.effect, joint=known.joint, parameters=known.parameters, from_data=share)
+            for known in self.known_effects
+            if math.isfinite(share := shares[known.effect, known.joint])
+        ]
+
+
+def inertias_of(links: Sequence[LinkEntry], source: str) -> dict[str, FloatArray]:
+    """Parameters ``(10,)`` in pinocchio's order of links, by name. Raises InputError for what is no body."""
+    known: dict[str, FloatArray] = {}
+    for link in links:
+        if link.name in known:
+            raise InputError(f"{source}: there are two links '{link.name}', expected each once")
+        known[link.name] = pseudo_inertia.assemble(np.array(link.mass), link.com, link.inertia)
+        matrix = pseudo_inertia.from_parameters(known[link.name])
+        if not np.all(np.isfinite(matrix)) or not np.linalg.eigvalsh(matrix)[0] > 0.0:
+            raise InputError(f"{source}: the inertia of link '{link.name}' belongs to no body that can exist")
+    return known
+
+
+def _known(given: CoefficientEntry, own: Mapping[str, Any], source: str) -> KnownEffect:
+    """An effect of one coefficient, whose constant stands beside it under its name where it is not as usual."""
+    if given.name not in identifiable():
+        raise InputError(f"{source} {unknown_name('effect', given.name, identifiable())}")
+    cls = effect_class(given.name)
+    if not cls.is_one_number():
+        raise InputError(f"{source} effect '{given.name}' has several parameters, expected it under 'added'")
+    if not math.isfinite(given.value):
+        raise InputError(f"{source} {given.name} at '{given.joint}' has no value, expected a finite number")
+    constant = None
+    if cls.usual_constant in own:
+        (form,) = (form for form in cls.parameters if form.name == cls.usual_constant)
+        value = own[form.name]
+        if type(value) not in (int, float) or not form.above < value < form.below:
+            where = f"{source} {form.name} of {cls.name} at '{given.joint}'"
+            raise InputError(f"{where} is {value!r:.80}, expected a number above {form.above:g} {form.units[0]}")
+        constant = Quantity(float(value), 0.0, form.units[0])
+    quantity = Quantity(given.value, given.std or math.nan, cls.parameters[0].units[0])
+    return coefficient(given.name, given.joint, quantity, constant)
+
+
+def _link_estimate(link: LinkEntry, parameters: FloatArray, source: str) -> LinkEstimate:
+    if link.std is None or link.merged is None or link.cannot_tell is None:
+        raise InputError(f"{source}: link '{link.name}' has no std, merged or cannot_tell")
+    quantities = pseudo_inertia.quantities_of(parameters)
+    return LinkEstimate(
+        name=link.name,
+        merged=link.merged,
+        mass=float(quantities[0]),
+        com=quantities[1:4],
+        inertia=pseudo_inertia.rotational_inertia(quantities),
+        std_mass=link.std.mass,
+        std_com=link.std.com,
+        std_inertia=link.std.inertia,
+        parameters=parameters,
+        distance_from_prior=link.distance_from_prior,
+        from_data=link.from_data,
+        min_eigenvalue_ratio=link.min_eigenvalue_ratio,
+        cannot_tell=link.cannot_tell,
+        moments=link.identified_moments,
+        std_prior=np.full(13, np.nan),  # of quantities and first moments: no file has them
+        outlier=link.outlier,
+    )
+
+
+def _can_be_measured(rows: FloatArray, inertias: Mapping[str, FloatArray]) -> bool:
+    """Whether rows ``(n, 10 links)`` determine no inertia more finely than it is believed."""
+    manifold = ParameterManifold(len(inertias), 0, np.zeros(0))
+    if not np.all(np.isfinite(rows)):
+        return False
+    with np.errstate(all="ignore"):  # of bodies beyond all measure; what is no number is refused
+        whitened = manifold.whiten(manifold.point(np.concatenate([*inertias.values()])), rows)
+    return bool(np.all(np.abs(whitened) < 2.0 * FINEST))  # rounded to seven digits
+
+
+def estimate_document(
+    estimate: Estimate,
+    rows_rejected: Mapping[str, int],
+    held_out: FloatArray | None = None,
+    known: Sequence[KnownEffect] = (),
+) -> dict[str, Any]:
+    """The document of an estimate.
+
+    Args:
+        estimate: what was found.
+        rows_rejected: how many rows were not used, by reason.
+        held_out: RMS residuals ``(channels,)`` on data that were not used, if any were held out.
+        known: the effects of the model that the estimation began with.
+    """
+    shares = shares_from_data(estimate)
+    effects = [(e, shares.get((e.effect, e.joint))) for e in model_effects(estimate, known)]
+    rms = {"nominal": estimate.rms_nominal, "train": estimate.rms, "held_out": held_out}
+    rejected = {reason: count for reason, count in sorted(rows_rejected.items()) if count}
+    rows = estimate.information.rows
+    together = InformationEntry(
+        links=tuple(link.name for link in estimate.links),
+        rows=packed(rows[np.triu_indices(len(rows))], _PACKED),
+        residuals=packed(estimate.information.residuals, _PACKED),
+    )
+    return {
+        "format": FORMAT,
+        **entry(estimate, "converged", "reason"),
+        "seconds": round(estimate.seconds, 3),
+        **entry(estimate, "steps", "gamma"),
+        "rows": {"accepted": estimate.rows_accepted, "set_aside": estimate.rows_set_aside, "rejected": rejected},
+        "links": [
+            link_entry(link.name, link.merged, (link.mass, link.com, link.inertia))
+            | {"std": plain(InertiaEntry(mass=link.std_mass, com=link.std_com, inertia=link.std_inertia))}
+            | entry(link, "distance_from_prior", "from_data", "min_eigenvalue_ratio", "cannot_tell")
+            | {"identified_moments": [*link.moments], "outlier": link.outlier}
+            for link in estimate.links
+        ],
+        "effects": [coefficient_entry(e) | {"from_data": share} for e, share in effects if is_coefficient(e)],
+        "added": [
+            effect_entry(e) | ({} if share is None else {"from_data": share})
+            for e, share in effects
+            if not is_coefficient(e)
+        ],
+        "known": [entry(own, "name", "mass", "std", "given", "given_std") for own in estimate.known],
+        "rms": {
+            kind: None if values is None else by_channel(estimate.channels, values) for kind, values in rms.items()
+        },
+        "sigma": by_channel(estimate.channels, estimate.sigmas),
+        "information": plain(together) if len(estimate.links) <= _MOST_LINKS_TOGETHER else None,
+    }
+
+
+def shares_from_data(estimate: Estimate) -> dict[tuple[str, str], float]:
+    """Share of an effect's uncertainty that the data removed, by its name and place: the mean over its coefficients."""
+    found: dict[tuple[str, str], list[float]] = {}
+    for effect in estimate.effects:
+        found.setdefault((effect.name, effect.joint), []).append(effect.from_data)
+    return {key: float(np.mean(shares)) for key, shares in found.items()}
+
+
+def model_effects(estimate: Estimate, known: Sequence[KnownEffect]) -> list[KnownEffect]:
+    """All effects of the model with an estimate that began with the ``known`` ones, as files have them."""
+    found = combined(KnownEffect(effect.name, effect.joint, "", effect.parameters) for effect in estimate.effects)
+    return continued(found, known)
+
+
+def link_entry(name: str, merged: Sequence[str], inertia: Inertia) -> dict[str, Any]:
+    """A link with its inertia and the fixed links that are merged into it."""
+    mass, com, own = inertia
+    return {"name": name, "merged": [*merged], **plain(InertiaEntry(mass=mass, com=com, inertia=own))}
+
+
+def by_channel(channels: Sequence[str], values: FloatArray) -> dict[str, float | None]:
+    """Values by the names of their channels; what is no number is null."""
+    return dict(zip(channels, plain(values), strict=True))
+
+
+def verdict_entry(verdict: Verdict, findings: Sequence[Finding]) -> dict[str, Any]:
+    """Whether the result can be used, why not, and what the recording seems to be."""
+    return {"result": verdict.word, "reasons": [*verdict.reasons], "causes": causes_entry(findings)}
+
+
+def causes_entry(findings: Sequence[Finding]) -> list[dict[str, Any]]:
+    """What a recording seems to be, with the parameters that mend it."""
+    return [
+        _cause_entry(own.cause) | {"sure": own.sure, "rivals": [_cause_entry(c) for c in own.rivals]}
+        for own in findings
+    ]
+
+
+def _cause_entry(cause: Cause) -> dict[str, Any]:
+    return entry(cause, "kind", "places", "sentence", "settings")
+
+
+def account_entry(account: Account) -> dict[str, Any]:
+    """What became of a topic's messages."""
+    kinds = {kind: dict(sorted((+getattr(account, kind)).items())) for kind in ("rejected", "dropped", "noted")}
+    return {"received": account.received, "accepted": account.accepted, **kinds, "lost": account.lost}

@@ -1,0 +1,262 @@
+"""``gap.json``: what the gap workflow found, for programs; :class:`GapFile` is its schema.
+
+Its ``format`` is 1. Effects are as in the sidecar; of a finding and of a link ``confidence`` says the probability in a
+word: ``confident`` above .95, ``tentative`` from .5, ``ambiguous``. Numbers that do not exist (a channel without
+measurements, say) are null.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
+
+import numpy as np
+
+from geomid_ros.checks.causes import Cause
+from geomid_ros.checks.causes import Finding as Doubt
+from geomid_ros.errors import InputError
+from geomid_ros.files.models.estimate_file import by_channel
+from geomid_ros.files.models.sidecar import EffectEntry, effect_entry, effect_of, quantities_entry, quantity_entry
+from geomid_ros.files.schema import entry, plain, read_document, structured
+from geomid_ros.gap.result import (
+    Finding,
+    Gap,
+    GapResult,
+    LinkChange,
+    Located,
+    Ranked,
+    Rival,
+    Trace,
+    Unexplained,
+    effort_gains,
+)
+from geomid_ros.model.effects import KnownEffect, effect_class
+from geomid_ros.types import FloatArray
+
+FORMAT = 1
+_MOST_BYTES = 20_000_000
+_OF_WORDS = {"confident": 0.99, "tentative": 0.7, "ambiguous": 0.3}  # of an older file, which has a word alone
+_KINDS = ("before", "inertias_only", "after", "expected")
+Errors: TypeAlias = Mapping[str, Mapping[str, float]]
+Parameters: TypeAlias = Annotated[FloatArray, (10,)]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BodyEntry:
+    """A body, and its parameters ``(10,)`` before and after."""
+
+    name: str
+    before: Parameters
+    after: Parameters
+
+
+@dataclass(frozen=True, kw_only=True)
+class CauseEntry(Cause):
+    """What makes a recording doubtful, with its rivals."""
+
+    sure: bool
+    rivals: tuple[Cause, ...]
+
+    @property
+    def doubt(self) -> str:
+        """All of it in a sentence."""
+        return Doubt(cause=self, sure=self.sure, rivals=self.rivals).sentence
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GapFile:
+    """All that the page of a gap needs.
+
+    Attributes:
+        verdict, findings, links, unexplained, ordinary, located, ranking: see
+            :class:`~geomid_ros.gap.result.GapResult`, the surest first.
+        gap: ``before``, ``inertias_only``, ``after`` (the written model, in which are the findings that are confident),
+            ``expected`` and ``moving``, each the residual of held-out samples in units of the floor by channel.
+        floor: the noise's standard deviation by channel [N m, N], of efforts without the gains that were found.
+        resimulated: ``before`` and ``after``, each the error of held-out data that are simulated again in short windows
+            by joint or wrench channel, in units of what noise makes of it; None where that could not be.
+        closed_loop: the same of efforts in closed loop under the recorded commands.
+        units: by channel.
+        bodies, cutoff, seconds: bodies before and after; of the low-pass [Hz]; that the search took.
+        robot, recordings: names.
+        known: effects that the model had.
+        judged_seconds, not_simulated: of held-out data; why nothing was simulated, or empty.
+        causes, warnings, notes: what makes the recording doubtful, with the ``settings`` that mend it; what else to
+            know of it and of the model that it was compared with; what was settled for the user.
+    """
+
+    verdict: str
+    findings: tuple[Finding, ...]
+    links: tuple[LinkChange, ...]
+    unexplained: tuple[Unexplained, ...]
+    ordinary: tuple[EffectEntry, ...]
+    gap: Errors
+    floor: Mapping[str, float]
+    resimulated: Errors | None
+    closed_loop: Errors | None
+    units: Mapping[str, str]
+    located: tuple[Located, ...]
+    ranking: tuple[Ranked, ...]
+    bodies: tuple[BodyEntry, ...]
+    cutoff: float
+    seconds: float
+    robot: str
+    recordings: tuple[str, ...]
+    judged_seconds: float
+    known: tuple[EffectEntry, ...]
+    not_simulated: str
+    causes: tuple[CauseEntry, ...]
+    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @staticmethod
+    def of(document: Mapping[str, Any], source: str) -> GapFile:
+        """The content of a document. Raises InputError naming the ``source`` and what is wrong in it."""
+        for index, finding in enumerate(document["findings"]):
+            effect_of(finding, f"{source}: findings[{index}]")
+        older = {key: [*map(_with_probability, document[key])] for key in ("findings", "links") if key in document}
+        return structured(GapFile, {**document, **older}, f"{source}:")
+
+    @property
+    def nominal(self) -> FloatArray:
+        """The bodies' parameters before ``(bodies, 10)``."""
+        return np.array([own.before for own in self.bodies]).reshape(-1, 10)
+
+    def known_effects(self, key: str, source: str) -> list[KnownEffect]:
+        """The ``known`` or the ``ordinary`` effects. Raises InputError naming the ``source`` for what is none."""
+        return [own.known(f"{source}: {key}[{index}]") for index, own in enumerate(getattr(self, key))]
+
+    def result(self, source: str) -> GapResult:
+        """The result without samples. Raises InputError naming the ``source`` for what cannot be."""
+        channels, floor = tuple(self.floor), np.array([*self.floor.values()])
+        if missing := [key for key in (*_KINDS, "moving") if self.gap.get(key, {}).keys() != {*channels}]:
+            raise InputError(f"{source}: gap.{missing[0]} does not say a number for each channel of the floor")
+        if {*channels} - self.units.keys():
+            raise InputError(f"{source}: units does not say one for each channel of the floor")
+        errors = {key: np.array([*own.values()]) for key, own in self.gap.items()}
+        return GapResult(
+            verdict=self.verdict,  # type: ignore[arg-type]
+            findings=self.findings,
+            links=self.links,
+            unexplained=self.unexplained,
+            channels=channels,
+            units=tuple(self.units[name] for name in channels),
+            floor=floor * effort_gains(self.findings, channels),
+            cutoff=self.cutoff,
+            gap=Gap(*(errors[kind] for kind in _KINDS)),
+            moving=errors["moving"],
+            located=self.located,
+            ranking=self.ranking,
+            trace=_no_trace(len(channels)),
+            bodies=tuple(own.name for own in self.bodies),
+            inertias=np.array([own.after for own in self.bodies]).reshape(-1, 10),
+            coefficients=np.zeros(0),
+            beside=(),
+            ordinary=tuple(self.known_effects("ordinary", source)),
+            folded={},
+            seconds=self.seconds,
+        )
+
+
+def _with_probability(given: Any) -> Any:
+    word = given.get("confidence") if isinstance(given, dict) else None
+    return {"probability": _OF_WORDS[word], **given} if isinstance(word, str) and word in _OF_WORDS else given
+
+
+def _no_trace(channels: int) -> Trace:
+    """No samples."""
+    nothing, motion = np.zeros((0, channels)), np.zeros((0, 0))
+    predicted = dict.fromkeys(("load", "measured", "before", "inertias_only", "after"), nothing)
+    return Trace(stamps=np.zeros(0, dtype=np.int64), position=motion, velocity=motion, **predicted)
+
+
+def read_gap(path: Path) -> dict[str, Any]:
+    """Read a ``gap.json``. Raises InputError naming it."""
+    document = read_document(path, "gap report", _MOST_BYTES, FORMAT, ("findings",))
+    structured(_Findings, document, f"{path}:")
+    return document
+
+
+@dataclass(frozen=True, kw_only=True)
+class _OpenFinding(EffectEntry):
+    rivals: tuple[Rival, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Findings:
+    findings: tuple[_OpenFinding, ...]
+    floor: Mapping[str, float] | None = None
+
+
+@dataclass(frozen=True)
+class OpenFinding:
+    """A finding, and its ``rivals``."""
+
+    finding: KnownEffect
+    rivals: tuple[Rival, ...]
+
+
+def read_open_findings(path: Path) -> tuple[list[OpenFinding], dict[str, float]]:
+    """The findings with rivals in a ``gap.json``, and the noise floor of its channels [N m, N].
+
+    Raises InputError naming the file and what is wrong in it, or that nothing is open.
+    """
+    document = structured(_Findings, read_gap(path), f"{path}:")
+    found = [OpenFinding(own.known(f"{path}: findings[{k}]"), own.rivals) for k, own in enumerate(document.findings)]
+    left = [finding for finding in found if finding.rivals]
+    for rival in (rival for finding in left for rival in finding.rivals):
+        effect_class(rival.effect)
+    if not left:
+        raise InputError(f"{path}: no finding has a rival, so that there is nothing to settle")
+    return left, {name: value for name, value in (document.floor or {}).items() if np.isfinite(value)}
+
+
+def is_open(result: GapResult) -> bool:
+    """Whether a finding is not sure and has rivals, so that a motion may decide."""
+    return any(finding.rivals and finding.settled_by for finding in result.findings)
+
+
+def gap_document(result: GapResult, simulations: Mapping[str, Errors]) -> dict[str, Any]:
+    """The document of a result; ``simulations`` has the errors {before, after} of ``windows`` and ``closed_loop``."""
+    channels, gap = result.channels, result.gap
+    return {
+        "format": FORMAT,
+        "verdict": result.verdict,
+        "findings": [
+            effect_entry(own)
+            | entry(own, "probability", "confidence", "rivals", "separability", "loss", "share", "was")
+            | {"sentence": own.sentence, "settled_by": own.settled_by, "moment": quantities_entry(own.moment)}
+            for own in result.findings
+        ],
+        "links": [
+            {"link": own.link, "joint": own.joint, "mass": quantity_entry(own.mass), **entry(own, "was")}
+            | {"moment": quantities_entry(own.moment), **entry(own, "loss", "probability", "confidence", "sentence")}
+            for own in result.links
+        ],
+        "unexplained": plain(result.unexplained),
+        "gap": {kind: by_channel(channels, getattr(gap, kind)) for kind in _KINDS}
+        | {"moving": by_channel(channels, result.moving)},
+        "ordinary": [effect_entry(effect) for effect in result.ordinary],
+        "floor": by_channel(channels, result.corrected_floor),
+        "resimulated": plain(simulations.get("windows")),
+        "closed_loop": plain(simulations.get("closed_loop")),
+    }
+
+
+def page_entries(result: GapResult, nominal: FloatArray) -> dict[str, Any]:
+    """Further entries of a ``gap.json``: units, where the gap lives, candidates, and the bodies before and after.
+
+    Args:
+        result: what was found.
+        nominal: parameters of the result's bodies before ``(bodies, 10)``.
+    """
+    bodies = zip(result.bodies, nominal, result.inertias, strict=True)
+    return {
+        "units": dict(zip(result.channels, result.units, strict=True)),
+        **entry(result, "located", "ranking"),
+        "bodies": [plain(BodyEntry(name=name, before=before, after=after)) for name, before, after in bodies],
+        "cutoff": result.cutoff,
+        "seconds": round(result.seconds, 3),
+    }

@@ -1,1 +1,0 @@
-"""Motions on disk."""
