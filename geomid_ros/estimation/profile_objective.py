@@ -6,11 +6,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.linalg import LinAlgError
 
 from geomid_ros.estimation.objective import Evaluation, with_prior
-from geomid_ros.estimation.solvers import Solution, trust_region
+from geomid_ros.estimation.solvers import ENDS, GRADIENT, Solution, trust_region
 from geomid_ros.geometry import compiled
 from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.geometry.pseudo_inertia import COEFFICIENTS_TO_COORDINATES
 from geomid_ros.types import FloatArray, IntArray
 
 _STEPS = 40
@@ -49,11 +51,11 @@ class Profile:
             squares = np.maximum((self.products @ vector) @ vector, self.least)
             return squares, np.tensordot(self.counts / squares, self.products, axes=1)
         squares, total = np.empty(len(self.products)), np.empty(self.products.shape[1:])
-        compiled.native.weigh(*self._by_channel, vector, self.counts, self.least, squares, total)
+        compiled.native.weigh(*self.by_channel, vector, self.counts, self.least, squares, total)
         return squares, total
 
     @cached_property
-    def _by_channel(self) -> tuple[FloatArray, IntArray, IntArray]:
+    def by_channel(self) -> tuple[FloatArray, IntArray, IntArray]:
         """The products; the columns that each channel has, one channel after the other; and where each channel's end.
 
         An effort depends only on the links behind its joint, and on the joint's own effects.
@@ -88,8 +90,9 @@ class ProfileObjective:
         return self.manifold.straight(point, tangent)
 
     @cached_property
-    def _known_products(self) -> FloatArray:
-        return self.known.T @ self.known
+    def known_products(self) -> FloatArray:
+        """Of what is known ``(D + 1, D + 1)``; nothing ``(0,)`` without it."""
+        return self.known.T @ self.known if len(self.known) else np.zeros(0)
 
     def evaluate(self, point: Point) -> Evaluation:
         """Value, gradient, information and Hessian along straight lines at ``point``."""
@@ -100,10 +103,27 @@ class ProfileObjective:
         if len(self.known):
             off = self.known @ np.append(point.parameters - profile.prior.parameters, 1.0)
             value, slope = value + 0.5 * float(off @ off), slope + off @ self.known[:, :-1]
-            products += self._known_products
+            products += self.known_products
         return with_prior(self.manifold, point, profile.prior, self.weights, (value, slope, products))
 
 
 def minimum(objective: ProfileObjective, start: Point) -> Solution:
     """The minimum that is reached from ``start``, to a twentieth of the parameters' standard deviations."""
-    return trust_region(objective, start, max_steps=_STEPS, radius=_RADIUS, least_decrease=_LEAST_DECREASE)
+    manifold, profile, native = objective.manifold, objective.profile, compiled.native
+    if native is None or manifold.positives:
+        return trust_region(objective, start, max_steps=_STEPS, radius=_RADIUS, least_decrease=_LEAST_DECREASE)
+    size, prior = manifold.dimension, profile.prior
+    inertias, reals, values = start.pseudo_inertias.copy(), start.reals.copy(), np.empty(_STEPS + 1)
+    gradient, information, hessian = np.empty(size), np.empty((size, size)), np.empty((size, size))
+    reason, steps = native.descend(
+        *(COEFFICIENTS_TO_COORDINATES, prior.pseudo_inertias, prior.reals, manifold.scales, objective.weights),
+        *(*profile.by_channel, profile.counts, profile.least, objective.known_products),
+        np.array([GRADIENT * objective.scale, _RADIUS, _LEAST_DECREASE]),
+        *(inertias, reals, gradient, information, hessian, values),
+    )
+    if reason == len(ENDS):
+        raise LinAlgError("the objective's derivatives are not finite")
+    converged, why = ENDS[reason]
+    found = Evaluation(float(values[steps]), gradient, information, hessian)
+    point, passed = Point(inertias, prior.positives, reals), tuple(values[: steps + 1].tolist())
+    return Solution(point, found, converged, why.format(steps), steps, passed)

@@ -23,6 +23,15 @@ _ROUNDING = 1e-13
 _SHORTEST = 1e-12  # step
 _NEARLY = 0.99  # of the radius: a step that long is as good as one to the ball's end
 _CLOSE = 1e-10  # relative width of a bracket
+GRADIENT = 1e-8
+"""Norm at which a solve ends, as a share of the objective's scale."""
+_, _FLAT, _SETTLED, _ROUNDED = ENDS = (
+    (False, "no convergence in {} steps"),
+    (True, "gradient below tolerance"),
+    (True, "decrease below the least"),
+    (True, "no decrease left in rounding"),
+)
+"""How a solve may end: whether it converged, and why it stopped."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +56,7 @@ class Solution:
 def trust_region(
     objective: Objective,
     start: Point,
-    tolerance: float = 1e-8,
+    tolerance: float = GRADIENT,
     max_steps: int = 100,
     radius: float = 1.0,
     evaluation: Evaluation | None = None,
@@ -74,14 +83,14 @@ def trust_region(
     point, values = start, [evaluation.value]
     for step in range(max_steps):
         if np.linalg.norm(evaluation.gradient) <= tolerance * scale:
-            return Solution(point, evaluation, True, "gradient below tolerance", step, tuple(values))
+            return Solution(point, evaluation, *_FLAT, step, tuple(values))
         model = _QuadraticModel(evaluation)
         while True:
             tangent = model.minimiser(radius)
             predicted = -(evaluation.gradient @ tangent + 0.5 * tangent @ evaluation.hessian @ tangent)
             length = float(np.linalg.norm(tangent))
             if predicted < least_decrease and length < radius:
-                return Solution(point, evaluation, True, "decrease below the least", step, tuple(values))
+                return Solution(point, evaluation, *_SETTLED, step, tuple(values))
             candidate, trial = _tried(objective, point, evaluation, tangent)
             ratio = float((evaluation.value - trial.value) / predicted)
             if ratio >= _ACCEPT:
@@ -91,7 +100,7 @@ def trust_region(
                 ratio = 1.0
                 break
             if predicted <= _ROUNDING * evaluation.value or length < _SHORTEST:
-                return Solution(point, evaluation, True, "no decrease left in rounding", step, tuple(values))
+                return Solution(point, evaluation, *_ROUNDED, step, tuple(values))
             radius = 0.25 * length
         if ratio < _SHRINK_BELOW:
             radius = 0.25 * length
@@ -179,7 +188,7 @@ def cyclic(objective: Objective, start: Point, tolerance: float = 1e-8, max_step
     point, values = start, [evaluation.value]
     for step in range(max_steps):
         if np.linalg.norm(evaluation.gradient) <= tolerance * scale:
-            return Solution(point, evaluation, True, "gradient below tolerance", step, tuple(values))
+            return Solution(point, evaluation, *_FLAT, step, tuple(values))
         share = 1.0
         while True:
             candidate, trial = _tried(objective, point, evaluation, -share / scale * evaluation.gradient)
@@ -189,7 +198,7 @@ def cyclic(objective: Objective, start: Point, tolerance: float = 1e-8, max_step
                 break
             share *= 0.5
             if share < 1e-6:
-                return Solution(point, evaluation, True, "no decrease left in rounding", step, tuple(values))
+                return Solution(point, evaluation, *_ROUNDED, step, tuple(values))
         point, evaluation = candidate, trial
         values.append(evaluation.value)
     return Solution(point, evaluation, False, f"no convergence in {max_steps} cycles", max_steps, tuple(values))

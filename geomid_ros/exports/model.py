@@ -177,7 +177,7 @@ def _placements(urdf: str, tree: UrdfTree, source: str) -> dict[str, FloatArray]
     joints = {joint.child: joint for joint in joint_frames(urdf, source)}
     placements = {tree.root: np.eye(4)}
     for link in tree.subtree(tree.root)[1:]:
-        placed = pseudo_inertia.change_of_frame(joints[link].rotation.as_matrix(), joints[link].position)
+        placed = pseudo_inertia.change_of_frame(joints[link].rotation, joints[link].position)
         placements[link] = placements[joints[link].parent] @ placed
     return placements
 

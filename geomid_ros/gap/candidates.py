@@ -93,12 +93,12 @@ class Candidate:
         nested = self.effect.contains == other.name and joints_of(self.place) == joints_of(other.place)
         return self.group == other.group or nested
 
-    @property
+    @cached_property
     def cost(self) -> float:
         """Minus twice the logarithm of the prior odds."""
         return -2.0 * float(np.log(self.odds))
 
-    @property
+    @cached_property
     def usual(self) -> tuple[float, ...]:
         """Prior standard deviations of the coefficients about what is known; 0 for a share of what is measured."""
         return tuple(term.effect.usual[term.index] if term.effect.usual else 0.0 for term in self.terms)
@@ -127,7 +127,7 @@ class Candidate:
         """The effect's."""
         return self.effect.name
 
-    @property
+    @cached_property
     def payload(self) -> int | None:
         """The identified link, by its place among these, that carries it, of a body."""
         return self.place.link if isinstance(self.place, OnLink) else None
@@ -138,7 +138,7 @@ class Candidate:
         joints = joints_of(self.place)
         return joints[0] if len(joints) == 1 else None
 
-    @property
+    @cached_property
     def positives(self) -> int:
         """How many of its coefficients, the first ones, cannot be negative: what is identified along with the inertias
         may have other signs."""

@@ -14,6 +14,8 @@ from geomid_ros.inference.remainder import Remainder
 from geomid_ros.types import FloatArray, IntArray
 
 BLOCKS = 8  # of time, whose scatter shows how far rows are independent
+USUAL_SHARE = 0.3
+"""Prior standard deviation of a coefficient, as a share of what is measured, where nothing else is known of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +95,8 @@ class Design:
     _known_places: dict[Hypothesis[Any], IntArray] = field(default_factory=dict, repr=False)
     _known_scales: dict[Any, float] = field(default_factory=dict, repr=False)
     _known_terms: dict[Any, IntArray] = field(default_factory=dict, repr=False)
+    _known_trust: dict[Hypothesis[Any], FloatArray] = field(default_factory=dict, repr=False)
+    _known_reach: dict[Hypothesis[Any], list[int]] = field(default_factory=dict, repr=False)
     _products: dict[tuple[int, bytes], tuple[FloatArray, float]] = field(default_factory=dict, repr=False)
 
     @staticmethod
@@ -145,11 +149,22 @@ class Design:
             self._known_scales[term] = scale if np.isfinite(scale) and scale > 0.0 else 1.0
         return self._known_scales[term]
 
+    def trust(self, candidate: Hypothesis[Any]) -> FloatArray:
+        """Weights ``(k,)`` of a candidate's coefficients in their prior."""
+        if candidate not in self._known_trust:
+            usual = zip(candidate.usual, self.scales(candidate.terms), strict=True)
+            self._known_trust[candidate] = np.array([std or USUAL_SHARE * scale for std, scale in usual]) ** -2.0
+        return self._known_trust[candidate]
+
     def gather(self, bodies: Sequence[int], terms: Sequence[Any]) -> FloatArray:
         """Products ``(C, n, n)`` of the inertial columns, once more those of each link of ``bodies``, the terms'
         and the target's."""
         places = self.places(bodies, terms)
-        return np.array([_taken(p, own, own) for (p, _), own in zip(self._marginalised, places, strict=True)])
+        found, first = np.empty((*places.shape, places.shape[1])), self.dimension
+        for (products, _), own, into in zip(self._marginalised, places, found, strict=True):
+            rows = products[own]
+            into[:, :first], into[:, first:] = rows[:, :first], rows[:, own[first:]]
+        return found
 
     def settled(
         self, bodies: Sequence[int], terms: Sequence[Any], parameters: FloatArray, among: Collection[int] | None = None
@@ -179,7 +194,7 @@ class Design:
         """Sums of squares ``(C,)`` of what terms with these ``values (k,)`` add to each channel."""
         places = np.column_stack([self._places_of_term(term) for term in terms])
         own = zip(self.channels, places, strict=True)
-        return np.array([float(values @ _taken(c.products, place, place) @ values) for c, place in own])
+        return np.array([float(values @ c.products[np.ix_(place, place)] @ values) for c, place in own])
 
     def _residuals(
         self, bodies: Sequence[int], terms: Sequence[Any], parameters: FloatArray
@@ -211,17 +226,22 @@ class Design:
         """The channels that a candidate can change."""
         if candidate.payload is not None:
             return list(range(len(self.channels)))
-        return [i for i, c in enumerate(self.channels) if any(term in c.place for term in candidate.terms)]
+        if candidate not in self._known_reach:
+            own = [i for i, c in enumerate(self.channels) if any(term in c.place for term in candidate.terms)]
+            self._known_reach[candidate] = own
+        return self._known_reach[candidate]
 
     def own(self, alike: Sequence[Hypothesis[Any]], bodies: Sequence[int], terms: Sequence[Any]) -> CandidateProducts:
         """Products of the columns of candidates, each of which has as many, with those of :meth:`gather`."""
-        crossed, squared = [], []
         every = np.array([self._own_places(candidate) for candidate in alike])
         places = self.places(bodies, terms)
-        for mine, others, (products, _) in zip(every.swapaxes(0, 1), places, self._marginalised, strict=True):
-            crossed.append(_taken(products, mine, others))
-            squared.append(_taken(products, mine, mine))
-        return CandidateProducts(np.stack(crossed, axis=1), np.stack(squared, axis=1))
+        crossed = np.empty((*every.shape, places.shape[1]))
+        squared = np.empty((*every.shape, every.shape[2]))
+        for channel, (products, _) in enumerate(self._marginalised):
+            mine = every[:, channel]
+            crossed[:, channel] = products[mine][:, :, places[channel]]
+            squared[:, channel] = products[mine[:, :, None], mine[:, None]]
+        return CandidateProducts(crossed, squared)
 
     def _own_places(self, candidate: Hypothesis[Any]) -> IntArray:
         """Places of a candidate's columns in each channel ``(C, k)``."""
@@ -231,11 +251,3 @@ class Design:
             own = [self._places_of_term(term) for term in candidate.terms]
             self._known_places[candidate] = np.column_stack(own) if carried is None else carried
         return self._known_places[candidate]
-
-
-def _taken(matrix: FloatArray, rows: IntArray, columns: IntArray) -> FloatArray:
-    """The entries ``(..., r, c)`` of a square matrix at rows ``(..., r)`` and columns ``(..., c)``, of which some count
-    from the end: several times faster than by two indices."""
-    size = len(matrix)
-    flat = (rows % size)[..., :, None] * size + (columns % size)[..., None, :]
-    return np.take(matrix, flat, mode="clip")

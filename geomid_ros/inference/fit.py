@@ -19,15 +19,13 @@ from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, S
 from geomid_ros.geometry import definite, pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.inference import prior as priors
-from geomid_ros.inference.design import BLOCKS, Design, Lack
+from geomid_ros.inference.design import BLOCKS, USUAL_SHARE, Design, Lack
 from geomid_ros.inference.hypothesis import Chosen, Term
 from geomid_ros.inference.prior import Prior
 from geomid_ros.types import FloatArray
 
 _LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
 _ROUNDS = 8
-USUAL_SHARE = 0.3
-"""Prior standard deviation of a coefficient, as a share of what is measured, where nothing else is known of it."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -85,7 +83,7 @@ class JointFit(Generic[Chosen, Term]):
         """Derivative ``(D, D)`` of the parameters by the tangent coordinates."""
         return self.manifold.whiten(self.point, np.eye(self.manifold.dimension))
 
-    @property
+    @cached_property
     def covariance(self) -> FloatArray:
         """Of the parameters ``(D, D)``."""
         return self.jacobian @ self.inverse @ self.jacobian.T

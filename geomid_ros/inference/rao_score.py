@@ -9,7 +9,7 @@ from typing import Any, Generic
 import numpy as np
 
 from geomid_ros.inference.design import CandidateProducts, Design
-from geomid_ros.inference.fit import USUAL_SHARE, JointFit
+from geomid_ros.inference.fit import JointFit
 from geomid_ros.inference.hypothesis import Chosen
 from geomid_ros.types import BoolArray, FloatArray
 
@@ -58,6 +58,8 @@ class _Test(Generic[Chosen]):
         self._vector = np.append(current.point.parameters, -1.0)
         self._products = design.gather(current.bodies, current.terms)
         self._moved = self._products @ self._vector
+        reached = [np.flatnonzero(np.diag(products)) for products in self._products]
+        self._by_channel = [(at, own[np.ix_(at, at)]) for at, own in zip(reached, self._products, strict=True)]
         self._values = dict(zip(current.terms, current.point.reals.tolist(), strict=True))
 
     def of(self, alike: Sequence[Chosen]) -> dict[Chosen, Trial[Chosen]]:
@@ -67,7 +69,7 @@ class _Test(Generic[Chosen]):
         mixed = np.tensordot(own.crossed[..., :-1], self._weights, (1, 0)) @ jacobian
         solved = mixed @ self._current.inverse.T
         squared = np.tensordot(own.squared, self._weights, (1, 0))
-        trust = np.array([self._trust(candidate) for candidate in alike])
+        trust = self._trust(alike)
         left = squared - mixed @ solved.swapaxes(1, 2)
         width = left + trust[:, :, None] * np.eye(trust.shape[1])
         slope = np.tensordot(own.crossed @ self._vector, self._weights, (1, 0))
@@ -82,29 +84,30 @@ class _Test(Generic[Chosen]):
         separability[impossible] = largest[impossible]
         gain[impossible | (largest <= _LEAST_EIGENVALUE)] = -np.inf
         gain -= np.sum(trust * step**2, axis=1) + np.array([candidate.cost for candidate in alike])
-        gain -= np.array([self._narrowed(*own) for own in zip(alike, width, trust, strict=True)])
-        return {c: Trial(c, float(g), float(s)) for c, g, s in zip(alike, gain, separability, strict=True)}
+        gain -= self._narrowed(alike, width, trust)
+        return {c: Trial(c, g, s) for c, g, s in zip(alike, gain.tolist(), separability.tolist(), strict=True)}
 
-    def _trust(self, candidate: Chosen) -> FloatArray:
-        """Weights ``(k,)`` of a candidate's coefficients in their prior; of a body next to none."""
-        if candidate.payload is not None:
-            return np.full(10, 1e-12)
-        scales = self._design.scales(candidate.terms)
-        stds = [std or USUAL_SHARE * scale for std, scale in zip(candidate.usual, scales, strict=True)]
-        return np.array(stds) ** -2.0
+    def _trust(self, alike: Sequence[Chosen]) -> FloatArray:
+        """Weights ``(G, k)`` of the candidates' coefficients in their prior; of bodies next to none."""
+        if alike[0].payload is not None:
+            return np.full((len(alike), 10), 1e-12)
+        return np.array([self._design.trust(candidate) for candidate in alike])
 
-    def _narrowed(self, candidate: Chosen, width: FloatArray, trust: FloatArray) -> float:
-        """By how much the data narrow the coefficients, as minus twice a logarithm; of a body by a rule of thumb."""
-        if candidate.payload is not None:
-            return _DIRECTIONS_OF_BODY * float(np.log(np.max(self._counts)))
-        return float(np.linalg.slogdet(width)[1] - np.sum(np.log(trust)))
+    def _narrowed(self, alike: Sequence[Chosen], width: FloatArray, trust: FloatArray) -> FloatArray:
+        """By how much the data narrow the coefficients, as minus twice a logarithm ``(G,)``; of bodies by a rule of
+        thumb."""
+        if alike[0].payload is not None:
+            return np.full(len(alike), _DIRECTIONS_OF_BODY * np.log(np.max(self._counts)))
+        return np.asarray(np.linalg.slogdet(width)[1] - np.sum(np.log(trust), axis=1))
 
     def _gain(self, own: CandidateProducts, step: FloatArray, tangent: FloatArray) -> FloatArray:
         """What steps of the candidates' coefficients ``(G, k)`` and of all others ``(G, D)`` gain ``(G,)``."""
         current, weights = self._current, self._weights
         longer = np.pad(tangent @ current.jacobian.T, ((0, 0), (0, 1)))
         slopes = longer @ self._moved.T
-        curvatures = np.einsum("cgn,gn->gc", longer @ self._products, longer)
+        curvatures = np.stack(
+            [np.sum((longer[:, at] @ own) * longer[:, at], axis=1) for at, own in self._by_channel], 1
+        )
         squares = current.squares + 2.0 * slopes + curvatures
         crossed = np.einsum("gckn,gn->gck", own.crossed, self._vector + longer)
         squares += 2.0 * np.einsum("gck,gk->gc", crossed, step)
@@ -117,11 +120,14 @@ class _Test(Generic[Chosen]):
 
     def _is_impossible(self, alike: Sequence[Chosen], step: FloatArray) -> BoolArray:
         """Whether a coefficient that cannot be negative would become so ``(G,)``."""
+        if alike[0].payload is not None:
+            return np.zeros(len(alike), dtype=bool)
         found = np.zeros(len(alike), dtype=bool)
-        for index, candidate in enumerate(alike):
-            terms = candidate.terms[: candidate.positives]
-            before = [self._values.get(term, 0.0) for term in terms]
-            found[index] = bool(np.any(before + step[index, : len(terms)] < 0.0))
+        for index in np.flatnonzero(np.any(step < 0.0, axis=1)).tolist():
+            terms = alike[index].terms[: alike[index].positives]
+            found[index] = any(
+                self._values.get(t, 0.0) + s < 0.0 for t, s in zip(terms, step[index].tolist(), strict=False)
+            )
         return found
 
 

@@ -15,13 +15,13 @@ from geomid_ros.inference.prior import Prior
 from geomid_ros.inference.rao_score import Trial, score_tests
 
 KEPT_PROMISE = 2.5
-"""A hypothesis brings no more than so many times what the score test promises: of some 3,000 none did."""
+"""A hypothesis brings no more than so many times what the score test promises: of some 3,000 none did; nor is a loss so
+many times smaller than it is to second order."""
 _SHORTLIST = 4
 _BODIES = 3
 _EXCHANGES = 4
 _MOST = 40
 _PLAUSIBLE = 0.5  # of a loss: what the score test must promise of a rival that is tried
-_CLEAR = 40.0  # a hypothesis whose loss is larger, to second order, need not be tried to be left out
 
 
 class Selection(Generic[Chosen, Term]):
@@ -33,6 +33,7 @@ class Selection(Generic[Chosen, Term]):
         self.hypotheses = list(hypotheses)
         self._fits: dict[frozenset[Chosen], JointFit[Chosen, Term]] = {}
         self._bodies: dict[frozenset[Chosen], list[Trial[Chosen]]] = {}
+        self._ranked: dict[frozenset[Chosen], list[Trial[Chosen]]] = {}
         self._excluded: dict[Chosen, frozenset[Chosen]] = {}
         self._contested_at: dict[Chosen, float] = {}  # the score at which another may stand in its place
 
@@ -47,10 +48,16 @@ class Selection(Generic[Chosen, Term]):
         """The fit without some of its hypotheses."""
         return self.fit([c for c in current.chosen if c not in gone], current)
 
-    def ranked(self, current: JointFit[Chosen, Term], among: Sequence[Chosen] | None = None) -> list[Trial[Chosen]]:
+    def ranked(self, current: JointFit[Chosen, Term]) -> list[Trial[Chosen]]:
         """Hypotheses that could join, the best of each group, by the score test."""
+        key = frozenset(current.chosen)
+        if key not in self._ranked:
+            self._ranked[key] = self._rank(current, self.hypotheses)
+        return self._ranked[key]
+
+    def _rank(self, current: JointFit[Chosen, Term], among: Sequence[Chosen]) -> list[Trial[Chosen]]:
         excluded = set[Chosen]().union(*map(self._excluded_by, current.chosen))
-        possible = [c for c in (self.hypotheses if among is None else among) if c not in excluded]
+        possible = [c for c in among if c not in excluded]
         best: dict[Hashable, Trial[Chosen]] = {}
         for trial in score_tests(self.design, current, possible):
             group = trial.candidate.group
@@ -103,16 +110,21 @@ class Selection(Generic[Chosen, Term]):
         return current
 
     def _grown(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term] | None:
-        """The best set with one hypothesis more; None if nothing is worth it."""
+        """The best set with one hypothesis more; None if nothing is worth it. The one that the score test prefers is
+        compared with those that reach a channel of its own: the others have their turn."""
         if len(current.chosen) >= _MOST:
             return None
         best: JointFit[Chosen, Term] | None = None
+        reached = frozenset[int]()
         for trial in self._promising(current, 0.0):
+            own = frozenset(self.design.reached(trial.candidate))
             if best is not None and KEPT_PROMISE * trial.gain < current.score - best.score:
                 break
+            if best is not None and not own & reached:
+                continue
             larger = self.fit([*current.chosen, trial.candidate], current)
             if self.possible(larger) and larger.score < (best or current).score:
-                best = larger
+                best, reached = larger, own
         return best
 
     def _promising(
@@ -132,7 +144,7 @@ class Selection(Generic[Chosen, Term]):
         key = frozenset(current.chosen)
         if key not in self._bodies:
             firm = fit(self.design, self.prior, current.chosen, current, self.prior.link_spreads)
-            trials = self.ranked(firm, [c for c in self.hypotheses if c.payload is not None])
+            trials = self._rank(firm, [c for c in self.hypotheses if c.payload is not None])
             self._bodies[key] = [trial for trial in trials if trial.gain > 0.0][:_BODIES]
         return self._bodies[key]
 
@@ -149,8 +161,18 @@ class Selection(Generic[Chosen, Term]):
         sets = [(c,) for c in current.chosen]
         pairs = [pair for pair in combinations(current.chosen, 2) if self._overlap(*pair)]
         for gone in (*sets, *pairs):
-            if self.estimated_loss(current, gone) < _CLEAR:
+            if self.estimated_loss(current, gone) < KEPT_PROMISE * self._price(current, gone):
                 yield self.without(current, *gone)
+
+    def _price(self, current: JointFit[Chosen, Term], gone: Sequence[Chosen]) -> float:
+        """What some hypotheses cost, as minus twice a logarithm: by their prior odds, and by how much the data narrow
+        their coefficients; without end with a body among them, of which that is not known."""
+        if any(c.payload is not None for c in gone):
+            return float("inf")
+        places = [current.place(term) for c in gone for term in c.terms]
+        roots = np.sqrt(np.concatenate([self.design.trust(c) for c in gone]))
+        narrowed = np.linalg.slogdet(current.covariance[np.ix_(places, places)] * np.outer(roots, roots))[1]
+        return sum(c.cost for c in gone) - float(narrowed)
 
     def _overlap(self, first: Chosen, second: Chosen) -> bool:
         """Whether two change a channel in common, both alone."""

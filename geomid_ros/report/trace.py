@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.ticker import MaxNLocator
 
+from geomid_ros.report.lines import line_path, ticks
 from geomid_ros.report.series import BINS, Clock, Series, limits, thinned
 from geomid_ros.report.sheet import number
 from geomid_ros.types import FloatArray
@@ -64,10 +64,9 @@ def _trace(channel: Series, clock: Clock, bins: int) -> Trace:
     def path(values: FloatArray) -> str:
         seconds, heights = thinned(channel.times, values, clock, bins)
         down = np.clip(HEIGHT * (high - heights) / (high - low), -_FAR, _FAR)
-        return _path(WIDTH * seconds / end, down)
+        return line_path(WIDTH * seconds / end, down)
 
     before, after = map(number, channel.rms)
-    ticks = [tick for tick in map(float, MaxNLocator(4).tick_values(low, high)) if low <= tick <= high]
     return Trace(
         name=channel.name,
         unit=channel.unit,
@@ -78,14 +77,6 @@ def _trace(channel: Series, clock: Clock, bins: int) -> Trace:
         end=end,
         times=[f"{second:.4g}" for second in np.linspace(0.0, end, _TIMES)],
         clock=clock.label,
-        ticks=[(f"{tick:g}", 100.0 * (high - tick) / (high - low)) for tick in ticks],
+        ticks=[(f"{tick:g}", 100.0 * (high - tick) / (high - low)) for tick in ticks(low, high, 4)],
         lines={kind: path(values) for kind, values in kinds.items()},
     )
-
-
-def _path(x: FloatArray, y: FloatArray) -> str:
-    """The path of a line that is broken where it is NaN."""
-    breaks = np.flatnonzero(np.isnan(x) | np.isnan(y))
-    runs = np.split(np.column_stack([x, y]), breaks)
-    known = (run[np.all(np.isfinite(run), axis=1)] for run in runs)
-    return "".join("M" + " ".join(map(str, np.rint(run).astype(int).ravel().tolist())) for run in known if len(run))

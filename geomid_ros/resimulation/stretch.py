@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
@@ -41,5 +40,7 @@ def interpolated(times: FloatArray, values: FloatArray, at: FloatArray) -> Float
 
     Columns that are not measured throughout are zero.
     """
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 takes long to load
+
     spline = CubicSpline(times, np.where(np.all(np.isfinite(values), axis=0), values, 0.0))
     return np.asarray(spline(at))

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from geometry import bodies
+from numpy.linalg import LinAlgError
 
 from geomid_ros.estimation.objective import Evaluation, ProductsObjective
-from geomid_ros.estimation.profile_objective import Profile, ProfileObjective
+from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, minimum
 from geomid_ros.geometry import compiled
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray
@@ -128,3 +129,31 @@ def test_a_column_that_a_channel_does_not_have_does_not_matter_to_it() -> None:
     before, after = profile.squares(point), profile.squares(other)
     assert after[1] == pytest.approx(before[1], rel=1e-12)
     assert after[0] != pytest.approx(before[0], rel=1e-3)
+
+
+@SEEDS
+@pytest.mark.parametrize("known", [0, 3])
+def test_the_minimum_of_channels_is_the_same(seed: int, known: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the prior and from far away, where steps are shortened and taken back."""
+    rng = np.random.default_rng(seed)
+    manifold = StraightManifold(3, 0, rng.uniform(0.1, 10.0, size=4))
+    profile = sparse(rng, manifold, bodies.point(rng, manifold), 3)
+    objective = ProfileObjective(profile, weights(rng, manifold), rng.normal(size=(known, manifold.dimension + 1)))
+    for start in (profile.prior, bodies.point(rng, manifold)):
+        own = minimum(objective, start)
+        with monkeypatch.context() as context:
+            without(context)
+            expected = minimum(objective, start)
+            assert_same(own.evaluation, objective.evaluate(own.point))
+        assert (own.reason, own.steps) == (expected.reason, expected.steps)
+        np.testing.assert_allclose(own.values, expected.values, rtol=1e-6)
+        np.testing.assert_allclose(own.point.parameters, expected.point.parameters, rtol=1e-4, atol=1e-6)
+
+
+def test_a_minimum_is_not_looked_for_from_nowhere() -> None:
+    rng = np.random.default_rng(0)
+    manifold = StraightManifold(1, 0, np.array([1.0]))
+    profile = sparse(rng, manifold, bodies.point(rng, manifold))
+    nowhere = replace(profile.prior, reals=np.full(1, np.nan))
+    with pytest.raises(LinAlgError, match="not finite"):
+        minimum(ProfileObjective(profile, weights(rng, manifold), np.zeros((0, 12))), nowhere)

@@ -7,23 +7,22 @@ from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from geomid_ros.model.urdf_tree import read_numbers, read_xml
+from geomid_ros.model.urdf_tree import axes_of, read_numbers, read_xml
 from geomid_ros.types import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class JointFrame:
-    """A joint at zero: ``position (3,)`` [m] and ``rotation`` of its child link in the parent's frame, its unit ``axis
-    (3,)`` in the child's, its range [rad or m] and its effort limit [N m or N], infinite where there is none."""
+    """A joint at zero: ``position (3,)`` [m] and ``rotation (3, 3)`` of its child link in the parent's frame, its unit
+    ``axis (3,)`` in the child's, its range [rad or m] and its effort limit [N m or N], infinite where there is none."""
 
     name: str
     slides: bool
     parent: str
     child: str
     position: FloatArray
-    rotation: Rotation
+    rotation: FloatArray
     axis: FloatArray
     lower: float
     upper: float
@@ -51,7 +50,7 @@ def _joint_frame(element: Element, source: str) -> JointFrame:
         parent=element.find("parent").get("link", ""),  # type: ignore[union-attr]  # the tree was checked
         child=element.find("child").get("link", ""),  # type: ignore[union-attr]
         position=np.array(position),
-        rotation=Rotation.from_euler("xyz", angles),
+        rotation=axes_of(angles),
         axis=axis / np.linalg.norm(axis) if np.any(axis) else axis,
         lower=lower,
         upper=upper,

@@ -23,6 +23,7 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import EFFECTS, Hinge, KnownEffect, joints_of, values_of
 from geomid_ros.model.effects.places import place_named
 from geomid_ros.model.robot import Robot
+from geomid_ros.model.se3 import quaternion
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.types import FloatArray
 
@@ -111,8 +112,7 @@ class _Writer:
     def _add_link(self, parent: Element, link: str, joint: JointFrame | None) -> Element:
         body = SubElement(parent, "body", name=_body_name(link))
         if joint is not None:
-            quaternion = np.roll(joint.rotation.as_quat(), 1)
-            body.attrib |= {"pos": words(joint.position), "quat": words(quaternion)}
+            body.attrib |= {"pos": words(joint.position), "quat": words(np.roll(quaternion(joint.rotation), 1))}
         moves = joint is not None and joint.name in self._moving
         if link in self._bodies:
             _add_inertial(body, self._bodies[link])
@@ -188,7 +188,7 @@ class _Writer:
         if link in self._payloads:
             total = total + pseudo_inertia.from_parameters(payload_parameters(self._payloads[link]))
         for joint in self._children(link):
-            placed = pseudo_inertia.change_of_frame(joint.rotation.as_matrix(), joint.position)
+            placed = pseudo_inertia.change_of_frame(joint.rotation, joint.position)
             total = total + placed @ self._composite(joint.child) @ placed.T
         return total
 

@@ -8,10 +8,10 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from geomid_ros.errors import InputError
-from geomid_ros.model.urdf_tree import read_numbers, read_xml
+from geomid_ros.model.se3 import quaternion
+from geomid_ros.model.urdf_tree import axes_of, read_numbers, read_xml
 from geomid_ros.types import FloatArray
 
 _READ_BY_MUJOCO = (".stl", ".obj", ".msh")
@@ -60,7 +60,7 @@ def mjcf_shapes(urdf: str, source: str, find: Callable[[str, str], Path]) -> Sha
 
 def _placement(element: Element, where: str) -> dict[str, str]:
     position, angles = (read_numbers(element, "origin", (key,), [0.0] * 3, where) for key in ("xyz", "rpy"))
-    return {"pos": words(position), "quat": words(np.roll(Rotation.from_euler("xyz", angles).as_quat(), 1))}
+    return {"pos": words(position), "quat": words(np.roll(quaternion(axes_of(angles)), 1))}
 
 
 def _shape(element: Element, where: str) -> dict[str, str]:

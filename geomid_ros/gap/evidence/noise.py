@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.model.measurement import MeasurementModel
@@ -134,6 +133,8 @@ def noise_by_repeats(model: MeasurementModel, records: Records) -> Repeats:
     Two runs of a motion, in one stretch or in two, differ by the noise of both, whatever the robot does; so half their
     mean squared difference is the variance of the noise, coloured or not.
     """
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 takes long to load
+
     squares, counts = np.zeros((2, len(model.channels)))
     for first, second in combinations_with_replacement(records.dense, 2):
         values = [_measured(model, part) for part in (first, second)]

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.ndimage import maximum_filter1d
+from numpy.lib.stride_tricks import sliding_window_view
 
 from geomid_ros.estimation.fit import INDEPENDENT
 from geomid_ros.model.dynamics import Dynamics
@@ -194,11 +193,14 @@ def _load_terms(
 
 def _unsettled(part: Samples) -> FloatArray:
     sharp, smooth = part.column(SIGN), part.column(SMOOTH_SIGN)
-    reach = 2 * round(_REVERSAL / _period(part)) + 1
-    return np.asarray(maximum_filter1d(np.abs(sharp - smooth), reach, axis=0))
+    reach = round(_REVERSAL / _period(part))
+    off = np.pad(np.abs(sharp - smooth), ((reach, reach), (0, 0)))
+    return np.asarray(np.max(sliding_window_view(off, 2 * reach + 1, axis=0), axis=-1))
 
 
 def _advanced(part: Samples, seconds: float) -> Samples:
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 of delays alone
+
     times = part.seconds
     effort = np.full(part.effort.shape, np.nan)
     for joint, measured in enumerate(np.isfinite(part.effort).T):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import nnls
 
 from geomid_ros.gap.candidates import EffectTerm, NamesFit
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem
@@ -33,6 +32,8 @@ def folded(problem: LinearisedProblem, found: NamesFit) -> dict[tuple[str, str],
 def _changes(
     problem: LinearisedProblem, found: NamesFit, joint: int, said: Sequence[EffectTerm], unsaid: Sequence[EffectTerm]
 ) -> list[float]:
+    from scipy.optimize import nnls  # noqa: PLC0415 seldom needed
+
     columns = problem.columns((), [*said, *unsaid])
     values = np.array([found.value(term) for term in (*said, *unsaid)])
     stacked = np.stack([columns[term].get(joint, np.zeros(len(problem.records.samples))) for term in columns], axis=1)

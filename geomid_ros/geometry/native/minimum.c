@@ -252,6 +252,202 @@ FOR_EACH_PROCESSOR static void weigh(
         for (int j = 0; j < i; j++) total[(long)i * size + j] = total[(long)j * size + i];
 }
 
+/* What profile_objective.py minimises, and room for an evaluation: `problem` has what does not depend on the point. */
+typedef struct {
+    Problem problem;
+    int channels, knows; /* whether there are `known` products (D + 1, D + 1) of rows at the prior */
+    const double *products, *counts, *least, *known;
+    const long long *places, *ends;
+    double *squares, *total, *vector, *off, *slope;
+} Profile;
+
+typedef struct {
+    double value, *inertias, *rest, *gradient, *information, *hessian;
+} State;
+
+INLINE double dot(const double *x, const double *y, int count) {
+    Vector lanes = {0.0};
+    double sum = 0.0;
+    int k = 0;
+    for (; k + LANES <= count; k += LANES) lanes += loaded(x + k) * loaded(y + k);
+    for (; k < count; k++) sum += x[k] * y[k];
+    for (int lane = 0; lane < LANES; lane++) sum += lanes[lane];
+    return sum;
+}
+
+/* Parameters (D,) of links and coefficients. */
+static void parameters_of(const Problem *p, const double *inertias, const double *rest, double *result) {
+    for (int link = 0; link < p->links; link++)
+        for (int r = 0; r < 10; r++) {
+            double sum = 0.0;
+            for (int a = 0; a < 10; a++)
+                sum += p->basis[10 * r + a] * (a < 4 ? 1.0 : ROOT_TWO) * inertias[16 * link + 4 * ROW[a] + COLUMN[a]];
+            result[10 * link + r] = sum;
+        }
+    memcpy(result + 10 * p->links, rest, sizeof(double) * (p->size - 10 * p->links));
+}
+
+FOR_EACH_PROCESSOR static void evaluate(const Profile *profile, State *at) {
+    Problem problem = profile->problem;
+    const int size = problem.size, stride = size + 1;
+    double *vector = profile->vector, *slope = profile->slope, *total = profile->total, value = 0.0;
+    parameters_of(&problem, at->inertias, at->rest, vector);
+    vector[size] = -1.0;
+    weigh(
+        profile->products, profile->places, profile->ends, vector, profile->counts, profile->least, profile->channels,
+        stride, profile->squares, total);
+    for (int channel = 0; channel < profile->channels; channel++)
+        value += 0.5 * profile->counts[channel] * log(profile->squares[channel]);
+    for (int k = 0; k < size; k++) slope[k] = dot(total + (long)k * stride, vector, stride);
+    if (profile->knows) {
+        double *off = profile->off;
+        parameters_of(&problem, problem.priors, problem.prior_rest, off);
+        for (int k = 0; k < size; k++) off[k] = vector[k] - off[k];
+        off[size] = 1.0;
+        for (int k = 0; k < stride; k++) {
+            const double moved = dot(profile->known + (long)k * stride, off, stride);
+            value += 0.5 * off[k] * moved;
+            slope[k] += moved;
+        }
+        for (long k = 0; k < (long)stride * stride; k++) total[k] += profile->known[k];
+    }
+    problem.inertias = at->inertias;
+    problem.rest = at->rest;
+    problem.gradient = at->gradient;
+    problem.information = at->information;
+    problem.hessian = at->hessian;
+    at->value = value + second_order(&problem);
+}
+
+/* Where a step along a straight line leads. */
+static void stepped(const Problem *p, const State *from, const double *tangent, State *to) {
+    const int inertial = 10 * p->links;
+    straight_lines(from->inertias, tangent, p->links, to->inertias);
+    for (int k = inertial; k < p->size; k++)
+        to->rest[k - inertial] = from->rest[k - inertial] + p->scales[k - inertial] * tangent[k];
+}
+
+static int is_finite(const State *at, int size) {
+    double sum = at->value;
+    for (int k = 0; k < size; k++) sum += at->gradient[k];
+    for (long k = 0; k < (long)size * size; k++) sum += at->hessian[k];
+    return isfinite(sum);
+}
+
+/* `onto` less so many times what is `taken`. */
+INLINE void less(double *restrict onto, const double *restrict taken, double times, int count) {
+    for (int k = 0; k < count; k++) onto[k] -= times * taken[k];
+}
+
+/* x of U^T x = x, for the upper triangle of U (size, size). */
+INLINE void forward(const double *upper, int size, double *x) {
+    for (int k = 0; k < size; k++) {
+        const double *row = upper + (long)k * size;
+        x[k] /= row[k];
+        less(x + k + 1, row + k + 1, x[k], size - k - 1);
+    }
+}
+
+/* x = -(H + damping 1)^-1 g by Cholesky's decomposition, and x (H + damping 1)^-1 x; 0 where that is not positive
+ * definite. `upper` (size, size) and `room` (size,) are overwritten. */
+FOR_EACH_PROCESSOR static int damped(
+    const State *at, int size, double damping, double *upper, double *room, double *x, double *bend) {
+    memcpy(upper, at->hessian, sizeof(double) * size * size);
+    for (int k = 0; k < size; k++) upper[(long)k * size + k] += damping;
+    for (int k = 0; k < size; k++) {
+        double *row = upper + (long)k * size;
+        if (!(row[k] > 0.0)) return 0;
+        const double inverse = 1.0 / sqrt(row[k]);
+        for (int j = k; j < size; j++) row[j] *= inverse;
+        for (int i = k + 1; i < size; i++) less(upper + (long)i * size + i, row + i, row[i], size - i);
+    }
+    for (int k = 0; k < size; k++) x[k] = -at->gradient[k];
+    forward(upper, size, x);
+    for (int k = size - 1; k >= 0; k--) {
+        const double *row = upper + (long)k * size;
+        x[k] = (x[k] - dot(row + k + 1, x + k + 1, size - k - 1)) / row[k];
+    }
+    memcpy(room, x, sizeof(double) * size);
+    forward(upper, size, room);
+    *bend = dot(room, room, size);
+    return 1;
+}
+
+/* The minimiser of the quadratic model within a ball, see solvers.py, and its length. */
+static double minimiser(const State *at, int size, double radius, double *factor, double *room, double *x, double *best) {
+    const double nearly = 0.99, close = 1e-10;
+    const double steepest = sqrt(dot(at->gradient, at->gradient, size)) / radius;
+    const double largest = sqrt(dot(at->hessian, at->hessian, size * size));
+    const double smallest = 1e-13 * (largest > steepest ? largest : steepest);
+    double low = 0.0, high = INFINITY, damping = 0.0, found = -1.0, bend;
+    while (found < 0.0 || high - low > close * high) {
+        const int definite = damped(at, size, damping, factor, room, x, &bend);
+        const double length = definite ? sqrt(dot(x, x, size)) : INFINITY;
+        if (length <= radius) {
+            high = damping;
+            found = length;
+            memcpy(best, x, sizeof(double) * size);
+            if (damping == 0.0 || !(0.0 < length && length < nearly * radius)) break;
+        } else
+            low = damping;
+        if (definite) damping += length * length / bend * (length / (0.5 * (1.0 + nearly) * radius) - 1.0);
+        if (!definite || !(low < damping && damping < high)) {
+            const double least = low > smallest ? low : smallest;
+            damping = found >= 0.0 ? sqrt(least * high) : 10.0 * least;
+        }
+    }
+    return found;
+}
+
+enum { UNFINISHED, FLAT, SETTLED, ROUNDED, INFINITE };
+
+/* Newton's steps in a trust region, as in solvers.py, from states[0] on; `limits`: of the gradient's norm, the first
+ * radius, and the least decrease. Where it ends is states[*end]. */
+static int descend(
+    const Profile *profile, State states[2], const double *limits, int most, double *values, int *steps, int *end,
+    double *factor, double *room, double *x, double *tangent) {
+    const int size = profile->problem.size;
+    double radius = limits[1];
+    State *at = states, *trial = states + 1;
+    evaluate(profile, at);
+    if (!is_finite(at, size)) return INFINITE;
+    values[0] = at->value;
+    for (*steps = 0; *steps < most; values[++*steps] = at->value) {
+        const double steep = sqrt(dot(at->gradient, at->gradient, size));
+        double ratio, length;
+        *end = (int)(at - states);
+        if (steep <= limits[0]) return FLAT;
+        for (;;) {
+            length = minimiser(at, size, radius, factor, room, x, tangent);
+            double predicted = -dot(at->gradient, tangent, size);
+            for (int k = 0; k < size; k++)
+                predicted -= 0.5 * tangent[k] * dot(at->hessian + (long)k * size, tangent, size);
+            if (predicted < limits[2] && length < radius) return SETTLED;
+            stepped(&profile->problem, at, tangent, trial);
+            evaluate(profile, trial);
+            const int finite = is_finite(trial, size);
+            ratio = finite ? (at->value - trial->value) / predicted : -INFINITY;
+            if (ratio >= 1e-4) break;
+            if (finite && predicted <= 1e-10 * at->value &&
+                sqrt(dot(trial->gradient, trial->gradient, size)) <= 0.5 * steep) {
+                ratio = 1.0;
+                break;
+            }
+            if (predicted <= 1e-13 * at->value || length < 1e-12) return ROUNDED;
+            radius = 0.25 * length;
+        }
+        if (ratio < 0.25)
+            radius = 0.25 * length;
+        else if (ratio > 0.75 && length >= 0.99 * radius)
+            radius *= 2.0;
+        State *before = at;
+        at = trial;
+        trial = before;
+    }
+    *end = (int)(at - states);
+    return UNFINISHED;
+}
+
 PyObject *native_straight_lines(PyObject *module, PyObject *arguments) {
     Py_buffer base, steps, ends;
     (void)module;
@@ -307,4 +503,74 @@ PyObject *native_weigh(PyObject *module, PyObject *arguments) {
         (int)(vector.len / sizeof(double)), squares.buf, total.buf);
     release(8, (Py_buffer *[]){&products, &places, &ends, &vector, &counts, &least, &squares, &total});
     Py_RETURN_NONE;
+}
+
+PyObject *native_descend(PyObject *module, PyObject *arguments) {
+    Py_buffer basis, priors, prior_rest, scales, weights, products, places, ends, counts, least, known, limits;
+    Py_buffer inertias, rest, gradient, information, hessian, values;
+    (void)module;
+    if (!PyArg_ParseTuple(
+            arguments, "y*y*y*y*y*y*y*y*y*y*y*y*w*w*w*w*w*w*", &basis, &priors, &prior_rest, &scales, &weights, &products,
+            &places, &ends, &counts, &least, &known, &limits, &inertias, &rest, &gradient, &information, &hessian,
+            &values))
+        return NULL;
+    const int size = (int)(weights.len / sizeof(double)), channels = (int)(counts.len / sizeof(double));
+    const long square = (long)size * size, stride = size + 1;
+    Profile profile = {
+        .problem =
+            {.links = (int)(priors.len / (16 * sizeof(double))),
+             .size = size,
+             .basis = basis.buf,
+             .priors = priors.buf,
+             .prior_rest = prior_rest.buf,
+             .scales = scales.buf,
+             .weights = weights.buf},
+        .channels = channels,
+        .knows = known.len > 0,
+        .products = products.buf,
+        .counts = counts.buf,
+        .least = least.buf,
+        .known = known.buf,
+        .places = places.buf,
+        .ends = ends.buf,
+    };
+    double *room = PyMem_Malloc(sizeof(double) * (3 * square + stride * stride + 8 * stride + 16 * stride + channels));
+    Link *terms = PyMem_Malloc((profile.problem.links + 1) * sizeof(Link));
+    int steps = 0, end = 0, reason = UNFINISHED;
+    if (room && terms) {
+        double *next = room;
+#define TAKE(count) (next += (count), next - (count))
+        State states[2] = {
+            {0.0, inertias.buf, rest.buf, gradient.buf, information.buf, hessian.buf},
+            {0.0, TAKE(16 * profile.problem.links), TAKE(stride), TAKE(stride), TAKE(square), TAKE(square)}};
+        double *factor = TAKE(square), *other = TAKE(stride), *x = TAKE(stride), *tangent = TAKE(stride);
+        profile.vector = TAKE(stride);
+        profile.off = TAKE(stride);
+        profile.slope = TAKE(stride);
+        profile.total = TAKE(stride * stride);
+        profile.squares = TAKE(channels);
+        profile.problem.slope = profile.slope;
+        profile.problem.products = profile.total;
+        profile.problem.terms = terms;
+        Py_BEGIN_ALLOW_THREADS
+        reason = descend(
+            &profile, states, limits.buf, (int)(values.len / sizeof(double)) - 1, values.buf, &steps, &end, factor, other,
+            x, tangent);
+        Py_END_ALLOW_THREADS
+        if (end) {
+            memcpy(inertias.buf, states[1].inertias, inertias.len);
+            memcpy(rest.buf, states[1].rest, rest.len);
+            memcpy(gradient.buf, states[1].gradient, gradient.len);
+            memcpy(information.buf, states[1].information, information.len);
+            memcpy(hessian.buf, states[1].hessian, hessian.len);
+        }
+    }
+    const int failed = !(room && terms);
+    PyMem_Free(room);
+    PyMem_Free(terms);
+    release(
+        18, (Py_buffer *[]){
+                &basis, &priors, &prior_rest, &scales, &weights, &products, &places, &ends, &counts, &least, &known,
+                &limits, &inertias, &rest, &gradient, &information, &hessian, &values});
+    return failed ? PyErr_NoMemory() : Py_BuildValue("ii", reason, steps);
 }

@@ -4,6 +4,7 @@
 #include "native.h"
 
 static PyMethodDef methods[] = {
+    {"descend", native_descend, METH_VARARGS, "The minimum of a profile objective, by Newton's steps in a trust region."},
     {"eigenvectors", native_eigenvectors, METH_VARARGS, "Eigenvalues and eigenvectors of up to eight 4x4 matrices."},
     {"measure", native_measure, METH_VARARGS, "Half the squared distances to hyperplanes."},
     {"project", native_project, METH_VARARGS, "The same to second order."},

@@ -7,6 +7,7 @@ static inline void release(int count, Py_buffer **buffers) {
     for (int k = 0; k < count; k++) PyBuffer_Release(buffers[k]);
 }
 
+PyObject *native_descend(PyObject *module, PyObject *arguments);
 PyObject *native_eigenvectors(PyObject *module, PyObject *arguments);
 PyObject *native_measure(PyObject *module, PyObject *arguments);
 PyObject *native_project(PyObject *module, PyObject *arguments);
