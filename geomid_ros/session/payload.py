@@ -20,16 +20,13 @@ from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.inference.prior import SPREAD_OF_PAYLOADS, usual_payload
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.session.configuration import GAIN, Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray, IntArray
-
-_SPREAD = 3.0  # a geodesic distance: a payload may weigh a tenth or ten times of what is usual
-_MASS = 0.2  # of the mean link's
-_SIZE = 0.1  # [m] radius of gyration about a plane through its centre
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -119,12 +116,12 @@ def weigh(
     for samples in loaded:
         identifier.add(samples)
     prior, known = np.full(carrying.dimension, np.nan), None
-    prior[first : first + 10] = _usual(model.nominal_inertias.reshape(-1, 10), model.body_names.index(link))
+    prior[first : first + 10] = usual_payload(model.nominal_inertias.reshape(-1, 10), model.body_names.index(link))
     if isinstance(empty, Posterior):
         columns = _columns(empty, carrying)
         prior[columns] = empty.prior
         known = _in_columns(empty, columns, carrying.dimension)
-    spreads = np.append(np.full(len(model.identified), USUAL_SPREAD_OF_LINKS), _SPREAD)
+    spreads = np.append(np.full(len(model.identified), USUAL_SPREAD_OF_LINKS), SPREAD_OF_PAYLOADS)
     rows = identifier.snapshot()
     solve = partial(estimate, carrying, settings=settings, prior=prior, spreads=spreads, known=known)
     found = solve(rows)
@@ -192,10 +189,3 @@ def _with_shifts(std: FloatArray, shifts: FloatArray) -> FloatArray:
     the larger."""
     apart, together = np.sqrt(np.sum(shifts**2, axis=0)), np.abs(np.sum(shifts, axis=0))
     return np.asarray(np.hypot(std, np.maximum(apart, together)))
-
-
-def _usual(links: FloatArray, carrier: int) -> FloatArray:
-    """Parameters ``(10,)`` of the ball that a payload usually is, at the centre of the link that carries it."""
-    mass = _MASS * float(np.mean(links[:, 0]))
-    second = 2.0 * mass * _SIZE**2 * np.eye(3)
-    return pseudo_inertia.assemble(np.array(mass), links[carrier, 1:4] / links[carrier, 0], second)

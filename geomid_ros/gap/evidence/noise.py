@@ -10,6 +10,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
+from geomid_ros.estimation.estimate import SURE
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
@@ -18,7 +19,6 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 _HIGHEST_ORDER = 6
 _SHORTEST_PERIOD = 1.0  # [s]
 _LEAST_OVERLAP = 0.45  # of the shorter stretch, that is compared: two periods just fit into one stretch
-_SURE = 2.0  # standard deviations of a standard deviation
 _SAME = 0.01  # root mean square difference of repeated positions, in their standard deviation
 
 
@@ -123,7 +123,7 @@ class Repeats:
         That measure has more data, so it stands unless the repeats say surely less: the smaller one of two that differ
         by chance is too small.
         """
-        sure = self.noise * (1.0 + _SURE / np.sqrt(2.0 * np.maximum(self.counts, 1.0))) < remainder
+        sure = self.noise * (1.0 + SURE / np.sqrt(2.0 * np.maximum(self.counts, 1.0))) < remainder
         return np.where(sure | np.isnan(remainder), self.noise, remainder)
 
 
