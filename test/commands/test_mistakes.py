@@ -215,14 +215,8 @@ SAID: dict[str, tuple[Callable[[Path], Arguments], int, str]] = {
         0,
         r"Warning: most of the time no effort is measured at '\w+': it is left out",
     ),
-    "11 reversed": (on(joints(effort=np.negative)), 4, r"DOUBTFUL: .*reversed: with effort_gain: -1.0"),
     "12 amperes": (on(joints(effort=lambda e: e / 11.0)), 4, r"DOUBTFUL: .*in A, .*about effort_gain: \d"),
     "13 standing still": (on(standing), 4, r"DOUBTFUL: the robot stands still: .*record a motion of all joints"),
-    "28 sign of a wrench": (
-        typed(*ROBOT, "--wrench", "/wrench:wrist_ft:-mounted"),
-        4,
-        r"DOUBTFUL: the wrench sensor /wrench: its sign is reversed: .*no minus before the role",
-    ),
     "a link without a mass": (
         with_text("light.urdf", WITHOUT_A_MASS, BAG, "--urdf"),
         0,

@@ -25,7 +25,7 @@ from geomid_ros.session.session import Session
 from geomid_ros.signals.pipeline import SignalPipeline
 
 VARIABLE = "GEOMID_TEST_FAULT"
-SLOW, STANDSTILL = 0.01, 0.75  # [s] for a message, and for so long they may wait meanwhile
+STANDSTILL = 3.0  # [s] for so long messages may wait
 AT_ONCE, SLOW_MACHINE = 100, 0.003  # messages that are taken together, and [s] for each on a slow machine
 HANGING = ("solver hangs", "solver computes for ever", "intake hangs", "everything hangs")
 
@@ -99,14 +99,17 @@ def slowly(healthy: Any, *arguments: Any) -> Any:
     return healthy(*arguments)
 
 
-def a_little_slowly(healthy: Any, owner: Any, messages: list[Any]) -> Any:
+def standing_still(healthy: Any, owner: Any, messages: list[Any]) -> Any:
+    """As long as the fault lasts."""
     with patch.object(inbox, "_LONGEST_STANDSTILL", STANDSTILL):
-        time.sleep(SLOW * sum(message.topic == "/wrench" for message in messages))
+        while fault():
+            time.sleep(0.01)
     return healthy(owner, messages)
 
 
 def as_a_slow_machine(healthy: Any, owner: Any, messages: list[Any]) -> Any:
-    time.sleep(SLOW_MACHINE * len(messages))
+    with patch.object(inbox, "_LONGEST_STANDSTILL", STANDSTILL):
+        time.sleep(SLOW_MACHINE * len(messages))
     return healthy(owner, messages)
 
 
@@ -152,7 +155,7 @@ def run() -> None:
     })  # fmt: skip
     plant(Identifier, "add", {"rows fail": fail, "intake hangs": hang})
     plant(SignalPipeline, "_use", {"messages fail": of_wrenches(fail)})
-    plant(Worker, "_take", {"messages slow": a_little_slowly, "machine slow": as_a_slow_machine})
+    plant(Worker, "_take", {"intake stands still": standing_still, "machine slow": as_a_slow_machine})
     plant(Worker, "take", {"callback fails": with_wrenches(fail), "callback shuts down": with_wrenches(shut_down)})
     plant(Worker, "recent_messages", {"service fails": fail})
     plant(os, "fsync", {"disk full": full, "disk read-only": read_only, "disk slow": slowly, "everything hangs": hang})

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import queue
 import re
-import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -24,7 +23,7 @@ from geomid_ros.ros.diagnostics import Complaint, Diagnostics
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.ledger import Account, Ledger
 
-from .observer import MATCHING, plenty
+from .observer import LATE, MATCHING, plenty
 from .rig import GOOD, WARN, rigged
 from .stage import KINDS, WRIST, Stage, description
 from .test_catalogue_failures import planted
@@ -174,7 +173,7 @@ def assert_printable(arrays: list[DiagnosticArray]) -> None:
 
 
 def test_89_a_part_that_falls_silent_is_named(tmp_path: Path) -> None:
-    """Within two seconds, though all that comes is accepted; and it goes on when the part is back."""
+    """Though all that comes is accepted; and it goes on when the part is back."""
     with rigged(tmp_path, merge_joint_states=True) as rig:
         create = rig.stage.observer.node.create_publisher
         right = create(KINDS["/joint_states"], "/joint_states", plenty())
@@ -194,11 +193,10 @@ def test_89_a_part_that_falls_silent_is_named(tmp_path: Path) -> None:
 
         send(GOOD[:400])
         rig.settled()
-        begin, since = len(rig.arrays), time.monotonic()
+        begin = len(rig.arrays)
         send(GOOD[400:1000], with_right=False)
         silent = GOOD[0].message.name[2] if GOOD[0].topic == "/joint_states" else GOOD[1].message.name[2]
         rig.says(begin, WARN, f"joint_states: no data of '{silent}'")
-        assert time.monotonic() - since < 30.0
         again = len(rig.arrays)
         send(GOOD[1000:])
         rig.told("rows", again, lambda _, status: "no data of" not in status.message)
@@ -286,16 +284,17 @@ def test_92_hangs_are_forgotten_after_an_hour(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_101_saving_under_load_is_answered(tmp_path: Path) -> None:
-    """Within five seconds, while every solve takes half of that."""
+    """With the last estimate, while no solve comes to its end."""
     with planted(tmp_path) as faulty:
         rig = faulty.rig
         before, after = rig.begin()
         rig.feed(before)
         rig.published()
-        with faulty.has("solver slow"):
+        with faulty.has("solver hangs"):
             rig.feed(after)
-            success, message = answered(rig)
+            success, message = rig.trigger("save")
             assert success, message
+            assert LATE in message
         rig.stage.observer.wait_for(lambda: rig.trigger("save")[0], "a solver that is through")
         rig.assert_same_as_twin()
 
@@ -322,6 +321,7 @@ class Estimated:
 
 @pytest.mark.parametrize("estimate", [None, Estimated()], ids=["none", "an old one"])
 def test_101_what_takes_too_long_is_said(estimate: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    assert saving._LATE < saving._LATEST < 5.0
     monkeypatch.setattr(saving, "_LATE", 0.2)
     monkeypatch.setattr(saving, "_LATEST", 5.0)
     answers: queue.SimpleQueue[tuple[bool, str]] = queue.SimpleQueue()
@@ -334,11 +334,3 @@ def test_101_what_takes_too_long_is_said(estimate: Any, monkeypatch: pytest.Monk
     assert worker.saved == ([] if estimate is None else [estimate])
     with pytest.raises(queue.Empty):
         answers.get(timeout=0.5)
-
-
-def answered(rig: Any) -> tuple[bool, str]:
-    """What saving says; in time, whatever other processes do."""
-    waited, begin = rig.stage._waited(), time.monotonic()
-    answer = rig.trigger("save")
-    assert time.monotonic() - begin < 5.0 + 2.0 * (rig.stage._waited() - waited) + 1.0
-    return answer
