@@ -172,14 +172,7 @@ REFUSED: dict[str, tuple[Callable[[Path], Arguments], str]] = {
         lambda _: ("gap", BAG, *ROBOT, "--simulated", BAG),
         r"the same positions as in .*: no simulator made them. Record what yours does",
     ),
-    "54 MJCF": (with_text("arm.xml", "<mujoco/>", BAG, "--urdf"), r"an MJCF model. Give the robot's URDF"),
-    "no inertials": (
-        with_text("bare.urdf", re.sub("<inertial>.*?</inertial>", "", ARM3, flags=re.DOTALL), BAG, "--urdf"),
-        r"'geomid prior URDF --mass KG'",
-    ),
-    "cutoff": (typed(*ROBOT, "--cutoff", "90"), r"set the parameter filter.cutoff \(--cutoff\) to 40 or less"),
     "gain": (typed(*ROBOT, "--gain", "joint2=fast"), r"'joint2=fast' is not of the form \[JOINT=\]FACTOR"),
-    "gain of no joint": (typed(*ROBOT, "--gain", "elbow=2"), r"'elbow'.*joint1, joint2, joint3"),
     "lock": (typed(*ROBOT, "--lock", "finger"), r"unknown joint to lock 'finger'.*joint1"),
 }
 
