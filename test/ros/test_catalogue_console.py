@@ -25,7 +25,7 @@ from geomid_ros.signals.ledger import Account, Ledger
 
 from .observer import LATE, MATCHING, plenty
 from .rig import GOOD, WARN, rigged
-from .stage import KINDS, WRIST, Stage, description
+from .stage import KINDS, NO_CHOICE, WRIST, Stage, description
 from .test_catalogue_failures import planted
 from .test_catalogue_merging import part
 
@@ -211,7 +211,7 @@ def test_93_a_mimic_joint_is_not_waited_for(stage: Stage) -> None:
         '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/>'
         '<mimic joint="joint3" multiplier="0.01"/></joint></robot>'
     )
-    stage.node({"robot_description": description("arm3").replace("</robot>", finger), "solve_period": 0.2})
+    stage.node({"robot_description": description("arm3").replace("</robot>", finger), **NO_CHOICE, "solve_period": 0.2})
     stage.observer.publish([item for item in GOOD[:800] if item.topic == "/joint_states"], JOINTS)
     told = stage.fed({"joint_states": 400})
     values = {pair.key: pair.value for pair in told.status[0].values}

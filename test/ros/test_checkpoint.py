@@ -33,10 +33,10 @@ from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 
 from .observer import latched
-from .stage import KINDS, WRIST, Stage, description, messages
+from .stage import KINDS, NO_CHOICE, WRIST, Stage, description, messages
 
-ARM3 = {**WRIST, "robot_description": description("arm3"), "solve_period": 0.2}
-FLAT = {"wrenches": ["wrist"], "wrench.wrist.topic": "/wrench", "wrench.wrist.frame": "wrist_ft"}
+ARM3 = {**WRIST, **NO_CHOICE, "robot_description": description("arm3"), "solve_period": 0.2}
+FLAT = {**NO_CHOICE, "wrenches": ["wrist"], "wrench.wrist.topic": "/wrench", "wrench.wrist.frame": "wrist_ft"}
 MESSAGES = messages()
 HALF = len(MESSAGES) // 2
 EACH = HALF // 2  # messages of either topic in half of the bag

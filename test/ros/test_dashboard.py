@@ -18,10 +18,10 @@ from geomid_ros.live import dashboard_server
 from geomid_ros.report.page import Script, rendered_page
 
 from .processes import Process
-from .stage import WRIST, Stage, description
+from .stage import NO_CHOICE, WRIST, Stage, description
 
 PATIENCE = 60.0  # [s] on a busy machine
-URDF = {"robot_description": description("arm3"), **WRIST}
+URDF = {"robot_description": description("arm3"), **WRIST, **NO_CHOICE}
 
 
 class Reader:

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from files.recordings import Recorded
 
-from .stage import KINDS, WRIST, Stage, description, messages
+from .stage import KINDS, NO_CHOICE, WRIST, Stage, description, messages
 
 SAME = 1e-9  # relative: with the bad messages, and without
-PARAMETERS = {**WRIST, "robot_description": description("arm3")}
+PARAMETERS = {**WRIST, **NO_CHOICE, "robot_description": description("arm3")}
 HALF = 800
 
 

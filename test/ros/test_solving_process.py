@@ -31,7 +31,7 @@ from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import Ledger
 
 from .rig import WARN, rigged
-from .stage import Stage, description, messages
+from .stage import NO_CHOICE, Stage, description, messages
 
 pytestmark = pytest.mark.filterwarnings("ignore:This process .* is multi-threaded")  # the tests', not the node's
 MESSAGES = messages()
@@ -50,7 +50,7 @@ def parent(process: int) -> int:
 
 def session(messages: int = 400, **parameters: object) -> Session:
     """The small arm's, with rows of so many messages."""
-    result = Session(read_urdf(BAGS / "arm3.urdf"), Configuration(parameters), "arm3.urdf")
+    result = Session(read_urdf(BAGS / "arm3.urdf"), Configuration({**NO_CHOICE, **parameters}), "arm3.urdf")
     for samples in parts(messages, result):
         result.identifier.add(samples)
         result.check.add(samples)
