@@ -121,7 +121,7 @@ def test_31_what_does_not_fit_into_the_queue_is_dropped(faulty: Faulty) -> None:
     with faulty.has("intake stands still"):
         rig.send([item for item in wrenches for _ in range(10)], pause=0.0)
         rig.told("messages that are dropped", begin, dropped)
-        rig.says(begin, WARN, "/wrench dropped: queue full")
+        rig.says(begin, None, "/wrench dropped: queue full")  # with the standstill, an error
         assert len(rig.inertias) == heard
     assert 0 < int(rig.settled(len(rig.arrays))["/wrench dropped: queue full"]) <= sent
     rig.feed([item for item in after if item not in wrenches])
