@@ -99,12 +99,17 @@ def slowly(healthy: Any, *arguments: Any) -> Any:
     return healthy(*arguments)
 
 
-def standing_still(healthy: Any, owner: Any, messages: list[Any]) -> Any:
+def waiting(healthy: Any, *arguments: Any) -> Any:
     """As long as the fault lasts."""
+    while fault():
+        time.sleep(0.01)
+    return healthy(*arguments)
+
+
+def standing_still(healthy: Any, owner: Any, messages: list[Any]) -> Any:
+    """The same, and what waits for long meanwhile is dropped."""
     with patch.object(inbox, "_LONGEST_STANDSTILL", STANDSTILL):
-        while fault():
-            time.sleep(0.01)
-    return healthy(owner, messages)
+        return waiting(healthy, owner, messages)
 
 
 def as_a_slow_machine(healthy: Any, owner: Any, messages: list[Any]) -> Any:
@@ -149,6 +154,7 @@ def run() -> None:
         "solver hangs": hang,
         "solver computes for ever": compute,
         "solver slow": slowly,
+        "solver waits": waiting,
         "not converged": unconverged,
         "not a number": not_a_number,
         "everything hangs": hang,

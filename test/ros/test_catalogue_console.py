@@ -23,10 +23,9 @@ from geomid_ros.ros.diagnostics import Complaint, Diagnostics
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.ledger import Account, Ledger
 
-from .observer import LATE, MATCHING, plenty
-from .rig import GOOD, WARN, rigged
+from .observer import MATCHING, plenty
+from .rig import GOOD, WARN, Rig, rigged
 from .stage import KINDS, NO_CHOICE, WRIST, Stage, description
-from .test_catalogue_failures import planted
 from .test_catalogue_merging import part
 
 JOINTS = {"/joint_states": KINDS["/joint_states"]}
@@ -142,22 +141,21 @@ def test_108_104_all_messages_refused_is_said_on_the_console(tmp_path: Path) -> 
         rig.assert_same_as_twin()
 
 
-def test_104_a_frame_id_is_printable(tmp_path: Path) -> None:
-    with rigged(tmp_path) as rig:
-        before, after = rig.begin()
-        rig.feed(before)
-        begin = len(rig.arrays)
-        wicked = []
-        for item in after[:20]:
-            if item.topic == "/wrench":
-                message = TYPES.deserialize_cdr(TYPES.serialize_cdr(item.message, item.kind), item.kind)
-                message.header.frame_id = WICKED
-                wicked.append(type(item)(item.topic, item.kind, item.time, message))
-        rig.send(wicked)
-        rig.says(begin, None, f"frame '{SHOWN}' is not the declared 'wrist_ft'")
-        rig.feed([item for item in after if item.topic == "/joint_states" or item not in after[:20]])
-        assert_printable(rig.arrays)
-        rig.assert_same_as_twin()
+def test_104_a_frame_id_is_printable(rig: Rig) -> None:
+    before, after = rig.begin()
+    rig.feed(before)
+    begin = len(rig.arrays)
+    wicked = []
+    for item in after[:20]:
+        if item.topic == "/wrench":
+            message = TYPES.deserialize_cdr(TYPES.serialize_cdr(item.message, item.kind), item.kind)
+            message.header.frame_id = WICKED
+            wicked.append(type(item)(item.topic, item.kind, item.time, message))
+    rig.send(wicked)
+    rig.says(begin, None, f"frame '{SHOWN}' is not the declared 'wrist_ft'")
+    rig.feed([item for item in after if item.topic == "/joint_states" or item not in after[:20]])
+    assert_printable(rig.arrays)
+    rig.assert_same_as_twin()
 
 
 def assert_printable(arrays: list[DiagnosticArray]) -> None:
@@ -281,22 +279,6 @@ def test_92_hangs_are_forgotten_after_an_hour(monkeypatch: pytest.MonkeyPatch) -
     watched.restart_what_hangs()
     assert worker.restarts == 21 + MOST_RESTARTS
     assert "1 of at most 3 times" in watched.problem
-
-
-def test_101_saving_under_load_is_answered(tmp_path: Path) -> None:
-    """With the last estimate, while no solve comes to its end."""
-    with planted(tmp_path) as faulty:
-        rig = faulty.rig
-        before, after = rig.begin()
-        rig.feed(before)
-        rig.published()
-        with faulty.has("solver hangs"):
-            rig.feed(after)
-            success, message = rig.trigger("save")
-            assert success, message
-            assert LATE in message
-        rig.stage.observer.wait_for(lambda: rig.trigger("save")[0], "a solver that is through")
-        rig.assert_same_as_twin()
 
 
 class Slow:

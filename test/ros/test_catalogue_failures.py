@@ -14,6 +14,7 @@ import pytest
 from files.recordings import Recorded
 
 from .faulty import VARIABLE
+from .observer import LATE
 from .processes import SOON
 from .rig import ERROR, GOOD, WARN, Rig, Twin, rigged
 from .spoiling import later
@@ -252,6 +253,18 @@ def test_67_a_slow_disk_keeps_nobody_waiting(faulty: Faulty) -> None:
         rig.settled(begin)
         rig.stage.observer.wait_for(answer.done, "the answer")
     assert (answer.result().success, answer.result().message) == (False, f"still saving: {rig.out} is slow")
+    rig.assert_same_as_twin()
+
+
+def test_101_saving_under_load_is_answered(faulty: Faulty) -> None:
+    """With the last estimate, while no solve comes to its end."""
+    rig = faulty.rig
+    _, after, _, _ = begun(rig)
+    with faulty.has("solver waits"):
+        rig.feed(after)
+        success, message = rig.trigger("save")
+        assert success, message
+        assert LATE in message
     rig.assert_same_as_twin()
 
 
