@@ -44,7 +44,7 @@ SOON = 0.05  # [s]
 PATIENCE = 300.0  # [s] on a busy machine
 
 
-def keeping(folder: Path, period: float = 0.1) -> dict[str, Any]:
+def keeping(folder: Path, period: float = 0.5) -> dict[str, Any]:
     return {**ARM3, "checkpoint": {"folder": str(folder), "period": period}}
 
 
