@@ -121,6 +121,9 @@ KINDS = {
 }
 
 
+DRAWN = ("gear_ripple", "cable_pull")  # one with a parameter, one with several; to draw takes longer than all the rest
+
+
 def recipe() -> tuple[Path, str]:
     """The path and the text of the file that CONTRIBUTING.md shows."""
     section = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").partition("## Add an effect")[2]
@@ -214,7 +217,7 @@ class Round:
             "again": self._command("gap", "again", *known),
             "later": self._command("identify", "later", *known, "--effects", "effort_offset"),
         }
-        drawn = {"gap", "identify"}  # the others would draw the same again
+        drawn = {"gap", "identify"} if self.kind.name in DRAWN else set()
         return {name: self.driver.printed(arguments, name in drawn) for name, arguments in commands.items()}
 
     def _command(self, command: str, out: str, *arguments: str | Path) -> list[str]:
@@ -291,7 +294,7 @@ def test_it_is_identified(found: Round) -> None:
     found.assert_true(estimated.pop(found.kind.place), constants=False)
     first, *_ = found.kind.true.items()
     assert all(abs(parameters[first[0]]["value"]) < 0.05 * first[1] for parameters in estimated.values())
-    assert (found.folder / "identify/identification.png").is_file()
+    assert (found.folder / "identify/identification.png").is_file() is (found.kind.name in DRAWN)
 
 
 def test_it_is_named(found: Round) -> None:
@@ -337,8 +340,9 @@ def test_a_later_run_starts_from_it(found: Round) -> None:
 
 def test_tables_and_pages_show_it(found: Round) -> None:
     name = found.kind.name.replace("_", " ")
-    page = (found.folder / "gap/report.html").read_text() if found.printed else ""
-    assert found.kind.label.lower() in page.lower()
+    assert found.printed
+    if found.kind.name in DRAWN:
+        assert found.kind.label.lower() in (found.folder / "gap/report.html").read_text().lower()
     for command in ("gap", "identify", "later"):
         text = " ".join(found.printed[command].lower().split())
         first, _, second = name.partition(" ")

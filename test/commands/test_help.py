@@ -35,55 +35,54 @@ def test_the_commands() -> None:
     assert all(f"  {name} " in text for name in NAMES)
 
 
-def loaded(*arguments: str, completing: str = "") -> set[str]:
-    """The modules that a process of ``geomid`` has imported when it ends; ``completing``: the line to complete."""
+def loaded(*lines: tuple[str, ...], completing: str = "") -> set[str]:
+    """The modules that a process has imported that runs ``geomid`` with these arguments, one after the other.
+
+    ``completing``: the line that it completes instead.
+    """
     script = (
-        "import atexit, sys\n"
-        "sys.argv[0] = 'geomid'\n"
-        "atexit.register(lambda: print(*sys.modules, file=sys.__stdout__))\n"
+        "import sys\n"
+        "from contextlib import suppress\n"
         "from geomid_ros.commands.root import main\n"
-        "main()"
+        f"for arguments in {lines or ((),)!r}:\n"
+        "    sys.argv = ['geomid', *arguments]\n"
+        "    with suppress(SystemExit):\n"
+        "        main()\n"
+        "print(*sys.modules, file=sys.__stdout__)"
     )
     asked = {"_GEOMID_COMPLETE": "bash_complete", "COMP_WORDS": completing, "COMP_CWORD": str(completing.count(" "))}
-    command = [sys.executable, "-c", script, *arguments]
     environment = os.environ | (asked if completing else {})
+    command = [sys.executable, "-c", script]
     run = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=60)
-    assert not completing or "--urdf" in run.stdout or "identify" in run.stdout, run.stderr
+    assert "--urdf" in run.stdout or "identify" in run.stdout, run.stderr
     assert "Traceback" not in run.stderr
     modules = set(run.stdout.splitlines()[-1].split())
     assert {"click", "geomid_ros"} <= modules
     return modules
 
 
-@pytest.mark.parametrize(
-    "arguments", [("--help",), ("--version",), (), ("unknown",), ("--unknown",), ("identify", "--help"), ("identify",)]
-)
-def test_what_computes_nothing_loads_nothing_that_computes(arguments: tuple[str, ...]) -> None:
-    assert not loaded(*arguments) & HEAVY
+def test_what_computes_nothing_loads_nothing_that_computes() -> None:
+    """Neither the list of commands, which loads none of them, nor a mistake, nor a command's help."""
+    listed = loaded(("--help",), ("--version",), (), ("unknown",), ("--unknown",))
+    assert not listed & HEAVY
+    assert not {f"geomid_ros.commands.{name}" for name in NAMES} & listed
+    assert not loaded(("identify", "--help"), ("identify",)) & HEAVY
 
 
-@pytest.mark.parametrize("line", ["geomid ", "geomid id", "geomid identify --u"])
+@pytest.mark.parametrize("line", ["geomid ", "geomid identify --u"])
 def test_completion_loads_nothing_that_computes(line: str) -> None:
-    assert not loaded(completing=line) & HEAVY
+    modules = loaded(completing=line)
+    assert not modules & HEAVY
+    assert ("geomid_ros.commands.identify" in modules) is ("--u" in line)
 
 
-def test_the_list_of_commands_loads_none_of_them() -> None:
-    for modules in (loaded("--help"), loaded(completing="geomid ")):
-        assert not {f"geomid_ros.commands.{name}" for name in NAMES} & modules
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_help_of_a_command_loads_no_library_that_the_command_needs(name: str) -> None:
-    assert not loaded(name, "--help") & LIBRARIES
+def test_help_of_a_command_loads_no_library_that_the_command_needs() -> None:
+    assert not loaded(*((name, "--help") for name in NAMES)) & LIBRARIES
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_list_has_the_first_sentence_of_each_command(name: str) -> None:
+def test_every_option_is_explained_and_the_list_has_the_first_sentence(name: str) -> None:
     assert command(name).get_short_help_str(limit=1000) == COMMANDS[name]
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_every_option_is_explained(name: str) -> None:
     text = done(name, "--help")
     assert text == done(name, "-h")
     for parameter in command(name).params:

@@ -172,14 +172,7 @@ REFUSED: dict[str, tuple[Callable[[Path], Arguments], str]] = {
         lambda _: ("gap", BAG, *ROBOT, "--simulated", BAG),
         r"the same positions as in .*: no simulator made them. Record what yours does",
     ),
-    "54 MJCF": (with_text("arm.xml", "<mujoco/>", BAG, "--urdf"), r"an MJCF model. Give the robot's URDF"),
-    "no inertials": (
-        with_text("bare.urdf", re.sub("<inertial>.*?</inertial>", "", ARM3, flags=re.DOTALL), BAG, "--urdf"),
-        r"'geomid prior URDF --mass KG'",
-    ),
-    "cutoff": (typed(*ROBOT, "--cutoff", "90"), r"set the parameter filter.cutoff \(--cutoff\) to 40 or less"),
     "gain": (typed(*ROBOT, "--gain", "joint2=fast"), r"'joint2=fast' is not of the form \[JOINT=\]FACTOR"),
-    "gain of no joint": (typed(*ROBOT, "--gain", "elbow=2"), r"'elbow'.*joint1, joint2, joint3"),
     "lock": (typed(*ROBOT, "--lock", "finger"), r"unknown joint to lock 'finger'.*joint1"),
 }
 
@@ -215,14 +208,8 @@ SAID: dict[str, tuple[Callable[[Path], Arguments], int, str]] = {
         0,
         r"Warning: most of the time no effort is measured at '\w+': it is left out",
     ),
-    "11 reversed": (on(joints(effort=np.negative)), 4, r"DOUBTFUL: .*reversed: with effort_gain: -1.0"),
     "12 amperes": (on(joints(effort=lambda e: e / 11.0)), 4, r"DOUBTFUL: .*in A, .*about effort_gain: \d"),
     "13 standing still": (on(standing), 4, r"DOUBTFUL: the robot stands still: .*record a motion of all joints"),
-    "28 sign of a wrench": (
-        typed(*ROBOT, "--wrench", "/wrench:wrist_ft:-mounted"),
-        4,
-        r"DOUBTFUL: the wrench sensor /wrench: its sign is reversed: .*no minus before the role",
-    ),
     "a link without a mass": (
         with_text("light.urdf", WITHOUT_A_MASS, BAG, "--urdf"),
         0,

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from files.recordings import BAGS, Recorded, altered, recorded, write_bag
+from files.recordings import BAGS, Recorded, altered
 
 from .running import refused
 
@@ -68,10 +68,6 @@ def as_xacro(text: str) -> str:
     return declared.replace("<link", '<xacro:arg name="a" default="1"/><link', 1)
 
 
-def short_bag(folder: Path) -> Arguments:
-    return write_bag(folder / "short", recorded(BAG)[:100]), "--urdf", URDF
-
-
 def cut_bag(folder: Path) -> Arguments:
     data = (BAG / "arm3.mcap").read_bytes()
     (folder / "cut.mcap").write_bytes(data[:60])
@@ -113,14 +109,9 @@ CASES: dict[str, tuple[Callable[[Path], Arguments], str]] = {
         with_urdf(lambda text: text.replace('name="joint', 'name="left_joint')),
         r"joint 'left_joint1' is missing: the URDF's names have the prefix 'left_', the messages' do not",
     ),
-    "another frame": (with_options("--wrench", "/wrench:tool:mounted"), r"/wrench: .*'wrist_ft' is not .*'tool'"),
-    "too short": (short_bag, r"short: no usable samples. it is shorter than the filter's window"),
-    "efforts not finite": (with_bag(joints(effort=np.full(3, np.nan))), r"no effort is measured.*joint1, joint2"),
-    "efforts empty": (with_bag(joints(effort=NOTHING)), r"no effort is measured.*--wrench"),
     "positions empty": (with_bag(joints(position=NOTHING)), r"position has 0 entries for 3 names"),
     "no names": (with_bag(joints(name=[])), "no joint names"),
     # robot descriptions
-    "no such URDF": (lambda folder: (BAG, "--urdf", folder / "no.urdf"), r"no.urdf: the robot description cannot be"),
     "a folder as URDF": (
         lambda folder: (BAG, "--urdf", folder),
         r": not a regular file; expected a robot description",
@@ -153,13 +144,9 @@ CASES: dict[str, tuple[Callable[[Path], Arguments], str]] = {
         r"changed.urdf: no moving link has a mass.*'geomid prior URDF --mass KG'",
     ),
     # options
-    "effect": (with_options("--effects", "viscous_fricton"), r"unknown effect 'viscous_fricton'. Did you mean"),
-    "link": (with_options("--links", "link2,link9"), r"unknown link 'link9'.*Valid: link1, link2, link3"),
     "merged link": (with_options("--links", "tool"), r"unknown link 'tool'.*Valid: link1, link2, link3"),
     "wrench's frame": (with_options("--wrench", "/wrench:wrist:mounted"), r"unknown link 'wrist'.*'wrist_ft'"),
-    "wrench's role": (with_options("--wrench", "/wrench:wrist_ft:fixed"), r"unknown wrench role 'fixed'.*mounted"),
     "wrench's axis": (with_options("--wrench", "/wrench:wrist_ft:mounted:fx,my"), r"unknown wrench axis 'my'.*fx, fy"),
-    "wrench's form": (with_options("--wrench", "/wrench"), r"'/wrench' is not of the form TOPIC:FRAME:ROLE"),
     "wrench twice": (with_options(*2 * ("--wrench", "/wrench:wrist_ft:mounted")), "same topic|must differ"),
     "hold-out": (with_options("--hold-out", "1.5"), "--hold-out"),
     "URDF": (
@@ -169,7 +156,6 @@ CASES: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     "unknown option": (with_options("--ouput", "x"), "--ouput.*--out"),
     "no bag": (lambda _: ("--urdf", URDF), "BAGS"),
     # files of options
-    "no such parameter file": (with_options("--config", "no.yaml"), r"no.yaml: the parameter file cannot be read"),
     "parameter": (
         with_file("--config", "/**: {ros__parameters: {filter: {cutof: 3}}}"),
         r"file: unknown parameter 'filter.cutof'. Did you mean 'filter.cutoff'\?",

@@ -215,8 +215,15 @@ def moving(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_bag(bag.parent / "cut", [item for item in messages if item.time > messages[0].time + 1_500_000_000])
 
 
+@pytest.fixture(scope="module")
+def once(moving: Path) -> geomid_ros.Identification:
+    return geomid_ros.identify(moving, URDF)
+
+
 @pytest.mark.parametrize("stamps", ["new", "old"])
-def test_messages_that_repeat_change_nothing(stamps: str, moving: Path, tmp_path: Path) -> None:
+def test_messages_that_repeat_change_nothing(
+    stamps: str, moving: Path, once: geomid_ros.Identification, tmp_path: Path
+) -> None:
     """A driver that publishes twice as often as it measures: the same samples of what it measures."""
 
     def again(item: Recorded) -> Recorded:
@@ -226,7 +233,6 @@ def test_messages_that_repeat_change_nothing(stamps: str, moving: Path, tmp_path
         return replace(item.changed(header=replace(header, stamp=stamp)), time=item.time + shift)
 
     messages = [one for item in recorded(moving) for one in ([item, again(item)] if "joint" in item.topic else [item])]
-    once = geomid_ros.identify(moving, URDF)
     twice = geomid_ros.identify(write_bag(tmp_path / "twice", messages), URDF)
     for name in ("stamps", "position", "acceleration", "effort"):
         both = (np.concatenate([getattr(samples, name) for samples in found.train]) for found in (once, twice))

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import yaml
 
+import geomid_ros
 from geomid_ros.commands.root import root
 from geomid_ros.session.configuration import PARAMETERS, Configuration
 from geomid_ros.simulation import EFFECTS, NOTHING, parse_hidden
@@ -49,6 +50,9 @@ def lines(document: str) -> Iterator[str]:
             yield f"{span} VALUE" if re.search(r" --[\w-]+$", span) else span
 
 
+LINES = [line for document in DOCUMENTS for line in lines(document)]
+
+
 def commands(document: str) -> Iterator[list[str]]:
     """Arguments of every ``geomid``, also by ``ros2 run``."""
     for line in lines(document):
@@ -57,11 +61,10 @@ def commands(document: str) -> Iterator[list[str]]:
             yield shlex.split(typed, comments=True)[1:]
 
 
-@pytest.mark.parametrize("document", DOCUMENTS)
-def test_commands_exist_with_their_options(document: str) -> None:
+def test_commands_exist_with_their_options() -> None:
     """The parser of the command line takes them; values are checked where they are one of a few."""
     context = click.Context(root)
-    for name, *arguments in commands(document):
+    for document, (name, *arguments) in ((d, typed) for d in DOCUMENTS for typed in commands(d)):
         command = root.get_command(context, name)
         assert command is not None, f"{document}: geomid {name}"
         of_it = click.Context(command, help_option_names=root.context_settings["help_option_names"])  # it keeps them
@@ -80,9 +83,8 @@ def test_the_commands_are_seen() -> None:
     assert set(found) == set(root.list_commands(click.Context(root))) - {"demo"}
 
 
-@pytest.mark.parametrize("document", DOCUMENTS)
-def test_what_ros_is_told_exists(document: str) -> None:
-    for line in lines(document):
+def test_what_ros_is_told_exists() -> None:
+    for line in LINES:
         if "ros2 launch geomid_ros" in line:
             words = line.split("geomid_ros", 1)[1].split()
             assert (ROOT / "launch" / words[0]).exists(), line
@@ -95,18 +97,16 @@ def test_what_ros_is_told_exists(document: str) -> None:
             assert f"~{match[1]}" in NODE, line
 
 
-@pytest.mark.parametrize("document", DOCUMENTS)
-def test_modules_that_are_run_exist(document: str) -> None:
-    for line in lines(document):
+def test_modules_that_are_run_exist() -> None:
+    for line in LINES:
         for module in re.findall(r"python[\d.]* -m\s+(benchmarks[\w.]*|geomid_ros[\w.]*)", line):
             assert importlib.util.find_spec(module), line
         for file in re.findall(r"python[\d.]* ((?:bags|examples|docs|test)/\S+\.py)", line):
             assert (ROOT / file).exists(), line
 
 
-@pytest.mark.parametrize("document", DOCUMENTS)
-def test_topics_services_and_parameters_exist(document: str) -> None:
-    for span in spans(document):
+def test_topics_services_and_parameters_exist() -> None:
+    for document, span in ((d, span) for d in DOCUMENTS for span in spans(d)):
         name = span.partition(":")[0]
         if re.fullmatch(r"~/[\w/]+", span) and span != "~/wrench":  # a broadcaster's
             assert span in NODE, f"{document}: {span}"
@@ -120,19 +120,18 @@ def of_language(language: str) -> list[tuple[str, Block]]:
     return [(document, block) for document, block in found if block.language == language]
 
 
-@pytest.mark.parametrize(("document", "block"), of_language("yaml"))
-def test_parameter_files_are_read(document: str, block: Block) -> None:
-    (content,) = yaml.safe_load(block.text).values()
-    assert Configuration(content["ros__parameters"], document)
+def test_parameter_files_are_read() -> None:
+    assert of_language("yaml")
+    for document, block in of_language("yaml"):
+        (content,) = yaml.safe_load(block.text).values()
+        assert Configuration(content["ros__parameters"], document)
 
 
-@pytest.mark.parametrize(("document", "block"), of_language("python"))
-def test_python_compiles_and_uses_names_that_exist(document: str, block: Block) -> None:
-    import geomid_ros  # noqa: PLC0415
-
-    compile(block.text, document, "exec")
-    for name in re.findall(r"\bgeomid_ros\.(\w+)", block.text):
-        assert hasattr(geomid_ros, name) or importlib.util.find_spec(f"geomid_ros.{name}"), name
+def test_python_compiles_and_uses_names_that_exist() -> None:
+    for document, block in of_language("python"):
+        compile(block.text, document, "exec")
+        for name in re.findall(r"\bgeomid_ros\.(\w+)", block.text):
+            assert hasattr(geomid_ros, name) or importlib.util.find_spec(f"geomid_ros.{name}"), name
 
 
 def test_every_python_block_runs() -> None:

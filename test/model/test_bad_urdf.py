@@ -147,10 +147,10 @@ def test_a_bad_description_is_refused(case: str, floating: bool) -> None:
     if floating and case == "nothing moves":
         pytest.skip("a floating base moves")
     text, named = BAD[case]
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.raises(InputError) as caught:
         Robot(text, floating_base=floating, source=SOURCE)
-    assert time.perf_counter() - start < 2.0
+    assert time.process_time() - start < 2.0
     for word in (SOURCE, *named):
         assert word in str(caught.value)
     assert len(str(caught.value)) < 1000
@@ -208,11 +208,11 @@ def test_a_long_chain_is_read_quickly() -> None:
     links, joints = [link(f"l{i}") for i in range(129)], [joint(f"j{i}", f"l{i}", f"l{i + 1}") for i in range(128)]
     tails = [f'<link name="t{i}"/>' for i in range(800)]
     ties = [joint(f"f{i}", f"t{i - 1}" if i else "l128", f"t{i}", "fixed", "") for i in range(800)]
-    start = time.perf_counter()
+    start = time.process_time()
     chain = Robot(robot(*links, *tails, *joints, *ties))
     MeasurementModel(chain, [])
     assert len(chain.bodies) == 128
-    assert time.perf_counter() - start < 3.0
+    assert time.process_time() - start < 3.0
 
 
 fractions = st.floats(0.0, 1.0, exclude_max=True)

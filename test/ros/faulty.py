@@ -25,7 +25,7 @@ from geomid_ros.session.session import Session
 from geomid_ros.signals.pipeline import SignalPipeline
 
 VARIABLE = "GEOMID_TEST_FAULT"
-SLOW, STANDSTILL = 0.01, 0.75  # [s] for a message, and for so long they may wait meanwhile
+STANDSTILL = 3.0  # [s] for so long messages may wait
 AT_ONCE, SLOW_MACHINE = 100, 0.003  # messages that are taken together, and [s] for each on a slow machine
 HANGING = ("solver hangs", "solver computes for ever", "intake hangs", "everything hangs")
 
@@ -99,14 +99,22 @@ def slowly(healthy: Any, *arguments: Any) -> Any:
     return healthy(*arguments)
 
 
-def a_little_slowly(healthy: Any, owner: Any, messages: list[Any]) -> Any:
+def waiting(healthy: Any, *arguments: Any) -> Any:
+    """As long as the fault lasts."""
+    while fault():
+        time.sleep(0.01)
+    return healthy(*arguments)
+
+
+def standing_still(healthy: Any, owner: Any, messages: list[Any]) -> Any:
+    """The same, and what waits for long meanwhile is dropped."""
     with patch.object(inbox, "_LONGEST_STANDSTILL", STANDSTILL):
-        time.sleep(SLOW * sum(message.topic == "/wrench" for message in messages))
-    return healthy(owner, messages)
+        return waiting(healthy, owner, messages)
 
 
 def as_a_slow_machine(healthy: Any, owner: Any, messages: list[Any]) -> Any:
-    time.sleep(SLOW_MACHINE * len(messages))
+    with patch.object(inbox, "_LONGEST_STANDSTILL", STANDSTILL):
+        time.sleep(SLOW_MACHINE * len(messages))
     return healthy(owner, messages)
 
 
@@ -146,13 +154,14 @@ def run() -> None:
         "solver hangs": hang,
         "solver computes for ever": compute,
         "solver slow": slowly,
+        "solver waits": waiting,
         "not converged": unconverged,
         "not a number": not_a_number,
         "everything hangs": hang,
     })  # fmt: skip
     plant(Identifier, "add", {"rows fail": fail, "intake hangs": hang})
     plant(SignalPipeline, "_use", {"messages fail": of_wrenches(fail)})
-    plant(Worker, "_take", {"messages slow": a_little_slowly, "machine slow": as_a_slow_machine})
+    plant(Worker, "_take", {"intake stands still": standing_still, "machine slow": as_a_slow_machine})
     plant(Worker, "take", {"callback fails": with_wrenches(fail), "callback shuts down": with_wrenches(shut_down)})
     plant(Worker, "recent_messages", {"service fails": fail})
     plant(os, "fsync", {"disk full": full, "disk read-only": read_only, "disk slow": slowly, "everything hangs": hang})

@@ -25,14 +25,14 @@ from geomid_ros.session.session import Session
 from .observer import BETWEEN_MESSAGES, MATCHING, latched, plenty
 from .processes import Process
 from .spoiling import later
-from .stage import KINDS, WRIST, Stage, description, messages, staged
+from .stage import KINDS, NO_CHOICE, WRIST, Stage, description, messages, staged
 
 SAME = 1e-9  # relative: with the bad messages, and without
 BETWEEN_CASES = 100_000_000_000  # [ns] of the stamps
 GOOD = messages()
 BEFORE, AFTER = GOOD[300:600], GOOD[600:900]
 NOTHING = "no usable rows: nothing was measured, or the robot never moved"
-PATIENCE = 60.0  # [s] for diagnostics, on a busy machine
+PATIENCE = 300.0  # [s] for diagnostics, on a busy machine
 FLAT_WRIST = {f"wrench.wrist.{key}": value for key, value in WRIST["wrench"]["wrist"].items()}
 
 
@@ -40,7 +40,7 @@ class Twin:
     """What the node would know, had it received only what it is fed: the same code without ROS."""
 
     def __init__(self, **parameters: Any) -> None:
-        values = {"wrenches": WRIST["wrenches"], **FLAT_WRIST, **parameters}
+        values = {"wrenches": WRIST["wrenches"], **FLAT_WRIST, **NO_CHOICE, **parameters}
         self.session = Session(description("arm3"), Configuration(values), "arm3.urdf")
 
     def feed(self, items: Iterable[Recorded]) -> None:
@@ -239,8 +239,8 @@ def rigged(folder: Path, module: str = "geomid_ros.ros.main", fresh: bool = Fals
     with staged(folder) as stage:
         out = folder / "out"
         # Solving takes most of a node's time: more often than once a case or two it need not.
-        values = {**WRIST, "robot_description": description("arm3"), "solve_period": 0.8, "output_folder": str(out)}
-        node = stage.node({**values, **parameters}, module=module, fresh=fresh)
+        values = {"robot_description": description("arm3"), "solve_period": 0.8, "output_folder": str(out)}
+        node = stage.node({**WRIST, **NO_CHOICE, **values, **parameters}, module=module, fresh=fresh)
         yield Rig(stage, out, node)
 
 

@@ -17,6 +17,8 @@ from .observer import Observer
 from .processes import Process, parameter_file
 
 WRIST: dict[str, Any] = {"wrenches": ["wrist"], "wrench": {"wrist": {"topic": "/wrench", "frame": "wrist_ft"}}}
+# To choose among effects takes most of a solve's time; where nobody looks at them there are none to choose from.
+NO_CHOICE: dict[str, Any] = {"candidates": [""]}
 KINDS = {"/joint_states": JointState, "/wrench": WrenchStamped}
 
 

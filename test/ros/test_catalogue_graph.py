@@ -17,7 +17,7 @@ from std_msgs.msg import String
 
 from .observer import MATCHING, latched, plenty
 from .rig import ERROR, WARN
-from .stage import Stage, description, messages, staged
+from .stage import NO_CHOICE, Stage, description, messages, staged
 
 JOINTS = [item for item in messages() if item.topic == "/joint_states"]
 
@@ -27,7 +27,7 @@ def strict(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
     """A node that wants its joint states reliable, lives in simulated time, and has no robot yet."""
     with staged(tmp_path_factory.mktemp("strict")) as stage:
         overrides = {"/joint_states": {"subscription": {"reliability": "reliable", "depth": 100}}}
-        stage.node({"use_sim_time": True, "qos_overrides": overrides, "solve_period": 0.2})
+        stage.node({"use_sim_time": True, "qos_overrides": overrides, "solve_period": 0.2, **NO_CHOICE})
         yield stage
 
 
@@ -88,7 +88,9 @@ def test_34_joint_states_less_reliable_than_is_asked_for(strict: Stage) -> None:
 
 def test_30_messages_that_are_lost_on_the_way_are_counted(stage: Stage, tmp_path: Path) -> None:
     """The process stands still while more comes than its middleware keeps."""
-    process = stage.node({"robot_description": description("arm3"), "output_folder": str(tmp_path / "out")})
+    process = stage.node(
+        {"robot_description": description("arm3"), **NO_CHOICE, "output_folder": str(tmp_path / "out")}
+    )
     node = stage.observer.node
     hasty = node.create_publisher(
         JointState, "/joint_states", QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)

@@ -97,7 +97,7 @@ def test_a_sensor_that_changes_is_named(name: str, rig: Rig) -> None:
         rig.send(messages[part : part + PART])
         rig.settled()
     rig.says(begin, ERROR, "gap at wrench/fz", "the sensor was tared", "Rows of /wrench are left out until")
-    assert rig.trigger("save")[0], "what waits is judged by now"
+    assert rig.stage.observer.trigger(f"/{rig.name}/save")[0], "what waits is judged by now"
     rows = json.loads((rig.out / "estimate.json").read_text())["rows"]
     left_out = rows["rejected"]["wrench changed: /wrench"]
     samples = rig.twin.samples(messages)

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from signals.feeding import completed
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded
 from geomid_ros.files.checkpoints.checkpoint_folder import CheckpointFolder
+from geomid_ros.live import saving
 from geomid_ros.live.saving import Checkpoints
 from geomid_ros.live.worker import Worker
 from geomid_ros.model.samples import Samples
@@ -31,18 +33,18 @@ from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 
 from .observer import latched
-from .stage import KINDS, WRIST, Stage, description, messages
+from .stage import KINDS, NO_CHOICE, WRIST, Stage, description, messages
 
-ARM3 = {**WRIST, "robot_description": description("arm3"), "solve_period": 0.2}
-FLAT = {"wrenches": ["wrist"], "wrench.wrist.topic": "/wrench", "wrench.wrist.frame": "wrist_ft"}
+ARM3 = {**WRIST, **NO_CHOICE, "robot_description": description("arm3"), "solve_period": 0.2}
+FLAT = {**NO_CHOICE, "wrenches": ["wrist"], "wrench.wrist.topic": "/wrench", "wrench.wrist.frame": "wrist_ft"}
 MESSAGES = messages()
 HALF = len(MESSAGES) // 2
 EACH = HALF // 2  # messages of either topic in half of the bag
 SOON = 0.05  # [s]
-PATIENCE = 30.0  # [s]
+PATIENCE = 300.0  # [s] on a busy machine
 
 
-def keeping(folder: Path, period: float = 0.1) -> dict[str, Any]:
+def keeping(folder: Path, period: float = 0.5) -> dict[str, Any]:
     return {**ARM3, "checkpoint": {"folder": str(folder), "period": period}}
 
 
@@ -68,6 +70,11 @@ def generations(folder: Path) -> list[Checkpoint]:
 def rows(folder: Path) -> int:
     """Those of the newest checkpoint."""
     return generations(folder)[-1].memory.summary.rows
+
+
+def at_peace(status: DiagnosticStatus, values: dict[str, str]) -> bool:
+    """All is well, but for a disk that a busy machine makes slow."""
+    return values["rows"] != "0" and (status.level == DiagnosticStatus.OK or "the disk is slow" in status.message)
 
 
 def told(stage: Stage, look: Callable[[DiagnosticStatus, dict[str, str]], bool], what: str) -> dict[str, str]:
@@ -156,7 +163,7 @@ def test_another_robot_s_is_refused_aloud(stage: Stage, tmp_path: Path) -> None:
     )
     assert "of another robot" in node.output
     stage.observer.publish(MESSAGES[:HALF], KINDS)
-    values = told(stage, lambda status, values: status.level == DiagnosticStatus.OK and values["rows"] != "0", "peace")
+    values = told(stage, at_peace, "peace")
     assert "another robot" in values["beginning"]
     assert node.end() == 0
     assert rows(folder) > 0
@@ -194,7 +201,7 @@ def test_a_disk_that_becomes_full_stops_nothing(stage: Stage, tmp_path: Path) ->
     stage.observer.wait_for(lambda: inertias, "estimates that go on")
     assert rows(folder) >= safe
     resource.prlimit(node._process.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-    told(stage, lambda status, values: status.level == DiagnosticStatus.OK and int(values["rows"]) > safe, "peace")
+    told(stage, lambda status, values: at_peace(status, values) and int(values["rows"]) > safe, "peace")
     assert node.end() == 0
     assert rows(folder) > safe
 
@@ -214,6 +221,15 @@ def rows_safe(checkpoints: Checkpoints) -> object:
     return checkpoints.status.values["rows"]
 
 
+@pytest.fixture
+def now(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The time of checkpoints, which stands still: a busy machine makes no disk slow."""
+    time_of_day = [0.0]
+    monkeypatch.setattr(saving, "time", SimpleNamespace(monotonic=lambda: time_of_day[0]))
+    return time_of_day
+
+
+@pytest.mark.usefixtures("now")
 def test_a_disk_that_fails_is_reported_and_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(_: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -234,14 +250,17 @@ def test_a_disk_that_fails_is_reported_and_tried_again(tmp_path: Path, monkeypat
 
 
 def test_a_disk_that_is_slow_is_reported_and_waited_for_by_nobody(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, now: list[float]
 ) -> None:
-    may_go_on = threading.Event()
-    monkeypatch.setattr(os, "fsync", lambda _: may_go_on.wait(PATIENCE))
+    writing, may_go_on = threading.Event(), threading.Event()
+    monkeypatch.setattr(os, "fsync", lambda _: writing.set() or may_go_on.wait(PATIENCE))
     of = session()
-    with closing(Checkpoints(of, tmp_path, 10.0 * SOON)) as kept:
+    with closing(Checkpoints(of, tmp_path, SOON)) as kept:
         fed(of, 0, HALF)
-        wait_until(lambda: "the disk is slow" in kept.status.error)
+        assert writing.wait(PATIENCE)
+        assert kept.status.error == ""
+        now[0] += 2.0 * SOON
+        assert "the disk is slow" in kept.status.error
         fed(of, HALF, len(MESSAGES))
         assert rows_safe(kept) == 0
         may_go_on.set()

@@ -18,10 +18,10 @@ from geomid_ros.live import dashboard_server
 from geomid_ros.report.page import Script, rendered_page
 
 from .processes import Process
-from .stage import WRIST, Stage, description
+from .stage import NO_CHOICE, WRIST, Stage, description
 
 PATIENCE = 60.0  # [s] on a busy machine
-URDF = {"robot_description": description("arm3"), **WRIST}
+URDF = {"robot_description": description("arm3"), **WRIST, **NO_CHOICE}
 
 
 class Reader:
@@ -69,7 +69,7 @@ def is_listening(port: int) -> bool:
 
 def test_the_page_is_told_what_the_node_says(stage: Stage) -> None:
     arrays = stage.observer.collect(DiagnosticArray, "/diagnostics")
-    stage.node({**URDF, "solve_period": 0.2})
+    alone = stage.node({**URDF, "solve_period": 0.2})
     dashboard = stage.start("geomid_ros", "dashboard")
     reader = Reader(address(stage, dashboard))
     stage.spin_while(stage.play(Path(__file__).parents[2] / "bags/arm3", 4.0, "--topic", "/wrench"))
@@ -97,6 +97,7 @@ def test_the_page_is_told_what_the_node_says(stage: Stage) -> None:
     assert [name for name, _ in opened] == ["/parameter_events", "/diagnostics"]  # the first as every node of rclpy
     assert dashboard.end() == 0, dashboard.output
     assert len(dashboard.output.splitlines()) == 1, dashboard.output
+    assert "Dashboard" not in alone.output, "without the parameter it has none of its own"
 
 
 def test_nobody_but_this_machine_is_answered_and_nothing_can_be_changed(stage: Stage) -> None:
@@ -139,12 +140,6 @@ def test_the_nodes_own_dashboard_ends_with_it(stage: Stage, number: signal.Signa
     while is_listening(port) and time.monotonic() < end:
         time.sleep(0.05)
     assert not is_listening(port)
-
-
-def test_without_the_parameter_there_is_none(stage: Stage) -> None:
-    node = stage.node(URDF)
-    stage.observer.spin(2.0)
-    assert "Dashboard" not in node.output
 
 
 def test_the_page_needs_no_network_and_makes_no_markup_of_what_it_is_told() -> None:

@@ -9,7 +9,7 @@ from geometry_msgs.msg import InertiaStamped
 from std_msgs.msg import String
 
 from .observer import latched
-from .stage import KINDS, WRIST, Stage, description, messages
+from .stage import KINDS, NO_CHOICE, WRIST, Stage, description, messages
 
 ARM3 = description("arm3")
 IMPOSSIBLE = ARM3.replace('<mass value="1.7"/>', '<mass value="-1.7"/>')
@@ -21,7 +21,7 @@ def error(_: dict[str, str], status: Any) -> bool:
 
 
 def test_a_late_and_at_first_unreadable_description(stage: Stage) -> None:
-    node = stage.node(WRIST)
+    node = stage.node({**WRIST, **NO_CHOICE})
     observer = stage.observer
     observer.publish(MESSAGES[:20], KINDS)
     dropped = {f"{topic} dropped: no robot description yet": "10" for topic in ("joint_states", "/wrench")}
@@ -53,7 +53,7 @@ def test_a_description_that_was_there_before(stage: Stage) -> None:
 
 
 def test_a_changed_description_waits_for_a_reset(stage: Stage) -> None:
-    node = stage.node({"solve_period": 0.2})
+    node = stage.node({**NO_CHOICE, "solve_period": 0.2})
     observer = stage.observer
     joints = {"/joint_states": KINDS["/joint_states"]}
     inertias = observer.collect(InertiaStamped, "/geomid/inertias", latched())

@@ -13,12 +13,12 @@ from sensor_msgs.msg import JointState
 
 from .observer import latched
 from .processes import SOON
-from .stage import WRIST, Stage, description
+from .stage import NO_CHOICE, WRIST, Stage, description
 
 
 def test_busy_nodes_save_their_last_estimate(stage: Stage, tmp_path: Path) -> None:
     """In the middle of everything, and however often they are told."""
-    parameters = {**WRIST, "robot_description": description("arm3"), "solve_period": 0.1}
+    parameters = {**WRIST, **NO_CHOICE, "robot_description": description("arm3"), "solve_period": 0.1}
     nodes, inertias = {}, {}
     for number in (signal.SIGINT, signal.SIGTERM):
         name = number.name.lower()

@@ -9,7 +9,7 @@ from geometry_msgs.msg import InertiaStamped
 from std_msgs.msg import String
 
 from .observer import latched
-from .stage import KINDS, Stage, description, messages
+from .stage import KINDS, NO_CHOICE, Stage, description, messages
 
 MESSAGES = messages()[:800]
 
@@ -17,8 +17,10 @@ MESSAGES = messages()[:800]
 def test_two_nodes_side_by_side(stage: Stage) -> None:
     """Each in its namespace, with its robot and its data; names of diagnostics tell them apart."""
     observer = stage.observer
-    stage.node({"solve_period": 0.1}, "-r", "__ns:=/left", "-r", "joint_states:=joints", name="left/geomid")
-    stage.node({"solve_period": 0.1}, "-r", "__ns:=/right", "-r", "__node:=finder", name="right/finder")
+    stage.node(
+        {**NO_CHOICE, "solve_period": 0.1}, "-r", "__ns:=/left", "-r", "joint_states:=joints", name="left/geomid"
+    )
+    stage.node({**NO_CHOICE, "solve_period": 0.1}, "-r", "__ns:=/right", "-r", "__node:=finder", name="right/finder")
     for side in ("left", "right"):
         text = description("arm3").replace("link3", f"{side}_link3")
         observer.node.create_publisher(String, f"/{side}/robot_description", latched(1)).publish(String(data=text))

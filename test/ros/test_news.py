@@ -17,7 +17,7 @@ from geomid_ros.ros.console import AGAIN, Console
 from geomid_ros.ros.news import News
 from geomid_ros.signals.ledger import Account
 
-from .stage import Stage, description
+from .stage import NO_CHOICE, Stage, description
 from .test_catalogue_console import Lines
 
 
@@ -96,7 +96,7 @@ def test_the_same_news_are_said_once_a_minute(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_a_node_says_what_comes_and_what_it_has_found(stage: Stage) -> None:
-    node = stage.node({"robot_description": description("arm3"), "solve_period": 0.2})
+    node = stage.node({**NO_CHOICE, "robot_description": description("arm3"), "solve_period": 0.2})
     player = stage.play(BAGS / "arm3", 1.0)
     stage.spin_while(player)
     stage.observer.wait_for(lambda: "first estimate, from" in node.output, "the first estimate")

@@ -9,9 +9,9 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import InertiaStamped
 
 from .observer import latched
-from .stage import KINDS, WRIST, Stage, description, messages
+from .stage import KINDS, NO_CHOICE, WRIST, Stage, description, messages
 
-ARM3 = {**WRIST, "robot_description": description("arm3"), "solve_period": 0.2}
+ARM3 = {**WRIST, **NO_CHOICE, "robot_description": description("arm3"), "solve_period": 0.2}
 MESSAGES = messages()
 HALF = len(MESSAGES) // 2
 EACH = HALF // 2  # messages of either topic in half of the bag
@@ -42,14 +42,19 @@ def test_stopped_messages_are_counted_and_cost_nothing(stage: Stage, tmp_path: P
     assert rows == int(values["rows"]) > 0
 
 
-def test_reset_forgets(stage: Stage, tmp_path: Path) -> None:
-    """Whenever it comes: an estimate that is being solved for is forgotten too."""
-    stage.node({**ARM3, "output_folder": str(tmp_path / "out")})
+def test_reset_forgets(stage: Stage) -> None:
+    """Whenever it comes: an estimate that is being solved for is forgotten too. Without a folder it is saved where the
+    node was started."""
+    stage.node(ARM3)
     observer = stage.observer
     observer.publish(MESSAGES[:HALF], KINDS)
     stage.fed({"joint_states": EACH, "/wrench": EACH})
-    assert observer.trigger("/geomid/save")[0]
-    before = json.loads((tmp_path / "out/estimate.json").read_text())["rows"]["accepted"]
+    success, message = observer.trigger("/geomid/save")
+    assert success, message
+    written = {path.name: path for path in stage.folder.glob("process0/*")}
+    assert written.keys() == {"estimate.json", "identified.urdf", "posterior.npz"}
+    assert all(str(path) in message for path in written.values())
+    before = json.loads(written["estimate.json"].read_text())["rows"]["accepted"]
     assert observer.trigger("/geomid/reset") == (True, "all rows discarded")
     success, reason = observer.trigger("/geomid/save")
     assert not success
@@ -60,7 +65,7 @@ def test_reset_forgets(stage: Stage, tmp_path: Path) -> None:
     observer.publish(MESSAGES[HALF : HALF + HALF // 2], KINDS)
     stage.fed({"joint_states": EACH + EACH // 2, "/wrench": EACH + EACH // 2})
     assert observer.trigger("/geomid/save")[0]
-    after = json.loads((tmp_path / "out/estimate.json").read_text())["rows"]["accepted"]
+    after = json.loads(written["estimate.json"].read_text())["rows"]["accepted"]
     assert 0 < after < 0.7 * before
 
 
@@ -89,14 +94,3 @@ def test_services_without_a_robot_say_what_is_missing(stage: Stage) -> None:
     assert stage.observer.trigger("/geomid/stop")[0]
     assert stage.observer.trigger("/geomid/start")[0]
     assert node.end() == 0
-
-
-def test_without_a_folder_save_writes_where_the_node_was_started(stage: Stage) -> None:
-    stage.node(ARM3)
-    stage.observer.publish(MESSAGES[:HALF], KINDS)
-    stage.fed({"joint_states": EACH, "/wrench": EACH})
-    success, message = stage.observer.trigger("/geomid/save")
-    assert success, message
-    written = {path.name: path for path in stage.folder.glob("process0/*")}
-    assert written.keys() == {"estimate.json", "identified.urdf", "posterior.npz"}
-    assert all(str(path) in message for path in written.values())

@@ -56,7 +56,8 @@ class Setup:
         self._namespace = namespace
         self._out = stage.folder / "out"
         namespaced = ("-r", f"__ns:={namespace}") if namespace else ()
-        given = ("-p", f"output_folder:={self._out}", *namespaced, *arguments)
+        chosen = ("-p", 'candidates:=[""]')  # as NO_CHOICE
+        given = ("-p", f"output_folder:={self._out}", *chosen, *namespaced, *arguments)
         self.node: Process = stage.start("geomid_ros.ros.main", "--ros-args", "--params-file", config, *map(str, given))
         stage.serving(self.node, self.name)
         self.inertias = stage.observer.collect(InertiaStamped, f"/{self.name}/inertias", latched())

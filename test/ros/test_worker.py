@@ -30,7 +30,7 @@ from geomid_ros.ros.diagnostics import Diagnostics
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 
-from .stage import messages
+from .stage import NO_CHOICE, messages
 
 PATIENCE = 30.0
 STATES = [item for item in messages() if item.topic == "/joint_states"]
@@ -49,7 +49,7 @@ class Watched:
     """A worker on the small arm, and what it tells."""
 
     def __init__(self, solve_period: float, **parameters: Any) -> None:
-        self.session = Session(read_urdf(BAGS / "arm3.urdf"), Configuration(parameters), "arm3.urdf")
+        self.session = Session(read_urdf(BAGS / "arm3.urdf"), Configuration({**NO_CHOICE, **parameters}), "arm3.urdf")
         self.estimates: queue.Queue[Estimate] = queue.Queue()
         self.samples = 0
         self.on_estimate: Any = self.estimates.put

@@ -30,6 +30,7 @@ from geomid_ros.session.session import Session
 
 from .in_motion import SECOND, START, InMotion, in_time, noisy
 from .spoiling import later
+from .stage import NO_CHOICE
 
 SECONDS, RATE = 42.0, 50.0
 TARED, BACK = 26.0, 33.0  # [s]
@@ -40,6 +41,7 @@ URDF = BAGS / "arm3.urdf"
 AXES, CHANNELS = 6, 15
 SENSORS = ("/elbow", "/wrist")
 VALUES = {
+    **NO_CHOICE,
     "wrenches": ["elbow", "wrist"],
     "wrench.elbow.topic": "/elbow",
     "wrench.elbow.frame": "link2",
