@@ -39,7 +39,7 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     load = analysis.problem.situation.usual_load(candidate.place) if candidate.effect.scanned else 0.0
     parameters = naming.parameters(model, sized, candidate, _scanned_std(analysis, candidate), load)
     was = naming.known_before(model, search.prior, candidate, load)
-    parameters = _beside_remainder(analysis, candidate, parameters, was)
+    parameters = beside_remainder(analysis, candidate, parameters, was)
     moment = naming.first_moment(sized, candidate)
     if not any(map(_is_told, moment.values())) or _is_told(parameters["mass"]):
         moment = {}
@@ -62,17 +62,15 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     )
 
 
-def _beside_remainder(
+def beside_remainder(
     analysis: Analysis, candidate: Candidate, parameters: dict[str, Quantity], was: Values
 ) -> dict[str, Quantity]:
-    """Parameters that are as unsure as what has no name leaves them."""
-    if not candidate.terms:
-        return parameters
+    """Parameters that are as unsure as what has no name leaves their sizes."""
     search, effect = analysis.search, candidate.effect
-    doubt, sizes = relative_doubt(search.design, search.prior, analysis.names, candidate), effect.sizes(parameters)
-    changes = {name: abs(size.value - was.get(name, effect.nothing)) for name, size in sizes.items()}
-    wider = {name: replace(q, std=float(np.hypot(q.std, doubt * changes[name]))) for name, q in sizes.items()}
-    return parameters | wider
+    doubt = relative_doubt(search.design, search.prior, analysis.names, candidate)
+    sizes = effect.sizes(parameters).items()
+    changes = {name: abs(size.value - was.get(name, effect.nothing)) for name, size in sizes}
+    return parameters | {n: replace(q, std=float(np.hypot(q.std, doubt * changes[n]))) for n, q in sizes}
 
 
 def probability_by_size(candidate: Candidate, parameters: Mapping[str, Quantity], was: Values) -> float:
