@@ -203,10 +203,9 @@ class Design:
             found.append(Lack(channel.scale * mean, covariance, explained / max(square, 1e-300), power, freedom))
         return found
 
-    def powers(self, terms: Sequence[Any], values: FloatArray) -> FloatArray:
-        """Sums of squares ``(C,)`` of what terms with these ``values (k,)`` add to each channel."""
-        places = np.column_stack([self._places_of_term(term) for term in terms])
-        own = zip(self.channels, places, strict=True)
+    def powers(self, candidate: Hypothesis[Any], values: FloatArray) -> FloatArray:
+        """Sums of squares ``(C,)`` of what a candidate's columns with these ``values (k,)`` add to each channel."""
+        own = zip(self.channels, self._own_places(candidate), strict=True)
         return np.array([float(values @ c.products[np.ix_(place, place)] @ values) for c, place in own])
 
     def _residuals(

@@ -7,12 +7,22 @@ from typing import Generic
 
 import numpy as np
 
+from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import JointFit, fit, scattered
 from geomid_ros.inference.hypothesis import Chosen, Term
+from geomid_ros.inference.prior import Prior
 from geomid_ros.inference.selection import Selection
+from geomid_ros.types import FloatArray
 
 _LEAST_SQUARE = 3.0**2
 """A size within three standard deviations of nothing is no evidence."""
+_ALONG = 0.5  # of what a channel lacks, as a root mean square, may lie along a hypothesis's columns
+
+
+def probability_of_square(square: float) -> float:
+    """The largest probability that a size is not nothing, from which it is the root of ``square`` standard deviations
+    away."""
+    return 1.0 / (1.0 + float(np.exp(-0.5 * np.clip(square - _LEAST_SQUARE, -1e3, 1e3))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,11 +78,18 @@ class Supports(Generic[Chosen, Term]):
         return self._losses[candidate]
 
     def _rivals(self, rest: JointFit[Chosen, Term], candidate: Chosen) -> list[tuple[Chosen, float]]:
-        """The others in its place, each with the loss: exactly of those that are as good as this, of all others as the
-        score test says. The same with another constant, and what contains it, deny nothing."""
+        """The others in its place, each with the loss: exactly of bodies and of those that are as good as this, of all
+        others as the score test says. The same with another constant, and what contains it, deny nothing."""
         selection, found = self._selection, self._found
-        denies = [t for t in selection.ranked(rest) if not t.candidate.includes(candidate)]
-        worse = {t.candidate: rest.score - t.gain - found.score for t in denies if np.isfinite(t.gain)}
+        worse = dict[Chosen, float]()
+        for trial in selection.ranked(rest):
+            rival, loss = trial.candidate, rest.score - trial.gain - found.score
+            if rival.includes(candidate) or rival.payload is not None or not np.isfinite(loss):
+                continue
+            if loss < 0.0:  # a promise that the search, which has tried exchanges, did not find kept
+                instead = selection.fit([*rest.chosen, rival], rest)
+                loss = instead.score - found.score if selection.possible(instead) else np.inf
+            worse[rival] = loss
         for instead in selection.rivals(found, candidate):
             own = [c for c in instead.chosen if c not in found.chosen and not c.includes(candidate)]
             if own:
@@ -80,16 +97,33 @@ class Supports(Generic[Chosen, Term]):
         return list(worse.items())
 
     def _of_size(self, candidate: Chosen) -> float:
-        """By how much the score is worse if it is nothing, as its size says."""
-        sized, found = self._sized, self._found
-        if candidate.payload is None:
-            places = [found.place(term) for term in candidate.terms]
-            values = np.array([found.value(t) - self._selection.prior.value(t) for t in candidate.terms])
-            inverse = found.inverse[np.ix_(places, places)]
-            narrowed = max(0.0, -float(np.linalg.slogdet(inverse * found.weights[places])[1]))
-        else:  # mass and first moment: its prior is next to none
-            first = 10 * (found.manifold.links - len(found.bodies) + found.bodies.index(candidate.payload))
-            places = list(range(first, first + 4))
-            values, narrowed = found.point.parameters[places], 0.0
-        square = float(values @ np.linalg.solve(sized.covariance[np.ix_(places, places)], values))
-        return square - max(narrowed + candidate.cost, _LEAST_SQUARE)
+        """By how much the score is worse if it is nothing, as its size says; of a body its mass and first moment, whose
+        prior is next to none."""
+        found, prior = self._found, self._selection.prior
+        values, places = _change(prior, found, candidate)
+        narrowed = 0.0
+        if candidate.payload is not None:
+            values, places = values[:4], places[:4]
+        else:
+            narrowed = -float(np.linalg.slogdet(found.inverse[np.ix_(places, places)] * found.weights[places])[1])
+        square = float(values @ np.linalg.solve(self._sized.covariance[np.ix_(places, places)], values))
+        wider = 1.0 + relative_doubt(self._selection.design, prior, found, candidate) ** 2 * square  # of a determinant
+        return square / wider - max(narrowed - float(np.log(wider)) + candidate.cost, _LEAST_SQUARE)
+
+
+def relative_doubt(design: Design, prior: Prior[Term], found: JointFit[Chosen, Term], candidate: Chosen) -> float:
+    """The standard deviation of a hypothesis's size that comes from what its channels lack, a part of which may lie
+    along its columns; relative."""
+    values, _ = _change(prior, found, candidate)
+    powers, lacks = design.powers(candidate, values) / found.squares, found.remainders(design)
+    left = np.array([lack.power for lack in lacks]) / found.squares
+    return _ALONG * float(np.sqrt(np.sum(left[powers > 0.0]) / max(float(np.sum(powers)), 1e-300)))
+
+
+def _change(prior: Prior[Term], found: JointFit[Chosen, Term], candidate: Chosen) -> tuple[FloatArray, list[int]]:
+    """What a hypothesis makes of its parameters ``(k,)``, and their places."""
+    if candidate.payload is None:
+        places = [found.place(term) for term in candidate.terms]
+        return np.array([found.value(term) - prior.value(term) for term in candidate.terms]), places
+    first = 10 * (found.manifold.links - len(found.bodies) + found.bodies.index(candidate.payload))
+    return found.point.parameters[first : first + 10], list(range(first, first + 10))

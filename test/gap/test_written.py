@@ -10,11 +10,13 @@ import pytest
 
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.gap import result as result_module
+from geomid_ros.gap.candidates import NamesFit
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.judgement import written as written_module
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import find_gap
-from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, Quantity
+from geomid_ros.inference.design import Design
+from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.model.measurement import MeasurementModel
@@ -83,16 +85,16 @@ def test_what_is_not_sure_is_not_written(monkeypatch: pytest.MonkeyPatch) -> Non
     np.testing.assert_allclose(result.gap.after, result.gap.before, rtol=0.01)
 
 
-def test_a_name_whose_written_size_may_be_nothing_is_tentative_and_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
-    def moved(quantity: Quantity, value: float) -> Quantity:
-        return replace(quantity, value=value, std=0.34 * abs(value))
+def test_a_name_whose_written_size_may_be_nothing_is_not_sure_and_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unsure(_: Design, fit: NamesFit) -> NamesFit:
+        return replace(fit, information=1e-6 * fit.information)
 
-    monkeypatch.setattr(written_module, "_moved", moved)
+    monkeypatch.setattr(written_module, "scattered", unsure)
     result = found(nominal=known())
-    assert [(f.effect, f.joint, f.confidence) for f in result.findings] == [
-        ("viscous_friction", JOINTS[1], "tentative")
-    ]
-    assert result.findings[0].sentence.startswith("Perhaps ")
+    (finding,) = result.findings
+    assert (finding.effect, finding.joint) == ("viscous_friction", JOINTS[1])
+    assert result.sure == ()
+    assert finding.probability < 0.5
     np.testing.assert_allclose(result.gap.after, result.gap.before, rtol=0.01)
 
 

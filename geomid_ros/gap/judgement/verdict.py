@@ -13,15 +13,14 @@ from geomid_ros.gap.candidates import Candidate, NamesFit
 from geomid_ros.gap.judgement import naming
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.judgement.locate import strongest
-from geomid_ros.gap.result import SURE, Finding, Ranked, Rival, Unexplained, Verdict, confidence_of
+from geomid_ros.gap.result import Finding, Ranked, Rival, Unexplained, Verdict, confidence_of
 from geomid_ros.inference.fit import scattered
+from geomid_ros.inference.probability import probability_of_square, relative_doubt
 from geomid_ros.inference.rao_score import score_test
 from geomid_ros.model.effects import EFFECTS, Quantity, Values
 from geomid_ros.model.measurement import MeasurementModel
 
 _NEAR = 20.0  # in minus twice a logarithm: rivals that are less likely than one in ten thousand are not worth a word
-_ALONG = 0.5  # of what has no name, as a root mean square, may lie along a name's columns
-_SURE_OF_SIZE = 3.0  # standard deviations
 _MOST_OF_IT = 0.5  # of a channel's squares
 
 
@@ -40,19 +39,18 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     load = analysis.problem.situation.usual_load(candidate.place) if candidate.effect.scanned else 0.0
     parameters = naming.parameters(model, sized, candidate, _scanned_std(analysis, candidate), load)
     was = naming.known_before(model, search.prior, candidate, load)
-    parameters = _beside_remainder(analysis, candidate, parameters, was)
+    parameters = beside_remainder(analysis, candidate, parameters, was)
     moment = naming.first_moment(sized, candidate)
     if not any(map(_is_told, moment.values())) or _is_told(parameters["mass"]):
         moment = {}
-    probability = min(support.probability, SURE) if may_be_nothing(candidate, parameters, was) else support.probability
-    confidence = confidence_of(probability)
+    confidence = confidence_of(support.probability)
     close = [(EFFECTS[rival.effect](), rival.joint) for rival in rivals]
     return Finding(
         effect=candidate.name,
         joint=joint,
         link=link,
         parameters=parameters,
-        probability=probability,
+        probability=support.probability,
         rivals=tuple(rivals),
         separability=float(np.clip(score_test(search.design, without, candidate).separability, 0.0, 1.0)),
         loss=support.loss,
@@ -64,28 +62,24 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     )
 
 
-def _beside_remainder(
+def beside_remainder(
     analysis: Analysis, candidate: Candidate, parameters: dict[str, Quantity], was: Values
 ) -> dict[str, Quantity]:
-    """Parameters that are as unsure as what has no name leaves them: a part of it may lie along the name's columns."""
-    if not candidate.terms:
-        return parameters
-    names, design, effect = analysis.names, analysis.search.design, candidate.effect
-    values = np.array([names.value(term) - analysis.search.prior.value(term) for term in candidate.terms])
-    powers, lacks = design.powers(candidate.terms, values) / names.squares, names.remainders(design)
-    left = np.array([lack.power for lack in lacks]) / names.squares
-    doubt = _ALONG * float(np.sqrt(np.sum(left[powers > 0.0]) / max(float(np.sum(powers)), 1e-300)))
-    sizes = effect.sizes(parameters)
-    changes = {name: abs(size.value - was.get(name, effect.nothing)) for name, size in sizes.items()}
-    wider = {name: replace(q, std=float(np.hypot(q.std, doubt * changes[name]))) for name, q in sizes.items()}
-    return parameters | wider
+    """Parameters that are as unsure as what has no name leaves their sizes."""
+    search, effect = analysis.search, candidate.effect
+    doubt = relative_doubt(search.design, search.prior, analysis.names, candidate)
+    sizes = effect.sizes(parameters).items()
+    changes = {name: abs(size.value - was.get(name, effect.nothing)) for name, size in sizes}
+    return parameters | {n: replace(q, std=float(np.hypot(q.std, doubt * changes[n]))) for n, q in sizes}
 
 
-def may_be_nothing(candidate: Candidate, parameters: Mapping[str, Quantity], was: Values) -> bool:
-    """Whether all sizes may be what they were, or nothing: three standard deviations hold that."""
+def probability_by_size(candidate: Candidate, parameters: Mapping[str, Quantity], was: Values) -> float:
+    """The largest probability that a name with these sizes can have: it is that they are what they were, or nothing,
+    that speaks against it."""
     sizes, nothing = candidate.effect.sizes(parameters), candidate.effect.nothing
     main = {"mass": sizes["mass"]} if candidate.payload is not None else sizes
-    return all(abs(size.value - was.get(name, nothing)) <= _SURE_OF_SIZE * size.std for name, size in main.items())
+    squares = [((size.value - was.get(name, nothing)) / size.std) ** 2 for name, size in main.items() if size.std > 0.0]
+    return probability_of_square(max(squares, default=np.inf))
 
 
 def _is_told(quantity: Quantity) -> bool:

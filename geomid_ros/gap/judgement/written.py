@@ -14,8 +14,8 @@ from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_
 from geomid_ros.gap.evidence.record import Records, TotalModel
 from geomid_ros.gap.judgement import naming
 from geomid_ros.gap.judgement.changed_links import with_given_spreads
-from geomid_ros.gap.judgement.verdict import may_be_nothing
-from geomid_ros.gap.result import SURE, Finding, LinkChange
+from geomid_ros.gap.judgement.verdict import beside_remainder, probability_by_size
+from geomid_ros.gap.result import Finding, LinkChange
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import fit, scattered
 from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, KnownEffect, Quantity, effect_class
@@ -188,9 +188,10 @@ def _findings_as_written(
         elif candidate in found.chosen:
             load = analysis.problem.situation.usual_load(candidate.place) if candidate.effect.scanned else 0.0
             parameters = naming.parameters(model, found, candidate, usual_load=load)
-            sized = {name: _moved(quantity, parameters[name].value) for name, quantity in finding.parameters.items()}
-            nothing = may_be_nothing(candidate, sized, finding.was)
-            probability = min(finding.probability, SURE) if nothing else finding.probability
+            sized = finding.parameters | candidate.effect.sizes(
+                beside_remainder(analysis, candidate, parameters, finding.was)
+            )
+            probability = min(finding.probability, probability_by_size(candidate, parameters, finding.was))
             yield _said_again(replace(finding, parameters=sized, probability=probability))
         else:
             yield _said_again(replace(finding, probability=finding.probability * unsure))
