@@ -78,6 +78,7 @@ class Candidate:
 
     Attributes:
         undo: judges a subject with the candidate undone.
+        read: the subject as it is read then, by which the candidates of a row are ranked; None if they need not be.
         cause: what is said of it, if need be by what was estimated.
         concerned: the channels that it changes.
         sources: ``(C,)`` which measured channel each judged one is; None if each is its own.
@@ -99,6 +100,11 @@ class Candidate:
     upright: bool = False
     changes: bool = False
     subject: Subject | None = None
+    read: Callable[[Subject], Subject] | None = None
+
+    def resemblance(self, few: Subject) -> float:
+        """That of what is read then and the prediction, see :attr:`Subject.resemblance`."""
+        return np.inf if self.read is None else self.read(few).resemblance
 
 
 @dataclass(frozen=True, eq=False)

@@ -149,8 +149,8 @@ def _kinds(subject: Subject) -> Iterator[_Kind]:
     for first in (False, True):
         yield _Kind(lambda of: of.weight[:, :, None], switched, first=first)
     bodies = subject.prior.reshape(-1, 10)
-    for place, body in enumerate(subject.model.robot.bodies):
-        if len(subject.model.robot.subtree(body.name)) == 1:
+    for place, body in enumerate(subject.robot.bodies):
+        if len(subject.robot.subtree(body.name)) == 1:
             yield _load(subject, place, body.name, payload_factor(bodies, place))
 
     def slip(gain: Gain, when: str) -> tuple[Cause, list[int]] | None:

@@ -49,7 +49,7 @@ class EffortCheck:
         joints = np.flatnonzero(measured & changing)
         usable = _usable(samples, joints)
         numbers = np.zeros(len(samples), dtype=np.int64) if recordings is None else recordings
-        self._subject = Subject.of(model, samples.select(usable), joints, gains[joints], numbers[usable])
+        self._subject = Subject.of(robot, samples.select(usable), joints, gains[joints], numbers[usable])
         self._dense = None if dense is None else dense.select(_usable(dense, joints))
         self._enough = np.count_nonzero(usable) >= FEWEST and bool(np.any(moves)) and len(joints) > 0
         self.remarks: list[str] = []

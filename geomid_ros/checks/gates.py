@@ -27,7 +27,7 @@ _FAR = 2.0  # times what is left at other instants
 def impossible_description(subject: Subject) -> Cause | None:
     """What is wrong with the URDF, whatever was measured: lengths, centres of mass and radii of gyration that are not
     of one robot, masses that joints of such limits could not carry, or that no steel could have."""
-    robot = subject.model.robot
+    robot = subject.robot
     bodies = np.array([body.parameters for body in robot.bodies])
     distances = np.linalg.norm(bodies[:, 1:4], axis=1) / bodies[:, 0]
     radii = np.sqrt([0.5 * np.trace(pseudo_inertia.central_inertia(body)) / body[0] for body in bodies])
@@ -63,7 +63,7 @@ def _lengths(links: list[str], what: str, quantity: str, unit: str, right: str) 
 
 def _length(subject: Subject) -> float:
     """The sum of all distances from a joint to the next."""
-    robot = subject.model.robot
+    robot = subject.robot
     frames = robot.link_frames(subject.samples.select(slice(1)))
     return float(sum(np.linalg.norm(frames[j.child][1] - frames[j.parent][1]) for j in robot.tree.joints))
 
@@ -71,7 +71,7 @@ def _length(subject: Subject) -> float:
 def _weights(subject: Subject) -> FloatArray:
     """The largest efforts of the URDF's links at rest where the robot was, whatever gravity is said to be
     ``(joints,)``."""
-    gravity, weights = subject.model.robot.gravity, np.zeros(len(subject.model.robot.joints))
+    gravity, weights = subject.robot.gravity, np.zeros(len(subject.robot.joints))
     on_earth = STANDARD_GRAVITY / max(float(np.linalg.norm(gravity)), STANDARD_GRAVITY)
     weights[subject.joints] = on_earth * np.max(np.abs(subject.weight), axis=0)
     return weights
@@ -123,7 +123,7 @@ def frozen_position(subject: Subject) -> Cause | None:
             inside, outside = _left(subject, still)
             moving = np.ptp(positions[still], axis=0) > _MOVING * np.ptp(positions, axis=0)
             if np.any(moving) and np.any((inside > _FAR * outside) & changes):
-                return Cause.of("frozen", [subject.model.robot.joint_names[joint]], share=np.mean(still))
+                return Cause.of("frozen", [subject.robot.joint_names[joint]], share=np.mean(still))
     return None
 
 

@@ -7,10 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.checks.evidence import Evidence, Products, evidence
+from geomid_ros.checks.evidence import LEAST_SIGMA, Evidence, Products, evidence
 from geomid_ros.checks.flexible import FlexibleFit
 from geomid_ros.checks.rows import effort_rows, friction_columns, gravity_rows, prior_factor
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.saturation import STANDING
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
@@ -21,7 +21,9 @@ _OFFSET = 3.0
 _STRETCHES = 20  # of a recording, alternately in one part and in the other
 _FEWEST = 15  # instants of a part that is judged
 _ALIKE, _PART = 0.7, 0.5  # correlation of what links take, and share of what was measured
-_OF_MOTION = ("regressor", "predicted", "friction", "basis", "columns", "_unknowns", "tolerated", "gravity_rows")
+_OF_MOTION = (
+    "regressor", "predicted", "friction", "basis", "columns", "_unknowns", "tolerated", "gravity_rows", "_bases",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -29,7 +31,7 @@ class Subject:
     """The C joints of a robot whose efforts are judged, and what was recorded of them at N instants.
 
     Attributes:
-        model: of the robot.
+        robot: under the gravity that is configured.
         samples: instants of the recording at which the efforts of these joints are measured.
         joints: ``(C,)`` their places among the robot's.
         gains: ``(C,)`` factors that the messages' efforts were multiplied by.
@@ -40,7 +42,7 @@ class Subject:
         later: the N instants that come next; None if they are not known.
     """
 
-    model: MeasurementModel
+    robot: Robot
     samples: Samples
     joints: IntArray
     gains: FloatArray
@@ -51,15 +53,13 @@ class Subject:
     later: Samples | None = None
 
     @staticmethod
-    def of(
-        model: MeasurementModel, samples: Samples, joints: IntArray, gains: FloatArray, recordings: IntArray
-    ) -> Subject:
+    def of(robot: Robot, samples: Samples, joints: IntArray, gains: FloatArray, recordings: IntArray) -> Subject:
         """The subject of a robot's own URDF, see :class:`Subject`."""
-        prior = np.array([body.parameters for body in model.robot.bodies]).ravel()
-        factor = prior_factor(model.robot)
+        prior = np.array([body.parameters for body in robot.bodies]).ravel()
+        factor = prior_factor(robot)
         shares = np.arange(len(samples)) / max(len(samples), 1)
         return Subject(
-            model=model,
+            robot=robot,
             samples=samples,
             joints=joints,
             gains=gains,
@@ -121,19 +121,19 @@ class Subject:
     def under(self, gravity: FloatArray) -> Subject:
         """The same under another ``gravity (3,)`` in the base frame [m/s^2]."""
         still, by_gravity = self.gravity_rows
-        other = replace(self, model=self.model.with_gravity(gravity))
+        other = replace(self, robot=self.robot.with_gravity(gravity))
         other.__dict__["regressor"] = still + np.tensordot(gravity, by_gravity, 1)
         return other
 
     @property
     def names(self) -> list[str]:
         """Names of the joints."""
-        return [self.model.robot.joint_names[joint] for joint in self.joints]
+        return [self.robot.joint_names[joint] for joint in self.joints]
 
     @property
     def units(self) -> list[str]:
         """Units of the efforts."""
-        return [self.model.robot.joints[joint].unit for joint in self.joints]
+        return [self.robot.joints[joint].unit for joint in self.joints]
 
     @property
     def measured(self) -> FloatArray:
@@ -148,12 +148,12 @@ class Subject:
     @cached_property
     def regressor(self) -> FloatArray:
         """Rows ``(N, C, D)`` of the efforts over the links' parameters."""
-        return effort_rows(self.model.robot, self.samples, self.model.robot.gravity)[:, self.joints]
+        return effort_rows(self.robot, self.samples, self.robot.gravity)[:, self.joints]
 
     @cached_property
     def gravity_rows(self) -> tuple[FloatArray, FloatArray]:
         """Those without gravity ``(N, C, D)``, and per unit of gravity along each axis ``(3, N, C, D)``."""
-        still, by_gravity = gravity_rows(self.model.robot, self.samples)
+        still, by_gravity = gravity_rows(self.robot, self.samples)
         return still[:, self.joints], by_gravity[:, :, self.joints]
 
     @cached_property
@@ -263,8 +263,19 @@ class Subject:
 
     def _beyond_friction(self, columns: FloatArray) -> FloatArray:
         """Columns of each channel ``(C, N, k)`` without what its friction explains."""
-        bases, _ = np.linalg.qr(self.friction.transpose(1, 0, 2))
-        return np.asarray(columns - bases @ (bases.transpose(0, 2, 1) @ columns))
+        return np.asarray(columns - self._bases @ (self._bases.transpose(0, 2, 1) @ columns))
+
+    @cached_property
+    def _bases(self) -> FloatArray:
+        return np.asarray(np.linalg.qr(self.friction.transpose(1, 0, 2))[0])
+
+    @property
+    def resemblance(self) -> float:
+        """How much efforts resemble those predicted: the log likelihood per instant if each is a positive multiple of
+        its prediction, and friction. No links are fitted."""
+        slopes, alike = self.slopes()
+        left = np.maximum(1.0 - np.where(slopes > 0.0, alike, 0.0), LEAST_SIGMA**2)
+        return -0.5 * float(np.sum(np.log(left)))
 
     def slopes(self) -> tuple[FloatArray, FloatArray]:
         """Of each channel the slope of what is measured over what the URDF predicts, and their squared correlation,

@@ -1,8 +1,8 @@
 """Transforms of recordings that may have happened throughout: a table of candidates for what is wrong.
 
-Each row of :data:`EFFORTS` and :data:`MOTIONS` yields candidates that undo one kind of transform: of the efforts (sign,
-unit, order), of gravity, or of the motion (unit, names, zero, axis, time). Those that need rows of their own
-are first judged at a few instants.
+Each row of :data:`ROWS` yields candidates that undo one kind of transform: of the efforts (sign, unit, order), of
+gravity, or of the motion (unit, names, zero, axis, time). Of each row those are judged whose mended efforts resemble
+most, at a few instants, what the URDF predicts: the number of fits does not grow with that of joints.
 """
 
 from __future__ import annotations
@@ -52,18 +52,16 @@ _SIDE = re.compile(r"(?<![a-z])(left|right|l|r)(?![a-z])", re.IGNORECASE)
 
 def candidates(subject: Subject) -> Iterator[Candidate]:
     """All candidates that are worth judging on a subject."""
-    for row in EFFORTS:
-        yield from row(subject)
     few = subject.part(slice(None, None, -(-len(subject.samples) // _FEW)))
-    # Of what is nearly explained no more could be told.
-    rows = MOTIONS if np.sum(np.log(subject.nominal.sigmas / LEAST_SIGMA)) > GAIN else MOTIONS[:1]
+    # Of what is nearly explained no more could be told by reading the motion otherwise.
+    rows = ROWS if np.sum(np.log(subject.nominal.sigmas / LEAST_SIGMA)) > GAIN else ROWS[:_OF_EFFORTS]
     for row in rows:
-        gains = [(candidate.undo(few).log - few.nominal.log, candidate) for candidate in row(subject)]
-        best = sorted(gains, key=lambda pair: -pair[0])[:_BEST]
-        yield from (candidate for gain, candidate in best if gain > 0.0 or candidate.settled)
+        ranked = sorted(row(subject, few), key=lambda candidate: -candidate.resemblance(few))
+        yield from ranked[:_BEST]
+        yield from (candidate for candidate in ranked[_BEST:] if candidate.settled)
 
 
-def _signs(subject: Subject) -> Iterator[Candidate]:
+def _signs(subject: Subject, _: Subject) -> Iterator[Candidate]:
     """The efforts of all joints are reversed, or of one."""
     every = range(len(subject.joints))
     for joints in [every, *([joint] for joint in every if len(every) > 1)]:
@@ -79,14 +77,16 @@ def _linear(
     channels, sizes = np.arange(len(matrix)), np.abs(matrix)
     sources = np.where(sizes[channels, channels] > 0.0, channels, np.argmax(sizes, axis=1))
 
-    def undo(subject: Subject) -> Judged:
-        units = sizes[channels, sources] * subject.spread[sources]
-        return Judged.mended(subject.with_efforts(subject.measured @ matrix.T), units)
+    def read(subject: Subject) -> Subject:
+        return subject.with_efforts(subject.measured @ matrix.T)
 
-    return Candidate(undo=undo, cause=cause, concerned=concerned, sources=sources, upright=upright, settled=settled)
+    undo = _undone(read, sizes[channels, sources], sources)
+    return Candidate(
+        undo=undo, read=read, cause=cause, concerned=concerned, sources=sources, upright=upright, settled=settled
+    )
 
 
-def _orders(subject: Subject) -> Iterator[Candidate]:
+def _orders(subject: Subject, _: Subject) -> Iterator[Candidate]:
     """The efforts of two joints are exchanged."""
     for pairs in exchanges(subject.names):
         if len(pairs) == 1:
@@ -96,7 +96,7 @@ def _orders(subject: Subject) -> Iterator[Candidate]:
             yield _linear(matrix, Cause.of("order", [subject.names[joint] for joint in pair]), pair)
 
 
-def _frictions(subject: Subject) -> Iterator[Candidate]:
+def _frictions(subject: Subject, _: Subject) -> Iterator[Candidate]:
     """Weights and inertias are in the efforts as they should be, but friction drives joints."""
     found = subject.evidence(either_sign=True)
     friction = np.einsum("nck,ck->nc", subject.friction[:, :, 1:3], found.friction[:, 1:3])
@@ -112,7 +112,7 @@ def _frictions(subject: Subject) -> Iterator[Candidate]:
         yield Candidate(undo=undo, cause=cause, concerned=concerned, allowed=everything_upright)
 
 
-def _magnitudes(subject: Subject) -> Iterator[Candidate]:
+def _magnitudes(subject: Subject, _: Subject) -> Iterator[Candidate]:
     """Efforts are the magnitudes of what they should be: those that never change their sign where what is predicted, or
     the velocity of a joint that mainly rubs, does."""
     concerned = _without_sign(subject)
@@ -147,7 +147,7 @@ def _expected(subject: Subject, channel: int) -> FloatArray:
     return max(both, key=lambda one: float(np.nan_to_num(np.corrcoef(effort, np.abs(one))[0, 1])))
 
 
-def _gains(subject: Subject) -> Iterator[Candidate]:
+def _gains(subject: Subject, _: Subject) -> Iterator[Candidate]:
     """Another unit of all joints together, or shares of what they are rated for, and of each by itself."""
     every = range(len(subject.joints))
     slopes, told = subject.slopes()
@@ -166,9 +166,7 @@ def _gains(subject: Subject) -> Iterator[Candidate]:
 
 def _loads(subject: Subject) -> FloatArray:
     """The largest efforts as shares of the URDF's limits ``(C,)``."""
-    return np.asarray(
-        np.quantile(np.abs(subject.measured), 0.99, axis=0) / subject.model.robot.effort_limits[subject.joints]
-    )
+    return np.asarray(np.quantile(np.abs(subject.measured), 0.99, axis=0) / subject.robot.effort_limits[subject.joints])
 
 
 def _common_factor(subject: Subject, slopes: FloatArray, told: FloatArray) -> tuple[float, bool]:
@@ -198,9 +196,9 @@ def _other_unit(subject: Subject, joints: Sequence[int], factor: float) -> Cause
     return Cause.of("gain", names, settings, every=whole, ratio=ratio, unit=f" ({unit}?)" if unit else "")
 
 
-def _gravities(subject: Subject) -> Iterator[Candidate]:
+def _gravities(subject: Subject, _: Subject) -> Iterator[Candidate]:
     """The directions of gravity that fit best, and that it is not in the efforts."""
-    nominal = subject.model.robot.gravity
+    nominal = subject.robot.gravity
     size = float(np.linalg.norm(nominal))
     right = abs(size - STANDARD_GRAVITY) < 0.1 * STANDARD_GRAVITY
     fitted = subject.fitted_gravity(subject.prior)
@@ -215,12 +213,12 @@ def _gravities(subject: Subject) -> Iterator[Candidate]:
     if size > 0.0:
         cause = Cause.of("compensated", subject.names, {"gravity": [0.0, 0.0, 0.0]})
         every = range(len(subject.joints))
-        for undo in (_weightless, _compensated):
-            yield Candidate(undo=undo, cause=cause, concerned=every)
+        for read in (_weightless, _compensated):
+            yield Candidate(undo=_undone(read), read=read, cause=cause, concerned=every)
 
 
 def _turned(subject: Subject, gravity: FloatArray) -> Candidate:
-    nominal, size = subject.model.robot.gravity, float(np.linalg.norm(gravity))
+    nominal, size = subject.robot.gravity, float(np.linalg.norm(gravity))
     cosine = float(gravity @ nominal) / max(size * float(np.linalg.norm(nominal)), 1e-9)
     angle = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
     alone = angle > _TILT or abs(size - float(np.linalg.norm(nominal))) > 0.1 * size
@@ -237,30 +235,36 @@ def _turned(subject: Subject, gravity: FloatArray) -> Candidate:
         angle=np.degrees(angle),
     )
 
-    def undo(subject: Subject) -> Judged:
-        return Judged.mended(subject.under(gravity), subject.spread)
+    def read(subject: Subject) -> Subject:
+        return subject.under(gravity)
 
-    return Candidate(undo=undo, cause=cause, concerned=range(len(subject.joints)), alone=alone)
+    return Candidate(undo=_undone(read), read=read, cause=cause, concerned=range(len(subject.joints)), alone=alone)
 
 
-def _weightless(subject: Subject) -> Judged:
+def _undone(
+    read: Callable[[Subject], Subject], sizes: FloatArray | float = 1.0, sources: IntArray | slice = slice(None)
+) -> Callable[[Subject], Judged]:
+    """Judges a subject as it is read then, of efforts ``sizes`` times as large that were measured as ``sources``."""
+    return lambda subject: Judged.mended(read(subject), sizes * subject.spread[sources])
+
+
+def _weightless(subject: Subject) -> Subject:
     """There is no gravity."""
-    return Judged.mended(subject.under(np.zeros(3)), subject.spread)
+    return subject.under(np.zeros(3))
 
 
-def _compensated(subject: Subject) -> Judged:
+def _compensated(subject: Subject) -> Subject:
     """Weights, as of the URDF's links, are taken off."""
-    mended = subject.with_efforts(subject.measured + subject.weight)
-    return Judged.mended(mended, subject.spread)
+    return subject.with_efforts(subject.measured + subject.weight)
 
 
-def _names(subject: Subject) -> Iterator[Candidate]:
+def _names(subject: Subject, _: Subject) -> Iterator[Candidate]:
     """Positions and efforts of one joint are those of another."""
     for pairs in exchanges(subject.names):
         sources = np.arange(len(subject.joints))
         for first, second in pairs:
             sources[[first, second]] = second, first
-        order = np.arange(len(subject.model.robot.joints))
+        order = np.arange(len(subject.robot.joints))
         order[subject.joints] = subject.joints[sources]
         both = [(subject.names[first], subject.names[second]) for first, second in pairs]
         said = ", ".join(f"'{first}' and '{second}'" for first, second in both)
@@ -293,10 +297,10 @@ def _mirrored(name: str) -> str:
     return _SIDE.sub(lambda found: _SIDES[found.group().lower()], name)
 
 
-def _positions(subject: Subject) -> Iterator[Candidate]:
+def _positions(subject: Subject, _: Subject) -> Iterator[Candidate]:
     """Positions and speeds of all joints that turn, or of one joint, are in another unit: in a smaller one only where
     they are beyond limits, or a turn."""
-    robot = subject.model.robot
+    robot = subject.robot
     turning = np.array([joint.unit != "N" for joint in robot.joints])
     low, high = robot.position_limits.T
     largest = np.max(np.abs(subject.samples.position), axis=0)
@@ -324,7 +328,7 @@ def _in_unit(
     *,
     settled: bool = False,
 ) -> Candidate:
-    robot = subject.model.robot
+    robot = subject.robot
     names = subject.names if joint is None else [robot.joint_names[joint]]
     right = "m and m/s" if unit in LENGTHS else "rad and rad/s"
     cause = Cause.of("position", names, positions=said, unit=unit, right=right)
@@ -333,20 +337,20 @@ def _in_unit(
 
 
 def _of_motion(
-    read: Callable[[Samples], Samples],
+    change: Callable[[Samples], Samples],
     cause: Cause,
     concerned: Sequence[int],
     *,
     sources: IntArray | None = None,
     settled: bool = False,
 ) -> Candidate:
-    """The recording with its samples read otherwise is that of this robot."""
+    """The recording with its samples changed is that of this robot."""
 
-    def undo(subject: Subject) -> Judged:
-        units = subject.spread if sources is None else subject.spread[sources]
-        return Judged.mended(subject.with_samples(read(subject.samples)), units)
+    def read(subject: Subject) -> Subject:
+        return subject.with_samples(change(subject.samples))
 
-    return Candidate(undo=undo, cause=cause, concerned=concerned, sources=sources, settled=settled)
+    undo = _undone(read) if sources is None else _undone(read, sources=sources)
+    return Candidate(undo=undo, read=read, cause=cause, concerned=concerned, sources=sources, settled=settled)
 
 
 def _scaled(samples: Samples, scales: FloatArray, rate: float = 1.0) -> Samples:
@@ -359,44 +363,53 @@ def _scaled(samples: Samples, scales: FloatArray, rate: float = 1.0) -> Samples:
     )
 
 
-def _times(subject: Subject) -> Iterator[Candidate]:
+def _times(subject: Subject, _: Subject) -> Iterator[Candidate]:
     """Stamps run too fast or too slow: where inertia does not fit gravity, and there is gravity in the efforts."""
-    ones, every = np.ones(len(subject.model.robot.joints)), range(len(subject.joints))
+    ones, every = np.ones(len(subject.robot.joints)), range(len(subject.joints))
     for rate in TIMES:
         said = f"{1.0 / rate:g} times as slow" if rate < 1.0 else f"{rate:g} times as fast"
         cause = Cause.of("time", subject.names, rate=said, period=f"{1.0 / rate:g} times")
 
         def undo(subject: Subject, rate: float = rate) -> Judged:
             judged = Judged.mended(subject.with_samples(_scaled(subject.samples, ones, rate)), subject.spread)
-            without = max(_weightless(subject).log, _compensated(subject).log)
+            without = max(_undone(read)(subject).log for read in (_weightless, _compensated))
             return replace(judged, log=judged.log - max(without - subject.nominal.log, 0.0))
 
         yield Candidate(undo=undo, cause=cause, concerned=every)
 
 
-def _encoders(subject: Subject) -> Iterator[Candidate]:
-    """A joint counts the other way round, from a zero a right angle off, or the angle of a parallel joint, too."""
-    robot = subject.model.robot
-    turning = [place for place, joint in enumerate(robot.joints) if joint.unit != "N"]
-    right = 0.5 * np.pi
+def _zeros(subject: Subject, few: Subject) -> Iterator[Candidate]:
+    """A joint that turns counts from another zero: each from where efforts resemble those predicted most."""
+    for joint in _turning(subject):
+        yield _zero(subject, joint, 1.0, _best_start(few, joint, 1.0))
+
+
+def _axes(subject: Subject, few: Subject) -> Iterator[Candidate]:
+    """A joint counts the other way round, from any zero, or the angle of a parallel joint, too."""
+    robot = subject.robot
+    turning = _turning(subject)
     for joint in range(len(robot.joints)):
-        turns = joint in turning
-        yield _zero(subject, joint, -1.0, 0.0)
+        yield _zero(subject, joint, -1.0, _best_start(few, joint, -1.0) if joint in turning else 0.0)
         yield _half_axis(subject, joint)
-        for sign in (1.0, -1.0) if turns else ():
-            yield from (_zero(subject, joint, sign, quarters * right) for quarters in (1, 2, -1))
-        for other in robot.parallel_joints(joint) if turns else ():
+        for other in robot.parallel_joints(joint) if joint in turning else ():
             yield from (_absolute(subject, joint, other, share) for share in (1.0, -1.0) if other in turning)
 
 
-def _zeros(subject: Subject) -> Iterator[Candidate]:
-    """The zero of a joint that turns is off a little."""
-    joints = [place for place, joint in enumerate(subject.model.robot.joints) if joint.unit != "N"]
-    yield from (_zero(subject, joint, 1.0, 0.0) for joint in joints)
+def _turning(subject: Subject) -> list[int]:
+    return [place for place, joint in enumerate(subject.robot.joints) if joint.unit != "N"]
+
+
+def _best_start(few: Subject, joint: int, sign: float) -> float:
+    """The zero [rad], of quarters of a turn and of what is near the configured one, from which efforts resemble those
+    predicted most."""
+    near = 0.5 * _SPREAD
+    starts = np.array([0.0, near, -near, 0.5 * np.pi, -0.5 * np.pi, np.pi])
+    read = [few.with_samples(_recounted(few.samples, joint, sign, start)) for start in starts]
+    return float(starts[int(np.argmax([each.resemblance for each in read]))])
 
 
 def _absolute(subject: Subject, joint: int, other: int, share: float) -> Candidate:
-    names = subject.model.robot.joint_names
+    names = subject.robot.joint_names
     cause = Cause.of("absolute", [names[joint], names[other]], sign="minus" if share > 0.0 else "plus")
 
     def read(samples: Samples) -> Samples:
@@ -431,7 +444,7 @@ def _turned_axis(samples: Samples, joint: int, *, effort: bool) -> Samples:
 
 def _half_axis(subject: Subject, joint: int) -> Candidate:
     """Position and speed of a joint have the opposite sign, its effort has not."""
-    cause = Cause.of("axis", [subject.model.robot.joint_names[joint]], reversed="position and velocity", zero="")
+    cause = Cause.of("axis", [subject.robot.joint_names[joint]], reversed="position and velocity", zero="")
     every = range(len(subject.joints))
     return _of_motion(lambda samples: _turned_axis(samples, joint, effort=False), cause, every)
 
@@ -443,23 +456,19 @@ def _zero(subject: Subject, joint: int, sign: float, start: float) -> Candidate:
     A wrong zero is an unknown among others, ``tau(q + c) = tau(q) + dtau/dq c``: its evidence is found by the
     linearisation at the links that fit, and this is repeated from where it leads.
     """
-    name = subject.model.robot.joint_names[joint]
+    name = subject.robot.joint_names[joint]
 
-    def read(samples: Samples, zero: float) -> Samples:
-        position = samples.position.copy()
-        turned = replace(samples, position=position) if sign > 0.0 else _turned_axis(samples, joint, effort=True)
-        position = turned.position.copy()
-        position[:, joint] += zero
-        return replace(turned, position=position)
+    def read(subject: Subject, zero: float = start) -> Subject:
+        return subject.with_samples(_recounted(subject.samples, joint, sign, zero))
 
     def undo(subject: Subject) -> Judged:
-        zero, mended = start, subject.with_samples(read(subject.samples, start))
+        zero, mended = start, read(subject)
         found = mended.nominal
-        for _ in range(_ROUNDS if len(subject.samples) > _FEW else 1):
+        for _ in range(_ROUNDS):
             links = mended.links(found)
-            ahead, behind = (subject.with_samples(read(subject.samples, zero + s)) for s in (STEP, -STEP))
+            ahead, behind = (read(subject, zero + step) for step in (STEP, -STEP))
             rate = (ahead.regressor - behind.regressor) @ links * (0.5 * _SPREAD / STEP)
-            mended = subject.with_samples(read(subject.samples, zero))
+            mended = read(subject, zero)
             mended.__dict__["predicted"] = mended.predicted + (start - zero) / _SPREAD * rate
             found = mended.evidence(unknown=rate)
             zero = start + _SPREAD * float(found.links[-1])
@@ -475,10 +484,18 @@ def _zero(subject: Subject, joint: int, sign: float, start: float) -> Candidate:
         beside = "" if abs(turn) < 5.0 else f", and {said} to be added to its positions then"
         return Cause.of("axis", [name], reversed="position, velocity and effort", zero=beside)
 
-    return Candidate(undo=undo, cause=cause, concerned=range(len(subject.joints)))
+    return Candidate(undo=undo, read=read, cause=cause, concerned=range(len(subject.joints)))
 
 
-EFFORTS = (_signs, _frictions, _magnitudes, _orders, _gains, _gravities)
-"""Transforms whose rows are those of the recording as it is, or nearly so."""
-MOTIONS = (_positions, _times, _names, _zeros, _encoders)
-"""Transforms of the motion, which need rows of their own."""
+def _recounted(samples: Samples, joint: int, sign: float, zero: float) -> Samples:
+    """Samples of which a joint counts from another zero [rad], the other way round if ``sign`` is below zero."""
+    turned = samples if sign > 0.0 else _turned_axis(samples, joint, effort=True)
+    position = turned.position.copy()
+    position[:, joint] += zero
+    return replace(turned, position=position)
+
+
+ROWS = (_signs, _frictions, _magnitudes, _orders, _gains, _gravities, _positions, _times, _names, _zeros, _axes)
+"""What may have happened to a recording."""
+_OF_EFFORTS = ROWS.index(_positions) + 1
+"""The rows before it read the motion as it is, and so does that of positions unless they cannot be angles."""
