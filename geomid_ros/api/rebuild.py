@@ -12,11 +12,10 @@ from jinja2 import TemplateError
 
 from geomid_ros.api.arguments import PathLike
 from geomid_ros.errors import InputError
-from geomid_ros.files.models.estimate_file import EstimateFile, HandoverEntry, PageEntries
+from geomid_ros.files.models.estimate_file import OF_PAGE, EstimateFile, HandoverEntry
 from geomid_ros.files.models.gap_file import Errors, GapFile, read_gap
 from geomid_ros.files.models.posterior import beside, read_posterior
 from geomid_ros.files.models.tables import tables, write_tables
-from geomid_ros.files.schema import structured
 from geomid_ros.report.gap_page import GapPage, write_gap_page
 from geomid_ros.report.identification_page import IdentificationPage, Origin, write_identification_page
 from geomid_ros.report.series import SavedFit
@@ -54,9 +53,10 @@ def rebuild_report(folder: PathLike, *, out: PathLike | None = None) -> list[Pat
         raise InputError(f"{source}: no result is in this folder, neither {_ESTIMATE} nor {_GAP}")
     estimate = EstimateFile.read(source / _ESTIMATE)
     with _needed(source / _ESTIMATE, "geomid identify"):
-        entries = structured(PageEntries, estimate.document, f"{estimate.source}:")
+        if missing := [key for key in OF_PAGE if key not in estimate.document]:
+            raise InputError(f"{missing[0]} is not given")
         found = tables(estimate.document)
-        write_identification_page(page, _identification_page(estimate, entries))
+        write_identification_page(page, _identification_page(estimate))
     return [page, *write_tables(target, found)]
 
 
@@ -72,26 +72,26 @@ def _needed(path: Path, command: str) -> Iterator[None]:
         ) from error
 
 
-def _identification_page(file: EstimateFile, entries: PageEntries) -> IdentificationPage:
-    estimate = file.estimate(entries, read_posterior(beside(Path(file.source))))
+def _identification_page(file: EstimateFile) -> IdentificationPage:
+    estimate = file.estimate(read_posterior(beside(Path(file.source))))
     written = next((own for own in file.handover.values() if own.file), HandoverEntry(links=(), effects=()))
     return IdentificationPage(
-        robot=entries.robot,
+        robot=file.robot,
         verdict=file.judgement,
-        warnings=entries.warnings,
-        notes=entries.notes,
+        warnings=file.warnings,
+        notes=file.notes,
         estimate=estimate,
-        masses=np.array([entries.urdf_masses[link.name] for link in estimate.links]),
+        masses=np.array([file.urdf_masses[link.name] for link in estimate.links]),
         effects=file.known_effects,
-        series=[SavedFit(row.channel, row.unit, (row.urdf, row.identified)) for row in entries.channels],
+        series=[SavedFit(row.channel, row.unit, (row.urdf, row.identified)) for row in file.channels],
         held_out=file.rms.held_out is not None,
         file=written.file or "identified.urdf",
         alone=written.alone,
         corrected=written.corrected,
-        telling=entries.telling,
-        messages=entries.messages,
-        refused_rows=entries.rows["rejected"],
-        origin=Origin(**entries.origin),
+        telling=file.telling,
+        messages=file.messages,
+        refused_rows=file.rows.rejected,
+        origin=Origin(**file.origin),
     )
 
 

@@ -121,7 +121,7 @@ def _conclude(
     untold = [link.name for link in file.links if "mass" in (link.cannot_tell or ())]
     shares = [1.0 - file.rms.train[channel] / nominal for channel, nominal in file.rms.nominal.items()]
     console.print(
-        f"\nIdentified from {file.document['rows']['accepted']} rows. The most certain body is {tool.name} with "
+        f"\nIdentified from {file.rows.accepted} rows. The most certain body is {tool.name} with "
         f"{tool.mass:.4f} ± {tool.std_quantities[0]:.4f} kg (truth {true_mass:.4f}), "
         f"{100 * tool.from_data:.0f} % from data.\n"
         f"Masses not individually identifiable: {', '.join(untold) or 'none'}; these stay near the URDF.\n"

@@ -141,7 +141,8 @@ def encoded(checkpoint: Checkpoint, channels: Sequence[Channel]) -> bytes:
 
 def _account_entry(account: Account) -> dict[str, Any]:
     reasons = [*account.rejected, *account.dropped, *account.noted]
-    return {**plain(vars(account)), "meanings": {why: meaning_of(why) for why in reasons if meaning_of(why)}}
+    meanings = {why: meaning_of(why) for why in reasons if meaning_of(why)}
+    return {**plain(vars(account)), **({"meanings": meanings} if meanings else {})}
 
 
 def decoded(content: bytes, meaning: Mapping[str, Any], channels: Sequence[Channel]) -> Checkpoint:

@@ -50,6 +50,11 @@ _MOST_BYTES = 5_000_000
 _MOST_LINKS_TOGETHER = 100  # of more, what is known of all together would be most of the file
 _LARGEST_RESIDUAL = 1e9
 _PACKED = "<f4"  # seven digits do, and nobody reads so many
+OF_PAGE = (
+    *("robot", "rms", "sigma", "channels", "seconds", "steps", "gamma", "rows", "known", "urdf_masses"),
+    *("warnings", "notes", "telling", "messages", "origin"),
+)
+"""Keys without which there is no page."""
 ByChannel: TypeAlias = Mapping[str, float]
 _WITHOUT_INFORMATION = "identify again, or delete 'information', without which less is known of payloads"
 
@@ -137,6 +142,15 @@ class ErrorsEntry:
 
 
 @dataclass(frozen=True, kw_only=True)
+class RowsEntry:
+    """What became of the rows."""
+
+    accepted: int = 0
+    set_aside: int = 0
+    rejected: Mapping[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
 class ChannelEntry:
     """How well a channel fits: RMS residuals of the URDF and of the estimate."""
 
@@ -146,33 +160,12 @@ class ChannelEntry:
     identified: float = math.nan
 
 
-@dataclass(frozen=True, kw_only=True)
-class PageEntries:
-    """What the page of a result needs beside its :class:`EstimateFile`."""
-
-    robot: str
-    converged: bool
-    reason: str
-    seconds: float
-    steps: int
-    gamma: float
-    rows: Mapping[str, Any]
-    known: tuple[WeighedEstimate, ...]
-    sigma: ByChannel
-    urdf_masses: Mapping[str, float]
-    channels: tuple[ChannelEntry, ...]
-    warnings: tuple[str, ...]
-    notes: tuple[str, ...]
-    telling: Mapping[str, Mapping[str, tuple[str, ...]]]
-    messages: Mapping[str, Account]
-    origin: Mapping[str, Any]
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class EstimateFile:
     """A file that ``geomid identify`` or ``geomid gap`` has written, or a person with as much as they know.
 
     ``source`` names it in messages; ``document`` is all that it says. Properties raise InputError for what cannot be.
+    Only what ``geomid identify`` has written has all that a page shows (:data:`OF_PAGE`).
     """
 
     source: str
@@ -192,6 +185,17 @@ class EstimateFile:
     floor: ByChannel = field(default_factory=dict)
     cutoff: float | None = None
     channels: tuple[ChannelEntry, ...] = ()
+    seconds: float = math.nan
+    steps: int = 0
+    gamma: float = math.nan
+    rows: RowsEntry = RowsEntry()
+    known: tuple[WeighedEstimate, ...] = ()
+    urdf_masses: ByChannel = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    telling: Mapping[str, Mapping[str, tuple[str, ...]]] = field(default_factory=dict)
+    messages: Mapping[str, Account] = field(default_factory=dict)
+    origin: Mapping[str, Any] = field(default_factory=dict)
 
     @staticmethod
     def read(path: Path) -> EstimateFile:
@@ -273,23 +277,23 @@ class EstimateFile:
     def _useless(self, why: str) -> InputError:
         return InputError(f"{self.source}: the information {why}; {_WITHOUT_INFORMATION}")
 
-    def estimate(self, page: PageEntries, posterior: Posterior) -> Estimate:
+    def estimate(self, posterior: Posterior) -> Estimate:
         """The estimate of the same run as a ``posterior``, with what no file has left out."""
         rows, targets = posterior.evidence
         size = 10 * len(self.links)
         return Estimate(
-            converged=page.converged,
-            reason=page.reason,
-            seconds=page.seconds,
-            steps=page.steps,
-            gamma=page.gamma,
-            rows_accepted=page.rows["accepted"],
-            rows_set_aside=page.rows["set_aside"],
+            converged=self.converged,
+            reason=self.reason,
+            seconds=self.seconds,
+            steps=self.steps,
+            gamma=self.gamma,
+            rows_accepted=self.rows.accepted,
+            rows_set_aside=self.rows.set_aside,
             links=tuple(_link_estimate(link, self.inertias[link.name], self.source) for link in self.links),
             effects=tuple(self._effect_estimates),
             parameters=posterior.parameters,
             channels=tuple(self.rms.train),
-            sigmas=np.array([*page.sigma.values()]),
+            sigmas=np.array([*self.sigma.values()]),
             spreads=np.full(len(self.links), np.nan),
             rms_nominal=np.array([*self.rms.nominal.values()]),
             rms=np.array([*self.rms.train.values()]),
@@ -297,7 +301,7 @@ class EstimateFile:
             posterior=posterior,
             rows=rows,
             targets=targets,
-            known=page.known,
+            known=self.known,
         )
 
     @property

@@ -38,6 +38,7 @@ from geomid_ros.types import FloatArray
 FORMAT = 1
 _MOST_BYTES = 20_000_000
 _OF_WORDS = {"confident": 0.99, "tentative": 0.7, "ambiguous": 0.3}  # of an older file, which has a word alone
+_OF_FINDING = ("probability", "confidence", "rivals", "separability", "loss", "share", "was")
 _KINDS = ("before", "inertias_only", "after", "expected")
 Errors: TypeAlias = Mapping[str, Mapping[str, float]]
 Parameters: TypeAlias = Annotated[FloatArray, (10,)]
@@ -226,7 +227,7 @@ def gap_document(result: GapResult, simulations: Mapping[str, Errors]) -> dict[s
         "verdict": result.verdict,
         "findings": [
             effect_entry(own)
-            | entry(own, "probability", "confidence", "rivals", "separability", "loss", "share", "was")
+            | entry(own, *_OF_FINDING)
             | {"sentence": own.sentence, "settled_by": own.settled_by, "moment": quantities_entry(own.moment)}
             for own in result.findings
         ],
