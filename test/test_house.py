@@ -158,7 +158,7 @@ def test_the_simulator_shares_no_code_with_the_estimator() -> None:
 NAMESAKES = {
     ("geomid_ros.api.options", "effort_gain"),
     ("geomid_ros.commands.root", "payload"),
-    ("geomid_ros.excitation.criteria", "payload"),
+    ("geomid_ros.excitation.learning", "payload"),
     ("geomid_ros.exports.descriptions", "viscous_friction"),
     ("geomid_ros.checks.causes", "effort_gain"),
     ("geomid_ros.session.configuration", "effort_gain"),
