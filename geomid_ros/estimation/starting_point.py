@@ -17,8 +17,10 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 # A positive coefficient without evidence starts where its effect is this share of the channel's size.
 _LEAST_SHARE = 1e-2
-# Apparent motion [rad/s, rad/s^2; m/s, m/s^2] of a joint at rest, which must not pass for evidence.
+# In rad/s, rad/s^2 (m/s, m/s^2): the apparent motion of a joint at rest, which must not pass for evidence, and the
+# least motion at which a coefficient is made large enough to show.
 _NOISE_MOTION = 1e-2
+_LEAST_MOTION = 0.1
 # No model predicts a channel better than this share of its size.
 _LEAST_SIGMA_SHARE = 1e-3
 # Usual error of priors, per direction of the tangent space: inertias from CAD a fifth; positive coefficients a factor
@@ -196,7 +198,7 @@ def _fitted_effects(
     halves = _non_negative(np.concatenate([split, damping]), np.append(remainder, damping @ described))
     fitted = halves[: len(chosen)]
     fitted[~positive] -= halves[len(chosen) :]
-    column_sizes = np.maximum(np.linalg.norm(regressor, axis=0) / np.sqrt(count), _NOISE_MOTION)
+    column_sizes = np.maximum(np.linalg.norm(regressor, axis=0) / np.sqrt(count), _LEAST_MOTION)
     return np.asarray(np.where(positive, np.maximum(fitted, _LEAST_SHARE * size / column_sizes), fitted))
 
 
