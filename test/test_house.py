@@ -110,10 +110,11 @@ def test_every_room_is_on_a_floor() -> None:
     assert len(MODULES) > 30
 
 
-def test_a_room_imports_from_itself_and_from_lower_floors() -> None:
-    for module in MODULES:
-        own = FLOORS.get(room(module), -1)
-        for name in (name for name, _ in imports(module) if name.split(".")[0] == PACKAGE.name):
+@pytest.mark.parametrize("module", MODULES)
+def test_a_room_imports_from_itself_and_from_lower_floors(module: str) -> None:
+    own = FLOORS.get(room(module), -1)
+    for name, _ in imports(module):
+        if name.split(".")[0] == PACKAGE.name:
             assert name in MODULES, f"{module} imports {name}, which does not exist"
             assert room(name) == room(module) or FLOORS[room(name)] < own, f"{module} on floor {own} imports {name}"
 
@@ -137,9 +138,9 @@ def test_there_are_no_circles(of: Callable[[str], str]) -> None:
         pytest.fail(f"a circle of imports: {' <- '.join(error.args[1])}")
 
 
-def test_what_comes_from_outside_stays_in_its_room() -> None:
-    used = [(module, *each) for module in MODULES for each in imports(module)]
-    for module, name, at_once in used:
+@pytest.mark.parametrize("module", MODULES)
+def test_what_comes_from_outside_stays_in_its_room(module: str) -> None:
+    for name, at_once in imports(module):
         top = name.split(".")[0]
         keepers = ("ros",) if top.endswith(ROS_SUFFIXES) or top == COMPUTED else KEPT_IN.get(top)
         assert keepers is None or room(module) in keepers, f"{module} imports {name}"
@@ -213,12 +214,13 @@ def test_the_lower_floors_need_neither_ros_nor_mujoco() -> None:
     assert result.stdout == "all imported\n", result.stderr
 
 
-def test_no_call_leaves_the_meaning_of_many_arguments_to_their_order() -> None:
-    trees = {module: ast.parse(path.read_text(encoding="utf-8")) for module, path in MODULES.items()}
-    calls = ((module, node) for module, tree in trees.items() for node in ast.walk(tree) if isinstance(node, ast.Call))
+@pytest.mark.parametrize("module", MODULES)
+def test_no_call_leaves_the_meaning_of_many_arguments_to_their_order(module: str) -> None:
+    tree = ast.parse(MODULES[module].read_text(encoding="utf-8"))
+    calls = (node for node in ast.walk(tree) if isinstance(node, ast.Call))
     long = [
-        f"{module}, line {call.lineno}: {ast.unparse(call.func)}"
-        for module, call in calls
+        f"line {call.lineno}: {ast.unparse(call.func)}"
+        for call in calls
         if sum(not isinstance(argument, ast.Starred) for argument in call.args) > MOST_POSITIONAL
     ]
     assert not long

@@ -15,6 +15,7 @@ from geomid_ros.estimation.fleet_outliers import population_and_members
 from geomid_ros.estimation.population import FEWEST, Population, RobotLikelihood
 from geomid_ros.files.models.population import write_population
 from geomid_ros.files.models.results import read_estimate
+from geomid_ros.fleet.changes import changes
 from geomid_ros.fleet.cluster import Cluster
 from geomid_ros.fleet.fleet import Fleet, FleetRobot
 from geomid_ros.fleet.plan import FleetPlan
@@ -130,7 +131,7 @@ def _written(
     results = fleet.results(robot)
     document = results.document
     before = None if since is None else since / robot.name / "estimate.json"
-    changed = results.changes(read_estimate(before)) if before is not None and before.is_file() else ()
+    changed = changes(read_estimate(before), document) if before is not None and before.is_file() else ()
     results.write(folder / robot.name)
     word = document["verdict"]["result"]
     line = RobotLine(

@@ -13,13 +13,10 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.comparison import compared
 from geomid_ros.estimation.population import RobotLikelihood
 from geomid_ros.estimation.posterior import EffectCoordinate
 from geomid_ros.files.disk import write_bytes
-from geomid_ros.files.models.robot_values import robot_values
 
-_CHANCE = 1e-4  # a fleet has many robots: of any of one robot's numbers, if none has changed
 _HEADER, _FILE = "header", "file "
 _ARRAYS = ("rows", "targets", "parameters", "prior", "scales")
 
@@ -66,17 +63,6 @@ class RobotResults:
         """What ``estimate.json`` says."""
         document: dict[str, Any] = json.loads(self.files["estimate.json"])
         return document
-
-    def changes(self, before: Mapping[str, Any]) -> list[str]:
-        """The links that have changed since an ``estimate.json`` of ``before``, and the numbers of links and effects
-        that differ by more than their standard deviations explain, in words, the surest first.
-
-        What both estimates took from the same prior counts as uncertain twice: little data tell no change. Raises
-        InputError if the document is none.
-        """
-        pair = robot_values(before, "the earlier estimate"), robot_values(self.document, "the new estimate")
-        found = compared(*pair, _CHANCE)
-        return [*(link.sentence for link in found.changed), *(number.sentence for number in found.differing)]
 
     def write(self, folder: Path) -> None:
         """Write the files into a folder. Raises GeomidError if they cannot be written."""

@@ -46,7 +46,8 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.recording_facts import Recorded, faulty_streams, peculiarities
+from geomid_ros.session.ledger_findings import faulty_streams, peculiarities
+from geomid_ros.session.recording_facts import Recorded
 from geomid_ros.session.solidity import impossible_links
 from geomid_ros.signals.gates import Limits
 from geomid_ros.signals.ledger import Account, Ledger
