@@ -182,7 +182,7 @@ def test_there_are_no_circles() -> None:
 NAMESAKES = {
     ("geomid_ros.api.options", "effort_gain"),
     ("geomid_ros.commands.root", "payload"),
-    ("geomid_ros.excitation.criteria", "payload"),
+    ("geomid_ros.excitation.learning", "payload"),
     ("geomid_ros.exports.descriptions", "viscous_friction"),
     ("geomid_ros.checks.causes", "effort_gain"),
     ("geomid_ros.session.configuration", "effort_gain"),

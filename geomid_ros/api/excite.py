@@ -10,7 +10,7 @@ from pathlib import Path
 from geomid_ros.api.arguments import DescribedRobot, PathLike, Texts, texts
 from geomid_ros.api.options import RobotOptions
 from geomid_ros.errors import InputError
-from geomid_ros.excitation.criteria import PREDICTION
+from geomid_ros.excitation.learning import PREDICTION
 from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.report.excitation import save
 from geomid_ros.session import excitation

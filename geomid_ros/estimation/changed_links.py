@@ -18,10 +18,10 @@ import numpy as np
 
 from geomid_ros.estimation.estimate import SURE, LinksInformation
 from geomid_ros.geometry.manifold import ParameterManifold
+from geomid_ros.geometry.pseudo_inertia import SIZE
 from geomid_ros.model.effects import Quantity
 from geomid_ros.types import FloatArray
 
-_SIZE = 10
 _UNITS = ("kg", "kg m", "kg m", "kg m")  # of mass and first moment, with which the parameters begin
 
 
@@ -125,7 +125,7 @@ class _Problem:
     def _whitened(self, evidence: LinkEvidence) -> tuple[FloatArray, FloatArray]:
         """Rows ``(10 links, 10 links)`` of the coordinates, and residuals at the first result."""
         rows, offset = evidence.information.rows, (self.first.parameters - evidence.parameters).ravel()
-        blocks = rows.reshape(len(rows), -1, _SIZE)
+        blocks = rows.reshape(len(rows), -1, SIZE)
         return np.einsum("nli,lij->nlj", blocks, self._jacobian).reshape(rows.shape), (
             evidence.information.residuals + rows @ offset
         )
@@ -138,7 +138,7 @@ class _Problem:
         """The least squared error if these links have changed, their changes ``(10 changed,)`` in coordinates, and
         the covariance of these."""
         (before, residual), (after, other) = self._both
-        columns = [_SIZE * link + index for link in changed for index in range(_SIZE)]
+        columns = [SIZE * link + index for link in changed for index in range(SIZE)]
         count, size = len(columns), before.shape[1]
         rows = np.zeros((len(before) + len(after) + size + count, size + count))
         rows[: len(before), :size], rows[len(before) : len(before) + len(after), :size] = before, after
@@ -157,7 +157,7 @@ class _Problem:
         _, changes, covariance = self.solved(changed)
         found = []
         for place, link in enumerate(changed):
-            own, rows = slice(_SIZE * place, _SIZE * (place + 1)), self._jacobian[link][: len(_UNITS)]
+            own, rows = slice(SIZE * place, SIZE * (place + 1)), self._jacobian[link][: len(_UNITS)]
             std = np.sqrt(np.diag(rows @ covariance[own, own] @ rows.T))
             found.append(
                 [Quantity(*each) for each in zip((rows @ changes[own]).tolist(), std.tolist(), _UNITS, strict=True)]

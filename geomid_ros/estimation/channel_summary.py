@@ -41,10 +41,6 @@ class ChannelSummary:
         self.factor = triangular(np.concatenate([self.factor, augmented]))
         self.count += float(np.sum(weights))
 
-    def squared_error(self, parameters: FloatArray) -> float:
-        """``|A x - b|^2`` at parameters ``(columns,)``."""
-        return float(np.sum((self.factor @ np.append(parameters, -1.0)) ** 2))
-
 
 def joined(parts: Sequence[ChannelSummary]) -> FloatArray:
     """One factor for all ``parts`` (at least one) of a channel."""

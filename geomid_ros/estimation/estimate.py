@@ -15,7 +15,7 @@ from geomid_ros.types import FloatArray
 
 QUANTITIES = ("mass", "com x", "com y", "com z", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 """Names of a link's ten quantities, in the order of :func:`geomid_ros.geometry.pseudo_inertia.quantities_of`."""
-UNITS = ("kg", *("m",) * 3, *("kg m^2",) * 6)
+UNITS = ("kg", *("m", "m", "m"), *("kg m^2", "kg m^2", "kg m^2"), *("kg m^2", "kg m^2", "kg m^2"))
 """Units of these."""
 _TOLD = 3.0  # standard deviations
 SURE = 1.96

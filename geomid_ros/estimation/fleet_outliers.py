@@ -19,7 +19,6 @@ from geomid_ros.types import FloatArray, IntArray
 
 _CHANCE = 1e-2  # at most, that a robot of the type is taken for another, of all its blocks
 _IDENTIFIED = 0.1  # of the variance between robots in a direction that counts, at least, is seen
-_FEWEST_JUDGED = 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +43,7 @@ def population_and_members(robots: Sequence[RobotLikelihood]) -> tuple[Populatio
         InputError: there are too few, or they have other links.
     """
     shared = common(robots)
-    if len(shared) < _FEWEST_JUDGED:
+    if len(shared) < 2 * FEWEST - 1:  # the half of them is no population
         every = PopulationFit(shared).population
         return every, [Membership(member=True, distance=1.0, unlike=())] * len(shared)
     chosen = _most_alike(shared)

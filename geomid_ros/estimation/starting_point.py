@@ -204,7 +204,7 @@ def _fitted_effects(
 
 def _non_negative(regressor: FloatArray, targets: FloatArray) -> FloatArray:
     """The ``x >= 0`` with the least ``|regressor x - targets|`` (Lawson & Hanson 1974), of independent columns."""
-    x, free = _first_guess(regressor, targets)
+    x, free = np.zeros(regressor.shape[1]), np.zeros(regressor.shape[1], dtype=bool)
     least = ROUNDING_OF_PRODUCTS * np.linalg.norm(regressor, axis=0) * np.linalg.norm(targets)
     for _ in range(3 * len(x)):
         slopes = np.where(free, -np.inf, regressor.T @ (targets - regressor @ x) - least)
@@ -223,18 +223,6 @@ def _non_negative(regressor: FloatArray, targets: FloatArray) -> FloatArray:
             free &= shares > np.min(shares)
             x = np.where(free, x + np.min(shares) * (best - x), 0.0)
     return x
-
-
-def _first_guess(regressor: FloatArray, targets: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """A solution of some columns, which are left when those below zero have gone, all at once and again: most often
-    the ones sought, while to take in one after the other is one solution for each."""
-    free = np.ones(regressor.shape[1], dtype=bool)
-    while np.any(free):
-        x = _solved(regressor, targets, free)
-        if np.all(x[free] > 0.0):
-            return x, free
-        free &= x > 0.0
-    return np.zeros(len(free)), free
 
 
 def _solved(regressor: FloatArray, targets: FloatArray, free: BoolArray) -> FloatArray:

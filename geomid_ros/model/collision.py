@@ -15,8 +15,6 @@ from scipy.spatial import ConvexHull
 from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray, IntArray
 
-_PLANE_REACH = 0.0  # a half-space has no radius: nothing moves it
-
 
 @dataclass(frozen=True, eq=False)
 class ConvexShape:
@@ -71,21 +69,21 @@ class CollisionModel:
             for shape in own:
                 placed = shape.vertices @ frame.placement.rotation.T + frame.placement.translation
                 self._add(link, frame.parentJoint, _hull(placed), float(np.max(np.linalg.norm(placed, axis=1))))
-        robots = len(self._owners)
+        self._links = len(self._owners)
         for obstacle in obstacles:
-            self._add(obstacle.name, 0, _obstacle(obstacle), _PLANE_REACH)
-        self._indices = [pair for pair in combinations(range(len(self._owners)), 2) if self._may_touch(*pair, robots)]
+            self._add(obstacle.name, 0, _obstacle(obstacle))
+        self._indices = [pair for pair in combinations(range(len(self._owners)), 2) if self._may_touch(*pair)]
         self._set_pairs()
 
-    def _add(self, name: str, joint: int, shape: coal.CollisionGeometry, radius: float) -> None:
+    def _add(self, name: str, joint: int, shape: coal.CollisionGeometry, radius: float = 0.0) -> None:
         placed = pin.GeometryObject(f"{len(self._owners)} {name}", joint, pin.SE3.Identity(), shape)
         self._geometry.addGeometryObject(placed)
         self._owners.append((name, joint, radius))
 
-    def _may_touch(self, first: int, second: int, robots: int) -> bool:
+    def _may_touch(self, first: int, second: int) -> bool:
         one, other = self._owners[first][1], self._owners[second][1]
-        if second >= robots:
-            return first < robots and one != 0
+        if second >= self._links:
+            return first < self._links and one != 0
         parents = self._model.parents
         return one != other and parents[one] != other and parents[other] != one
 
@@ -94,19 +92,13 @@ class CollisionModel:
         for first, second in self._indices:
             self._geometry.addCollisionPair(pin.CollisionPair(first, second))
         self._geometry_data = self._geometry.createData()
-        robots = sum(joint != 0 for _, joint, _ in self._owners)
         self.pairs = tuple(
-            Pair(self._owners[i][0], self._owners[j][0], is_obstacle=j >= robots and self._is_obstacle(j))
-            for i, j in self._indices
+            Pair(self._owners[i][0], self._owners[j][0], is_obstacle=j >= self._links) for i, j in self._indices
         )
         """The pairs, in the order of all arrays."""
         self.reach = np.array([self._reach(i, j) for i, j in self._indices]).reshape(-1, self._model.nv)
         """How far a point of a pair's bodies moves at most relative to the other body by unit of each of pinocchio's
         velocities ``(pairs, nv)`` [m/rad]."""
-
-    def _is_obstacle(self, index: int) -> bool:
-        name = self._owners[index][0]
-        return name not in self._robot.tree.links
 
     def _reach(self, first: int, second: int) -> FloatArray:
         """Bounds of the relative speed of two shapes: the joints on the way between them, each times the longest lever

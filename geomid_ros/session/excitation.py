@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.excitation.criteria import PREDICTION, meaning_of, weight_of
 from geomid_ros.excitation.feasibility import Feasibility, Margins
 from geomid_ros.excitation.knowledge import Belief, known_before, prior_knowledge
-from geomid_ros.excitation.learning import Learning, expected_learning
+from geomid_ros.excitation.learning import PREDICTION, Learning, expected_learning, meaning_of, weight_of
 from geomid_ros.excitation.limits import MotionLimits, motion_limits, starts
 from geomid_ros.excitation.motion import Motion, MotionForm
 from geomid_ros.excitation.rivals import DECIDED, DiscriminationCriterion, deciding_motion
@@ -49,7 +48,7 @@ class MotionRequest:
         start: where it begins and ends; by itself if empty.
         surroundings: what must not be touched.
         speed: share of the velocity limits.
-        aim: see :func:`~geomid_ros.excitation.criteria.weight_of`.
+        aim: see :func:`~geomid_ros.excitation.learning.weight_of`.
         settle: path of a gap.json whose rivals are to be told apart.
         seed: of the search.
     """

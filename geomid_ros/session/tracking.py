@@ -20,7 +20,7 @@ from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.closed_loop import Tracking, tracking
 from geomid_ros.session.gap import GapReader
-from geomid_ros.session.recordings import Bags, Progress, silent
+from geomid_ros.session.recordings import Bags
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import JOINT_STATES, message_type
 from geomid_ros.types import FloatArray, IntArray
@@ -28,9 +28,7 @@ from geomid_ros.types import FloatArray, IntArray
 _OPTION = "--command"
 
 
-def tracking_of(
-    session: Session, written: WrittenModel, bags: Bags, topic: str, progress: Progress = silent
-) -> Tracking:
+def tracking_of(session: Session, written: WrittenModel, bags: Bags, topic: str) -> Tracking:
     """Simulate what is judged on in MuJoCo, from a written model and the commands on a ``topic``.
 
     Raises:
@@ -41,7 +39,7 @@ def tracking_of(
     if not bags.holds_out:
         raise InputError(f"{_OPTION} simulates what is held out, and nothing is: use --hold-out or --validate")
     paths = [path for path, share in bags.shares if share > 0.0]
-    sharp = GapReader(session, bags, progress).sharp()
+    sharp = GapReader(session, bags).sharp()
     pairs = [_commanded(session, path, topic, samples) for path, samples in zip(paths, sharp, strict=True)]
     with TemporaryDirectory() as name:
         folder, gravity = Path(name), session.configuration.gravity

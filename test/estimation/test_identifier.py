@@ -22,7 +22,7 @@ def content(summary: RowSummary) -> FloatArray:
     points = np.random.default_rng(0).normal(size=(5, max(int(c.columns.max()) for c in summary.channels) + 1))
     return np.array(
         [
-            [sum(part.squared_error(x[channel.columns]) for part in parts) for x in points]
+            [sum(np.sum((part.factor @ np.append(x[channel.columns], -1.0)) ** 2) for part in parts) for x in points]
             for channel, parts in zip(summary.groups, summary.parts(), strict=True)
         ]
     )

@@ -9,7 +9,7 @@ import pytest
 from geometry import bodies
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation import rows
+from geomid_ros.estimation import paper_estimator
 from geomid_ros.estimation.paper_estimator import PAPER, solve_rows
 from geomid_ros.geometry import projection, pseudo_inertia, spd
 from geomid_ros.types import FloatArray
@@ -119,7 +119,7 @@ def test_principal_rows_have_the_content_of_all(seed: int) -> None:
     """The same residuals but for a constant, the same sum of weights, and orthogonal in tangent coordinates."""
     case = human_like(seed)
     augmented = np.column_stack([case.rows, case.targets]) / case.sigmas[:, None]
-    principal = np.column_stack(rows.principal_rows(case.manifold, case.prior, augmented))
+    principal = np.column_stack(paper_estimator.principal_rows(case.manifold, case.prior, augmented))
     assert len(principal) <= case.manifold.dimension < len(augmented)
     points = [np.append(point.parameters, -1.0) for point in (case.truth, case.prior)]
     off = [np.sum((augmented @ point) ** 2) - np.sum((principal @ point) ** 2) for point in points]
@@ -239,19 +239,19 @@ def test_the_choice_ends_where_two_weights_in_succession_predict_worse(monkeypat
             taken.append(loss)
             yield loss
 
-    monkeypatch.setattr(rows, "held_out_losses", losses)
-    chosen = rows.choose_gamma(LINKS, case.rows, case.targets, case.prior, "residual")
+    monkeypatch.setattr(paper_estimator, "held_out_losses", losses)
+    chosen = paper_estimator.choose_gamma(LINKS, case.rows, case.targets, case.prior, "residual")
     assert len(taken) == 5
-    assert chosen == rows.best_weight(taken[:4]) == pytest.approx(10.0**-3, rel=0.5)
+    assert chosen == paper_estimator.best_weight(taken[:4]) == pytest.approx(10.0**-3, rel=0.5)
 
 
 def test_the_best_weight_is_the_minimum_of_a_parabola_through_the_logarithms() -> None:
     decades = np.arange(1.0, 7.0)
     for minimum in (2.6, 3.0, 4.4):
         losses = np.exp((decades - minimum) ** 2)
-        assert np.log10(rows.best_weight(list(losses))) == pytest.approx(-minimum)
-        assert rows.best_weight(list(losses[:5])) == pytest.approx(rows.best_weight(list(losses)))
-    assert rows.best_weight([1.0, 1.1]) == 0.1
+        assert np.log10(paper_estimator.best_weight(list(losses))) == pytest.approx(-minimum)
+        assert paper_estimator.best_weight(list(losses[:5])) == pytest.approx(paper_estimator.best_weight(list(losses)))
+    assert paper_estimator.best_weight([1.0, 1.1]) == 0.1
 
 
 def test_few_rows_leave_the_weight_to_the_paper() -> None:

@@ -56,7 +56,7 @@ def content(found: RowSummary, x: FloatArray, folds: list[int] | None = None) ->
 def by_group(found: RowSummary, x: FloatArray, folds: list[int] | None = None) -> FloatArray:
     """``|Ax - b|^2`` of each channel's settled rows and of its unsettled ones ``(2, channels)``."""
     errors = [
-        sum(part.squared_error(x[channel.columns]) for part in parts)
+        sum(np.sum((part.factor @ np.append(x[channel.columns], -1.0)) ** 2) for part in parts)
         for channel, parts in zip(found.groups, found.parts(folds), strict=True)
     ]
     return np.reshape(errors, (2, -1))

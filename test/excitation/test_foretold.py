@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from geomid_ros.excitation.criteria import weight_of
 from geomid_ros.excitation.feasibility import Feasibility
+from geomid_ros.excitation.learning import weight_of
 from geomid_ros.excitation.motion import Motion, MotionForm
 from geomid_ros.excitation.search import random_feasible, random_motion
 from geomid_ros.session.collision_scene import Surroundings

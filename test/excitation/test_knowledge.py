@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.excitation.criteria import weight_of
 from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, known_before
-from geomid_ros.excitation.learning import expected_learning
+from geomid_ros.excitation.learning import expected_learning, weight_of
 from geomid_ros.excitation.motion import MotionForm
 from geomid_ros.excitation.search import random_feasible, random_motion
 from geomid_ros.model.samples import samples_of

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from files.recordings import BAGS
 
-from geomid_ros.excitation.criteria import weight_of
+from geomid_ros.excitation.learning import weight_of
 from geomid_ros.excitation.motion import Motion
 from geomid_ros.excitation.search import Search, expected_error, random_feasible, random_motion
 from geomid_ros.model.sensors import WrenchSensor
