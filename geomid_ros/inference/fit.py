@@ -83,10 +83,16 @@ class JointFit(Generic[Chosen, Term]):
         """Derivative ``(D, D)`` of the parameters by the tangent coordinates."""
         return self.manifold.whiten(self.point, np.eye(self.manifold.dimension))
 
-    @cached_property
+    @property
     def covariance(self) -> FloatArray:
         """Of the parameters ``(D, D)``."""
         return self.jacobian @ self.inverse @ self.jacobian.T
+
+    def covariance_of(self, terms: Sequence[Term]) -> FloatArray:
+        """Of some coefficients ``(k, k)``."""
+        own = [self._places[term] for term in terms]
+        places, scales = int(self.manifold.real.start) + np.array(own, dtype=np.intp), self.manifold.scales[own]
+        return np.asarray(self.inverse[places[:, None], places] * np.outer(scales, scales))
 
     def settled(self, design: Design, among: Collection[int] | None = None) -> Design:
         """The design beside the remainder that is most likely at this fit, of all channels unless ``among`` some."""

@@ -169,9 +169,9 @@ class Selection(Generic[Chosen, Term]):
         their coefficients; without end with a body among them, of which that is not known."""
         if any(c.payload is not None for c in gone):
             return float("inf")
-        places = [current.place(term) for c in gone for term in c.terms]
+        covariance = current.covariance_of([term for c in gone for term in c.terms])
         roots = np.sqrt(np.concatenate([self.design.trust(c) for c in gone]))
-        narrowed = np.linalg.slogdet(current.covariance[np.ix_(places, places)] * np.outer(roots, roots))[1]
+        narrowed = np.linalg.slogdet(covariance * np.outer(roots, roots))[1]
         return sum(c.cost for c in gone) - float(narrowed)
 
     def _overlap(self, first: Chosen, second: Chosen) -> bool:
@@ -185,9 +185,8 @@ class Selection(Generic[Chosen, Term]):
         if any(c.payload is not None for c in gone):
             return 0.0
         terms = list(dict.fromkeys(term for c in gone for term in c.terms))
-        places = [current.place(term) for term in terms]
         values = np.array([current.value(term) - self.prior.value(term) for term in terms])
-        squared = float(values @ np.linalg.solve(current.covariance[np.ix_(places, places)], values))
+        squared = float(values @ np.linalg.solve(current.covariance_of(terms), values))
         count = float(np.max(self.design.counts))
         return count * float(np.log1p(max(squared, 0.0) / count))
 

@@ -10,10 +10,11 @@ from collections.abc import Iterable
 from typing import TypeVar
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from geomid_ros.errors import InputError
 from geomid_ros.signals.grid_values import GridValues
-from geomid_ros.types import FloatArray
+from geomid_ros.types import FloatArray, IntArray
 
 # Passband ripple and stopband below 1e-3 (Kaiser beta 6); the transition is as wide as the cutoff, centred on it.
 _KAISER_BETA = 6.0
@@ -53,21 +54,28 @@ def derivative_kernels(cutoff: float, period: float) -> FloatArray:
     return np.array([value, first, second])
 
 
-def filtered(values: FloatArray, cutoff: float, period: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+def filtered(
+    values: FloatArray, cutoff: float, period: float, at: IntArray | None = None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """A whole recording through the zero-phase low-pass; at its ends the first and the last value go on.
 
     Args:
         values: ``(N, K)``, one row every ``period``.
         cutoff: of the low-pass [Hz]; the highest that the period allows where it is higher.
         period: [s].
+        at: the rows ``(n,)`` that are asked for, all of them unless given.
 
     Returns:
-        The filtered values and their first and second derivative by time, each ``(N, K)``.
+        The filtered values and their first and second derivative by time, each ``(N, K)`` or ``(n, K)``.
     """
     kernels = derivative_kernels(min(cutoff, 1.0 / (LOWEST_RATE_PER_CUTOFF * period)), period)
     half = kernels.shape[1] // 2
+    whole = np.pad(values, ((half, half), (0, 0)), mode="edge")
+    if at is not None:
+        value, first, second = np.moveaxis(sliding_window_view(whole, 2 * half + 1, axis=0)[at] @ kernels.T, 2, 0)
+        return value, first, second
     padded = GridValues()
-    padded.extend(-half, np.pad(values, ((half, half), (0, 0)), mode="edge"))
+    padded.extend(-half, whole)
     value, first, second = padded.correlated(range(len(values)), kernels)
     return value, first, second
 

@@ -115,9 +115,9 @@ class Records:
             for part, index, load in zip(self.dense, self.chosen, loads, strict=True):
                 period = _period(part)
                 smooth, _, _ = filtered(load, _SMOOTHER * self.cutoff, period)
-                layers = np.moveaxis(function(smooth, period), 2, 0)
-                derived = [np.array(filtered(layer, self.cutoff, period))[:, index] for layer in layers]
-                parts.append(np.stack(derived, axis=3))
+                layers = function(smooth, period)
+                derived = filtered(layers.reshape(len(layers), -1), self.cutoff, period, index)
+                parts.append(np.stack(derived).reshape(3, len(index), *layers.shape[1:]))
             value, rate, acceleration = np.concatenate(parts, axis=1)
             return value, rate, acceleration
 
