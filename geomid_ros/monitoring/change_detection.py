@@ -23,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from geomid_ros.estimation.channel_summary import triangular, usable
+from geomid_ros.estimation.estimate import SURE
 from geomid_ros.estimation.identifier import LONGEST_STEP
 from geomid_ros.geometry import definite
 from geomid_ros.model.channels import Channel
@@ -37,21 +38,14 @@ hardly in the next where an offset may explain it."""
 FALSE_ALARMS = 1e-7
 """The largest share of all blocks that open a gap of a channel whose noise is what it was."""
 _MOST_WAITING = 50_000_000  # bytes
-_ROWS_PER_PARAMETER = 8  # before which there is no floor: filtered rows are not independent
-_FEWEST_BLOCKS = 12
+_FEWEST = 10  # rows for each parameter, which are not independent, and then blocks, before there is a floor
 _MOST_BLOCKS = 60
-_REMEMBERED = 20  # stretches of so many blocks, a minute or so each
-_CAUTION = 2.0  # standard deviations by which the floor may be higher than the energies' mean
-_MOST_SUSPECT = 20  # blocks
-_RISE = 2.25  # of the variance: a gap of 1.5 times the floor is what the test looks for
-_FEWEST_BAD = 3  # blocks that an alarm takes: a push or a bump is no gap
+_REMEMBERED = 20  # stretches of so many blocks, a minute or so each; and suspect blocks
+_RISE = 2.25  # of the variance: a gap of 1.5 times the floor is what the test looks for; and of the leverage
+_FEWEST_BAD = 3  # blocks that an alarm takes: a push or a bump is no gap, and correlated energies are no more than that
 _SUSPICION = -float(np.log(FALSE_ALARMS)) / _FEWEST_BAD  # the most evidence of one block
 _ALARM = _FEWEST_BAD * _SUSPICION
-_LARGEST_SHAPE = 0.5 * BLOCK  # of a block of independent rows
-_LAGS = 3  # blocks over which energies may be correlated
-_UNLIKE = 2.0  # times the mean leverage of the rows before: another motion
-_UNRESOLVED = 1e-6  # of a column's sum of squares: directions in which a motion has shown less are not counted
-_LEAST_FLOOR = 1e-4  # of the measured values: below, rounding and the filter's ripple count
+_LEAST = 1e-4  # of what is measured, or of what a motion shows: below, rounding and the filter's ripple count
 
 
 @dataclass(frozen=True)
@@ -124,7 +118,7 @@ class ChangeDetector:
         """
         suspect = [self._channels[index].first_suspect for index in channels]
         begin = min([self.judged, *(first for first in suspect if first is not None)])
-        return max(begin - LATE, self.judged - _MOST_SUSPECT * BLOCK)
+        return max(begin - LATE, self.judged - _REMEMBERED * BLOCK)
 
 
 class _Normal(NamedTuple):
@@ -152,9 +146,9 @@ class _Cusum:
         self._energies: deque[float] = deque(maxlen=_MOST_BLOCKS)
         self._learned = 0  # energies of the stretch
         self._earlier: deque[_Normal] = deque(maxlen=_REMEMBERED)  # stretches
-        self._suspect: deque[tuple[float, FloatArray, bool]] = deque(maxlen=_MOST_SUSPECT)  # whether energies are usual
+        self._suspect: deque[tuple[float, FloatArray, bool]] = deque(maxlen=_REMEMBERED)  # whether energies are usual
         self._ratios: deque[float] = deque(maxlen=_FEWEST_BAD)
-        self._unlike: deque[bool] = deque(maxlen=_FEWEST_BLOCKS)  # whether blocks were of another motion
+        self._unlike: deque[bool] = deque(maxlen=_FEWEST)  # whether blocks were of another motion
         self._evidence = 0.0  # for an opening, or, when it is open, for its end
         self._since = self._first = 0
         self._open = False
@@ -162,7 +156,7 @@ class _Cusum:
     @property
     def ready(self) -> bool:
         """Whether it is known what is normal."""
-        return len(self._energies) >= _FEWEST_BLOCKS
+        return len(self._energies) >= _FEWEST
 
     @property
     def gap(self) -> ChannelGap:
@@ -178,7 +172,7 @@ class _Cusum:
     @property
     def _moves_otherwise(self) -> bool:
         """Whether the motion is another than before, not a block of it here and there."""
-        return 2 * sum(self._unlike) >= _FEWEST_BLOCKS
+        return 2 * sum(self._unlike) >= _FEWEST
 
     def judge(self, first: int, stamps: IntArray, coefficients: FloatArray, targets: FloatArray) -> None:
         """Take a block, ``stamps (N,)``, ``coefficients (N, D)`` and ``targets (N,)``, whose first instant has number
@@ -189,7 +183,7 @@ class _Cusum:
         if len(rows) < BLOCK // 2:
             return
         moved_otherwise = self._moves_otherwise
-        self._unlike.append(self.ready and self._leverage(rows[:, :-1]) > _UNLIKE)
+        self._unlike.append(self.ready and self._leverage(rows[:, :-1]) > _RISE)
         self._factor, self._rows = np.sqrt(share) * self._factor, share * self._rows
         if share < 1.0:
             self._earlier = deque((_Normal(share * each.level, each.shape) for each in self._earlier), _REMEMBERED)
@@ -214,7 +208,7 @@ class _Cusum:
         alone = len(self._suspect) == 1
         while self._suspect:
             energy, rows, is_usual = self._suspect.popleft()
-            if is_usual and self._rows >= _ROWS_PER_PARAMETER * len(self._channel.columns):
+            if is_usual and self._rows >= _FEWEST * len(self._channel.columns):
                 self._energies.append(energy)
                 self._learned += 1
                 if self._learned % _MOST_BLOCKS == 0:
@@ -227,7 +221,7 @@ class _Cusum:
         known = self._factor[:, :-1]
         information = known.T @ known
         squares = np.diag(information)
-        floor = _UNRESOLVED * squares + np.finfo(float).eps * np.max(squares, initial=np.finfo(float).tiny)
+        floor = _LEAST**2 * squares + np.finfo(float).eps * np.max(squares, initial=np.finfo(float).tiny)
         covariance = definite.inverse(information + np.diag(floor))
         new, old = np.sum((coefficients @ covariance) * coefficients), np.sum(information * covariance)
         return float(new / len(coefficients) / (old / self._rows))
@@ -237,7 +231,7 @@ class _Cusum:
         previous, self._last_stamp = self._last_stamp, int(stamps[-1])
         steps = np.diff(stamps, prepend=stamps[0] if previous is None else previous) * 1e-9
         elapsed = float(np.sum(np.clip(steps, 0.0, LONGEST_STEP)))
-        fewest = 2.0 * _ROWS_PER_PARAMETER * max(len(self._channel.columns), 1)
+        fewest = 2.0 * _FEWEST * max(len(self._channel.columns), 1)
         return max(float(np.exp(-elapsed / self._forgetting_time)), 1.0 - BLOCK / fewest)
 
     def _test(self, energy: float, first: int, stamp: int) -> None:
@@ -245,7 +239,7 @@ class _Cusum:
         if level == 0.0:  # all that was measured is zero
             return
         self._ratios.append(energy / level)
-        highest = level * (1.0 + _CAUTION / np.sqrt(shape * len(self._energies)))
+        highest = level * (1.0 + SURE / np.sqrt(shape * len(self._energies)))
         rise = shape * (energy / highest * (1.0 - 1.0 / _RISE) - np.log(_RISE))
         if not self._open and self._evidence == 0.0:
             self._first, self._since = first, stamp
@@ -261,7 +255,7 @@ class _Cusum:
     @property
     def _recent(self) -> _Normal:
         """That of the last blocks."""
-        smallest = _LEAST_FLOOR**2 * float(np.sum(self._factor[:, -1] ** 2)) / self._rows
+        smallest = _LEAST**2 * float(np.sum(self._factor[:, -1] ** 2)) / self._rows
         level = max(float(np.mean(self._energies)), smallest)
         return _Normal(level, self._shape(level))
 
@@ -269,10 +263,12 @@ class _Cusum:
         """The Gamma distribution's shape, rather too small, as few energies tell their variance only roughly."""
         errors = np.array(self._energies) - np.mean(self._energies)
         count = len(errors)
-        covariance = [float(errors[lag:] @ errors[: count - lag]) / count for lag in range(_LAGS + 1)]
-        long_run = covariance[0] + 2.0 * sum((1.0 - lag / (_LAGS + 1)) * covariance[lag] for lag in range(1, _LAGS + 1))
+        covariance = [float(errors[lag:] @ errors[: count - lag]) / count for lag in range(_FEWEST_BAD + 1)]
+        fading = 1.0 - np.arange(1, _FEWEST_BAD + 1) / (_FEWEST_BAD + 1)
+        long_run = covariance[0] + 2.0 * float(fading @ covariance[1:])
         variance = max(long_run, covariance[0]) * (1.0 + 4.0 / np.sqrt(count))
-        return min(level**2 / variance, _LARGEST_SHAPE) if variance > 0.0 else _LARGEST_SHAPE
+        independent = 0.5 * BLOCK  # of rows that are
+        return min(level**2 / variance, independent) if variance > 0.0 else independent
 
 
 def _unexplained(factor: FloatArray) -> float:

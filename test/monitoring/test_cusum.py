@@ -7,13 +7,13 @@ import pytest
 from scipy.signal import lfilter
 
 from geomid_ros.model.measurement import Channel, Rows
-from geomid_ros.monitoring.change_detection import BLOCK, ChangeDetector, _Cusum
+from geomid_ros.monitoring.change_detection import _FEWEST, BLOCK, ChangeDetector, _Cusum
 from geomid_ros.types import FloatArray
 
 COLUMNS = 4
 SECOND = 1_000_000_000  # [ns]
-LEARNT = 2  # blocks of 40 rows for eight rows per parameter, here 32
-NORMAL = 12  # blocks whose energies tell what is normal
+LEARNT = 2  # blocks of 40 rows for ten rows per parameter, here 40
+NORMAL = _FEWEST  # blocks whose energies tell what is normal
 
 
 def cusum(forgetting_time: float = np.inf) -> _Cusum:
@@ -128,7 +128,7 @@ def test_a_stretch_that_another_motion_cuts_short_is_not_remembered(before: int,
         source.block(own)
     for count in range(12):
         source.block(own, 5.0, pace=3.0 ** (count + 1))
-    assert not own._energies or len(own._energies) < 12, "they were forgotten"
+    assert len(own._energies) < NORMAL + 2, "they were forgotten"
     assert len(own._earlier) == remembered
     assert all(each.level == pytest.approx(1.0, rel=0.2) for each in own._earlier)
 
@@ -202,7 +202,7 @@ def test_what_is_normal_is_forgotten_by_the_time_that_passes(forgetting: float, 
     stamps = SECOND + step * np.arange(BLOCK)
     first = own._remaining(stamps)
     later = own._remaining(stamps + BLOCK * step)
-    least = 1.0 - BLOCK / (2.0 * 8 * COLUMNS)
+    least = 1.0 - BLOCK / (2.0 * _FEWEST * COLUMNS)
     assert later == pytest.approx(max(np.exp(-elapsed / forgetting), least))
     assert first == pytest.approx(max(np.exp(-elapsed * (BLOCK - 1) / BLOCK / forgetting), least))
     assert least > 0.3
