@@ -35,8 +35,8 @@ Columns = dict[EffectTerm, dict[int, FloatArray]]
 class Analysis:
     """Where the search ended: the last ``problem`` and ``search``; the fit with ``names`` and the one without
     (``bare``); what ``supports`` each name; the standard deviation of each channel's noise, ``floor (C,)``, from
-    repeats of a motion if there are any; ``contested``: whether the link that has been changed may as well be another
-    one."""
+    repeats of a motion if there are any; ``contested``: the odds that another link than the one that was found has been
+    changed."""
 
     problem: LinearisedProblem
     search: NamesSearch
@@ -44,7 +44,7 @@ class Analysis:
     names: NamesFit
     supports: dict[Candidate, Support[Candidate]]
     floor: FloatArray
-    contested: bool = False
+    contested: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +115,7 @@ def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
 
     likely = [prior for prior, score in zip(priors, scores, strict=True) if score < min(scores) + _CLEARLY]
     (score, changed), *others = sorted(map(with_changed, likely), key=lambda found: found[0])
-    contested = any(other < score + _CLEARLY for other, _ in others)
+    contested = float(sum(np.exp(0.5 * (score - other)) for other, _ in others))
     return replace(changed, contested=contested) if score < names.score - _CLEARLY else analysis
 
 

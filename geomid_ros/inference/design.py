@@ -203,9 +203,11 @@ class Design:
             found.append(Lack(channel.scale * mean, covariance, explained / max(square, 1e-300), power, freedom))
         return found
 
-    def powers(self, candidate: Hypothesis[Any], values: FloatArray) -> FloatArray:
-        """Sums of squares ``(C,)`` of what a candidate's columns with these ``values (k,)`` add to each channel."""
-        own = zip(self.channels, self._own_places(candidate), strict=True)
+    def powers(self, columns: Hypothesis[Any] | int, values: FloatArray) -> FloatArray:
+        """Sums of squares ``(C,)`` of what the columns of a candidate, or of a link, with these ``values (k,)`` add to
+        each channel."""
+        places = self._places_of_link(columns) if isinstance(columns, int) else self._own_places(columns)
+        own = zip(self.channels, places, strict=True)
         return np.array([float(values @ c.products[np.ix_(place, place)] @ values) for c, place in own])
 
     def _residuals(
@@ -258,8 +260,10 @@ class Design:
     def _own_places(self, candidate: Hypothesis[Any]) -> IntArray:
         """Places of a candidate's columns in each channel ``(C, k)``."""
         if candidate not in self._known_places:
-            body = candidate.payload
-            carried = None if body is None else np.tile(np.arange(10 * body, 10 * body + 10), (len(self.channels), 1))
-            own = [self._places_of_term(term) for term in candidate.terms]
-            self._known_places[candidate] = np.column_stack(own) if carried is None else carried
+            body, own = candidate.payload, [self._places_of_term(term) for term in candidate.terms]
+            self._known_places[candidate] = np.column_stack(own) if body is None else self._places_of_link(body)
         return self._known_places[candidate]
+
+    def _places_of_link(self, link: int) -> IntArray:
+        """Places of a link's columns in each channel ``(C, 10)``."""
+        return np.tile(np.arange(10 * link, 10 * link + 10), (len(self.channels), 1))

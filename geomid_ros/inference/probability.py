@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Generic
+from typing import Any, Generic
 
 import numpy as np
 
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import JointFit, fit, scattered
-from geomid_ros.inference.hypothesis import Chosen, Term
+from geomid_ros.inference.hypothesis import Chosen, Hypothesis, Term
 from geomid_ros.inference.prior import Prior
 from geomid_ros.inference.selection import Selection
 from geomid_ros.types import FloatArray
@@ -28,11 +28,12 @@ def probability_of_square(square: float) -> float:
 @dataclass(frozen=True, eq=False)
 class Support(Generic[Chosen]):
     """What speaks for a hypothesis: by how much the score is worse without it (``loss``), and what that is ``worth``
-    where rows depend on each other; the same loss with each of the ``rivals`` in its place, and its ``probability``
-    among all of these."""
+    where rows depend on each other; the relative ``doubt`` of its size that comes from what the model lacks; the same
+    loss with each of the ``rivals`` in its place, and its ``probability`` among all of these."""
 
     loss: float
     worth: float
+    doubt: float
     rivals: tuple[tuple[Chosen, float], ...]
     probability: float
 
@@ -59,7 +60,8 @@ class Supports(Generic[Chosen, Term]):
         kept = max(worth, 0.0) / loss if loss > 0.0 else 1.0
         against = [worth, *(kept * worse for _, worse in rivals)]
         odds = float(np.sum(np.exp(-0.5 * np.clip(against, -1e3, 1e3))))
-        return Support(loss, worth, tuple(sorted(rivals, key=lambda rival: rival[1])), 1.0 / (1.0 + odds))
+        ordered = tuple(sorted(rivals, key=lambda rival: rival[1]))
+        return Support(loss, worth, self.doubt(candidate), ordered, 1.0 / (1.0 + odds))
 
     def worth(self, candidate: Chosen) -> float:
         """By how much the score is worse without it, where rows depend on each other."""
@@ -107,15 +109,21 @@ class Supports(Generic[Chosen, Term]):
         else:
             narrowed = -float(np.linalg.slogdet(found.inverse[np.ix_(places, places)] * found.weights[places])[1])
         square = float(values @ np.linalg.solve(self._sized.covariance[np.ix_(places, places)], values))
-        wider = 1.0 + relative_doubt(self._selection.design, prior, found, candidate) ** 2 * square  # of a determinant
+        wider = 1.0 + self.doubt(candidate) ** 2 * square  # of the covariance's determinant
         return square / wider - max(narrowed - float(np.log(wider)) + candidate.cost, _LEAST_SQUARE)
 
+    def doubt(self, candidate: Chosen) -> float:
+        """The relative standard deviation of its size that comes from what the model lacks."""
+        values, _ = _change(self._selection.prior, self._found, candidate)
+        return relative_doubt(self._selection.design, self._found, candidate, values)
 
-def relative_doubt(design: Design, prior: Prior[Term], found: JointFit[Chosen, Term], candidate: Chosen) -> float:
-    """The standard deviation of a hypothesis's size that comes from what its channels lack, a part of which may lie
-    along its columns; relative."""
-    values, _ = _change(prior, found, candidate)
-    powers, lacks = design.powers(candidate, values) / found.squares, found.remainders(design)
+
+def relative_doubt(
+    design: Design, found: JointFit[Any, Any], columns: Hypothesis[Any] | int, values: FloatArray
+) -> float:
+    """The relative standard deviation of ``values (k,)`` of a hypothesis's columns, or of a link's, that comes from
+    what their channels lack beside a fit: a part of it may lie along them."""
+    powers, lacks = design.powers(columns, values) / found.squares, found.remainders(design)
     left = np.array([lack.power for lack in lacks]) / found.squares
     return _ALONG * float(np.sqrt(np.sum(left[powers > 0.0]) / max(float(np.sum(powers)), 1e-300)))
 

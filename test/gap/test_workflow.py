@@ -200,7 +200,7 @@ def test_a_link_that_has_become_lighter_is_told_as_that(link: int, seed: int) ->
 
 
 def test_no_link_is_sure_in_whose_place_another_one_may_have_been_changed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workflow, "analyse", lambda *given: replace(analysis.analyse(*given), contested=True))
+    monkeypatch.setattr(workflow, "analyse", lambda *given: replace(analysis.analyse(*given), contested=0.25))
     inertias = planted.true_inertias(61, 0.2)
     lighter = inertias * np.array([[1.0], [1.0], [0.7]])
     (change,) = found_lighter(inertias, lighter, 61).links

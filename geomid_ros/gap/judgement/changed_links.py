@@ -9,15 +9,15 @@ import numpy as np
 
 from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.gap.analysis import Analysis
-from geomid_ros.gap.candidates import NamesPrior
-from geomid_ros.gap.result import LIKELY, SURE, LinkChange
+from geomid_ros.gap.candidates import ODDS, NamesPrior
+from geomid_ros.gap.result import LIKELY, LinkChange
 from geomid_ros.inference.fit import fit, scattered
+from geomid_ros.inference.probability import relative_doubt
 from geomid_ros.model.effects import Quantity
 from geomid_ros.model.effects.places import AtJoint
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
-_ODDS = 0.01  # of a link
 _LEAST = 0.05  # of the mass
 _HELD = 0.1  # of the usual spread: so little a link may change to be as it was
 
@@ -38,7 +38,9 @@ def _changes(model: MeasurementModel, analysis: Analysis) -> Iterator[LinkChange
     prior = with_given_spreads(search.prior, names.inflation)
     free = fit(search.design, prior, names.chosen, names, names.spreads).score
     for link, was in enumerate(nominal):
-        change, std = names.inertias[link] - was, stds[10 * link : 10 * link + 10]
+        change = names.inertias[link] - was
+        doubt = relative_doubt(search.design, names, link, change)
+        std = np.hypot(stds[10 * link : 10 * link + 10], doubt * change)
         told, moment = (change / std)[:1], {}
         if abs(change[0]) < _LEAST * was[0] or link == search.prior.changed_link:
             if link != search.prior.changed_link:
@@ -51,9 +53,9 @@ def _changes(model: MeasurementModel, analysis: Analysis) -> Iterator[LinkChange
         spreads[link] = _HELD * search.prior.spread
         loss = fit(search.design, prior, names.chosen, names, spreads).score - free
         # The link may have changed, and not its mass.
-        odds = _ODDS * np.exp(0.5 * min(loss, float(np.max(told**2)), 1e3))
-        contested = analysis.contested and link == search.prior.changed_link
-        probability = min(float(odds / (1.0 + odds)), SURE if contested else 1.0)
+        against = np.exp(-0.5 * min(loss, float(np.max(told**2)), 1e3)) / ODDS
+        against += analysis.contested if link == search.prior.changed_link else 0.0
+        probability = float(1.0 / (1.0 + against))
         if probability >= LIKELY:
             body = model.robot.bodies[model.identified[link]]
             yield LinkChange(

@@ -15,7 +15,7 @@ from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.judgement.locate import strongest
 from geomid_ros.gap.result import Finding, Ranked, Rival, Unexplained, Verdict, confidence_of
 from geomid_ros.inference.fit import scattered
-from geomid_ros.inference.probability import probability_of_square, relative_doubt
+from geomid_ros.inference.probability import probability_of_square
 from geomid_ros.inference.rao_score import score_test
 from geomid_ros.model.effects import EFFECTS, Quantity, Values
 from geomid_ros.model.measurement import MeasurementModel
@@ -66,8 +66,7 @@ def beside_remainder(
     analysis: Analysis, candidate: Candidate, parameters: dict[str, Quantity], was: Values
 ) -> dict[str, Quantity]:
     """Parameters that are as unsure as what has no name leaves their sizes."""
-    search, effect = analysis.search, candidate.effect
-    doubt = relative_doubt(search.design, search.prior, analysis.names, candidate)
+    effect, doubt = candidate.effect, analysis.supports[candidate].doubt
     sizes = effect.sizes(parameters).items()
     changes = {name: abs(size.value - was.get(name, effect.nothing)) for name, size in sizes}
     return parameters | {n: replace(q, std=float(np.hypot(q.std, doubt * changes[n]))) for n, q in sizes}

@@ -188,8 +188,8 @@ def _findings_as_written(
         elif candidate in found.chosen:
             load = analysis.problem.situation.usual_load(candidate.place) if candidate.effect.scanned else 0.0
             parameters = naming.parameters(model, found, candidate, usual_load=load)
-            sizes = candidate.effect.sizes(beside_remainder(analysis, candidate, parameters, finding.was))
-            sized = {**finding.parameters, **sizes}
+            unsure_too = beside_remainder(analysis, candidate, parameters, finding.was)
+            sized = {**finding.parameters, **candidate.effect.sizes(unsure_too)}
             probability = min(finding.probability, probability_by_size(candidate, parameters, finding.was))
             yield _said_again(replace(finding, parameters=sized, probability=probability))
         else:
