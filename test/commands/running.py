@@ -14,6 +14,8 @@ from matplotlib.figure import Figure
 from geomid_ros.commands.root import root
 
 WRIST = ("--wrench", "/wrench:wrist_ft:mounted")
+# To choose among effects takes most of an identification's time.
+NO_CHOICE = ("--candidates", "none")
 
 
 def geomid(*arguments: str | Path) -> Result:

@@ -53,7 +53,7 @@ def loaded(*lines: tuple[str, ...], completing: str = "") -> set[str]:
     asked = {"_GEOMID_COMPLETE": "bash_complete", "COMP_WORDS": completing, "COMP_CWORD": str(completing.count(" "))}
     environment = os.environ | (asked if completing else {})
     command = [sys.executable, "-c", script]
-    run = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=60)
+    run = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=300)
     assert "--urdf" in run.stdout or "identify" in run.stdout, run.stderr
     assert "Traceback" not in run.stderr
     modules = set(run.stdout.splitlines()[-1].split())

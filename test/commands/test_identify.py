@@ -19,7 +19,7 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.simulation.hidden import Hidden
 
-from .running import WRIST, done, geomid, identify, link, read, refused, undrawn
+from .running import NO_CHOICE, WRIST, done, geomid, identify, link, read, refused, undrawn
 
 TABLES = {"links.csv", "effects.csv", "channels.csv"}
 DRAWN = {"identification.png", "report.html"}
@@ -131,7 +131,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """The small arm's estimate from the whole bag."""
-    return small(tmp_path_factory.mktemp("whole"), "--hold-out", "0")
+    return small(tmp_path_factory.mktemp("whole"), *NO_CHOICE, "--hold-out", "0")
 
 
 def unclocked(document: dict[str, Any]) -> dict[str, Any]:
@@ -142,12 +142,12 @@ def unclocked(document: dict[str, Any]) -> dict[str, Any]:
 def test_hold_out_nothing(plain: dict[str, Any], whole: dict[str, Any], tmp_path: Path) -> None:
     assert whole["rms"]["held_out"] is None
     assert plain["rows"]["accepted"] == pytest.approx(0.7 * whole["rows"]["accepted"], abs=9)
-    assert "on the same data" in done(*identify("arm3", "--out", tmp_path, "--hold-out", "0"))
+    assert "on the same data" in done(*identify("arm3", *NO_CHOICE, "--out", tmp_path, "--hold-out", "0"))
 
 
 def test_other_bags_to_validate_on(whole: dict[str, Any], second: Path, tmp_path: Path) -> None:
     """All of the bag is identified from, and all of the other is tested on."""
-    validated = small(tmp_path, "--validate", second)
+    validated = small(tmp_path, *NO_CHOICE, "--validate", second)
     assert validated["links"] == whole["links"]
     held_out, nominal = validated["rms"]["held_out"], validated["rms"]["nominal"]
     assert held_out.keys() == nominal.keys()
@@ -155,13 +155,13 @@ def test_other_bags_to_validate_on(whole: dict[str, Any], second: Path, tmp_path
 
 
 def test_two_bags(whole: dict[str, Any], second: Path, tmp_path: Path) -> None:
-    both = small(tmp_path, second, "--hold-out", "0")
+    both = small(tmp_path, second, *NO_CHOICE, "--hold-out", "0")
     assert both["rows"]["accepted"] > 1.4 * whole["rows"]["accepted"]
     assert sum(entry["from_data"] for entry in both["links"]) > sum(entry["from_data"] for entry in whole["links"])
 
 
 def test_links_that_are_not_named_keep_their_inertia(tmp_path: Path) -> None:
-    document = small(tmp_path, "--links", "link3, link2")
+    document = small(tmp_path, *NO_CHOICE, "--links", "link3, link2")
     assert [entry["name"] for entry in document["links"]] == ["link2", "link3"]
     bodies = {body.name: body for body in Robot(read_urdf(tmp_path / "identified.urdf")).bodies}
     nominal = {body.name: body for body in Robot(read_urdf(BAGS / "arm3.urdf")).bodies}
@@ -229,9 +229,10 @@ def test_the_shipped_file_changes_nothing(plain: dict[str, Any], tmp_path: Path)
 
 def test_an_estimate_is_started_from(tmp_path: Path) -> None:
     """With a prior that nothing moves, what comes out is what went in."""
-    first = small(tmp_path / "a", *WRIST)
+    first = small(tmp_path / "a", *WRIST, *NO_CHOICE)
     (tmp_path / "stiff.yaml").write_text("/**: {ros__parameters: {gamma: 1000000}}")
-    again = small(tmp_path / "b", *WRIST, "--model", tmp_path / "a/estimate.json", "--config", tmp_path / "stiff.yaml")
+    options = ("--model", tmp_path / "a/estimate.json", "--config", tmp_path / "stiff.yaml")
+    again = small(tmp_path / "b", *WRIST, *NO_CHOICE, *options)
     for before, after in zip(first["links"], again["links"], strict=True):
         assert after["mass"] == pytest.approx(before["mass"], rel=1e-3)
         assert after["distance_from_prior"] < 1e-3
@@ -334,7 +335,7 @@ def test_a_single_file_of_a_bag_gives_the_same(plain: dict[str, Any], tmp_path: 
 
 def test_selected_axes(tmp_path: Path) -> None:
     """An axis that is left out is no channel."""
-    document = small(tmp_path, "--wrench", "/wrench:wrist_ft:mounted:fz,fx")
+    document = small(tmp_path, *NO_CHOICE, "--wrench", "/wrench:wrist_ft:mounted:fz,fx")
     assert {name for name in document["sigma"] if "/" in name} == {"wrench/fx", "wrench/fz"}
 
 
@@ -401,7 +402,8 @@ def test_what_became_of_the_messages_is_printed_and_written(tmp_path: Path) -> N
 
 
 def test_a_weighed_mass_is_told_and_written(tmp_path: Path) -> None:
-    text = done(*identify("arm3", *WRIST, "--known", "total=9:0.5", "--known", "link2+link3=4:1", "--out", tmp_path))
+    weighed = ("--known", "total=9:0.5", "--known", "link2+link3=4:1")
+    text = done(*identify("arm3", *WRIST, *NO_CHOICE, *weighed, "--out", tmp_path))
     assert "weighed [kg]" in text
     known = {entry["name"]: entry for entry in read(tmp_path)["known"]}
     assert list(known) == ["total", "link2 + link3"]
@@ -410,5 +412,5 @@ def test_a_weighed_mass_is_told_and_written(tmp_path: Path) -> None:
     assert f"9.000 ± 0.500 {known['total']['mass']:.3f} ± {known['total']['std']:.3f}" in " ".join(text.split())
     parameters = tmp_path / "known.yaml"
     parameters.write_text('/**: {ros__parameters: {known: ["total=9:0.5", "link2+link3=4:1"]}}')
-    done(*identify("arm3", *WRIST, "--config", parameters, "--out", tmp_path / "again"))
+    done(*identify("arm3", *WRIST, *NO_CHOICE, "--config", parameters, "--out", tmp_path / "again"))
     assert read(tmp_path / "again")["known"] == read(tmp_path)["known"]

@@ -17,7 +17,7 @@ import geomid_ros
 from geomid_ros.files.models import xacro
 from geomid_ros.simulation import SimulationOptions, simulate
 
-from .running import done, geomid, read, refused, undrawn
+from .running import NO_CHOICE, done, geomid, read, refused, undrawn
 
 BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
 ARM3 = URDF.read_text()
@@ -47,7 +47,7 @@ def links(out: Path) -> list[Any]:
 
 def test_a_gripper_in_no_message_is_locked_as_if_it_had_been_named(tmp_path: Path) -> None:
     (tmp_path / "hand.urdf").write_text(with_gripper())
-    arguments = ("identify", BAG, "--urdf", tmp_path / "hand.urdf", "--out")
+    arguments = ("identify", BAG, "--urdf", tmp_path / "hand.urdf", *NO_CHOICE, "--out")
     shown = " ".join(done(*arguments, tmp_path / "alone").split())
     assert "Note: no message names 'finger_joint1': locked at zero, as with locked_joints" in shown
     (note,) = read(tmp_path / "alone")["notes"]
@@ -111,7 +111,7 @@ def test_options_win_over_the_parameter_file(tmp_path: Path) -> None:
         " joint: {joint2: {effort_gain: 0.9}}}}"
     )
     (tmp_path / "wrong.yaml").write_text("/**: {ros__parameters: {filter: {cutoff: 7.0}, gravity: [0.0, 9.81, 0.0]}}")
-    arguments = ("identify", BAG, "--urdf", URDF, "--out")
+    arguments = ("identify", BAG, "--urdf", URDF, *NO_CHOICE, "--out")
     options = ("--cutoff", "4", "--gravity", "0", "0", "-9.7", "--gain", "1.1", "--gain", "joint2=0.9")
     geomid(*arguments, tmp_path / "file", "--config", tmp_path / "robot.yaml")
     geomid(*arguments, tmp_path / "options", *options, "--config", tmp_path / "wrong.yaml")
@@ -128,7 +128,8 @@ def test_commands_that_read_bags_have_the_same_options(command: str) -> None:
 
 def test_a_description_in_a_namespace_is_found(tmp_path: Path) -> None:
     renamed = altered(BAG, tmp_path / "bag", lambda item: replace(item, topic=f"/cell{item.topic}"))
-    shown = " ".join(done("identify", renamed, "--joint-topic", "cell/joint_states", "--out", tmp_path).split())
+    options = ("--joint-topic", "cell/joint_states", *NO_CHOICE, "--out", tmp_path)
+    shown = " ".join(done("identify", renamed, *options).split())
     assert f"using the description of /cell/robot_description in {renamed}" in shown
 
 
@@ -165,8 +166,10 @@ def robot_xacro(tmp_path: Path) -> Iterator[Path]:
 
 
 def test_a_xacro_is_run_with_its_arguments(robot_xacro: Path, tmp_path: Path) -> None:
-    done("identify", BAG, "--urdf", robot_xacro, "--xacro-arg", "prefix:=left_", "--out", tmp_path / "xacro")
-    done("identify", BAG, "--urdf", URDF, "--out", tmp_path / "plain")
+    done(
+        "identify", BAG, "--urdf", robot_xacro, "--xacro-arg", "prefix:=left_", *NO_CHOICE, "--out", tmp_path / "xacro"
+    )
+    done("identify", BAG, "--urdf", URDF, *NO_CHOICE, "--out", tmp_path / "plain")
     made, plain = links(tmp_path / "xacro"), links(tmp_path / "plain")
     assert (made[0].pop("name"), plain[0].pop("name")) == ("left_link1", "link1")
     assert made == plain
@@ -217,7 +220,7 @@ def moving(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def once(moving: Path) -> geomid_ros.Identification:
-    return geomid_ros.identify(moving, URDF)
+    return geomid_ros.identify(moving, URDF, candidates=[])
 
 
 @pytest.mark.parametrize("stamps", ["new", "old"])
@@ -233,7 +236,7 @@ def test_messages_that_repeat_change_nothing(
         return replace(item.changed(header=replace(header, stamp=stamp)), time=item.time + shift)
 
     messages = [one for item in recorded(moving) for one in ([item, again(item)] if "joint" in item.topic else [item])]
-    twice = geomid_ros.identify(write_bag(tmp_path / "twice", messages), URDF)
+    twice = geomid_ros.identify(write_bag(tmp_path / "twice", messages), URDF, candidates=[])
     for name in ("stamps", "position", "acceleration", "effort"):
         both = (np.concatenate([getattr(samples, name) for samples in found.train]) for found in (once, twice))
         np.testing.assert_array_equal(*both)

@@ -86,7 +86,7 @@ class Stage:
 
     def play(self, bag: Path, rate: float = 1.0, *arguments: str | Path, fresh: bool = False) -> Process:
         """Start to play a bag."""
-        return self.start("geomid_ros", "play", bag, "--rate", str(rate), "--wait", "60", *arguments, fresh=fresh)
+        return self.start("geomid_ros", "play", bag, "--rate", str(rate), "--wait", "300", *arguments, fresh=fresh)
 
     def spin_while(self, process: Process) -> None:
         """Let messages come until a process has ended well."""

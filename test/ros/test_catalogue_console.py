@@ -209,7 +209,7 @@ def test_93_a_mimic_joint_is_not_waited_for(stage: Stage) -> None:
         '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/>'
         '<mimic joint="joint3" multiplier="0.01"/></joint></robot>'
     )
-    stage.node({"robot_description": description("arm3").replace("</robot>", finger), **NO_CHOICE, "solve_period": 0.2})
+    stage.node({"robot_description": description("arm3").replace("</robot>", finger), **NO_CHOICE, "solve_period": 0.5})
     stage.observer.publish([item for item in GOOD[:800] if item.topic == "/joint_states"], JOINTS)
     told = stage.fed({"joint_states": 400})
     values = {pair.key: pair.value for pair in told.status[0].values}

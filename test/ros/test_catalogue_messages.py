@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -130,31 +130,21 @@ CASES = {
 }
 
 
-def groups() -> Iterator[list[Case]]:
-    """Cases of one level, no more than diagnostics name at once, and no two of the same reason."""
-    for level, count in ((WARN, 5), (ERROR, 2)):
-        cases = [case for case in CASES.values() if case.level == level]
-        yield from (cases[begin::count] for begin in range(count))
-
-
 def test_a_bad_message_is_named_and_leaves_no_trace(rig: Rig) -> None:
-    """One case after the other, each between good messages."""
+    """One case after the other, each between good messages, and each named in its turn."""
     before, after = rig.begin()
     rig.feed(before)
     rig.published()
-    good, heard, place = before[-2:], len(rig.inertias), 0
-    for group in groups():
-        begin = len(rig.arrays)
-        for case in group:
-            last = {item.topic: item for item in good}
-            rig.send(case.spoil(last["/joint_states"], last["/wrench"]))
-            good, place = after[place : place + 2], place + 2
-            rig.feed(good)  # they tell that a stamp was wrong
-            assert place > 2 or len(rig.inertias) == heard, "what was published is replaced"
-        rig.names_at_once(begin, group[0].level, *(part for case in group for part in case.says))
-    assert place == 2 * len(CASES)
+    good, heard = before[-2:], len(rig.inertias)
+    for place, case in enumerate(CASES.values()):
+        last, begin = {item.topic: item for item in good}, len(rig.arrays)
+        rig.send(case.spoil(last["/joint_states"], last["/wrench"]))
+        good = after[2 * place : 2 * place + 2]
+        rig.feed(good)  # they tell that a stamp was wrong
+        rig.names_at_once(begin, case.level, *case.says)
+        assert place or len(rig.inertias) == heard, "what was published is replaced"
     assert rig.node.running
-    rig.feed(after[place:])
+    rig.feed(after[2 * len(CASES) :])
     rig.assert_same_as_twin()
 
 

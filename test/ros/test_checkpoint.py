@@ -35,7 +35,7 @@ from geomid_ros.session.session import Session
 from .observer import latched
 from .stage import KINDS, NO_CHOICE, WRIST, Stage, description, messages
 
-ARM3 = {**WRIST, **NO_CHOICE, "robot_description": description("arm3"), "solve_period": 0.2}
+ARM3 = {**WRIST, **NO_CHOICE, "robot_description": description("arm3"), "solve_period": 0.5}
 FLAT = {**NO_CHOICE, "wrenches": ["wrist"], "wrench.wrist.topic": "/wrench", "wrench.wrist.frame": "wrist_ft"}
 MESSAGES = messages()
 HALF = len(MESSAGES) // 2

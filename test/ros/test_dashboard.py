@@ -20,7 +20,7 @@ from geomid_ros.report.page import Script, rendered_page
 from .processes import Process
 from .stage import NO_CHOICE, WRIST, Stage, description
 
-PATIENCE = 60.0  # [s] on a busy machine
+PATIENCE = 300.0  # [s] on a busy machine
 URDF = {"robot_description": description("arm3"), **WRIST, **NO_CHOICE}
 
 

@@ -53,7 +53,7 @@ def test_a_description_that_was_there_before(stage: Stage) -> None:
 
 
 def test_a_changed_description_waits_for_a_reset(stage: Stage) -> None:
-    node = stage.node({**NO_CHOICE, "solve_period": 0.2})
+    node = stage.node({**NO_CHOICE, "solve_period": 0.5})
     observer = stage.observer
     joints = {"/joint_states": KINDS["/joint_states"]}
     inertias = observer.collect(InertiaStamped, "/geomid/inertias", latched())

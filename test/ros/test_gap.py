@@ -77,7 +77,7 @@ def found(rubbing: list[Recorded], tmp_path_factory: pytest.TempPathFactory) -> 
     bag = write_bag(folder / "bag", rubbing)
     run = Found(json.loads(done("gap", bag, "--urdf", URDF, "--out", folder / "out", "--json")))
     with staged(folder) as stage:
-        node = stage.node({**ARM3, "solve_period": 0.2})
+        node = stage.node({**ARM3, "solve_period": 0.5})
         stage.observer.publish(rubbing, {"/joint_states": JointState})
         run.watched = stage.fed({"joint_states": len(rubbing)}).status[0]
         findings = stage.observer.collect(String, "/geomid/gap", latched())
@@ -157,7 +157,7 @@ def test_what_was_there_from_the_beginning_opens_no_gap(found: Found) -> None:
 
 def test_friction_that_grows_opens_a_gap(stage: Stage, rubbing: list[Recorded]) -> None:
     """At its joint and no other, once it grows and not before; and it stays, until all is forgotten."""
-    stage.node({**ARM3, "solve_period": 0.1})
+    stage.node({**ARM3, "solve_period": 0.5})
     observer, items = stage.observer, growing(rubbing)
     before, after = seconds(items, 0.0, CHANGE), seconds(items, CHANGE, SECONDS)
     observer.publish(before, {"/joint_states": JointState})

@@ -72,7 +72,7 @@ def live(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 
 
 def perform(stage: Stage, run: Live, out: Path) -> None:
-    parameters = {"robot_description": description(run.robot), "output_folder": str(out), "solve_period": 0.5}
+    parameters = {"robot_description": description(run.robot), "output_folder": str(out), "solve_period": 2.0}
     node = stage.node({**parameters, **WRIST_PARAMETERS})
     observer = stage.observer
     run.predicted = observer.collect(JointState, "/geomid/predicted_joint_states")

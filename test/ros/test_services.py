@@ -11,7 +11,7 @@ from geometry_msgs.msg import InertiaStamped
 from .observer import latched
 from .stage import KINDS, NO_CHOICE, WRIST, Stage, description, messages
 
-ARM3 = {**WRIST, **NO_CHOICE, "robot_description": description("arm3"), "solve_period": 0.2}
+ARM3 = {**WRIST, **NO_CHOICE, "robot_description": description("arm3"), "solve_period": 0.5}
 MESSAGES = messages()
 HALF = len(MESSAGES) // 2
 EACH = HALF // 2  # messages of either topic in half of the bag

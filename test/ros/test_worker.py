@@ -32,7 +32,7 @@ from geomid_ros.session.session import Session
 
 from .stage import NO_CHOICE, messages
 
-PATIENCE = 30.0
+PATIENCE = 300.0
 STATES = [item for item in messages() if item.topic == "/joint_states"]
 JOINTS = [item.raw for item in STATES]
 SOON, NEVER = 0.01, 3600.0  # [s] periods of the solver

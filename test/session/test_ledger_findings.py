@@ -33,7 +33,7 @@ from geomid_ros.signals.joint_messages import UNWRAPPED
 from geomid_ros.signals.sampler import IN_BURSTS
 from geomid_ros.types import FloatArray, IntArray
 
-PATIENCE = 60.0
+PATIENCE = 300.0
 MIDDLE = 400  # of 800 joint messages
 NAN = float("nan")
 

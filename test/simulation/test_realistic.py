@@ -235,5 +235,5 @@ def test_it_is_a_world_apart_from_the_estimator() -> None:
         print(sorted({name.split(".")[1] for name in sys.modules if name.startswith("geomid_ros.")}))
         """
     command = [sys.executable, "-c", "\n".join(line.strip() for line in script.splitlines())]
-    printed = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT, timeout=60).stdout
+    printed = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT, timeout=300).stdout
     assert printed == "['errors', 'simulation', 'types']\n"
