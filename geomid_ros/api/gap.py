@@ -21,6 +21,7 @@ from geomid_ros.files.models.effect_forms import effect_entry
 from geomid_ros.files.models.gap_reading import page_entries
 from geomid_ros.files.models.gap_results import gap_document
 from geomid_ros.files.models.judgements import causes_entry
+from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.files.models.readers import DESCRIBED_FOR, URDF
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.gap.result import Finding, GapResult, Verdict
@@ -29,7 +30,7 @@ from geomid_ros.report.gap_figures import elapsed
 from geomid_ros.report.gap_page import GapPage, write_gap_page
 from geomid_ros.report.gap_words import verdict_sentence
 from geomid_ros.report.simulated_again import SimulatedAgain, position_units, simulated_again
-from geomid_ros.session.gap import GapReader, find, gap_session
+from geomid_ros.session.gap import GapReader, find, gap_session, remainder_of
 from geomid_ros.session.gap_simulation import nominal_inertias, simulate_again, without_findings, write_found
 from geomid_ros.session.locking import read_with_locked
 from geomid_ros.session.recordings import Bags, Progress, silent
@@ -152,7 +153,8 @@ class Gap:
             progress: called with the current stage and its completed share, 0 to 1.
 
         Returns:
-            The files; the model is estimate.json, identified.urdf, identified.xml (MJCF) and effects.yaml.
+            The files; the model is estimate.json, identified.urdf, identified.xml (MJCF) and effects.yaml, with what
+            it lacks in posterior.npz.
 
         Raises:
             InputError: a file cannot be written.
@@ -171,6 +173,8 @@ class Gap:
         for name, text in self._description.beside.items():
             files.append(folder / name)
             write_text(folder / name, text)
+        lacks = remainder_of(folder / "estimate.json", self.session, self.bags, progress)
+        files += write_posterior(folder / POSTERIOR, None, lacks)
         written = [folder / "gap.json", *write_tables(folder, tables(document))]
         return [self.report(folder / "report.html", progress=progress), *written, *files]
 
