@@ -125,6 +125,21 @@ def test_pruning_leaves_out_what_is_not_worth_its_parameters_and_nothing_else() 
     assert one.prune(one.fit([VISCOUS, OTHERS[1]])) is one.fit([VISCOUS, OTHERS[1]])
 
 
+def test_every_set_is_tried_that_is_better_without_a_name() -> None:
+    """Whatever the loss to second order says."""
+    rng = np.random.default_rng(2)
+    tried = left = 0
+    for seed in range(20):
+        sizes = {c: rng.uniform(0.0, 0.1, len(c.terms)) for c in CANDIDATES[:6]}
+        one = search({c: list(size) for c, size in sizes.items()}, seed=seed, among=CANDIDATES[:6])
+        everything = one.fit(CANDIDATES[:6])
+        smaller = {frozenset(found.chosen) for found in one._smaller(everything)}
+        better = [c for c in everything.chosen if one.without(everything, c).score <= everything.score]
+        assert all(frozenset(everything.chosen) - {c} in smaller for c in better)
+        tried, left = tried + sum(len(chosen) == 5 for chosen in smaller), left + len(better)
+    assert 0 < left < tried < 120
+
+
 def test_a_name_that_is_worth_a_little_is_not_pruned() -> None:
     """Below a rough estimate of its worth it is tried to be left out; what it is worth then decides."""
     for size in np.linspace(0.015, 0.04, 11):
@@ -221,11 +236,16 @@ def test_names_bring_what_the_score_test_promises() -> None:
 
 
 def test_what_promises_too_little_beside_the_best_is_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor what reaches another channel, whose turn comes."""
     fitted = []
     real = selection.fit
     monkeypatch.setattr(selection, "fit", lambda *given: (fitted.append(set(given[2])), real(*given))[1])
-    for weak, expected in ((0.02, [{OFFSET}]), (0.9, [{OFFSET}, {OTHERS[0]}])):
-        one = search({OFFSET: [1.0], OTHERS[0]: [weak]}, among=[OFFSET, OTHERS[0]])
+    for other, weak, expected in (
+        (VISCOUS, 0.02, [{OFFSET}]),
+        (VISCOUS, 0.9, [{OFFSET}, {VISCOUS}]),
+        (OTHERS[0], 0.9, [{OFFSET}]),
+    ):
+        one = search({OFFSET: [1.0], other: [weak]}, among=[OFFSET, other])
         start = one.fit([])
         fitted.clear()
         assert names(one._grown(start)) == {OFFSET}
