@@ -128,12 +128,21 @@ class _Refit:
     ) -> NamesFit:
         names, spreads = self.analysis.names, self.analysis.search.prior.link_spreads
         prior = _with_ordinary(_as_given(self.analysis.search.prior, named), problem, named, ordinary)
-        if self.analysis.search.prior.identified:
-            prior = with_given_spreads(prior, names.inflation)
-            held = np.isin(np.arange(len(names.spreads)), list(self.changed), invert=True)
-            spreads = np.where(held, _UNCHANGED * prior.spread, names.spreads)
-        found = scattered(design, fit(design, prior, named, start, spreads))
-        return replace(found, chosen=(*named, *ordinary))
+        if not self.analysis.search.prior.identified:
+            found = scattered(design, fit(design, prior, named, start, spreads))
+            return replace(found, chosen=(*named, *ordinary))
+        held = np.isin(np.arange(len(names.spreads)), list(self.changed), invert=True)
+        firm = np.where(held, _UNCHANGED * prior.spread, names.spreads)
+        found = scattered(design, fit(design, with_given_spreads(prior, names.inflation), named, start, firm))
+        free = fit(design, with_given_spreads(prior, 1.0), named, found, np.where(held, spreads, names.spreads))
+        return _as_unsure(found, free)
+
+
+def _as_unsure(found: NamesFit, free: NamesFit) -> NamesFit:
+    """A fit with standard deviations at least as large as those of one in which the links are as unsure as what other
+    recordings say of them."""
+    factors = np.sqrt(np.maximum(np.diag(free.inverse) / np.diag(found.inverse), 1.0))
+    return replace(found, information=found.information / np.outer(factors, factors))
 
 
 def _evidence(found: NamesFit, candidate: Candidate) -> float:
