@@ -23,8 +23,8 @@ def kept(recorded: Samples, batch: int) -> Samples:
     instants = Instants()
     for begin in range(0, len(recorded), batch):
         instants.add(recorded.select(slice(begin, begin + batch)))
-    assert instants.samples is not None
-    return instants.samples
+    assert instants.kept is not None
+    return instants.kept.samples
 
 
 @pytest.mark.parametrize("seconds", [3.0, 24.0, 26.0, 200.0])
