@@ -74,9 +74,9 @@ class EffortCheck:
         on: a base that is not level."""
         every = (*candidates(subject), *changes(subject), *lags(subject))
         tried = [Tried.of(candidate, subject) for candidate in every]
-        allowed = [one for one in tried if one.allowed]
-        best = max(allowed, key=lambda one: one.gain, default=None)
-        sigmas = subject.nominal.sigmas if best is None or best.gain < 0.0 else best.judged.sigmas
+        better = sorted((one for one in tried if one.allowed and one.gain > 0.0), key=lambda one: -one.gain)
+        best = next((one for one in better if one.repeats()), None)
+        sigmas = subject.nominal.sigmas if best is None else best.judged.sigmas
         if np.all(sigmas > FOLLOWS):
             return Finding(cause=Cause.of("unrelated", subject.names)), None
         level = max((o for o in tried if not o.candidate.alone and o.is_named), key=lambda o: o.gain, default=None)
