@@ -22,6 +22,7 @@ GAIN = 0.25
 """The least that a cause gains [nats per instant]."""
 RIVAL = 0.1
 """What explains as much, within this, explains it as well [nats per instant]."""
+_MISFIT = 0.1  # of the gain: a cause that is true explains no channel worse
 _SINGLED, _MANY = 0.8, 2  # of the gain: fewer causes at other joints come so near to one that is singled out
 
 
@@ -150,7 +151,7 @@ class Tried:
         before, concerned = self.subject.nominal.sigmas, list(self.candidate.concerned)
         before = before if self.candidate.sources is None else before[self.candidate.sources]
         worse = np.log(self.judged.sigmas / before)[concerned]
-        if np.sum(worse, where=worse > 0.0) > RIVAL:
+        if np.sum(worse, where=worse > 0.0) > _MISFIT * self.gain:
             return False
         return all(self._repeats(part) for part in self.subject.parts(alternating=self.candidate.changes))
 

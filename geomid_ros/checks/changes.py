@@ -24,7 +24,7 @@ from geomid_ros.types import FloatArray
 
 PLACES = np.arange(1, 20) / 20.0
 """Shares of the instants, from which on something may be another."""
-_MAIN = 0.5  # of the largest change: the joints that it is about
+_MAIN = 0.5  # of the largest change: the joints that it is about; of what each explains: all have it in common
 _LEAST_LAG, _MOST_LAG = 0.03, 0.3  # [s] less hardly matters behind the filter; where more fits, it is no lag
 
 Columns: TypeAlias = Callable[[Subject], FloatArray]
@@ -253,7 +253,7 @@ def lags(subject: Subject) -> Iterator[Candidate]:
     lags = _MOST_LAG * gain.coefficients
     told = np.abs(gain.coefficients) > SURE * gain.deviations
     # Where more fits it is no lag, so it may be none elsewhere.
-    if common.per_instant > gain.per_instant - RIVAL or np.any(told & (np.abs(lags) >= _MOST_LAG)):
+    if common.per_instant > _MAIN * gain.per_instant or np.any(told & (np.abs(lags) >= _MOST_LAG)):
         return
     main = [*np.flatnonzero(told & (np.abs(lags) > _LEAST_LAG))]
     if main:
