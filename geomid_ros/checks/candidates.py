@@ -12,18 +12,18 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from geomid_ros.checks.causes import Cause, Finding
-from geomid_ros.checks.evidence import Evidence
+from geomid_ros.checks.evidence import SURE, Evidence
 from geomid_ros.checks.subject import Subject
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
-FOLLOWS = 0.85
+FOLLOWS = 0.6
 """A channel follows the model if no more than this share of its standard deviation is left."""
 GAIN = 0.25
 """The least that a cause gains [nats per instant]."""
-_RIVAL = 0.1  # nats per instant
-_SINGLED, _MANY = 0.8, 2  # of the gain: fewer causes at other joints come so near to one that is singled out
+RIVAL = 0.1
+"""What explains as much, within this, explains it as well [nats per instant]."""
 _MISFIT = 0.1  # of the gain: a cause that is true explains no channel worse
-_AGREE = 3.0  # standard deviations of the size in a part from that of the whole
+_SINGLED, _MANY = 0.8, 2  # of the gain: fewer causes at other joints come so near to one that is singled out
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -87,7 +87,6 @@ class Candidate:
         settled: whether what is known beside the evidence settles it.
         upright: whether links must not be of mass below zero then.
         changes: whether it begins during the recording: then alternate stretches of time are its parts.
-        subject: what it is judged on, if that is not all of the recording.
     """
 
     undo: Callable[[Subject], Judged]
@@ -99,7 +98,6 @@ class Candidate:
     settled: bool = False
     upright: bool = False
     changes: bool = False
-    subject: Subject | None = None
     read: Callable[[Subject], Subject] | None = None
 
     def resemblance(self, few: Subject) -> float:
@@ -118,8 +116,7 @@ class Tried:
 
     @staticmethod
     def of(candidate: Candidate, subject: Subject) -> Tried:
-        """Judge a candidate on its own subject, or on this one."""
-        subject = candidate.subject or subject
+        """Judge a candidate."""
         judged = candidate.undo(subject)
         cause = candidate.cause
         return Tried(candidate, subject, judged, cause if isinstance(cause, Cause) else cause(judged))
@@ -162,7 +159,7 @@ class Tried:
         judged = self.candidate.undo(part)
         off = np.abs(judged.sizes - self.judged.sizes)
         # What changes is measured by the variation of each part: there the sign has to agree.
-        allowed = np.abs(self.judged.sizes) if self.candidate.changes else _AGREE * judged.deviations
+        allowed = np.abs(self.judged.sizes) if self.candidate.changes else SURE * judged.deviations
         return judged.log > part.nominal.log and bool(np.all(off <= allowed))
 
 
@@ -175,7 +172,7 @@ def decide(tried: Iterable[Tried]) -> tuple[Finding | None, str]:
     named = sorted((one for one in tried if one.is_named), key=lambda one: -one.gain)
     aside = max((one.gain for one in named if not one.candidate.alone), default=-np.inf)
     # What explains less than what is not named by itself is explained by that.
-    causes = [one for one in named if one.candidate.alone and (one.candidate.settled or one.gain > aside - _RIVAL)]
+    causes = [one for one in named if one.candidate.alone and (one.candidate.settled or one.gain > aside - RIVAL)]
     remark = ""
     for best in [one for number, one in enumerate(causes) if number == 0 or one.candidate.settled]:
         if not best.repeats():
@@ -186,7 +183,7 @@ def decide(tried: Iterable[Tried]) -> tuple[Finding | None, str]:
         near = [one for one in near if one.cause.places != best.cause.places and one.gain > _SINGLED * best.gain]
         if not best.candidate.settled and len({one.cause.places for one in near if one.repeats()}) >= _MANY:
             return Finding(cause=best.cause, sure=False), ""
-        rivals = {one.name: one.cause for one in reversed(named) if one.gain > best.gain - _RIVAL}
+        rivals = {one.name: one.cause for one in reversed(named) if one.gain > best.gain - RIVAL}
         rivals.pop(best.name)
         return Finding(cause=best.cause, rivals=tuple(rivals.values())), ""
     return None, remark

@@ -12,32 +12,20 @@ from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.checks.candidates import Candidate, Judged
+from geomid_ros.checks.candidates import RIVAL, Candidate, Judged
 from geomid_ros.checks.causes import BIT_BY_BIT, Cause
+from geomid_ros.checks.evidence import SURE
 from geomid_ros.checks.flexible import Gain, by_channel
 from geomid_ros.checks.instants import FEWEST, elapsed
-from geomid_ros.checks.rows import payload_factor
+from geomid_ros.checks.rows import SPREAD, payload_factor
 from geomid_ros.checks.subject import Subject
-from geomid_ros.checks.transforms import REASON, STEP
+from geomid_ros.checks.transforms import REASON, STEP, TILT
 from geomid_ros.types import FloatArray
 
-PLACES = np.arange(1, 10) / 10.0
+PLACES = np.arange(1, 20) / 20.0
 """Shares of the instants, from which on something may be another."""
-NEARER = (-0.05, 0.05)
-"""Where it is looked for, too, beside the best of them."""
-_WORTH = 0.05  # nats per instant: less promises nothing
-_GAIN = 0.5  # standard deviations of what is tried: another gain,
-_ZERO = 0.3  # another zero of a position [rad, m],
-_USUAL = 0.1  # and a lag [s]
-_LEAST_OFFSET = 0.25  # of an effort's standard deviation: warm friction changes less
-_LEAST_GAIN = 0.1
-_LEAST_MASS = 0.01  # of the robot's: less is of no account
-_LEAST_ZERO = 0.02  # [rad, m]
-_ALL = (-1.3, -0.7)  # times gravity's efforts, which are missing then
-_MAIN = 0.5  # of the largest change: the joints that it is about
+_MAIN = 0.5  # of the largest change: the joints that it is about; of what each explains: all have it in common
 _LEAST_LAG, _MOST_LAG = 0.03, 0.3  # [s] less hardly matters behind the filter; where more fits, it is no lag
-_COMMON = 0.8  # of what lags of their own explain: then they have one in common
-_TOLD = 0.9  # what is left of a channel whose lag can be told, over what is left without
 
 Columns: TypeAlias = Callable[[Subject], FloatArray]
 """Makes the efforts ``(N, C, k)`` of a subject, by standard deviations of what may be wrong."""
@@ -62,15 +50,13 @@ def changes(subject: Subject) -> Iterator[Candidate]:
     fit = subject.flexible
     for kind in _kinds(subject):
         always = kind.columns(subject)
-        tried = {place: fit.promise(_later(subject, place, kind.first) * always) for place in PLACES}
-        best = max(tried, key=lambda place: tried[place])
-        near = {place: fit.promise(_later(subject, place, kind.first) * always) for place in best + np.array(NEARER)}
-        place = max(near | {best: tried[best]}, key=lambda place: (near | tried)[place])
+        tried = [fit.promise(_later(subject, place, kind.first) * always) for place in PLACES]
+        place, promise = float(PLACES[int(np.argmax(tried))]), max(tried)
         when = f"{'until' if kind.first else 'from'} about {elapsed(subject.samples.stamps, place):.0f} s"
-        when, promise = when + ("" if kind.first else " on"), (near | tried)[place]
+        when += "" if kind.first else " on"
         if kind.grows and (growing := fit.promise(_share(subject) * always)) > promise:
             place, when, promise = np.nan, BIT_BY_BIT, growing
-        if promise < _WORTH:
+        if promise < RIVAL:
             continue
         gain = fit.gain(_begun(subject, kind, place))
         said = kind.said(gain, when)
@@ -118,20 +104,20 @@ def _kinds(subject: Subject) -> Iterator[_Kind]:
     every = [*range(len(names))]
 
     def offset(gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
-        main = _main(gain.coefficients, _LEAST_OFFSET)
+        main = _main(gain.coefficients)
         steps = gain.coefficients * subject.spread
         said = ", ".join(f"'{names[c]}' by {steps[c]:+.3g} {subject.units[c]}" for c in main)
-        return (Cause.of("offset", [names[c] for c in main], sizes=said, when=when), main) if main else None
+        return Cause.of("offset", [names[c] for c in main], sizes=said, when=when), main
 
     yield _Kind(lambda of: by_channel(np.broadcast_to(of.spread[None, :, None], (*of.measured.shape, 1))), offset, True)
 
     def steps(gain: Gain) -> FloatArray:
         first = np.std(subject.flexible.rigid, axis=0) / np.maximum(np.std(gain.rigid, axis=0), 1e-9)
-        return np.asarray(_GAIN * gain.coefficients * (first if len(gain.coefficients) > 1 else np.median(first)))
+        return np.asarray(SPREAD * gain.coefficients * (first if len(gain.coefficients) > 1 else np.median(first)))
 
     def drift(gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
-        main = _main(steps(gain), _LEAST_GAIN)
-        factor = 1.0 + float(steps(gain)[main[0]]) if main else 1.0
+        main = _main(steps(gain))
+        factor = 1.0 + float(steps(gain)[main[0]])
         if len(main) != 1:
             return None
         concerned = main if len(gain.coefficients) > 1 else every
@@ -139,11 +125,11 @@ def _kinds(subject: Subject) -> Iterator[_Kind]:
             "drift", [names[c] for c in concerned], when=when, factor=factor, every=concerned == every
         ), concerned
 
-    yield _Kind(lambda of: _GAIN * of.flexible.rigid[:, :, None], drift, True)
-    yield _Kind(lambda of: by_channel(_GAIN * of.flexible.rigid[:, :, None]), drift, True)
+    yield _Kind(lambda of: SPREAD * of.flexible.rigid[:, :, None], drift, True)
+    yield _Kind(lambda of: by_channel(SPREAD * of.flexible.rigid[:, :, None]), drift, True)
 
     def switched(gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
-        gone = _ALL[0] < gain.coefficients[0] < _ALL[1]
+        gone = round(float(gain.coefficients[0])) == -1
         return (Cause.of("switched", names, when=when), every) if gone else None
 
     for first in (False, True):
@@ -154,27 +140,24 @@ def _kinds(subject: Subject) -> Iterator[_Kind]:
             yield _load(subject, place, body.name, payload_factor(bodies, place))
 
     def slip(gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
-        main = _main(_ZERO * gain.coefficients, _LEAST_ZERO)
-        sizes = -_ZERO * gain.coefficients
+        main = _main(gain.coefficients)
+        sizes = -TILT * gain.coefficients
         said = ", ".join(
             f"'{names[c]}' by {1000.0 * sizes[c]:+.0f} mm"
             if subject.units[c] == "N"
             else f"'{names[c]}' by {np.degrees(sizes[c]):+.0f} degrees"
             for c in main
         )
-        return (Cause.of("slip", [names[c] for c in main], sizes=said, when=when), every) if main else None
+        return Cause.of("slip", [names[c] for c in main], sizes=said, when=when), every
 
-    yield _Kind(lambda of: _ZERO * _by_position(of), slip, True)
+    yield _Kind(lambda of: TILT * _by_position(of), slip, True)
 
 
 def _load(subject: Subject, place: int, link: str, factor: FloatArray) -> _Kind:
     """Something that a link takes up or puts down."""
-    whole = float(np.sum(subject.prior[::10]))
 
     def said(gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
         mass = float(factor[0] @ gain.coefficients)
-        if abs(mass) < _LEAST_MASS * whole:
-            return None
         way = "more" if mass > 0.0 else "less"
         cause = Cause.of("load", subject.names, link=link, mass=abs(mass), way=way, when=when)
         return cause, [*range(len(subject.names))]
@@ -193,19 +176,20 @@ def _by_position(subject: Subject) -> FloatArray:
     return np.stack(found, axis=2)
 
 
-def _main(sizes: FloatArray, least: float) -> list[int]:
-    """The channels whose size is at least that, and not small beside the largest."""
-    return [*np.flatnonzero(np.abs(sizes) > max(least, _MAIN * float(np.max(np.abs(sizes)))))]
+def _main(sizes: FloatArray) -> list[int]:
+    """The channels whose size is not small beside the largest."""
+    return [*np.flatnonzero(np.abs(sizes) >= _MAIN * float(np.max(np.abs(sizes))))]
 
 
 def switches(subject: Subject) -> Iterator[Candidate]:
     """Efforts of all joints that are in another unit, or have the other sign, from some instant on."""
-    both = [(place, factor) for place in PLACES for factor in _factors(subject.moving, place)]
+    both = [(place, factor) for place in PLACES[1::2] for factor in _factors(subject.moving, place)]
     if len(subject.moving.samples) < FEWEST or not both:
         return
     tried = {(place, factor): _switched(subject, place, factor).log for place, factor in both}
     place, factor = max(tried, key=lambda one: tried[one])
-    tried |= {(place + by, factor): _switched(subject, place + by, factor).log for by in NEARER}
+    near = [(place + by, factor) for by in (-PLACES[0], PLACES[0])]
+    tried |= {each: _switched(subject, *each).log for each in near}
     place, factor = max(tried, key=lambda one: tried[one])
     what = "the opposite sign" if factor == -1.0 else f"{factor:.2g} times the earlier value"
     when = f"from about {elapsed(subject.samples.stamps, place):.0f} s on"
@@ -253,24 +237,23 @@ def _switched(whole: Subject, place: float, factor: float) -> Judged:
 
 
 def lags(subject: Subject) -> Iterator[Candidate]:
-    """Efforts that belong to the motion of a little earlier or later, on a subject of which the ``later`` instants are
-    known.
+    """Efforts that belong to the motion of a little earlier or later.
 
     To first order a lag adds the derivative of the efforts, times the lag. What the links take tells it: friction turns
     about at once, and what is left unexplained there looks like a lag. So it is fitted beside the curves of friction.
     """
     count = len(subject.joints)
     common = subject.flexible.gain(_rates(subject))
-    lag = _USUAL * float(common.coefficients[0])
+    lag = _MOST_LAG * float(common.coefficients[0])
     if _LEAST_LAG < abs(lag) < _MOST_LAG:
         yield _late(subject, [*range(count)], np.full(count, lag), _rates)
     if count == 1:
         return
     gain = subject.flexible.gain(by_channel(_rates(subject)))
-    lags = _USUAL * gain.coefficients
-    told = gain.ratios < _TOLD
+    lags = _MOST_LAG * gain.coefficients
+    told = np.abs(gain.coefficients) > SURE * gain.deviations
     # Where more fits it is no lag, so it may be none elsewhere.
-    if common.per_instant > _COMMON * gain.per_instant or np.any(told & (np.abs(lags) >= _MOST_LAG)):
+    if common.per_instant > _MAIN * gain.per_instant or np.any(told & (np.abs(lags) >= _MOST_LAG)):
         return
     main = [*np.flatnonzero(told & (np.abs(lags) > _LEAST_LAG))]
     if main:
@@ -287,13 +270,13 @@ def _late(subject: Subject, main: list[int], lags: FloatArray, columns: Columns)
         gain = of.flexible.gain(columns(of))
         return _judged(of, gain, slice(None))
 
-    return Candidate(undo=undo, cause=cause, concerned=main, subject=subject)
+    return Candidate(undo=undo, cause=cause, concerned=main)
 
 
 def _rates(subject: Subject) -> FloatArray:
     """By how much the efforts of the fitted links change in a usual lag ``(N, C, 1)``."""
     links = subject.prior + subject.factor @ (subject.basis @ subject.flexible.links)
-    later = subject.later or subject.samples
-    next_ones = subject.with_samples(later)
-    times = (later.stamps - subject.samples.stamps) * 1e-9
-    return np.asarray(-_USUAL * (next_ones.regressor @ links - subject.flexible.rigid) / times[:, None])[:, :, None]
+    times = (subject.later.stamps - subject.samples.stamps) * 1e-9
+    change = subject.with_samples(subject.later).regressor @ links - subject.flexible.rigid
+    rates = np.divide(change, times[:, None], out=np.zeros_like(change), where=times[:, None] > 0.0)
+    return np.asarray(-_MOST_LAG * rates)[:, :, None]

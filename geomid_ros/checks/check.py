@@ -10,24 +10,21 @@ import numpy as np
 
 from geomid_ros.checks.causes import Finding
 from geomid_ros.checks.efforts import MEASURED, EffortCheck
-from geomid_ros.checks.instants import FEWEST, Instants, Stretch
+from geomid_ros.checks.instants import FEWEST, Instants, Kept, Stretch
 from geomid_ros.checks.wrenches import WrenchSensorCheck, can_be_judged
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.moving import SIGN
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
-from geomid_ros.types import FloatArray, IntArray
-
-_RENEWED = 2.0
+from geomid_ros.types import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class Excerpt:
-    """What is kept of recordings: ``samples``, a few instants of all of them, the number of each one's recording
-    ``recordings (N,)``, and a ``stretch``, the last instants at which something moved; None if there were none."""
+    """What is kept of recordings: a few instants of all of them, and a ``stretch``, the last instants at which
+    something moved; None if there were none."""
 
-    samples: Samples
-    recordings: IntArray
+    kept: Kept
     stretch: Samples | None
 
 
@@ -58,7 +55,7 @@ class JudgementTask:
         findings: list[Finding] = []
         remarks: list[str] = []
         if efforts_alone(self.model):
-            check = EffortCheck(self.model, excerpt.samples, self.gains, excerpt.stretch, excerpt.recordings)
+            check = EffortCheck(self.model, excerpt.kept, self.gains)
             findings, remarks = check.findings(), check.remarks
         wrenches = filter(None, (self._wrench(sensor, excerpt) for sensor in self.model.mounted))
         return Judgement((*findings, *wrenches), tuple(remarks))
@@ -67,7 +64,7 @@ class JudgementTask:
         if excerpt.stretch is None or not can_be_judged(sensor):
             return None
         name = self.sensors.get(sensor.topic, sensor.topic)
-        return WrenchSensorCheck(self.model, sensor, name, excerpt.samples, excerpt.stretch).finding()
+        return WrenchSensorCheck(self.model, sensor, name, excerpt.kept.samples, excerpt.stretch).finding()
 
 
 def efforts_alone(model: MeasurementModel) -> bool:
@@ -112,26 +109,27 @@ class RecordingCheck:
     @property
     def due(self) -> bool:
         """Whether half of what is known came after it was judged last: seldom, as time goes on."""
-        return len(self._instants) >= FEWEST and self._instants.taken > _RENEWED * self._judged_at
+        return len(self._instants) >= FEWEST and self._instants.taken > 2.0 * self._judged_at
 
     def findings(self) -> tuple[Finding, ...]:
         """What seems to be wrong with the recording as a whole."""
         kept, self._judged_at = self._instants.kept, self._instants.taken
         if kept is None:
             return ()
-        judgement = self._judge(self._task, Excerpt(*kept, self._stretch.samples))
+        judgement = self._judge(self._task, Excerpt(kept, self._stretch.samples))
         self.remarks = judgement.remarks
         return judgement.findings
 
     @property
     def recorded(self) -> Samples | None:
         """The instants that are kept; None if there are none."""
-        return self._instants.samples
+        kept = self._instants.kept
+        return None if kept is None else kept.samples
 
     @property
     def unmeasured(self) -> list[str]:
         """The joints whose efforts are missing at half of the instants or more: empty, not finite or all zero."""
-        samples, model = self._instants.samples, self._task.model
+        samples, model = self.recorded, self._task.model
         if samples is None or not model.layout.efforts:
             return []
         shares = np.mean(np.isfinite(samples.effort), axis=0)

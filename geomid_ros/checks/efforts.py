@@ -8,18 +8,17 @@ from geomid_ros.checks.candidates import FOLLOWS, Tried, decide
 from geomid_ros.checks.causes import MODEL, Cause, Finding
 from geomid_ros.checks.changes import changes, lags
 from geomid_ros.checks.gates import frozen_position, held_efforts, impossible_description, is_model
-from geomid_ros.checks.instants import FEWEST, STEP
+from geomid_ros.checks.instants import FEWEST, Kept
 from geomid_ros.checks.subject import Subject
 from geomid_ros.checks.transforms import candidates
 from geomid_ros.checks.unexplained import Residuals
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
+from geomid_ros.signals.saturation import STANDING
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 MEASURED = 0.5
 """The least share of instants at which the effort of a joint that is judged is measured."""
-_MOVES = 0.02  # [rad, m] standard deviation of the position of a joint that moves
-_PAIRS = 200  # of instants that follow each other, which tell a delay
 
 
 class EffortCheck:
@@ -28,29 +27,24 @@ class EffortCheck:
     def __init__(
         self,
         model: MeasurementModel,
-        samples: Samples,
+        kept: Kept,
         gains: FloatArray,
-        dense: Samples | None = None,
-        recordings: IntArray | None = None,
     ) -> None:
         """
         Args:
             model: of the robot.
-            samples: a few instants of the recording.
+            kept: a few instants of the recording.
             gains: ``(joints,)`` factors that the messages' efforts were multiplied by.
-            dense: all instants of a stretch of it, to find a delay.
-            recordings: ``(N,)`` the number of the recording that each of the samples is of; all of one unless given.
         """
-        robot = model.robot
-        moves = np.std(samples.position, axis=0) > _MOVES
+        robot, samples = model.robot, kept.samples
+        moves = np.std(samples.velocity, axis=0) > STANDING
         measured = np.mean(np.isfinite(samples.effort), axis=0) >= MEASURED
         changing = np.array([_changes(effort) for effort in samples.effort.T], dtype=bool)
         self._constant = [robot.joint_names[j] for j in np.flatnonzero(measured & moves & ~changing)]
         joints = np.flatnonzero(measured & changing)
         usable = _usable(samples, joints)
-        numbers = np.zeros(len(samples), dtype=np.int64) if recordings is None else recordings
-        self._subject = Subject.of(robot, samples.select(usable), joints, gains[joints], numbers[usable])
-        self._dense = None if dense is None else dense.select(_usable(dense, joints))
+        used = Kept(samples.select(usable), kept.later.select(usable), kept.recordings[usable])
+        self._subject = Subject.of(robot, used, joints, gains[joints])
         self._enough = np.count_nonzero(usable) >= FEWEST and bool(np.any(moves)) and len(joints) > 0
         self.remarks: list[str] = []
         """What to know of efforts that may be right, once they have been judged."""
@@ -78,12 +72,11 @@ class EffortCheck:
     def _best(self, subject: Subject) -> tuple[Finding | None, Cause | None]:
         """What explains efforts better than that they are as they should be; and the same of what may only be remarked
         on: a base that is not level."""
-        tried = [Tried.of(candidate, subject) for candidate in (*candidates(subject), *changes(subject))]
-        if self._dense is not None and (pairs := _pairs(subject, self._dense)) is not None:
-            tried += [Tried.of(candidate, subject) for candidate in lags(pairs)]
-        allowed = [one for one in tried if one.allowed and one.subject is subject]
-        best = max(allowed, key=lambda one: one.gain, default=None)
-        sigmas = subject.nominal.sigmas if best is None or best.gain < 0.0 else best.judged.sigmas
+        every = (*candidates(subject), *changes(subject), *lags(subject))
+        tried = [Tried.of(candidate, subject) for candidate in every]
+        better = sorted((one for one in tried if one.allowed and one.gain > 0.0), key=lambda one: -one.gain)
+        best = next((one for one in better if one.repeats()), None)
+        sigmas = subject.nominal.sigmas if best is None else best.judged.sigmas
         if np.all(sigmas > FOLLOWS):
             return Finding(cause=Cause.of("unrelated", subject.names)), None
         level = max((o for o in tried if not o.candidate.alone and o.is_named), key=lambda o: o.gain, default=None)
@@ -94,27 +87,20 @@ class EffortCheck:
 
 
 def _unexplained(subject: Subject) -> list[Finding]:
-    """The joints whose efforts no links and no friction explain, whatever the reason."""
+    """The joints whose efforts no links and no friction explain, and curves of their motion hardly do, whatever the
+    reason."""
+    curved = subject.flexible.nominal.sigmas > FOLLOWS
     residuals = Residuals(
         names=subject.names,
         units=subject.units,
         positions=subject.samples.position[:, subject.joints],
         speeds=subject.samples.velocity[:, subject.joints],
         efforts=subject.measured,
-        residuals=subject.measured - subject.explained(subject.nominal),
+        residuals=np.where(curved, subject.measured - subject.explained(subject.nominal), np.nan),
         before=np.full(len(subject.joints), np.inf),
     )
     found = residuals.finding(subject.spread, FOLLOWS)
     return [] if found is None else [found]
-
-
-def _pairs(subject: Subject, dense: Samples) -> Subject | None:
-    """At most 200 pairs of instants that follow each other in a stretch; None if they are too few."""
-    first = np.flatnonzero(np.diff(dense.stamps) < 2 * STEP)
-    if len(first) < FEWEST:
-        return None
-    first = first[:: -(-len(first) // _PAIRS)]
-    return subject.of_pairs(dense.select(first), dense.select(first + 1))
 
 
 def _usable(samples: Samples, joints: IntArray) -> BoolArray:

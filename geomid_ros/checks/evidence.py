@@ -18,6 +18,8 @@ from geomid_ros.types import BoolArray, FloatArray
 
 LEAST_SIGMA = 0.1
 """Of a channel's standard deviation: no model is believed to be better."""
+SURE = 3.0
+"""Standard deviations within which sizes agree."""
 _ROUNDS = 12
 _SETTLED = 1e-3
 

@@ -16,7 +16,7 @@ from geomid_ros.types import BoolArray, FloatArray
 _SLOW = 0.05  # of a joint's largest speed: below it stiction holds whatever it likes
 _CURVE = 0.5  # standard deviations of a channel that a curve may well explain
 _CREEP = 0.3  # standard deviations of the speed: friction above its dry part
-_FLOOR = 1e-9
+_FLOOR = np.finfo(float).tiny
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

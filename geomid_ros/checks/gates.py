@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from geomid_ros.checks.causes import Cause
+from geomid_ros.checks.evidence import LEAST_SIGMA
 from geomid_ros.checks.instants import FEWEST
 from geomid_ros.checks.subject import Subject
 from geomid_ros.checks.transforms import REASON, STANDARD_GRAVITY
@@ -12,15 +13,11 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.types import BoolArray, FloatArray
 
 _FARTHEST = 10.0  # between lengths, distances and radii of one robot: in mm it is a hundred times as much or more
-_HALF = 0.5
-_SAME = 1e-9  # of an effort's range
-_FEWEST = 5  # instants in a row
-_STILL, _SELDOM = 0.01, 0.1  # of it, that nothing changes by; share of the others that a coarse sensor exceeds
-_MODEL = 0.05  # of an effort's standard deviation: real friction alone is more
-_STANDS = 1e-6  # of the joint's way
-_LONG, _SHORT = 0.1, 0.5  # of all instants: a stretch that the others can judge
-_SMEARED = 3  # instants at the ends, at which a filter makes a motion of the step that follows
-_MOVING = 0.1  # of a joint's way, or of an effort's range
+_SAME = 1e-6  # of a range: what changes less stays exactly the same
+_FEWEST = (
+    5  # instants in a row; and at the ends of a stretch, at which a filter makes a motion of the step that follows
+)
+_STILL, _PART = 0.01, 0.1  # of a range that nothing changes by; and that something changes by
 _FAR = 2.0  # times what is left at other instants
 
 
@@ -34,7 +31,7 @@ def impossible_description(subject: Subject) -> Cause | None:
     length, total = _length(subject), float(np.sum(bodies[:, 0]))
     whole = f"though all links together are {length:.3g} m long"
     weighs = f"the links weigh {total:.3g} kg in total, and "
-    if np.mean(_denser_than_steel(bodies)) > _HALF:
+    if np.median(_denser_than_steel(bodies)) > 0.0:
         return _lengths([], f"{weighs}most of its links would be denser than steel", "the masses", "grams", "kg")
     for sizes, what, quantity, unit, right in (
         (distances, "the centre of mass of link '{}' is {:.3g} m from its frame", "centres of mass", "mm", "m"),
@@ -95,7 +92,7 @@ def held_efforts(subject: Subject) -> list[Cause]:
         for begin, end in zip(begins, ends, strict=True):
             others = np.delete(same & (changes > _STILL * np.std(effort)), np.arange(begin, end))
             asked = float(np.ptp(rigid[begin : end + 1, channel]))
-            if end - begin >= _FEWEST and np.mean(others) < _SELDOM and asked > np.std(effort):
+            if end - begin >= _FEWEST and np.mean(others) < _PART and asked > np.std(effort):
                 times = {name: (stamps[at] - stamps[0]) * 1e-9 for name, at in (("begin", begin), ("end", end))}
                 found.append(Cause.of("constant", [subject.names[channel]], said="held", asked=asked, **times))
                 break
@@ -105,7 +102,7 @@ def held_efforts(subject: Subject) -> list[Cause]:
 def is_model(subject: Subject) -> bool:
     """Whether efforts are what the URDF predicts: without friction, without any error."""
     left = np.sqrt(np.mean((subject.measured - subject.predicted) ** 2, axis=0))
-    return bool(np.all(left < _MODEL * subject.spread))
+    return bool(np.all(left < 0.5 * LEAST_SIGMA * subject.spread))
 
 
 def frozen_position(subject: Subject) -> Cause | None:
@@ -118,10 +115,10 @@ def frozen_position(subject: Subject) -> Cause | None:
     positions, efforts = subject.samples.position, subject.measured
     for joint, position in enumerate(positions.T):
         still = _longest_still(position)
-        if _LONG < np.mean(still) < _SHORT and np.count_nonzero(~still) >= FEWEST + 2 * _SMEARED:
-            changes = np.ptp(efforts[still], axis=0) > _MOVING * np.ptp(efforts, axis=0)
+        if _PART < np.mean(still) < 0.5 and np.count_nonzero(~still) >= FEWEST + 2 * _FEWEST:
+            changes = np.ptp(efforts[still], axis=0) > _PART * np.ptp(efforts, axis=0)
             inside, outside = _left(subject, still)
-            moving = np.ptp(positions[still], axis=0) > _MOVING * np.ptp(positions, axis=0)
+            moving = np.ptp(positions[still], axis=0) > _PART * np.ptp(positions, axis=0)
             if np.any(moving) and np.any((inside > _FAR * outside) & changes):
                 return Cause.of("frozen", [subject.robot.joint_names[joint]], share=np.mean(still))
     return None
@@ -129,7 +126,7 @@ def frozen_position(subject: Subject) -> Cause | None:
 
 def _longest_still(position: FloatArray) -> BoolArray:
     """The instants ``(N,)`` of the longest stretch without any motion, less its ends, which filters smear."""
-    moves = np.flatnonzero(np.abs(np.diff(position)) > _STANDS * np.ptp(position))
+    moves = np.flatnonzero(np.abs(np.diff(position)) > _SAME * np.ptp(position))
     ends = np.concatenate([[-1], moves, [len(position) - 1]])
     longest = int(np.argmax(np.diff(ends)))
     still = np.zeros(len(position), dtype=bool)
@@ -140,7 +137,7 @@ def _longest_still(position: FloatArray) -> BoolArray:
 def _left(subject: Subject, still: BoolArray) -> tuple[FloatArray, FloatArray]:
     """The RMS of what links and friction, fitted to the other instants, leave of efforts beyond dry friction: at these
     instants, and at the others ``(C,)``."""
-    smeared = np.convolve(still, np.ones(2 * _SMEARED + 1), mode="same") > 0.0
+    smeared = np.convolve(still, np.ones(2 * _FEWEST + 1), mode="same") > 0.0
     others = subject.part(~smeared)
     found = others.nominal
     left = (subject.measured - subject.regressor @ others.links(found)) / others.spread

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,16 +13,26 @@ from geomid_ros.types import IntArray
 
 FEWEST = 30
 """Instants that a recording is judged on."""
-_MOST = 250
-_LONG = 800
+MOST = 250
+"""The same, at most."""
 STEP = 20_000_000
-"""[ns] between the instants of a stretch, at least: of what is behind the filter they show all."""
+"""[ns] of what is behind the filter, instants as far apart show all."""
 _APART = 100_000_000  # [ns] nearer instants say the same twice
 
 
 def elapsed(stamps: IntArray, place: float) -> float:
     """When a place is, since the first instant [s]; of recordings one after the other, all of theirs."""
     return float(np.sum(np.maximum(np.diff(stamps), 0)[: int(place * len(stamps))])) * 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """Instants that are kept, ``samples``; what was next after each, at the same instant if nothing followed soon,
+    ``later``; and the number of each one's recording ``recordings (N,)``."""
+
+    samples: Samples
+    later: Samples
+    recordings: IntArray
 
 
 class Instants:
@@ -32,7 +43,8 @@ class Instants:
     """
 
     def __init__(self) -> None:
-        self._kept: list[tuple[int, Samples]] = []  # of one instant each, with the number of its recording
+        self._kept: list[tuple[Samples, Samples, int]] = []  # each instant, the next one of all, its recording
+        self._awaits_next = False
         self._recording = 0
         self._apart = _APART
         self.taken = 0.0
@@ -45,6 +57,8 @@ class Instants:
     def add(self, samples: Samples) -> None:
         """Take samples, in the order of time; where the clock is set back another recording begins."""
         stamps = samples.stamps
+        if self._awaits_next and len(stamps):
+            self._follow(samples.select(np.array([0])))
         index = 0
         while index < len(stamps):
             if self._last is not None and stamps[index] < self._last:
@@ -55,31 +69,37 @@ class Instants:
                     return
             self._keep(samples.select(np.array([index])))  # a copy: a view would keep all of the samples
             index += 1
+            if self._awaits_next and index < len(stamps):
+                self._follow(samples.select(np.array([index])))
 
     def _keep(self, instant: Samples) -> None:
         self._last = int(instant.stamps[0])
-        self._kept.append((self._recording, instant))
+        self._kept.append((instant, instant, self._recording))
+        self._awaits_next = True
         self.taken += self._apart / _APART
-        if len(self._kept) > _MOST:
+        if len(self._kept) > MOST:
             self._kept = self._kept[::2]
             self._apart *= 2
+
+    def _follow(self, instant: Samples) -> None:
+        """The instant after the last one that was kept, perhaps of another recording or much later."""
+        last, _, recording = self._kept[-1]
+        self._awaits_next = False
+        if 0 < instant.stamps[0] - last.stamps[0] < 2 * STEP:
+            self._kept[-1] = (last, instant, recording)
 
     def begin_recording(self) -> None:
         """The samples to come are of another recording."""
         self._recording += 1
 
     @property
-    def samples(self) -> Samples | None:
+    def kept(self) -> Kept | None:
         """All that are kept; None if there are none."""
-        return None if (kept := self.kept) is None else kept[0]
-
-    @property
-    def kept(self) -> tuple[Samples, IntArray] | None:
-        """All that are kept, and the number of the recording that each is of ``(N,)``; None if there are none."""
         kept = list(self._kept)  # replaced or appended to by another thread
         if not kept:
             return None
-        return Samples.concatenate([instant for _, instant in kept]), np.array([number for number, _ in kept])
+        samples, later, recordings = ([*parts] for parts in zip(*kept, strict=True))
+        return Kept(Samples.concatenate(samples), Samples.concatenate(later), np.array(recordings))
 
 
 class Stretch:
@@ -102,7 +122,7 @@ class Stretch:
         if len(moving):
             self._kept.append(moving)
             self._count += len(moving)
-        while self._count - len(self._kept[0]) >= _LONG if self._kept else False:
+        while self._count - len(self._kept[0]) >= 3 * MOST if self._kept else False:
             self._count -= len(self._kept.popleft())
 
     @property

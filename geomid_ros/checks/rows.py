@@ -13,7 +13,8 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
-_SPREAD = 0.7  # of links, a geodesic distance: a mass may be half or twice that of the URDF
+SPREAD = 0.7
+"""Of links, a geodesic distance, and of gains: a mass may be half or twice that of the URDF."""
 _PAYLOAD = 0.1  # of the whole robot's mass, at each end of a chain: robots carry what their URDF does not say
 _SIZE = 0.1  # [m] its radius of gyration about a plane through its centre
 
@@ -54,7 +55,7 @@ def prior_factor(robot: Robot) -> FloatArray:
     blocks, _ = manifold.jacobian(manifold.point(bodies.ravel()))
     factor = np.zeros((bodies.size, bodies.size))
     for index, body in enumerate(robot.bodies):
-        covariance = (_SPREAD * blocks[index]) @ (_SPREAD * blocks[index]).T
+        covariance = (SPREAD * blocks[index]) @ (SPREAD * blocks[index]).T
         if len(robot.subtree(body.name)) == 1:
             payload = payload_factor(bodies, index)
             covariance += payload @ payload.T

@@ -9,6 +9,7 @@ import numpy as np
 
 from geomid_ros.checks.evidence import LEAST_SIGMA, Evidence, Products, evidence
 from geomid_ros.checks.flexible import FlexibleFit
+from geomid_ros.checks.instants import FEWEST, Kept
 from geomid_ros.checks.rows import effort_rows, friction_columns, gravity_rows, prior_factor
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -16,10 +17,8 @@ from geomid_ros.signals.saturation import STANDING
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 _ROUNDING = 1e-10
-_FRICTION = 2.0  # standard deviations of a channel that friction may well explain
-_OFFSET = 3.0
+_FRICTION = 2.0  # standard deviations of a channel that friction, and a constant, may well explain
 _STRETCHES = 20  # of a recording, alternately in one part and in the other
-_FEWEST = 15  # instants of a part that is judged
 _ALIKE, _PART = 0.7, 0.5  # correlation of what links take, and share of what was measured
 _OF_MOTION = (
     "regressor", "predicted", "friction", "basis", "columns", "_unknowns", "tolerated", "gravity_rows", "_bases",
@@ -39,7 +38,7 @@ class Subject:
         factor: ``(D, D)`` of the covariance of their errors.
         shares: ``(N,)`` how much of the recording comes before each instant, 0 to 1.
         recordings: ``(N,)`` the number of the recording that each instant is of.
-        later: the N instants that come next; None if they are not known.
+        later: what was next after each of them.
     """
 
     robot: Robot
@@ -50,13 +49,14 @@ class Subject:
     factor: FloatArray
     shares: FloatArray
     recordings: IntArray
-    later: Samples | None = None
+    later: Samples
 
     @staticmethod
-    def of(robot: Robot, samples: Samples, joints: IntArray, gains: FloatArray, recordings: IntArray) -> Subject:
+    def of(robot: Robot, kept: Kept, joints: IntArray, gains: FloatArray) -> Subject:
         """The subject of a robot's own URDF, see :class:`Subject`."""
         prior = np.array([body.parameters for body in robot.bodies]).ravel()
         factor = prior_factor(robot)
+        samples = kept.samples
         shares = np.arange(len(samples)) / max(len(samples), 1)
         return Subject(
             robot=robot,
@@ -66,27 +66,22 @@ class Subject:
             prior=prior,
             factor=factor,
             shares=shares,
-            recordings=recordings,
+            recordings=kept.recordings,
+            later=kept.later,
         )
 
     def part(self, chosen: AnyArray | slice) -> Subject:
         """The same at some of the instants, chosen by a mask, an index array or a slice."""
-        later = None if self.later is None else self.later.select(chosen)
         part = replace(
             self,
             samples=self.samples.select(chosen),
             shares=self.shares[chosen],
             recordings=self.recordings[chosen],
-            later=later,
+            later=self.later.select(chosen),
         )
         if "regressor" in self.__dict__:
             part.__dict__["regressor"] = self.regressor[chosen]
         return part
-
-    def of_pairs(self, now: Samples, later: Samples) -> Subject:
-        """The same robot at other instants, of which the next ones are known."""
-        shares, recordings = np.arange(len(now)) / len(now), np.zeros(len(now), dtype=np.int64)
-        return replace(self, samples=now, later=later, shares=shares, recordings=recordings)
 
     def parts(self, *, alternating: bool = False) -> list[Subject]:
         """The recordings that this is of, or both halves of a single one; or two sets of stretches in turn, which both
@@ -98,7 +93,7 @@ class Subject:
             several = len(np.unique(self.recordings)) > 1
             which = self.recordings if several else 2 * places // len(places)
         parts = [self.part(which == one) for one in np.unique(which)]
-        return [part for part in parts if len(part.samples) >= _FEWEST]
+        return [part for part in parts if 2 * len(part.samples) >= FEWEST]
 
     def with_efforts(self, measured: FloatArray) -> Subject:
         """The same motion with other efforts ``(N, C)``."""
@@ -192,9 +187,7 @@ class Subject:
     @cached_property
     def tolerated(self) -> FloatArray:
         """Standard deviations of friction's coefficients, see :func:`evidence` ``(C, 4)``."""
-        tolerated = _FRICTION / np.maximum(np.sqrt(np.mean(self.friction**2, axis=0)), 1e-6)
-        tolerated[:, 0] = _OFFSET
-        return np.asarray(tolerated)
+        return np.asarray(_FRICTION / np.maximum(np.sqrt(np.mean(self.friction**2, axis=0)), 1e-6))
 
     @cached_property
     def moving(self) -> Subject:

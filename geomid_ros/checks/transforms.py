@@ -14,7 +14,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from geomid_ros.checks.candidates import GAIN, Candidate, Judged
+from geomid_ros.checks.candidates import FOLLOWS, GAIN, Candidate, Judged
 from geomid_ros.checks.causes import Cause, gain_settings, gravity_settings
 from geomid_ros.checks.evidence import LEAST_SIGMA
 from geomid_ros.checks.subject import Subject
@@ -26,26 +26,29 @@ REASON = 4.0
 """No URDF is wrong by more in its masses: a gain beyond it is a unit."""
 STANDARD_GRAVITY = 9.81
 """[m/s^2]"""
-ANGLES = {"degrees": np.pi / 180.0, "revolutions": 2.0 * np.pi, "mrad": 1e-3}
-LENGTHS = {"mm": 1e-3}
-TICKS = [2.0 * np.pi / 2.0**bits for bits in range(10, 21)]
-"""Units of positions, in rad and m; those of encoders that count so many steps a turn."""
+UNITS = {
+    "N m": {
+        "degrees": np.pi / 180.0,
+        "revolutions": 2.0 * np.pi,
+        "mrad": 1e-3,
+        **{f"steps of {2**bits} a turn": 2.0 * np.pi / 2.0**bits for bits in range(10, 21)},
+    },
+    "N": {"mm": 1e-3},
+}
+"""Units of positions, in rad and m, of joints with efforts in N m and N."""
 TIMES = (0.5, 2.0, 1e-3, 1e3)
 """Factors of time: seconds that are counted as halves, twice, as milliseconds or as thousands."""
-_TOLD = 0.8  # squared correlation with what the URDF predicts, of a joint whose gain can be told
-_ALIKE, _SHARE = 3.0, 0.6  # gains of one unit: so many within a factor of this
 _MOST, _LEAST = 2.0, 0.03  # efforts as shares of the URDF's limits: those of right ones are between
-_ABSURD = 30.0
-_TILT = np.radians(25.0)
-_SPREAD = 0.5  # [rad] of a zero that is off
+TILT = np.radians(25.0)
+"""A base that is not level, and a zero that is off, are hardly off by more."""
 STEP = 1e-4
 """[rad, m] of derivatives by positions."""
-_ROUNDS = 3
+ROUNDS = 3
+"""Of a fit that is linearised where it leads."""
 _FEW = 64  # instants that tell which candidates are worth a closer look
 _BEST = 3
 _PAIRS = 8  # joints of which all pairs are tried; of more, neighbours
 _NEARLY = 0.02  # of instants, and of the largest effort: what a filter leaves beyond zero
-_BOTH = 0.1  # of instants at least: a prediction of both signs
 _SIDES = {"left": "right", "right": "left", "l": "r", "r": "l"}
 _SIDE = re.compile(r"(?<![a-z])(left|right|l|r)(?![a-z])", re.IGNORECASE)
 
@@ -54,11 +57,11 @@ def candidates(subject: Subject) -> Iterator[Candidate]:
     """All candidates that are worth judging on a subject."""
     few = subject.part(slice(None, None, -(-len(subject.samples) // _FEW)))
     # Of what is nearly explained no more could be told by reading the motion otherwise.
-    rows = ROWS if np.sum(np.log(subject.nominal.sigmas / LEAST_SIGMA)) > GAIN else ROWS[:_OF_EFFORTS]
+    rows = ROWS if np.sum(np.log(subject.nominal.sigmas / LEAST_SIGMA)) > GAIN else AS_IT_MOVES
     for row in rows:
         ranked = sorted(row(subject, few), key=lambda candidate: -candidate.resemblance(few))
         yield from ranked[:_BEST]
-        yield from (candidate for candidate in ranked[_BEST:] if candidate.settled)
+        yield from (candidate for candidate in ranked[_BEST:] if candidate.settled or candidate.read is None)
 
 
 def _signs(subject: Subject, _: Subject) -> Iterator[Candidate]:
@@ -70,9 +73,7 @@ def _signs(subject: Subject, _: Subject) -> Iterator[Candidate]:
         yield _linear(np.diag(np.where(np.isin(every, joints), -1.0, 1.0)), cause, joints, upright=True)
 
 
-def _linear(
-    matrix: FloatArray, cause: Cause, concerned: Sequence[int], *, upright: bool = False, settled: bool = False
-) -> Candidate:
+def _linear(matrix: FloatArray, cause: Cause, concerned: Sequence[int], *, upright: bool = False) -> Candidate:
     """Efforts times a ``matrix (C, C)`` are those of this robot."""
     channels, sizes = np.arange(len(matrix)), np.abs(matrix)
     sources = np.where(sizes[channels, channels] > 0.0, channels, np.argmax(sizes, axis=1))
@@ -81,9 +82,7 @@ def _linear(
         return subject.with_efforts(subject.measured @ matrix.T)
 
     undo = _undone(read, sizes[channels, sources], sources)
-    return Candidate(
-        undo=undo, read=read, cause=cause, concerned=concerned, sources=sources, upright=upright, settled=settled
-    )
+    return Candidate(undo=undo, read=read, cause=cause, concerned=concerned, sources=sources, upright=upright)
 
 
 def _orders(subject: Subject, _: Subject) -> Iterator[Candidate]:
@@ -123,7 +122,7 @@ def _magnitudes(subject: Subject, _: Subject) -> Iterator[Candidate]:
     def undo(subject: Subject) -> Judged:
         measured = subject.measured.copy()
         explained = np.array([_expected(subject, channel) for channel in concerned]).T
-        for _ in range(_ROUNDS):
+        for _ in range(ROUNDS):
             measured[:, concerned] = np.sign(explained) * np.abs(measured[:, concerned])
             mended = subject.with_efforts(measured)
             explained = mended.explained(mended.nominal)[:, concerned]
@@ -137,7 +136,7 @@ def _without_sign(subject: Subject) -> list[int]:
     low, high = np.quantile(subject.measured, (_NEARLY, 1.0 - _NEARLY), axis=0)
     one_sided = np.minimum(-low, high) <= _NEARLY * np.maximum(-low, high)
     shares = [np.mean(_expected(subject, channel) > 0.0) for channel in range(len(subject.joints))]
-    return [channel for channel, share in enumerate(shares) if one_sided[channel] and _BOTH < share < 1.0 - _BOTH]
+    return [channel for channel, share in enumerate(shares) if one_sided[channel] and _NEARLY < share < 1.0 - _NEARLY]
 
 
 def _expected(subject: Subject, channel: int) -> FloatArray:
@@ -153,15 +152,20 @@ def _gains(subject: Subject, _: Subject) -> Iterator[Candidate]:
     slopes, told = subject.slopes()
     common, settled = _common_factor(subject, slopes, told)
     if not 1.0 / REASON <= common <= REASON:
-        yield _linear(common * np.eye(len(every)), _other_unit(subject, every, common), every, settled=settled)
+        yield _gain(common * np.eye(len(every)), _other_unit(subject, every, common), every, settled)
     by_size = np.std(subject.predicted, axis=0) / subject.spread
-    factors = np.where((told > 0.5) & (slopes > 0.0), 1.0 / np.maximum(slopes, 1e-30), by_size)
+    factors = np.where((told > 1.0 - FOLLOWS**2) & (slopes > 0.0), 1.0 / np.maximum(slopes, 1e-30), by_size)
     own = np.abs(np.log(np.maximum(factors / (common if settled else 1.0), 1e-30))) > np.log(REASON)
     unlike = np.abs(np.log(np.maximum(factors, 1e-30))) > np.log(REASON)
     for joint in np.flatnonzero(own & unlike & (factors > 0.0)).tolist() if len(every) > 1 else ():
-        factor, absurd = float(factors[joint]), bool(_loads(subject)[joint] > _ABSURD)
+        factor, absurd = float(factors[joint]), bool(_loads(subject)[joint] > REASON**2)
         matrix = np.diag(np.where(np.isin(every, joint), factor, 1.0))
-        yield _linear(matrix, _other_unit(subject, [joint], factor), [joint], settled=absurd)
+        yield _gain(matrix, _other_unit(subject, [joint], factor), [joint], absurd)
+
+
+def _gain(matrix: FloatArray, cause: Cause, concerned: Sequence[int], settled: bool) -> Candidate:
+    """Another unit of efforts, which are as much like what is predicted in one unit as in the other."""
+    return replace(_linear(matrix, cause, concerned), settled=settled, read=None)
 
 
 def _loads(subject: Subject) -> FloatArray:
@@ -173,10 +177,10 @@ def _common_factor(subject: Subject, slopes: FloatArray, told: FloatArray) -> tu
     """The factor that makes all efforts those of the URDF, and whether it is sure without any evidence: where the
     links that were fitted are all as much too light or too heavy, or limits are exceeded."""
     fitted, follows = subject.fitted_slopes(subject.nominal)
-    for ratios, sure in ((slopes, (told > _TOLD) & (slopes > 0.0)), (fitted, follows)):
+    for ratios, sure in ((slopes, (told > 1.0 - FOLLOWS**2) & (slopes > 0.0)), (fitted, follows)):
         if np.count_nonzero(sure) >= 2:
             factor = 1.0 / float(np.median(ratios[sure]))
-            return factor, bool(np.mean(np.abs(np.log(ratios[sure] * factor)) < np.log(_ALIKE)) >= _SHARE)
+            return factor, bool(np.median(np.abs(np.log(ratios[sure] * factor))) < np.log(REASON))
     predicted = np.maximum(np.std(subject.predicted, axis=0), 1e-9)
     loads = _loads(subject)
     beyond = bool(np.median(loads) > _MOST or np.max(loads) < _LEAST)
@@ -221,9 +225,9 @@ def _turned(subject: Subject, gravity: FloatArray) -> Candidate:
     nominal, size = subject.robot.gravity, float(np.linalg.norm(gravity))
     cosine = float(gravity @ nominal) / max(size * float(np.linalg.norm(nominal)), 1e-9)
     angle = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
-    alone = angle > _TILT or abs(size - float(np.linalg.norm(nominal))) > 0.1 * size
+    alone = angle > TILT or abs(size - float(np.linalg.norm(nominal))) > 0.1 * size
     vector = " ".join(f"{entry:g}" for entry in np.round(gravity, 2) + 0.0)
-    turned = angle > _TILT
+    turned = angle > TILT
     cause = Cause.of(
         "gravity",
         subject.names,
@@ -305,12 +309,11 @@ def _positions(subject: Subject, _: Subject) -> Iterator[Candidate]:
     low, high = robot.position_limits.T
     largest = np.max(np.abs(subject.samples.position), axis=0)
     allowed = np.where(turning, np.minimum(np.maximum(-low, high), 2.0 * np.pi), np.maximum(-low, high))
-    angles = [*ANGLES.items(), *((f"steps of {2.0 * np.pi / step:.0f} a turn", step) for step in TICKS)]
-    for unit, size in angles if np.any(turning) else ():
+    for unit, size in UNITS["N m"].items() if np.any(turning) else ():
         if size > 1.0 or np.any((largest > allowed)[turning]):
             yield _in_unit(subject, np.where(turning, size, 1.0), unit, "joint positions are")
-    for joint, turns in enumerate(turning):
-        for unit, size in (ANGLES if turns else LENGTHS).items() if len(turning) > 1 else ():
+    for joint, kind in enumerate(robot.joints) if len(turning) > 1 else ():
+        for unit, size in UNITS[kind.unit].items():
             if size > 1.0 or largest[joint] > allowed[joint]:
                 scales = np.ones(len(turning))
                 scales[joint] = size
@@ -330,7 +333,7 @@ def _in_unit(
 ) -> Candidate:
     robot = subject.robot
     names = subject.names if joint is None else [robot.joint_names[joint]]
-    right = "m and m/s" if unit in LENGTHS else "rad and rad/s"
+    right = "m and m/s" if unit in UNITS["N"] else "rad and rad/s"
     cause = Cause.of("position", names, positions=said, unit=unit, right=right)
     every = range(len(subject.joints))
     return _of_motion(lambda samples: _scaled(samples, scales), cause, every, settled=settled)
@@ -402,7 +405,7 @@ def _turning(subject: Subject) -> list[int]:
 def _best_start(few: Subject, joint: int, sign: float) -> float:
     """The zero [rad], of quarters of a turn and of what is near the configured one, from which efforts resemble those
     predicted most."""
-    near = 0.5 * _SPREAD
+    near = 0.5 * TILT
     starts = np.array([0.0, near, -near, 0.5 * np.pi, -0.5 * np.pi, np.pi])
     read = [few.with_samples(_recounted(few.samples, joint, sign, start)) for start in starts]
     return float(starts[int(np.argmax([each.resemblance for each in read]))])
@@ -464,15 +467,15 @@ def _zero(subject: Subject, joint: int, sign: float, start: float) -> Candidate:
     def undo(subject: Subject) -> Judged:
         zero, mended = start, read(subject)
         found = mended.nominal
-        for _ in range(_ROUNDS):
+        for _ in range(ROUNDS):
             links = mended.links(found)
             ahead, behind = (read(subject, zero + step) for step in (STEP, -STEP))
-            rate = (ahead.regressor - behind.regressor) @ links * (0.5 * _SPREAD / STEP)
+            rate = (ahead.regressor - behind.regressor) @ links * (0.5 * TILT / STEP)
             mended = read(subject, zero)
-            mended.__dict__["predicted"] = mended.predicted + (start - zero) / _SPREAD * rate
+            mended.__dict__["predicted"] = mended.predicted + (start - zero) / TILT * rate
             found = mended.evidence(unknown=rate)
-            zero = start + _SPREAD * float(found.links[-1])
-        sizes, deviations = [zero], [_SPREAD * float(found.deviations()[-1])]
+            zero = start + TILT * float(found.links[-1])
+        sizes, deviations = [zero], [TILT * float(found.deviations()[-1])]
         return Judged.mended(mended, subject.spread, found, sizes=sizes, deviations=deviations)
 
     def cause(judged: Judged) -> Cause:
@@ -495,7 +498,7 @@ def _recounted(samples: Samples, joint: int, sign: float, zero: float) -> Sample
     return replace(turned, position=position)
 
 
-ROWS = (_signs, _frictions, _magnitudes, _orders, _gains, _gravities, _positions, _times, _names, _zeros, _axes)
+AS_IT_MOVES = (_signs, _frictions, _magnitudes, _orders, _gains, _gravities, _positions)
+"""Rows whose motion is that of the recording, unless its angles cannot be any."""
+ROWS = (*AS_IT_MOVES, _times, _names, _zeros, _axes)
 """What may have happened to a recording."""
-_OF_EFFORTS = ROWS.index(_positions) + 1
-"""The rows before it read the motion as it is, and so does that of positions unless they cannot be angles."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomid_ros.checks.causes import Finding
+from geomid_ros.checks.evidence import SURE
 from geomid_ros.checks.unexplained import WORSE
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.summary import RowSummary
@@ -23,7 +24,6 @@ REASON = 2.0
 """No URDF is wrong by more in the mass of the whole robot."""
 _BLOCK = 1_000_000_000  # [ns] errors so far apart are independent
 _FEWEST_BLOCKS = 4
-_SCATTER = 3.0  # standard errors of the mean over blocks
 _UNLIKE = 4.0  # times the RMS of what was fitted: more than a motion that is a little different explains
 
 
@@ -171,7 +171,7 @@ def _worse(model: MeasurementModel, own: FloatArray, nominal: FloatArray) -> lis
         rise = after[known] - before[known]
         if len(rise) < _FEWEST_BLOCKS or not np.mean(after[known]) > WORSE**2 * np.mean(before[known]):
             continue
-        if np.mean(rise) > _SCATTER * np.std(rise, ddof=1) / np.sqrt(len(rise)):
+        if np.mean(rise) > SURE * np.std(rise, ddof=1) / np.sqrt(len(rise)):
             worse.append(channel.name)
     return worse
 

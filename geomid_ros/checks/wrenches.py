@@ -13,25 +13,23 @@ from itertools import permutations, product
 
 import numpy as np
 
-from geomid_ros.checks.candidates import FOLLOWS
+from geomid_ros.checks.candidates import FOLLOWS, GAIN
 from geomid_ros.checks.causes import Cause, Finding, written
+from geomid_ros.checks.evidence import LEAST_SIGMA
 from geomid_ros.checks.instants import FEWEST
 from geomid_ros.checks.rows import prior_factor
-from geomid_ros.checks.transforms import REASON
+from geomid_ros.checks.transforms import REASON, ROUNDS
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import AXES, WrenchSensor
 from geomid_ros.types import FloatArray
 
 _FREE = 4.0  # times the URDF's errors: links of any mass, of either sign
-_ROUNDS = 3
-_LEAST_SIGMA = 0.05  # of the measured wrench's standard deviation
-_GAIN = 0.5  # nats per instant of force and torque
 _BETTER = 0.75
 _UNIT = 1000.0
 _OTHER_UNIT = 50.0  # times as much, or as little: no tool is
 _LONGEST, _STEP, _SHORTEST = 5.0, 0.02, 0.1  # [s] of a delay
-_FLOOR = 1e-9
+_FLOOR = np.finfo(float).tiny
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +85,7 @@ class WrenchSensorCheck:
         tried = [(self._fit(self._regressor, wrench), cause) for wrench, cause in self._geometries()]
         tried += list(self._delayed())
         best, cause = max(tried, key=lambda one: one[0].score(count))
-        if best.score(count) - nominal.score(count) > _GAIN * count and self._better(best, nominal):
+        if best.score(count) - nominal.score(count) > 2.0 * GAIN * count and self._better(best, nominal):
             return Finding(cause=cause)
         return self._sign_or_unit(nominal)
 
@@ -160,13 +158,13 @@ class WrenchSensorCheck:
         grams = [np.tensordot(columns[:, p], columns[:, p], ((0, 1), (0, 1))) for p in parts]
         crossed = [np.tensordot(columns[:, p], target[:, p], ((0, 1), (0, 1))) for p in parts]
         sigmas = np.full(2, 0.5)
-        for _ in range(_ROUNDS):
+        for _ in range(ROUNDS):
             weights = (sigmas * sizes) ** -2.0
             matrix = np.eye(columns.shape[2]) + sum(w * g for w, g in zip(weights, grams, strict=True))
             links = np.linalg.solve(matrix, sum(w * c for w, c in zip(weights, crossed, strict=True)))
             left = target - columns @ links
             rms = np.array([np.sqrt(np.sum(left[:, p] ** 2) / (3 * count)) for p in parts])
-            sigmas = np.maximum(rms / sizes, _LEAST_SIGMA)
+            sigmas = np.maximum(rms / sizes, LEAST_SIGMA)
         own, usual = (columns @ links)[:, :3], nominal[:, :3]
         slope = float(np.sum(own * usual) / max(float(np.sum(usual**2)), _FLOOR))
         return _Fit(sigmas, slope)

@@ -23,8 +23,8 @@ def kept(recorded: Samples, batch: int) -> Samples:
     instants = Instants()
     for begin in range(0, len(recorded), batch):
         instants.add(recorded.select(slice(begin, begin + batch)))
-    assert instants.samples is not None
-    return instants.samples
+    assert instants.kept is not None
+    return instants.kept.samples
 
 
 @pytest.mark.parametrize("seconds", [3.0, 24.0, 26.0, 200.0])
@@ -63,6 +63,6 @@ def test_a_stretch_has_the_last_instants_in_motion() -> None:
             stretch.add(part.select(slice(begin, begin + 50)))
     found = stretch.samples
     assert found is not None
-    assert 800 <= len(found) < 850
+    assert 750 <= len(found) < 800
     assert np.all(np.diff(found.stamps // STEP) > 0)
     assert later.stamps[-1] - found.stamps[-1] < STEP

@@ -68,6 +68,6 @@ def test_of_effects_columns_only_what_is_read_is_kept_to_be_judged(session: Sess
             check.add(samples)
     assert not check.findings()
     (excerpt,) = kept
-    for samples in (excerpt.samples, excerpt.stretch):
+    for samples in (excerpt.kept.samples, excerpt.kept.later, excerpt.stretch):
         assert samples is not None
         assert samples.entries.columns.columns == (SIGN,)
