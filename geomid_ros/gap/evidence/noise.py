@@ -14,7 +14,6 @@ from geomid_ros.estimation.estimate import SURE
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.spline import spline
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _HIGHEST_ORDER = 6
@@ -134,6 +133,8 @@ def noise_by_repeats(model: MeasurementModel, records: Records) -> Repeats:
     Two runs of a motion, in one stretch or in two, differ by the noise of both, whatever the robot does; so half their
     mean squared difference is the variance of the noise, coloured or not.
     """
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 takes long to load
+
     squares, counts = np.zeros((2, len(model.channels)))
     for first, second in combinations_with_replacement(records.dense, 2):
         values = [_measured(model, part) for part in (first, second)]
@@ -143,7 +144,7 @@ def noise_by_repeats(model: MeasurementModel, records: Records) -> Repeats:
             continue
         times, others = first.seconds, second.seconds
         both = (times + delay >= others[0]) & (times + delay <= others[-1])
-        again = spline(others, values[1][:, known], times[both] + delay)
+        again = CubicSpline(others, values[1][:, known])(times[both] + delay)
         squares[known] += 0.5 * np.sum((again - values[0][both][:, known]) ** 2, axis=0)
         counts[known] += np.count_nonzero(both)
     independent = len(records.samples) / max(1, sum(len(part) for part in records.dense))
