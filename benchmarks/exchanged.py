@@ -162,8 +162,8 @@ class Row:
 
 def agreement(one: Estimate, other: Estimate) -> tuple[int, int]:
     """Number of effects that both estimates have, and of those whose difference may be chance."""
-    values = {(effect.name, effect.joint): effect for effect in one.effects}
-    pairs = [(values[key], own) for own in other.effects if (key := (own.name, own.joint)) in values]
+    values = {(effect.name, effect.joint, *effect.parameters): effect for effect in one.effects}
+    pairs = [(values[key], own) for own in other.effects if (key := (own.name, own.joint, *own.parameters)) in values]
     agreeing = [abs(a.value - b.value) < SURE * np.hypot(a.std, b.std) for a, b in pairs]
     return len(pairs), int(sum(agreeing))
 
