@@ -170,7 +170,7 @@ CASES: dict[str, tuple[Callable[[Path], Arguments], str]] = {
         r"cutoff of 90 Hz is too high for data at 100 Hz: set the parameter filter.cutoff \(--cutoff\) to 40 or less",
     ),
     "no such model": (with_options("--model", "no.json"), r"no.json: the model cannot be read"),
-    "a model that is none": (with_file("--model", "{}"), r"file: not an estimate.json"),
+    "a model that is none": (with_file("--model", "{}"), r"file: not a model as geomid writes it"),
 }
 
 
