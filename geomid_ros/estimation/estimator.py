@@ -237,7 +237,6 @@ def _estimate(
         least_inflation=least_inflation(summary, settings.cutoff),
         assumed_spreads=fitted.assumed_spreads,
         expected=_information_at(manifold, solution.point, known.prior_rows),
-        units=problem.error_units(solution.point),
     )
     parameters = np.zeros(whole.dimension)
     parameters[columns] = solution.point.parameters

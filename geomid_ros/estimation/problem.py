@@ -10,11 +10,10 @@ import numpy as np
 from geomid_ros.estimation.objective import dual_square
 from geomid_ros.estimation.starting_point import (
     USUAL_SPREAD_OF_LINKS,
-    USUAL_SPREAD_OF_REALS,
     first_sigmas,
     prior_parameters,
     prior_spreads,
-    scales_of_coefficients,
+    scales_of_reals,
 )
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.geometry.manifold import ParameterManifold, Point
@@ -24,7 +23,7 @@ from geomid_ros.types import FloatArray, IntArray
 
 # Of a problem: what does not depend on what is known beside the rows.
 _OF_ROWS = (
-    *("usual", "manifold", "_scales", "prior_spreads", "prior", "prior_point"),
+    *("usual", "manifold", "prior_spreads", "prior", "prior_point"),
     *("products", "row_weights", "counts", "least_sigmas"),
 )
 
@@ -69,23 +68,7 @@ class Problem:
     @cached_property
     def manifold(self) -> ParameterManifold:
         """Where the parameters live."""
-        return self.model.manifold(self._scales[self.model.positives :])
-
-    @cached_property
-    def _scales(self) -> FloatArray:
-        return scales_of_coefficients(self.model, self.summary)
-
-    def error_units(self, point: Point) -> FloatArray:
-        """Lengths ``(D,)`` of the tangent coordinates at a point in which errors are Gaussian.
-
-        1, but for a positive coefficient that is always there and smaller than the usual error of a real one: that of
-        its logarithm says nothing of how large what is next to nothing may be.
-        """
-        units, places = np.ones(self.manifold.dimension), self.manifold.positive
-        usual = USUAL_SPREAD_OF_REALS * self._scales[: self.model.positives]
-        always = [self.model.has_always(c) for c in self.model.coefficients[: self.model.positives]]
-        units[places] = np.where(always, np.maximum(usual / point.positives, 1.0), 1.0)
-        return units
+        return self.model.manifold(scales_of_reals(self.model, self.summary))
 
     @cached_property
     def prior_spreads(self) -> FloatArray:

@@ -18,8 +18,6 @@ from geomid_ros.types import FloatArray, IntArray, frozen
 # The usual spread counts as much as one direction of the tangent space that the data determine.
 _CERTAINTY_OF_USUAL = 1.0
 _ROUNDS = 10  # of the fixed point; a fixed number, so that rounding cannot change how many there are
-_FOLDS_OF_BLOCKS = (1, 2, 4)
-"""Correlations that are longer than a block hide in it: of blocks of several lengths, those count that show most."""
 _LARGEST_SPREAD = 100.0  # times the usual
 _ROUNDING = float(np.finfo(float).eps)  # of the largest information: what rounding may make of none
 _STEP = 1e-5
@@ -34,10 +32,6 @@ class Fold:
 
     gradient: FloatArray
     information: FloatArray
-
-    def in_units(self, units: FloatArray) -> Fold:
-        """The same in coordinates ``(D,)`` that are so many times longer."""
-        return Fold(units * self.gradient, np.outer(units, units) * self.information)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +88,6 @@ def estimate_uncertainty(
     least_inflation: float = 1.0,
     assumed_spreads: FloatArray | None = None,
     expected: FloatArray | None = None,
-    units: FloatArray | None = None,
 ) -> Uncertainty:
     """Uncertainty of a regularised estimate.
 
@@ -112,31 +105,18 @@ def estimate_uncertainty(
         least_inflation: The factor that the filter of the rows is known to cause.
         assumed_spreads: Standard deviations ``(D,)`` of the prior's error with which the estimate was made.
         expected: Information ``(D, D)`` of those known rows that belong to the prior.
-        units: Lengths ``(D,)`` of the coordinates in which errors are Gaussian, 1 unless given.
     """
     weights = np.maximum(prior_weights, np.finfo(float).tiny)
-    units = np.ones(len(weights)) if units is None else units
     measured = _sum(folds, len(weights))
-    own = [fold.in_units(units) for fold in folds]
-    far = known.in_units(units).information
-    blocks = [_together(own, count) for count in _FOLDS_OF_BLOCKS]
-    each = [variance_inflation(many, trust * far, weights, groups, least_inflation) for many in blocks]
-    factors = np.max(each, axis=0)
+    factors = variance_inflation(folds, trust * known.information, weights, groups, least_inflation)
     share = 1.0 / float(np.mean(factors))
     independent = Fold(share * measured.gradient + known.gradient, share * measured.information + known.information)
     spreads = prior_spreads(independent, from_prior, groups)
     if assumed_spreads is not None:
         spreads = np.maximum(spreads, assumed_spreads)
-    near = measured.in_units(units).information
-    covariance = error_covariance(near, far, trust, weights, factors, spreads)
-    both = np.outer(units, units)
-    prior = np.diag(spreads**2) if expected is None else _inverse(both * expected, spreads**-2.0)
-    return Uncertainty(both * covariance, both * prior, share)
-
-
-def _together(folds: Sequence[Fold], count: int) -> list[Fold]:
-    """Blocks of so many consecutive folds."""
-    return [_sum(folds[first : first + count], len(folds[0].gradient)) for first in range(0, len(folds), count)]
+    covariance = error_covariance(measured.information, known.information, trust, weights, factors, spreads)
+    prior = np.diag(spreads**2) if expected is None else _inverse(expected, spreads**-2.0)
+    return Uncertainty(covariance, prior, share)
 
 
 def _sum(folds: Sequence[Fold], dimension: int) -> Fold:

@@ -202,11 +202,6 @@ class MeasurementModel:
                 optional=effect not in self._common and effect not in self._local.get(name, ()),
             )
 
-    def has_always(self, coefficient: Coefficient) -> bool:
-        """True if the effect, in whatever shape, may not be left out."""
-        given = {*self._common, *self._local.get(coefficient.place_name, ())}
-        return coefficient.effect.name in {effect.name for effect in given}
-
     def _check_sensors(self) -> None:
         for sensor in self.sensors:
             if sensor.role == "mounted":

@@ -63,31 +63,6 @@ def test_the_covariance_is_the_bayesian_posterior_where_the_weights_are_those_of
     np.testing.assert_allclose(found, prior - gain @ all_rows @ prior, rtol=0, atol=1e-12)
 
 
-def test_a_coefficient_next_to_nothing_is_as_unsure_as_its_rows_say() -> None:
-    """Not as a logarithm is: of a millionth that would be a millionth."""
-    value, usual, rows = 1e-6, 0.2, 400.0  # rows: the inverse variance of the coefficient by itself
-    fold = Fold(np.zeros(1), np.array([[rows * value**2]]))
-    found = estimate_uncertainty(
-        [fold], nothing(1), 1.0, np.ones(1), np.zeros(1), one_group(1, 1.0), units=np.array([usual / value])
-    )
-    assert value**2 * found.covariance[0, 0] == pytest.approx(1.0 / (rows + usual**-2.0), rel=1e-9)
-    assert value**2 * found.prior[0, 0] == pytest.approx(usual**2, rel=1e-9)
-
-
-def test_correlations_longer_than_a_fold_are_seen() -> None:
-    """Folds that come in equal pairs are half as many."""
-    rng = np.random.default_rng(4)
-    slopes = 1e-3 * rng.normal(size=(8, 6))
-
-    def factor(slopes: FloatArray) -> float:
-        folds = [Fold(slope, np.eye(6)) for slope in slopes]
-        spreads, groups = np.full(6, 0.2), one_group(6)
-        return 1.0 / estimate_uncertainty(folds, nothing(6), 1.0, spreads**-2.0, np.zeros(6), groups).share
-
-    scaled = 1e3 * slopes
-    assert factor(np.repeat(scaled, 2, axis=0)) > 1.5 * max(1.0, factor(np.tile(scaled, (2, 1))))
-
-
 @pytest.mark.parametrize("trust", [1.0, 30.0])
 def test_the_covariance_is_that_of_the_errors_whatever_the_weights(trust: float) -> None:
     """Of many regularised least-squares solutions, with noise that is larger than the weights say."""
