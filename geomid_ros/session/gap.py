@@ -141,7 +141,7 @@ def remainder_of(estimate: Path, session: Session, bags: Bags, progress: Progres
     Raises:
         InputError: a bag cannot be read.
     """
-    written = session.configuration.with_values({"model": str(estimate)})
+    written = session.configuration.with_values({"model": str(estimate), "prior": ""})
     session = gap_session(session.urdf, written, session.robot.source)
     cutoff, train = GapReader(session, bags, progress).train()
     return lacking(session.model, train, cutoff, session.prior, session.loaded.beside_coefficients)

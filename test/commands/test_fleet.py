@@ -154,7 +154,7 @@ def test_bags_of_the_fleet_serve_as_a_prior(first: tuple[Path, str], bags: Path,
     )
     assert "prior and model are both given; choose one" in message
     message = refused("identify", bags / "cyd" / "good", "--urdf", URDF, "--prior", first[0] / "bob" / "estimate.json")
-    assert "no population.json of geomid fleet" in message
+    assert "not a population as geomid writes it" in message
 
 
 def test_a_fleet_of_which_nothing_can_be_used_is_doubtful(bags: Path, scheduler: str, tmp_path: Path) -> None:
