@@ -22,7 +22,7 @@ def test_help_explains_every_option_and_loads_no_library(command: click.Command)
     for option in options:
         assert option.opts[0] in text
         assert (option.help or "").endswith((".", "]"))
-    assert not loaded("excite", str(command.name), "--help") & LIBRARIES
+    assert not loaded(("excite", str(command.name), "--help")) & LIBRARIES
 
 
 def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
