@@ -18,11 +18,11 @@ from scipy import sparse
 from scipy.optimize import least_squares
 
 from benchmarks.problem import Problem
+from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.estimation.rows import PAPER, solve_rows
+from geomid_ros.estimation.solvers import cyclic, trust_region
 from geomid_ros.geometry import pseudo_inertia, symmetric
 from geomid_ros.geometry.manifold import ParameterManifold
-from geomid_ros.inference.objective import GeodesicObjective, ResidualObjective
-from geomid_ros.inference.solvers import cyclic, trust_region
 from geomid_ros.types import FloatArray
 
 _TOLERANCE = 1e-8  # of the gradient, relative to the sum of the weights

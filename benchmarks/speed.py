@@ -17,10 +17,10 @@ from benchmarks.report import Report
 from benchmarks.simulated_person import simulated_person
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.rows import PAPER, solve_rows
+from geomid_ros.estimation.solvers import cyclic, trust_region
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.geometry import symmetric
-from geomid_ros.inference.solvers import cyclic, trust_region
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Topics, read_samples

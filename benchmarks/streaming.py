@@ -13,11 +13,11 @@ from benchmarks.measuring import in_fresh_process, resident
 from benchmarks.report import Report
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.estimation.objective import ResidualObjective
 from geomid_ros.estimation.rows import PAPER
+from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS, prior_parameters, scales_of_reals, usual_spreads
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.inference.objective import ResidualObjective
-from geomid_ros.inference.solvers import trust_region
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration

@@ -16,9 +16,8 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.estimation.estimate import SURE
+from geomid_ros.estimation.estimate import SURE, LinksInformation
 from geomid_ros.geometry.manifold import ParameterManifold
-from geomid_ros.inference.prior import LinksInformation
 from geomid_ros.model.effects import Quantity
 from geomid_ros.types import FloatArray
 

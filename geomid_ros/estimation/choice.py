@@ -1,39 +1,45 @@
 """Which effects beside the default ones the rows ask for, and which shape the default ones have.
 
 An effect that stands at a place in one of several shapes (the speed over which dry friction changes its sign) has the
-shape of the highest evidence. Optional effects are selected as the gap workflow selects names: one by one by their
-evidence, and those go again that are worth nothing where blocks of time disagree on their size
-(:mod:`geomid_ros.inference`).
+shape of the highest marginal likelihood. Then optional effects are added one by one while they improve the fit visibly,
+and those go again that are not believed. What decides is the squared size of an effect in units of its standard
+deviation, as blocks of time show it: what they say of it, each by itself, scatters far more than independent residuals
+would (jackknife; Liang and Zeger, "Longitudinal data analysis using generalized linear models", 1986). So an effect is
+believed that repeats.
 
-What a model lacks repeats in rows that follow one another: a channel whose blocks of time disagree has fewer rows that
-count, for links and effects alike. Their number is estimated beside what was chosen, in turn.
+A candidate is tried beside the inertias as they were fitted, and beside inertias that stay near the prior, because a
+link that has swallowed an effect hides it. No effect is negative that cannot be.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
+from geomid_ros.estimation.fit import CERTAINTY
+from geomid_ros.estimation.objective import Evaluation
 from geomid_ros.estimation.problem import Problem
-from geomid_ros.inference.design import ChannelFolds, Design
-from geomid_ros.inference.fit import fit, independent
-from geomid_ros.inference.prior import CERTAINTY, Prior
-from geomid_ros.inference.probability import supported
-from geomid_ros.inference.selection import Selection
+from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, minimum
+from geomid_ros.geometry import definite
+from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.effects import joints_of
 from geomid_ros.model.measurement import Coefficient, Mechanism
 from geomid_ros.types import FloatArray, IntArray
 
-_ODDS = 0.3
-"""Prior odds of an optional effect at a place."""
-_OF_PAIR = 0.03
-"""Of these, where it is one of two joints: most joints have motors of their own."""
-_WRIST = 3  # joints, the last ones, of which one motor may turn two
-_ROUNDS = 3
-_FREE = 1e3  # prior standard deviation of what is always there, in sizes of its channel
+_TIMES = 3.0
+"""Standard deviations that an effect is different from nothing."""
+_VISIBLE = 0.04
+"""Share of a channel's remaining squares that an effect explains at least."""
+_RARE = 6.0
+"""Twice the logarithm of how many times rarer an effect of two joints is than one of each."""
+_PARALLEL = 1e-6  # a column that is so nearly a combination of others says nothing
+_LOOSE = 1.5  # times the usual spread: a link beyond it has left its prior
+_FREE = 1e-6  # weight of a coefficient's prior
+_ROUNDS, _SETTLED = 8, 0.03
+_LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
 
 
 def choose(problem: Problem, earlier: IntArray | None = None) -> IntArray:
@@ -47,79 +53,55 @@ def choose(problem: Problem, earlier: IntArray | None = None) -> IntArray:
     rows = _Rows(problem)
     if not (rows.has_choice and rows.enough):
         return rows.standing
-    kept = rows.standing if earlier is None else earlier
-    shapes = tuple(c for c in kept.tolist() if c >= rows.first and rows.mechanism(c) in rows.always)
-    options = [option for option in rows.options if option.column in kept]
-    design, seen = rows.design, list[tuple[tuple[int, ...], set[int]]]()
-    for _ in range(_ROUNDS):
-        design = independent(rows.design, rows.selection(design, shapes).fit(options))
-        shapes = _shaped(rows, design, shapes, options)
-        selection = rows.selection(design, shapes)
-        _, found, _ = supported(selection, selection.settle(selection.fit(options)))
-        options = list(found.chosen)
-        if (chosen := (shapes, {option.column for option in options})) in seen:
+    chosen = rows.fit(rows.standing if earlier is None else earlier)
+    chosen = _shaped(chosen, range(len(problem.model.robot.joints)))
+    chosen = _without_unbelieved(chosen)
+    refused: set[Mechanism] = set()
+    while len(left := rows.candidates(chosen.every, refused)):
+        column, larger = _best(chosen, left)
+        if larger is None:
             break
-        seen.append(chosen)
-    return np.sort(np.array([*range(rows.first), *shapes, *(option.column for option in options)]))
+        refused.add(rows.mechanism(column))
+        if larger.possible and larger.is_visible_beside(chosen):
+            chosen = _shaped(larger, joints_of(rows.coefficient(column).place))
+    return _without_unbelieved(chosen).every
 
 
-@dataclass(frozen=True, eq=False)
-class _Option:
-    """A coefficient that may be left out, the parameter in this ``column``, with prior ``odds``."""
-
-    column: int
-    coefficient: Coefficient
-    odds: float
-
-    payload = None
-    rescales = confusable_with_payload = relinearises = False
-    usual = (0.0,)
-
-    @property
-    def terms(self) -> tuple[int, ...]:
-        """Its column."""
-        return (self.column,)
-
-    @property
-    def cost(self) -> float:
-        """Minus twice the logarithm of the prior odds."""
-        return -2.0 * float(np.log(self.odds))
-
-    @property
-    def positives(self) -> int:
-        """1 if it cannot be negative."""
-        return int(self.coefficient.positive)
-
-    @property
-    def group(self) -> Mechanism:
-        """What there is once, in whatever shape."""
-        return self.coefficient.mechanism
-
-    def excludes(self, other: _Option) -> bool:
-        """Another shape of the same."""
-        return self.group == other.group
-
-    def includes(self, other: _Option) -> bool:
-        """The same."""
-        return self.group == other.group
-
-    def is_out_of_range(self, coefficients: FloatArray) -> bool:
-        """Whether it cannot have this value."""
-        form = self.coefficient.effect.own[self.coefficient.index]
-        return not form.above < coefficients[0] < form.below
+def _shaped(fit: _Fit, joints: Collection[int]) -> _Fit:
+    """The fit in which every effect of ``joints`` that is not optional has the shape of the highest likelihood, one
+    after the other."""
+    rows = fit.rows
+    for mechanism in rows.always:
+        if not set(joints).intersection(joints_of(mechanism[1])):
+            continue
+        shapes = [column for column in rows.columns if rows.mechanism(column) == mechanism]
+        if len(shapes) > 1:
+            rest = np.setdiff1d(fit.every, shapes)
+            sets = [np.sort(np.append(rest, shape)) for shape in shapes]
+            fits = [rows.fit(columns, fit, spreads=fit.spreads) for columns in sets]
+            fit = min(fits, key=lambda shaped: shaped.score)
+    return rows.fit(fit.every, fit)
 
 
-def _shaped(rows: _Rows, design: Design, shapes: tuple[int, ...], options: Sequence[_Option]) -> tuple[int, ...]:
-    """The columns of what is always there, each mechanism in the shape of the highest evidence, one after the other."""
-    best = rows.selection(design, shapes).fit(options)
-    for place, column in enumerate(shapes):
-        for other in rows.columns:
-            if other != column and rows.mechanism(other) == rows.mechanism(column):
-                trial = (*shapes[:place], other, *shapes[place + 1 :])
-                found = fit(design, rows.prior(trial), options, best, best.spreads)
-                if found.score < best.score:
-                    best, shapes = found, trial
-    return shapes
+def _without_unbelieved(fit: _Fit) -> _Fit:
+    """The fit without the optional effects that are not believed, the least one first."""
+    while len(fit.chosen):
+        beyond = np.max([each.squares_of(fit.chosen) for each in (fit, fit.firm)], axis=0) - fit.rows.bounds(fit.chosen)
+        if np.min(beyond) > 0.0 and fit.possible:
+            break
+        fit = fit.rows.fit(np.setdiff1d(fit.every, fit.chosen[np.argmin(beyond)]), fit)
+    return fit
+
+
+def _best(chosen: _Fit, left: IntArray) -> tuple[int, _Fit | None]:
+    """The column that improves a fit most, and the fit with it; None if none improves it visibly."""
+    starts = list(dict.fromkeys((chosen, chosen.firm)))
+    gains = np.max([start.gains(left) for start in starts], axis=0)
+    column = int(left[np.argmax(gains)])
+    if np.max(gains) < max(_VISIBLE * float(np.max(chosen.rows.counts)), chosen.rows.bounds([column])[0]):
+        return column, None
+    columns = np.sort(np.append(chosen.every, column))
+    return column, min((chosen.rows.fit(columns, start) for start in starts), key=lambda fit: fit.score)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,9 +116,20 @@ class _Rows:
         return self.problem.model.dimension - len(self.problem.model.coefficients)
 
     @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return self.problem.model.dimension
+
+    @property
+    def enough(self) -> bool:
+        """Whether some channel has more independent rows than unknowns without a choice: fewer ask for nothing."""
+        columns = [len(np.intersect1d(channel.columns, self.standing)) for channel in self.problem.model.channels]
+        return bool(np.any(self.counts > columns))
+
+    @property
     def columns(self) -> range:
         """The columns of the coefficients."""
-        return range(self.first, self.problem.model.dimension)
+        return range(self.first, self.size)
 
     def coefficient(self, column: int) -> Coefficient:
         """The coefficient of a column."""
@@ -149,78 +142,267 @@ class _Rows:
     @cached_property
     def standing(self) -> IntArray:
         """The columns of all that may not be left out, in its usual shape."""
-        own = [c for c in self.columns if not self.coefficient(c).optional]
-        return np.array([*range(self.first), *own])
+        return np.array([c for c in range(self.size) if c < self.first or not self.coefficient(c).optional])
 
     @cached_property
-    def always(self) -> set[Mechanism]:
+    def always(self) -> list[Mechanism]:
         """What is never left out."""
-        return {self.mechanism(column) for column in self.standing.tolist() if column >= self.first}
+        return [self.mechanism(column) for column in self.standing if column >= self.first]
 
     @cached_property
-    def options(self) -> list[_Option]:
-        """What may be left out."""
-        beyond = len(self.problem.model.robot.joints) - _WRIST
-        own = [c for c in self.columns if self.mechanism(c) not in self.always]
-        own = [c for c in own if len(joints := joints_of(self.coefficient(c).place)) < 2 or min(joints) >= beyond]
-        shapes: dict[Mechanism, int] = {}
-        for c in own:
-            shapes[self.mechanism(c)] = shapes.get(self.mechanism(c), 0) + 1
-        found = []
-        for c in own:
-            coefficient = self.coefficient(c)
-            odds = _ODDS * (_OF_PAIR if len(joints_of(coefficient.place)) > 1 else 1.0)
-            found.append(_Option(c, coefficient, odds / shapes[coefficient.mechanism]))
-        return found
+    def optional(self) -> list[int]:
+        """The columns of what may be left out."""
+        always = set(self.always)
+        return [column for column in self.columns if self.mechanism(column) not in always]
 
     @property
     def has_choice(self) -> bool:
         """Whether anything may be left out, or have another shape."""
-        return len(self.standing) < self.problem.model.dimension
+        return len(self.standing) < self.size
 
-    @property
-    def enough(self) -> bool:
-        """Whether some channel has more independent rows than unknowns without a choice: fewer ask for nothing."""
-        columns = [len(np.intersect1d(channel.columns, self.standing)) for channel in self.problem.model.channels]
-        return bool(np.any(self.design.counts > columns))
+    def candidates(self, columns: IntArray, refused: Collection[Mechanism]) -> IntArray:
+        """The columns that may be added to others."""
+        there = {self.mechanism(column) for column in columns if column >= self.first} | {*refused}
+        return np.array([column for column in self.optional if self.mechanism(column) not in there], dtype=np.int64)
+
+    def bounds(self, columns: IntArray | list[int]) -> FloatArray:
+        """Squares, in units of the variance, above which coefficients are believed."""
+        pairs = [len(joints_of(self.coefficient(column).place)) > 1 for column in columns]
+        return np.asarray(_TIMES**2 + _RARE * np.array(pairs))
+
+    def positive(self, column: int) -> bool:
+        """Whether a coefficient cannot be negative."""
+        return self.coefficient(column).positive
+
+    def allows(self, column: int, value: float) -> bool:
+        """Whether a coefficient can have this value."""
+        coefficient = self.coefficient(column)
+        form = coefficient.effect.own[coefficient.index]
+        return form.above < value < form.below and (value > 0.0 or not coefficient.positive)
 
     @cached_property
-    def design(self) -> Design:
-        """Of all columns; only the share of the rows that is independent counts."""
-        problem, size = self.problem, self.problem.model.dimension
-        own = zip(problem.model.channels, problem.summary.parts(), strict=False)
-        folds = [(channel, np.array([part.factor.T @ part.factor for part in parts])) for channel, parts in own]
-        used = np.any([np.any(products, axis=(1, 2)) for _, products in folds], axis=0)
-        channels = [
-            ChannelFolds(
-                problem.independent * products[used],
-                np.append(channel.columns, size),
-                size,
-                problem.independent * count,
-                {int(column): int(column) for column in channel.columns if column >= self.first},
-            )
-            for (channel, products), count in zip(folds, problem.counts, strict=False)
+    def products(self) -> list[tuple[IntArray, FloatArray]]:
+        """Of each channel: which columns it has, the last of which is the target, and of each fold these by each other,
+        ``(folds, n, n)``; only the share of them that is independent counts."""
+        channels, independent = self.problem.model.channels, self.problem.independent
+        return [
+            (np.append(channel.columns, self.size), independent * np.array([p.factor.T @ p.factor for p in parts]))
+            for channel, parts in zip(channels, self.problem.summary.parts(), strict=False)
         ]
-        return Design.of(channels, self.first)
 
-    def selection(self, design: Design, shapes: Sequence[int]) -> Selection[_Option, int]:
-        """Among the options, beside what is always there, in these ``shapes``, by their columns."""
-        return Selection(design, self.prior(shapes), self.options)
+    @cached_property
+    def all_products(self) -> FloatArray:
+        """Of each channel: all columns and the target by each other, of all folds, ``(channels, D + 1, D + 1)``."""
+        whole = np.zeros((len(self.products), self.size + 1, self.size + 1))
+        for own, (places, products) in zip(whole, self.products, strict=True):
+            own[places[:, None], places] = np.sum(products, axis=0)
+        return whole
 
-    def prior(self, shapes: Sequence[int]) -> Prior[int]:
-        """Of the links, and of what is always there, in these ``shapes``."""
-        return Prior(
-            inertias=self.problem.prior[: self.first],
-            spread=self.problem.usual,
-            terms=tuple(shapes),
-            values=np.zeros(len(shapes)),
-            spreads=_FREE * self.design.scales(shapes),
-            certainty=CERTAINTY,
-            rows=self._known,
-        )
+    @cached_property
+    def counts(self) -> FloatArray:
+        """Independent rows of each channel."""
+        return self.problem.independent * self.problem.counts[: len(self.problem.model.channels)]
 
-    def _known(self, terms: Sequence[int]) -> FloatArray:
-        """Weighed masses, and what else the problem knows of the parameters."""
-        known, columns = self.problem.known, [*range(self.first), *terms]
-        off = known.rows[:, : self.first] @ self.problem.prior[: self.first] - known.targets
-        return np.column_stack([known.rows[:, columns], off])
+    @cached_property
+    def scales(self) -> FloatArray:
+        """Of each coefficient: the one with which its column is as large as a channel that it reaches."""
+        squares = np.diagonal(self.all_products, axis1=1, axis2=2)
+        own, target = squares[:, self.first : -1], squares[:, -1:]
+        size = np.where(own > 0.0, target / np.where(own > 0.0, own, 1.0), np.inf)
+        best = np.sqrt(np.min(size, axis=0, initial=np.inf))
+        return np.where(np.isfinite(best) & (best > 0.0), best, 1.0)
+
+    def fit(self, columns: IntArray, start: _Fit | None = None, *, spreads: FloatArray | None = None) -> _Fit:
+        """Fit these parameters, from an earlier fit where one is given; with ``spreads (links,)`` of the links, unless
+        these are to be found. Coefficients that would be negative and cannot be are zero."""
+        zero = np.zeros(0, dtype=np.int64) if start is None else start.zero
+        fit = self._non_negative_fit(np.setdiff1d(columns, zero), start, spreads)
+        fit = replace(fit, zero=np.setdiff1d(columns, fit.columns))
+        if len(wanted := np.intersect1d(fit.wanted, zero)):
+            fit = self._non_negative_fit(np.union1d(fit.columns, wanted), fit, spreads)
+        return replace(fit, zero=np.setdiff1d(columns, fit.columns))
+
+    def _non_negative_fit(self, columns: IntArray, start: _Fit | None, spreads: FloatArray | None) -> _Fit:
+        """The same, without the columns whose coefficients would be negative."""
+        fit = self._fit(columns, start, spreads)
+        while len(negative := fit.negative):
+            fit = self._fit(np.setdiff1d(fit.columns, negative), fit, spreads)
+        return fit
+
+    def _fit(self, columns: IntArray, start: _Fit | None, given: FloatArray | None) -> _Fit:
+        """The same, in which every coefficient may be negative."""
+        scales = self.scales[columns[columns >= self.first] - self.first]
+        manifold = StraightManifold(self.first // 10, 0, scales)
+        inertias = self.problem.prior[: self.first]
+        prior = manifold.point(np.concatenate([inertias, np.zeros(len(scales))]))
+        spreads = self.problem.usual
+        point = prior
+        if start is not None:
+            before = np.zeros(self.size)
+            before[start.columns] = start.point.parameters
+            point, spreads = manifold.point(before[columns]), start.spreads
+        spreads = spreads if given is None else given
+        own = np.append(columns, self.size)
+        # In the order of its axes, in which such an index leaves nothing: else it is multiplied five times as slowly.
+        products = np.ascontiguousarray(self.all_products[:, own[:, None], own])
+        least = _LEAST_SHARE * products[:, -1, -1] + np.finfo(float).tiny
+        weighed = self.problem.known
+        known = weighed.rows[:, columns]
+        known_rows = np.column_stack([known, known @ prior.parameters - weighed.targets])
+        profile = Profile(manifold, products, self.counts, least, prior)
+
+        def objective(spreads: FloatArray) -> ProfileObjective:
+            weights = np.full(manifold.dimension, _FREE)
+            weights[manifold.inertial] = np.repeat(spreads, 10) ** -2.0
+            return ProfileObjective(profile, weights, known_rows)
+
+        for _ in range(_ROUNDS):
+            trusted = objective(spreads)
+            solution = minimum(trusted, point)
+            point = solution.point
+            if given is not None:
+                break
+            earlier = spreads
+            hessian = solution.evaluation.information + np.diag(trusted.weights)
+            unsure = np.diag(definite.inverse(hessian))[manifold.inertial]
+            errors = np.sum((manifold.log(prior, point)[manifold.inertial] ** 2 + unsure).reshape(-1, 10), axis=1)
+            spreads = np.sqrt((errors + CERTAINTY * self.problem.usual**2) / (10.0 + CERTAINTY))
+            if np.all(np.abs(np.log(spreads / earlier)) < _SETTLED):
+                break
+        return _Fit(self, columns, point, objective(spreads), spreads)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Where a fit of the ``columns`` of ``rows`` ended: at a ``point``, with the links' ``spreads``; coefficients of
+    other columns are held at ``zero``."""
+
+    rows: _Rows
+    columns: IntArray
+    point: Point
+    objective: ProfileObjective
+    spreads: FloatArray
+    zero: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+    @property
+    def every(self) -> IntArray:
+        """The columns, with those that are held at zero."""
+        return np.union1d(self.columns, self.zero)
+
+    @property
+    def negative(self) -> IntArray:
+        """The columns of coefficients that are negative, and cannot be."""
+        negative = self.point.parameters < 0.0
+        return np.array([c for c in self.columns[negative] if c >= self.rows.first and self.rows.positive(c)])
+
+    @property
+    def wanted(self) -> IntArray:
+        """The columns that are held at zero though they need not be."""
+        return self.zero[self.gains(self.zero) > 0.0] if len(self.zero) else self.zero
+
+    @cached_property
+    def firm(self) -> _Fit:
+        """The fit of the same parameters with links that keep the usual spread; this one, if they do here."""
+        usual = self.rows.problem.usual
+        return self.rows.fit(self.every, spreads=usual) if np.any(self.spreads > _LOOSE * usual) else self
+
+    @cached_property
+    def evaluation(self) -> Evaluation:
+        """The objective there."""
+        return self.objective.evaluate(self.point)
+
+    @cached_property
+    def hessian(self) -> FloatArray:
+        """Information ``(D, D)`` of the rows and of the prior, in tangent coordinates."""
+        return self.evaluation.information + np.diag(self.objective.weights)
+
+    @cached_property
+    def score(self) -> float:
+        """Minus twice the logarithm of the marginal likelihood."""
+        links = self.objective.manifold.inertial
+        _, volume = np.linalg.slogdet(self.hessian[links, links])
+        relative = self.spreads / self.rows.problem.usual
+        width = 20.0 * float(np.sum(np.log(self.spreads)))
+        width += CERTAINTY * float(np.sum(relative**-2 + 2.0 * np.log(relative)))
+        return 2.0 * self.evaluation.value + float(volume) + width
+
+    @cached_property
+    def weights(self) -> FloatArray:
+        """Inverse variances of the channels."""
+        return self.rows.counts / self.left
+
+    @property
+    def possible(self) -> bool:
+        """Whether all optional coefficients are in their ranges."""
+        every = np.zeros(self.rows.size)
+        every[self.columns] = self.point.parameters
+        return all(map(self.rows.allows, self.chosen.tolist(), every[self.chosen].tolist()))
+
+    @cached_property
+    def chosen(self) -> IntArray:
+        """The columns that are optional."""
+        return np.intersect1d(self.every, self.rows.optional)
+
+    @cached_property
+    def left(self) -> FloatArray:
+        """Sum of squares of each channel."""
+        return self.objective.profile.squares(self.point)
+
+    def is_visible_beside(self, smaller: _Fit) -> bool:
+        """Whether it leaves clearly less of some channel, links as they were fitted or such as stay near the prior."""
+        pairs = ((self, smaller), (self.firm, smaller.firm))
+        return any(bool(np.any(one.left < (1.0 - _VISIBLE) * other.left)) for one, other in pairs)
+
+    @cached_property
+    def _vector(self) -> FloatArray:
+        """All parameters and minus one ``(n + 1,)``: the residual is what the columns with the target leave of it."""
+        vector = np.zeros(self.rows.size + 1)
+        vector[self.columns], vector[-1] = self.point.parameters, -1.0
+        return vector
+
+    @property
+    def _slopes(self) -> FloatArray:
+        """Half the derivative of the squares of each fold that has rows by each of its coefficients ``(folds, k)``."""
+        slopes = np.zeros((self.rows.problem.summary.folds, self.rows.size + 1))
+        for weight, (places, products) in zip(self.weights, self.rows.products, strict=True):
+            slopes[:, places] += weight * (products @ self._vector[places])
+        return slopes[np.any(slopes, axis=1)][:, self.columns]
+
+    def squares_of(self, columns: IntArray) -> FloatArray:
+        """Squares of some of its coefficients in units of their variances."""
+        inverse, manifold = definite.inverse(self.hessian), self.objective.manifold
+        slopes = manifold.whiten(self.point, self._slopes)
+        real = self.columns >= self.rows.first
+        variances = np.diag(inverse)[real]
+        inflation = self._inflation(self.columns[real], (slopes @ inverse)[:, real], variances)
+        values = manifold.log(self.objective.profile.prior, self.point)[real]
+        squares = np.zeros(self.rows.size)
+        squares[self.columns[real]] = values**2 / (inflation * variances)
+        return np.asarray(squares[columns])
+
+    def gains(self, columns: IntArray) -> FloatArray:
+        """By how much each of other ``columns`` would improve twice the log likelihood, by the score test; zero for a
+        coefficient that would be negative and cannot be."""
+        manifold = self.objective.manifold
+        whitener = manifold.whiten(self.point, np.eye(len(self.columns)))
+        products = np.tensordot(self.weights, self.rows.all_products[:, columns], axes=1)
+        shared = products[:, self.columns].T
+        projected = whitener @ definite.inverse(self.hessian) @ whitener.T @ shared
+        squares = products[np.arange(len(columns)), columns]
+        left = squares - np.sum(shared * projected, axis=0)
+        values = -products @ self._vector
+        positive = np.array([self.rows.positive(column) for column in columns])
+        possible = (left > _PARALLEL * squares) & ~(positive & (values < 0.0))
+        return np.asarray(np.where(possible, values**2 / np.where(possible, left, 1.0), 0.0))
+
+    def _inflation(self, columns: IntArray, parts: FloatArray, variances: FloatArray) -> FloatArray:
+        """How much larger the variances of coefficients are than those by independent residuals, by what each fold says
+        of them, ``parts (folds, columns)``; others of a kind count as one fold more."""
+        count = len(parts)
+        if count < 2:
+            return np.ones(len(columns))
+        scatter = count / (count - 1.0) * np.sum((parts - np.mean(parts, axis=0)) ** 2, axis=0) / variances
+        kinds = np.array([self.rows.coefficient(column).effect.name for column in columns])
+        means = {kind: float(np.mean(scatter[kinds == kind])) for kind in set(kinds.tolist())}
+        of_kind = np.array([means[kind] for kind in kinds.tolist()])
+        return np.asarray(np.maximum(((count - 1.0) * scatter + of_kind) / count, 1.0))

@@ -16,9 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomid_ros.estimation.changed_links import ChangedLink, LinkEvidence, changed_links
-from geomid_ros.estimation.estimate import QUANTITIES, UNITS
+from geomid_ros.estimation.estimate import QUANTITIES, UNITS, LinksInformation
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.inference.prior import LinksInformation
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.types import FloatArray
 

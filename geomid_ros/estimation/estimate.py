@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from geomid_ros.estimation.posterior import Posterior
-from geomid_ros.inference.prior import LinksInformation
 from geomid_ros.model.effects import Quantity
 from geomid_ros.types import FloatArray
 
@@ -132,6 +131,22 @@ class WeighedEstimate:
     given_std: float
     mass: float
     std: float
+
+
+@dataclass(frozen=True, eq=False)
+class LinksInformation:
+    """What the data say of the inertias of all links together, whatever the effects are.
+
+    ``|residuals + rows (x - parameters)|^2`` is minus twice the logarithm of the likelihood of link parameters x, up to
+    a constant, maximised over the effects.
+
+    Attributes:
+        rows: ``(10 links, 10 links)``, upper triangular.
+        residuals: ``(10 links,)``.
+    """
+
+    rows: FloatArray
+    residuals: FloatArray
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -15,14 +15,14 @@ from geomid_ros.estimation.choice import choose
 from geomid_ros.estimation.estimate import SURE, Estimate
 from geomid_ros.estimation.file_fits import fit_files
 from geomid_ros.estimation.fit import INDEPENDENT, Fit, fit
+from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.population_prior import PopulationPrior, fit_with_population, unlike_population
 from geomid_ros.estimation.problem import Problem, subproblem
 from geomid_ros.estimation.rows import OBJECTIVES
+from geomid_ros.estimation.solvers import SOLVERS
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.inference.objective import GeodesicObjective, ResidualObjective
-from geomid_ros.inference.solvers import SOLVERS
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_rows
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen

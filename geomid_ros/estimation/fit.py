@@ -14,15 +14,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.estimation.fixed_point import Extrapolation
+from geomid_ros.estimation.objective import ProductsObjective, ResidualObjective, row_weights
 from geomid_ros.estimation.problem import Problem
+from geomid_ros.estimation.solvers import Solution, trust_region
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
 from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
-from geomid_ros.inference.objective import ProductsObjective, ResidualObjective, row_weights
-from geomid_ros.inference.prior import CERTAINTY
-from geomid_ros.inference.solvers import Solution, trust_region
 from geomid_ros.types import FloatArray
 
+CERTAINTY = 20.0
+"""The usual spread counts as much as the directions of two links."""
 INDEPENDENT = 2.67
 """Independent rows per period of the filter's cutoff, which leaves nothing above 1.5 times this frequency."""
 _ROUNDS = 60

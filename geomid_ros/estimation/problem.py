@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from geomid_ros.estimation.objective import dual_square
 from geomid_ros.estimation.starting_point import (
     USUAL_SPREAD_OF_LINKS,
     first_sigmas,
@@ -16,7 +17,6 @@ from geomid_ros.estimation.starting_point import (
 )
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.inference.objective import dual_square
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.types import FloatArray, IntArray

@@ -9,10 +9,10 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.channel_summary import triangular
+from geomid_ros.estimation.objective import GeodesicObjective, ProductsObjective, ResidualObjective, dual_square
+from geomid_ros.estimation.solvers import SOLVERS, Solution, trust_region
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.inference.objective import GeodesicObjective, ProductsObjective, ResidualObjective, dual_square
-from geomid_ros.inference.solvers import SOLVERS, Solution, trust_region
 from geomid_ros.types import BoolArray, FloatArray, frozen
 
 PAPER = 1e-2

@@ -10,6 +10,8 @@ from time import perf_counter
 import numpy as np
 
 from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimate import LinksInformation
+from geomid_ros.estimation.fit import CERTAINTY
 from geomid_ros.gap.analysis import analyse
 from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesPrior, not_driving
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, root_mean_square, total_model
@@ -22,7 +24,7 @@ from geomid_ros.gap.judgement.verdict import findings, ranking, unexplained, ver
 from geomid_ros.gap.judgement.written import written
 from geomid_ros.gap.result import GapResult
 from geomid_ros.inference.fit import unfitted
-from geomid_ros.inference.prior import CERTAINTY, LinksInformation, Prior
+from geomid_ros.inference.prior import Prior
 from geomid_ros.model.effects import KnownEffect, effect_class, values_of
 from geomid_ros.model.measurement import Coefficient, MeasurementModel
 from geomid_ros.model.moving import REST

@@ -51,14 +51,7 @@ class ChannelRows:
         crossed = np.pad(self.features.T @ self.columns, ((0, 0), (0, 1)))
         return Remainder(self.features.T @ self.features, crossed, self.block, self.count)
 
-    def slopes(self, vector: FloatArray, taken: IntArray, variances: FloatArray) -> FloatArray:
-        """Half the derivatives ``(blocks, n - 1)`` of each block's squares by the columns that are ``taken (n,)``, the
-        last of which is the target, for their sum with a ``vector (n,)``."""
-        columns, residual = self._whitened(vector, taken, variances)
-        blocks = np.array_split(np.arange(len(residual)), BLOCKS)
-        return np.array([residual[rows] @ columns[rows, :-1] for rows in blocks])
-
-    def _whitened(self, vector: FloatArray, taken: IntArray, variances: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def whitened(self, vector: FloatArray, taken: IntArray, variances: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Columns ``(N, n)`` that are ``taken`` and their sum with a ``vector (n,)``, white beside the remainder."""
         padded = np.pad(self.columns, ((0, 0), (0, 1)))[:, taken]
         rows = np.column_stack([padded, padded @ vector])
@@ -67,48 +60,6 @@ class ChannelRows:
             directions, sizes, _ = np.linalg.svd(drawn, full_matrices=False)
             rows -= directions @ ((1.0 - 1.0 / np.sqrt(1.0 + sizes**2))[:, None] * (directions.T @ rows))
         return rows[:, :-1], rows[:, -1]
-
-
-@dataclass(frozen=True, eq=False)
-class ChannelFolds:
-    """Products ``folds (blocks, n, n)`` of a channel's columns in blocks of time, the target last: those that stand at
-    ``columns (n,)`` among K and the target. ``count`` rows of them are independent; ``place`` of each term among the
-    columns. Nothing of it is left to a remainder."""
-
-    folds: FloatArray
-    columns: IntArray
-    size: int
-    count: float
-    place: Mapping[Any, int]
-
-    @cached_property
-    def products(self) -> FloatArray:
-        """Of the columns ``(K + 2, K + 2)``; the last row is zero, for what does not reach the channel."""
-        whole = np.zeros((self.size + 2, self.size + 2))
-        whole[self.columns[:, None], self.columns] = np.sum(self.folds, axis=0)
-        return whole
-
-    @property
-    def block(self) -> IntArray:
-        """No features."""
-        return np.zeros(0, dtype=np.intp)
-
-    @property
-    def scale(self) -> FloatArray:
-        """Of no features."""
-        return np.zeros(0)
-
-    @cached_property
-    def remainder(self) -> Remainder:
-        """None."""
-        return Remainder(np.zeros((0, 0)), np.zeros((0, self.size + 2)), self.block, round(self.count))
-
-    def slopes(self, vector: FloatArray, taken: IntArray, variances: FloatArray) -> FloatArray:  # noqa: ARG002
-        """As of :class:`ChannelRows`."""
-        whole, found = np.zeros(self.size + 2), np.zeros((len(self.folds), self.size + 2))
-        np.add.at(whole, taken, vector)
-        found[:, self.columns] = self.folds @ whole[self.columns]
-        return found[:, taken[:-1]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +87,7 @@ class CandidateProducts:
 class Design:
     """Rows of all channels, for ``dimension`` inertial columns, and the ``variances`` of each channel's remainder."""
 
-    channels: tuple[ChannelRows | ChannelFolds, ...]
+    channels: tuple[ChannelRows, ...]
     dimension: int
     variances: tuple[FloatArray, ...]
     _known_places: dict[Hypothesis[Any], IntArray] = field(default_factory=dict, repr=False)
@@ -145,15 +96,9 @@ class Design:
     _products: dict[tuple[int, bytes], tuple[FloatArray, float]] = field(default_factory=dict, repr=False)
 
     @staticmethod
-    def of(channels: Sequence[ChannelRows | ChannelFolds], dimension: int) -> Design:
+    def of(channels: Sequence[ChannelRows], dimension: int) -> Design:
         """With the usual remainder."""
         return Design(tuple(channels), dimension, tuple(channel.remainder.usual for channel in channels))
-
-    def counted(self, counts: Sequence[float]) -> Design:
-        """The same folds, of which ``counts (C,)`` rows are independent."""
-        own = zip(self.channels, counts, strict=True)
-        channels = tuple(replace(c, count=count) if isinstance(c, ChannelFolds) else c for c, count in own)
-        return replace(self, channels=channels)
 
     def given(self, variances: Sequence[FloatArray]) -> Design:
         """The same beside a remainder of these ``variances``, of each channel's blocks."""
@@ -170,11 +115,6 @@ class Design:
                 self._products[key] = products, channel.remainder.cost(variances)
             found.append(self._products[key])
         return found
-
-    @property
-    def lacks(self) -> bool:
-        """Whether anything may be left to a remainder."""
-        return any(len(variances) for variances in self.variances)
 
     @property
     def cost(self) -> float:

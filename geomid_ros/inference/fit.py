@@ -15,13 +15,13 @@ from typing import Any, Generic
 
 import numpy as np
 
+from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, minimum
 from geomid_ros.geometry import definite, pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.inference import prior as priors
-from geomid_ros.inference.design import Design, Lack
+from geomid_ros.inference.design import BLOCKS, Design, Lack
 from geomid_ros.inference.hypothesis import Chosen, Term
 from geomid_ros.inference.prior import Prior
-from geomid_ros.inference.profile_objective import Profile, ProfileObjective, StraightManifold, minimum
 from geomid_ros.types import FloatArray
 
 _LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
@@ -180,8 +180,7 @@ def _free_fit(
     places = manifold.real.start + np.flatnonzero(held)
     weights[places] = (scales[: len(held)][held] / prior.spreads[held]) ** 2
     rows = priors.known_rows(prior.known, manifold.dimension)
-    given = prior.rows(terms)
-    zero = np.concatenate([_zero_rows(driven, manifold, known), given.reshape(len(given), manifold.dimension + 1)])
+    zero = _zero_rows(driven, manifold, known)
     counts, least = design.counts, _LEAST_SHARE * design.target_squares + 1e-300
     afresh = start is None or set(bodies) != set(start.bodies)
     fixed = spread is not None
@@ -308,37 +307,14 @@ def scattered(design: Design, found: JointFit[Chosen, Term]) -> JointFit[Chosen,
     explains. The covariance of the tangent coordinates is then ``H^-1 sum_b(s_b s_b^T) H^-1`` with the slopes s_b of
     the blocks about their mean (Liang and Zeger, "Longitudinal data analysis using generalized linear models", 1986).
     """
-    slopes = np.sum(_slopes(design, found), axis=0)
-    moved = (slopes - np.mean(slopes, axis=0)) @ found.inverse
-    blocks = len(slopes)
-    squares = blocks / (blocks - 1.0) * np.sum(moved**2, axis=0)
-    factors = np.sqrt(np.maximum(squares / np.diag(found.inverse), 1.0))
-    return replace(found, information=found.information / np.outer(factors, factors))
-
-
-def _slopes(design: Design, found: JointFit[Chosen, Term]) -> list[FloatArray]:
-    """Of each channel, half the derivatives ``(blocks, D)`` of each block's part of the score by the tangent
-    coordinates."""
+    slopes = np.zeros((BLOCKS, found.manifold.dimension))
     vector, places = np.append(found.point.parameters, -1.0), design.places(found.bodies, found.terms)
     weights = design.counts / found.squares
-    channels = zip(design.channels, places, design.variances, weights, strict=True)
-    return [
-        weight * own.slopes(vector, taken, variances) @ found.jacobian for own, taken, variances, weight in channels
-    ]
-
-
-def independent(design: Design, found: JointFit[Chosen, Term]) -> Design:
-    """The same rows, of which only so many count in each channel as are independent beside a fit.
-
-    By the scatter of blocks of time the slopes of the score have a covariance J, by their number of independent rows I.
-    The likelihood is scaled by their ratio where it is below one, on average over all directions within the prior
-    (Pauli, Racugno and Ventura, "Bayesian composite marginal likelihoods", 2011).
-    """
-    weights, products = design.counts / found.squares, design.gather(found.bodies, found.terms)[:, :-1, :-1]
-    counts = []
-    for channel, slopes, weight, own in zip(design.channels, _slopes(design, found), weights, products, strict=True):
-        centred = slopes - np.mean(slopes, axis=0)
-        scatter = len(slopes) / max(len(slopes) - 1.0, 1.0) * float(np.sum((centred @ found.inverse) * centred))
-        expected = weight * float(np.sum(own * found.covariance))
-        counts.append(channel.count * min(expected / scatter, 1.0) if scatter > 0.0 else float(channel.count))
-    return design.counted(counts)
+    for channel, own, variances, weight in zip(design.channels, places, design.variances, weights, strict=True):
+        columns, residual = channel.whitened(vector, own, variances)
+        for block, rows in enumerate(np.array_split(np.arange(len(residual)), BLOCKS)):
+            slopes[block] += weight * (residual[rows] @ columns[rows, :-1]) @ found.jacobian
+    moved = (slopes - np.mean(slopes, axis=0)) @ found.inverse
+    squares = BLOCKS / (BLOCKS - 1.0) * np.sum(moved**2, axis=0)
+    factors = np.sqrt(np.maximum(squares / np.diag(found.inverse), 1.0))
+    return replace(found, information=found.information / np.outer(factors, factors))

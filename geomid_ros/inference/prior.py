@@ -11,14 +11,13 @@ from typing import Generic
 
 import numpy as np
 
+from geomid_ros.estimation.estimate import LinksInformation
+from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.geometry import definite, pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.inference.hypothesis import Term
-from geomid_ros.inference.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.types import FloatArray
 
-CERTAINTY = 20.0
-"""The usual spread counts as much as the directions of two links."""
 SPREAD_OF_PAYLOADS = 3.0
 """Of a payload about the usual one, a geodesic distance: next to nothing is known."""
 _PAYLOAD_MASS = 0.2  # of the mean link's mass
@@ -29,30 +28,9 @@ _CERTAINTY = 4.0
 """That they are as exact as they say counts as much as so many of their rows."""
 
 
-@dataclass(frozen=True, eq=False)
-class LinksInformation:
-    """What the data say of the inertias of all links together, whatever the effects are.
-
-    ``|residuals + rows (x - parameters)|^2`` is minus twice the logarithm of the likelihood of link parameters x, up to
-    a constant, maximised over the effects.
-
-    Attributes:
-        rows: ``(10 links, 10 links)``, upper triangular.
-        residuals: ``(10 links,)``.
-    """
-
-    rows: FloatArray
-    residuals: FloatArray
-
-
 def nothing_held(_: Sequence[object], values: FloatArray) -> FloatArray:
     """No rows for ``values (k,)``."""
     return np.zeros((0, len(values)))
-
-
-def no_rows(_: Sequence[object]) -> FloatArray:
-    """None."""
-    return np.zeros((0, 0))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -61,7 +39,7 @@ class Prior(Generic[Term]):
 
     Attributes:
         inertias: the links' parameters ``(10 links,)``.
-        spread: the usual size of their errors, a geodesic distance, of all or ``(links,)``.
+        spread: the usual size of their errors, a geodesic distance.
         terms, values, spreads: the coefficients ``(k,)`` of the effects that the model already has.
         certainty: how many directions of a link's error the usual spread counts as much as.
         identified: whether all this was identified before, not guessed.
@@ -69,12 +47,10 @@ class Prior(Generic[Term]):
         changed_link: one that is another now than in the other recordings.
         cost: minus twice the logarithm of what this makes of the other recordings' probability.
         held: rows ``(r, k)`` that hold combinations of coefficients at zero, for their terms and values.
-        rows: what else is known, rows ``(r, D + 1)`` of standard deviation 1 of the links and of terms, the last column
-            their residuals at the prior; of fits without payloads.
     """
 
     inertias: FloatArray
-    spread: float | FloatArray
+    spread: float
     terms: tuple[Term, ...]
     values: FloatArray
     spreads: FloatArray
@@ -84,7 +60,6 @@ class Prior(Generic[Term]):
     changed_link: int | None = None
     cost: float = 0.0
     held: Callable[[Sequence[Term], FloatArray], FloatArray] = nothing_held
-    rows: Callable[[Sequence[Term]], FloatArray] = no_rows
 
     @property
     def link_spreads(self) -> FloatArray:

@@ -62,12 +62,9 @@ class Supports(Generic[Chosen, Term]):
         if candidate not in self._losses:
             selection, found = self._selection, self._found
             rest = selection.without(found, candidate)
-            scores = np.array([rest.score, found.score])
-            if selection.design.lacks:
-                design = rest.settled(selection.design, selection.design.reached(candidate))
-                both = [fit(design, selection.prior, each.chosen, each).score for each in (rest, found)]
-                scores = np.minimum(scores, both)
-            self._losses[candidate] = float(scores[0] - scores[1])
+            design = rest.settled(selection.design, selection.design.reached(candidate))
+            both = [fit(design, selection.prior, each.chosen, each).score for each in (rest, found)]
+            self._losses[candidate] = min(rest.score, both[0]) - min(found.score, both[1])
         return self._losses[candidate]
 
     def _rivals(self, rest: JointFit[Chosen, Term], candidate: Chosen) -> list[tuple[Chosen, float]]:
@@ -96,20 +93,3 @@ class Supports(Generic[Chosen, Term]):
             values, narrowed = found.point.parameters[places], 0.0
         square = float(values @ np.linalg.solve(sized.covariance[np.ix_(places, places)], values))
         return square - max(narrowed + candidate.cost, _LEAST_SQUARE)
-
-
-def supported(
-    selection: Selection[Chosen, Term], found: JointFit[Chosen, Term]
-) -> tuple[Selection[Chosen, Term], JointFit[Chosen, Term], Supports[Chosen, Term]]:
-    """The hypotheses that are more likely than nothing in their places, beside the remainder that they leave, and what
-    speaks for each. The least likely one goes first, and the search goes on without it."""
-    while True:
-        each = Supports(selection, found)
-        worth = {hypothesis: each.worth(hypothesis) for hypothesis in found.chosen}
-        least = min(worth, key=worth.__getitem__, default=None)
-        if least is None or worth[least] > 0.0:
-            return selection, found, each
-        kept = selection.without(found, least)
-        tried = [hypothesis for hypothesis in selection.hypotheses if hypothesis.group != least.group]
-        selection = Selection(kept.settled(selection.design), selection.prior, tried)
-        found = selection.settle(selection.fit(kept.chosen, kept))

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from geometry import bodies
 
+from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.inference.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.types import FloatArray
 
 LINKS = ParameterManifold(2, 0, np.zeros(0))

@@ -7,8 +7,8 @@ import pytest
 from scipy.special import chdtri
 
 from geomid_ros.estimation.changed_links import ChangedLink, LinkEvidence, changed_links
+from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.inference.prior import LinksInformation
 from geomid_ros.model.effects import Quantity
 
 NAMES = ("upper", "lower", "hand")

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from geometry import bodies
 
+from geomid_ros.estimation.objective import Evaluation, ProductsObjective
+from geomid_ros.estimation.profile_objective import Profile, ProfileObjective
 from geomid_ros.geometry import compiled
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.inference.objective import Evaluation, ProductsObjective
-from geomid_ros.inference.profile_objective import Profile, ProfileObjective
 from geomid_ros.types import FloatArray
 
 pytestmark = pytest.mark.skipif(compiled.native is None, reason="built without a compiler")

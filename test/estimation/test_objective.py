@@ -8,9 +8,9 @@ from geometry import bodies
 from scipy.linalg import eigvalsh, expm, sqrtm
 from scipy.optimize import minimize
 
+from geomid_ros.estimation import objective as module
+from geomid_ros.estimation.objective import Objective, row_weights
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.inference import objective as module
-from geomid_ros.inference.objective import Objective, row_weights
 from geomid_ros.types import FloatArray
 
 from .problems import ALL, LINKS, Problem, human_like, problem

@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
+from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.inference.objective import GeodesicObjective, ResidualObjective
-from geomid_ros.inference.solvers import trust_region
 
 from .arms import Case, arm
 

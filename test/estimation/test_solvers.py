@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from geometry import bodies
 
+from geomid_ros.estimation.objective import Evaluation, Objective
+from geomid_ros.estimation.solvers import SOLVERS, Solution, _QuadraticModel, cyclic, trust_region
 from geomid_ros.geometry import projection
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.inference.objective import Evaluation, Objective
-from geomid_ros.inference.solvers import SOLVERS, Solution, _QuadraticModel, cyclic, trust_region
 from geomid_ros.types import FloatArray
 
 from .problems import ALL, LINKS, Problem, human_like, problem

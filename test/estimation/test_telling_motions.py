@@ -9,9 +9,8 @@ import pytest
 from files.estimates import estimate_of, link_estimate
 from files.recordings import BAGS
 
-from geomid_ros.estimation.estimate import QUANTITIES, Estimate
+from geomid_ros.estimation.estimate import QUANTITIES, Estimate, LinksInformation
 from geomid_ros.estimation.telling_motions import FAST, POSES, TILTED, telling_motions
-from geomid_ros.inference.prior import LinksInformation
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.sensors import WrenchSensor

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
+from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate, LinksInformation
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.inference.prior import LinksInformation
 
 
 def link_estimate(name: str, merged: tuple[str, ...] = (), seed: int = 0) -> LinkEstimate:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.candidates import Candidate
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
@@ -14,7 +15,6 @@ from geomid_ros.gap.evidence.record import Records
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import JointFit, fit, unfitted
-from geomid_ros.inference.prior import LinksInformation
 from geomid_ros.inference.rao_score import score_test
 from geomid_ros.types import FloatArray
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from geomid_ros.estimation.estimate import LinksInformation
+from geomid_ros.estimation.profile_objective import StraightManifold
 from geomid_ros.inference.fit import fit
-from geomid_ros.inference.prior import LinksInformation, Prior
-from geomid_ros.inference.profile_objective import StraightManifold
+from geomid_ros.inference.prior import Prior
 
 from . import planted
 from .small import PRIOR, Recording, at

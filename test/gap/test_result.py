@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.gap import workflow
 from geomid_ros.gap.candidates import EffectTerm
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import GapSettings, find_gap, left_by_model
-from geomid_ros.inference.prior import LinksInformation
 from geomid_ros.model.effects import AtJoint, KnownEffect, Quantity
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.effort_offset import EffortOffset

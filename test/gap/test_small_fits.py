@@ -9,16 +9,17 @@ import pytest
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
+from geomid_ros.estimation.estimate import LinksInformation
+from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold
+from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.gap.candidates import Candidate, EffectTerm, not_driving
 from geomid_ros.gap.judgement.naming import parameters
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.inference import prior as before
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import JointFit, fit, scattered, unfitted
-from geomid_ros.inference.prior import LinksInformation, Prior
-from geomid_ros.inference.profile_objective import Profile, ProfileObjective, StraightManifold
+from geomid_ros.inference.prior import Prior
 from geomid_ros.inference.rao_score import score_test
-from geomid_ros.inference.solvers import trust_region
 from geomid_ros.model.effects import AtSensor
 from geomid_ros.model.effects.wrench_offset import WrenchOffset
 from geomid_ros.types import FloatArray

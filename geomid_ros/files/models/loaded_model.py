@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.files.models.effect_forms import (
     coefficient,
     combined,
@@ -27,7 +28,6 @@ from geomid_ros.files.models.effect_forms import (
 from geomid_ros.files.models.judgements import doubt
 from geomid_ros.files.models.results import known_inertias, known_information, read_estimate
 from geomid_ros.files.models.sidecar import effect_of
-from geomid_ros.inference.prior import LinksInformation
 from geomid_ros.model.effects import (
     Effect,
     IdentifiedEffect,

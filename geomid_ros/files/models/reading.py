@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate, WeighedEstimate
+from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate, LinksInformation, WeighedEstimate
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.files.models.loaded_model import known_effects
 from geomid_ros.files.models.results import known_inertias, known_information
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.inference.prior import LinksInformation
 from geomid_ros.signals.ledger import Account
 from geomid_ros.types import FloatArray
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import FINEST, Estimate
+from geomid_ros.estimation.estimate import FINEST, Estimate, LinksInformation
 from geomid_ros.files.disk import read_text
 from geomid_ros.files.models.effect_forms import (
     by_channel,
@@ -25,7 +25,6 @@ from geomid_ros.files.models.effect_forms import (
 from geomid_ros.files.models.urdf import Inertia
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
-from geomid_ros.inference.prior import LinksInformation
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.robot import GRAVITY
 from geomid_ros.types import FloatArray

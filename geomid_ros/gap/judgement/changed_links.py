@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.gap.analysis import Analysis
 from geomid_ros.gap.candidates import NamesPrior
 from geomid_ros.gap.result import LIKELY, SURE, LinkChange
 from geomid_ros.inference.fit import fit, scattered
-from geomid_ros.inference.prior import LinksInformation
 from geomid_ros.model.effects import Quantity
 from geomid_ros.model.effects.places import AtJoint
 from geomid_ros.model.measurement import MeasurementModel

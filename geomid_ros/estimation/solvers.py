@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.linalg import LinAlgError
 
+from geomid_ros.estimation.objective import Evaluation, Objective
 from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
-from geomid_ros.inference.objective import Evaluation, Objective
 from geomid_ros.types import FloatArray
 
 _ACCEPT = 1e-4

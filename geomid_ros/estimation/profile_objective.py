@@ -7,10 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
+from geomid_ros.estimation.objective import Evaluation, with_prior
+from geomid_ros.estimation.solvers import Solution, trust_region
 from geomid_ros.geometry import compiled
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.inference.objective import Evaluation, with_prior
-from geomid_ros.inference.solvers import Solution, trust_region
 from geomid_ros.types import FloatArray, IntArray
 
 _STEPS = 40
