@@ -58,7 +58,7 @@ def _bags(name: str) -> str:
 
 
 def _both(case: str) -> str:
-    return f"../session/test_streams.py::test_a_fault_gets_the_same_answer_in_a_bag_and_in_a_node[{case}]"
+    return f"../session/test_ledger_findings.py::test_a_fault_gets_the_same_answer_in_a_bag_and_in_a_node[{case}]"
 
 
 def _disk(case: str) -> str:
