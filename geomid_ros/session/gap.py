@@ -116,7 +116,7 @@ def find(session: Session, recordings: Recordings, progress: Progress) -> GapRes
 def standing_of(session: Session) -> StandingRemainder | None:
     """What the session's model lacked where it was identified; that this is not known is told."""
     source = session.loaded.source
-    if session.loaded.inertias is None:
+    if session.loaded.known is None:
         return None
     path = Path(source).with_name(POSTERIOR)
     found = read_remainder(path) if path.is_file() else None
@@ -134,15 +134,12 @@ def standing_of(session: Session) -> StandingRemainder | None:
     return found
 
 
-def remainder_of(estimate: Path, session: Session, bags: Bags, progress: Progress) -> StandingRemainder | None:
-    """What an ``estimate.json`` of a session lacks on the bags that it is from, as :func:`find` will see it; None if
-    they tell too little.
+def remainder_of(session: Session, bags: Bags, progress: Progress = silent) -> StandingRemainder | None:
+    """What a session's model lacks on the bags that it was identified from; None if they tell too little.
 
     Raises:
         InputError: a bag cannot be read.
     """
-    written = session.configuration.with_values({"model": str(estimate), "prior": ""})
-    session = gap_session(session.urdf, written, session.robot.source)
     cutoff, train = GapReader(session, bags, progress).train()
     return lacking(session.model, train, cutoff, session.prior, session.loaded.beside_coefficients)
 

@@ -165,17 +165,6 @@ def test_what_the_model_lacks_is_read_as_it_was_written(with_remainder: Path) ->
     assert np.array_equal(read_posterior(with_remainder).covariance, posterior().covariance)
 
 
-def test_a_file_may_have_it_alone(tmp_path: Path) -> None:
-    path = tmp_path / POSTERIOR
-    assert write_posterior(path, None, remainder()) == [path]
-    found = read_remainder(path)
-    assert found is not None
-    assert found.channels == remainder().channels
-    refused(path, "says nothing of links and effects")
-    assert write_posterior(tmp_path / "none.npz", None) == []
-    assert not (tmp_path / "none.npz").exists()
-
-
 def test_files_without_it_are_read(written: Path) -> None:
     assert read_remainder(written) is None
     with np.load(written) as archive:

@@ -18,9 +18,9 @@ KEPT = StandingRemainder(
 )
 
 
-def session(folder: Path, inertias: object = True, channel: str = "effort") -> Any:
+def session(folder: Path, known: object = True, channel: str = "effort") -> Any:
     return SimpleNamespace(
-        loaded=SimpleNamespace(source=str(folder / "estimate.json"), inertias=inertias),
+        loaded=SimpleNamespace(source=str(folder / "estimate.json"), known=known),
         robot=SimpleNamespace(joint_names=["shoulder"]),
         model=SimpleNamespace(channels=[SimpleNamespace(name=channel)]),
         settled=[],
@@ -62,6 +62,6 @@ def test_that_there_is_none_is_told_once(
 
 
 def test_beside_a_description_alone_there_is_nothing_to_tell(tmp_path: Path) -> None:
-    own = session(tmp_path, inertias=None)
+    own = session(tmp_path, known=None)
     assert standing_of(own) is None
     assert not own.settled

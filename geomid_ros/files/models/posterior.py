@@ -4,7 +4,7 @@ A NumPy archive without pickled objects. ``posterior`` is a JSON text: ``format`
 ``effects`` (``name``, ``place``, ``parameter``, ``unit``, ``positive``). The arrays of float64 are the fields of
 :class:`~geomid_ros.estimation.posterior.Posterior` of the same names, where their coordinates are described.
 
-From format 2 on, which may have a remainder alone, ``remainder`` in that text may hold ``joints`` and ``channels`` of a
+From format 2 on, ``remainder`` in that text may hold ``joints`` and ``channels`` of a
 :class:`~geomid_ros.gap.evidence.standing.StandingRemainder`. Then ``knots`` are those of its basis, and each channel
 has its ``scales_N`` and ``mean_N``, and ``root_N``: the lower triangle of its root, row by row, in float32.
 """
@@ -45,24 +45,25 @@ T = TypeVar("T")
 _UNREADABLE = (zipfile.BadZipFile, KeyError, TypeError, ValueError, RecursionError, EOFError, NotImplementedError)
 
 
-def write_posterior(path: Path, posterior: Posterior | None, remainder: StandingRemainder | None = None) -> list[Path]:
-    """Write a posterior, and what the model lacks, or one of them; of a robot with more than 2000 parameters, and of a
-    remainder that is larger than that, none. Returns the files.
+def write_posterior(path: Path, posterior: Posterior, remainder: StandingRemainder | None = None) -> list[Path]:
+    """Write a posterior, and what the model lacks if that is known and no larger than a posterior may be; of a robot
+    with more than 2000 parameters, none. Returns the files.
 
     Raises GeomidError naming the file.
     """
-    header: dict[str, Any] = {"format": FORMAT}
-    arrays: dict[str, FloatArray] = {}
-    if posterior is not None and len(posterior.parameters) <= _MOST_PARAMETERS:
-        links = zip(posterior.links, posterior.merged, strict=True)
-        header["links"] = [{"name": name, "merged": merged} for name, merged in links]
-        header["effects"] = [asdict(effect) for effect in posterior.effects]
-        arrays |= {name: getattr(posterior, name) for name in (*_VECTORS, "scales", "covariance")}
+    if len(posterior.parameters) > _MOST_PARAMETERS:
+        return []
+    header = {
+        "format": FORMAT,
+        "links": [
+            {"name": name, "merged": merged} for name, merged in zip(posterior.links, posterior.merged, strict=True)
+        ],
+        "effects": [asdict(effect) for effect in posterior.effects],
+    }
+    arrays = {name: getattr(posterior, name) for name in (*_VECTORS, "scales", "covariance")}
     if remainder is not None and _size_of(remainder) < _MOST_REMAINDER:
         header["remainder"] = {"joints": remainder.joints, "channels": remainder.channels}
         arrays |= _arrays_of(remainder)
-    if not arrays:
-        return []
     content = io.BytesIO()
     np.savez(content, allow_pickle=False, **{_HEADER: np.array(json.dumps(header))}, **arrays)
     write_bytes(path, content.getvalue())
@@ -149,8 +150,6 @@ def _remainder(archive: zipfile.ZipFile, header: Any) -> StandingRemainder | Non
 
 
 def _posterior(archive: zipfile.ZipFile, header: Any) -> Posterior:
-    if "links" not in header:
-        raise InputError("says nothing of links and effects: it is of 'geomid gap', and only 'geomid identify' does")
     links, effects = header["links"], [EffectCoordinate(**entry) for entry in header["effects"]]
     _check_names(links, effects)
     positives = sum(effect.positive for effect in effects)
