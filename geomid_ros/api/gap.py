@@ -19,7 +19,6 @@ from geomid_ros.exports.model import read_model
 from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.estimate_file import causes_entry
 from geomid_ros.files.models.gap_file import gap_document, page_entries
-from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.files.models.readers import DESCRIBED_FOR, URDF
 from geomid_ros.files.models.sidecar import effect_entry
 from geomid_ros.files.models.tables import tables, write_tables
@@ -29,7 +28,7 @@ from geomid_ros.report.gap_figures import elapsed
 from geomid_ros.report.gap_page import GapPage, write_gap_page
 from geomid_ros.report.gap_words import verdict_sentence
 from geomid_ros.report.simulated_again import SimulatedAgain, position_units, simulated_again
-from geomid_ros.session.gap import GapReader, find, gap_session, remainder_of
+from geomid_ros.session.gap import GapReader, find, gap_session
 from geomid_ros.session.gap_simulation import nominal_inertias, simulate_again, without_findings, write_found
 from geomid_ros.session.locking import read_with_locked
 from geomid_ros.session.recordings import Bags, Progress, silent
@@ -152,8 +151,7 @@ class Gap:
             progress: called with the current stage and its completed share, 0 to 1.
 
         Returns:
-            The files; the model is estimate.json, identified.urdf, identified.xml (MJCF) and effects.yaml, with what
-            it lacks in posterior.npz.
+            The files; the model is estimate.json, identified.urdf, identified.xml (MJCF) and effects.yaml.
 
         Raises:
             InputError: a file cannot be written.
@@ -172,8 +170,6 @@ class Gap:
         for name, text in self._description.beside.items():
             files.append(folder / name)
             write_text(folder / name, text)
-        lacks = remainder_of(folder / "estimate.json", self.session, self.bags, progress)
-        files += write_posterior(folder / POSTERIOR, None, lacks)
         written = [folder / "gap.json", *write_tables(folder, tables(document))]
         return [self.report(folder / "report.html", progress=progress), *written, *files]
 

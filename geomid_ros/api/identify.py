@@ -30,7 +30,6 @@ from geomid_ros.report.identification_page import IdentificationPage, write_iden
 from geomid_ros.report.series import Series
 from geomid_ros.report.sheet import write_picture
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.gap import remainder_of
 from geomid_ros.session.locking import read_with_locked
 from geomid_ros.session.recordings import Bags, Progress, read_bags, read_fitted, silent
 from geomid_ros.session.session import Session
@@ -272,10 +271,9 @@ class Identification:
             write_text(folder / name, text)
         sidecar, picture, report = (folder / name for name in ("effects.yaml", "identification.png", "report.html"))
         write_sidecar(sidecar, self.session.robot.name, self.written.model.effects)
+        posterior = write_posterior(folder / POSTERIOR, self.estimate.posterior)
         document = self.document
         write_json(folder / "estimate.json", document | {"origin": asdict(origin(self.session, self.bags, command))})
-        lacks = remainder_of(folder / "estimate.json", self.session, self.bags, progress)
-        posterior = write_posterior(folder / POSTERIOR, self.estimate.posterior, lacks)
         csv = write_tables(folder, tables(document))
         progress("drawing", 0.0)
         write_picture(picture, self.plot())

@@ -22,29 +22,20 @@ USUAL_SHARE = 0.3
 class ChannelRows:
     """Whitened rows of a channel: ``columns (N, K + 1)`` with the target as the last, ``features (N, m)`` of a
     remainder in their ``block (m,)``, which are ``scale (m,)`` times those given: a draw of a block with variance 1 has
-    a mean square of 1; ``place`` of each term among the columns; ``before``: what is left unsure of the features'
-    coefficients by other recordings, see :class:`Remainder`."""
+    a mean square of 1; ``place`` of each term among the columns."""
 
     columns: FloatArray
     features: FloatArray
     scale: FloatArray
     block: IntArray
     place: Mapping[Any, int]
-    before: FloatArray | None = None
 
     @staticmethod
-    def of(
-        columns: FloatArray,
-        features: FloatArray,
-        block: IntArray,
-        place: Mapping[Any, int],
-        before: FloatArray | None = None,
-    ) -> ChannelRows:
+    def of(columns: FloatArray, features: FloatArray, block: IntArray, place: Mapping[Any, int]) -> ChannelRows:
         """With features of any scale."""
         sizes = np.bincount(block, np.sum(features**2, axis=0)) / max(len(columns), 1)
         scale = 1.0 / np.sqrt(np.where(sizes > 0.0, sizes, 1.0))[block]
-        scaled = None if before is None else before / np.outer(scale, scale)
-        return ChannelRows(columns, features * scale, scale, block, place, scaled)
+        return ChannelRows(columns, features * scale, scale, block, place)
 
     @property
     def count(self) -> int:
@@ -60,14 +51,14 @@ class ChannelRows:
     def remainder(self) -> Remainder:
         """Products with the features."""
         crossed = np.pad(self.features.T @ self.columns, ((0, 0), (0, 1)))
-        return Remainder(self.features.T @ self.features, crossed, self.block, self.count, self.before)
+        return Remainder(self.features.T @ self.features, crossed, self.block, self.count)
 
     def whitened(self, vector: FloatArray, taken: IntArray, variances: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Columns ``(N, n)`` that are ``taken`` and their sum with a ``vector (n,)``, white beside the remainder."""
         padded = np.pad(self.columns, ((0, 0), (0, 1)))[:, taken]
         rows = np.column_stack([padded, padded @ vector])
         if len(self.block):
-            drawn = self.features @ self.remainder.root(variances)
+            drawn = self.features * np.sqrt(variances[self.block])
             directions, sizes, _ = np.linalg.svd(drawn, full_matrices=False)
             rows -= directions @ ((1.0 - 1.0 / np.sqrt(1.0 + sizes**2))[:, None] * (directions.T @ rows))
         return rows[:, :-1], rows[:, -1]
@@ -76,11 +67,10 @@ class ChannelRows:
 @dataclass(frozen=True, eq=False)
 class Lack:
     """What a channel's remainder is: ``coefficients (m,)`` of the features that were given, the share of the residual's
-    squares that each block ``explained (blocks,)``, its sum of squares (``power``), for how many parameters it counts
-    (``freedom``), and the ``covariance (m, m)`` of the coefficients."""
+    squares that each block ``explained (blocks,)``, its sum of squares (``power``), and for how many parameters it
+    counts (``freedom``)."""
 
     coefficients: FloatArray
-    covariance: FloatArray
     explained: FloatArray
     power: float
     freedom: float
@@ -192,15 +182,12 @@ class Design:
         found = []
         for channel, (vector, square), variances in zip(self.channels, left, self.variances, strict=True):
             inverse = channel.remainder.inverse(variances)
-            along = channel.remainder.crossed @ vector
-            mean = -inverse @ along
+            mean = -inverse @ (channel.remainder.crossed @ vector)
             own = [np.where(channel.block == block, mean, 0.0) for block in range(len(variances))]
             explained = np.array([float(each @ channel.remainder.squared @ each) for each in own])
             freedom = float(np.sum(inverse * channel.remainder.squared))
             power = float(mean @ channel.remainder.squared @ mean)
-            noise = max(square + float(mean @ along), 0.0) / max(channel.count, 1)
-            covariance = noise * np.outer(channel.scale, channel.scale) * inverse
-            found.append(Lack(channel.scale * mean, covariance, explained / max(square, 1e-300), power, freedom))
+            found.append(Lack(channel.scale * mean, explained / max(square, 1e-300), power, freedom))
         return found
 
     def powers(self, columns: Hypothesis[Any] | int, values: FloatArray) -> FloatArray:

@@ -1,8 +1,7 @@
 """What a model lacks, as a part of the likelihood: features with Gaussian coefficients that are never fitted.
 
 A channel's rows are ``y = X theta + F u + e`` with noise e of variance s^2 and u ~ N(0, s^2 R), R diagonal and equal
-within a block of features; what was found of u on other recordings is taken off y, and R is larger by what that left
-unsure. With u integrated out, the products of columns are Schur complements, so that the profile
+within a block of features. With u integrated out, the products of columns are Schur complements, so that the profile
 likelihood ``N log S`` over s stays exact (Kennedy and O'Hagan, "Bayesian calibration of computer models", 2001).
 """
 
@@ -31,15 +30,12 @@ class Remainder:
         crossed: products ``(m, K)`` of features and columns.
         block: which block each feature belongs to ``(m,)``.
         count: number of rows.
-        before: covariance ``(m, m)`` of what other recordings left unsure of the coefficients, in units of the noise's
-            variance; None without any.
     """
 
     squared: FloatArray
     crossed: FloatArray
     block: IntArray
     count: int
-    before: FloatArray | None = None
 
     @property
     def usual(self) -> FloatArray:
@@ -55,25 +51,15 @@ class Remainder:
 
     def inverse(self, variances: FloatArray) -> FloatArray:
         """Covariance ``(m, m)`` of the coefficients after the data, in units of the noise's variance."""
-        return definite.inverse(self.squared + self._precision(variances))
-
-    def _precision(self, variances: FloatArray) -> FloatArray:
-        """Of the coefficients before the data ``(m, m)``."""
-        own = variances[self.block]
-        return np.diag(1.0 / own) if self.before is None else definite.inverse(self.before + np.diag(own))
-
-    def root(self, variances: FloatArray) -> FloatArray:
-        """A root ``(m, m)`` of the coefficients' covariance before the data."""
-        own = variances[self.block]
-        return np.asarray(np.diag(own**0.5) if self.before is None else np.linalg.cholesky(self.before + np.diag(own)))
+        return definite.inverse(self.squared + np.diag(1.0 / variances[self.block]))
 
     def cost(self, variances: FloatArray) -> float:
         """What the features add to minus twice the log likelihood: ``log det(I + R^1/2 F'F R^1/2)`` and the
         inverse-gamma prior of the variances."""
         if not len(self.block):
             return 0.0
-        root = self.root(variances)
-        _, volume = np.linalg.slogdet(np.eye(len(root)) + root.T @ self.squared @ root)
+        root = np.sqrt(variances[self.block])
+        _, volume = np.linalg.slogdet(np.eye(len(root)) + root[:, None] * self.squared * root)
         relative = variances / USUAL
         return float(volume + np.sum(np.log(relative) + 1.0 / relative - 1.0))
 
@@ -91,20 +77,10 @@ class Remainder:
         for _ in range(_ROUNDS):
             before, mean = variances, inverse @ residual
             noise = max(square - float(mean @ residual), 1e-9 * square) / self.count
-            change, unsure = self._change(variances, mean, inverse)
-            told = sizes - np.bincount(self.block, unsure) / variances
-            variances = (np.bincount(self.block, change**2) / noise + USUAL) / (told + 1.0)
+            told = sizes - np.bincount(self.block, np.diag(inverse)) / variances
+            variances = (np.bincount(self.block, mean**2) / noise + USUAL) / (told + 1.0)
             inverse = self.inverse(variances)
             if np.all(np.abs(np.log(variances / before)) < _SETTLED):
                 break
         left = max(square - float(residual @ inverse @ residual), 1e-9 * square)
         return self.count * float(np.log(left)) + self.cost(variances), variances
-
-    def _change(self, variances: FloatArray, mean: FloatArray, inverse: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """By how much the coefficients differ from those of other recordings ``(m,)``, and how unsure that is
-        ``(m,)``, from their ``mean (m,)`` and covariance, the ``inverse``, after the data."""
-        if self.before is None:
-            return mean, np.diag(inverse)
-        own, precision = variances[self.block], self._precision(variances)
-        told = np.diag(precision) - np.einsum("ij,ji->i", precision @ inverse, precision)
-        return own * (precision @ mean), own - own**2 * told

@@ -25,7 +25,7 @@ from .running import done, geomid, refused
 URDF = BAGS / "arm3.urdf"
 LEVEL = 1.0  # of the friction that is hidden at joint2 [N m]
 MODEL = {"estimate.json", "identified.urdf", "identified.xml", "effects.yaml"}
-FILES = {"gap.json", "findings.csv", "report.html", "posterior.npz", *MODEL}
+FILES = {"gap.json", "findings.csv", "report.html", *MODEL}
 Arguments = Sequence[str | Path]
 
 

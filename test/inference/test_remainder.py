@@ -13,31 +13,20 @@ BLOCK = np.repeat([0, 1, 2], [4, 6, 5])
 VARIANCES = np.array([0.5, 8.0, 0.02])
 
 
-BEFORE = 3.0 * np.cov(np.random.default_rng(3).standard_normal((len(BLOCK), 60)))
-BEFORE[:4] = BEFORE[:, :4] = 0.0  # of the first block nothing is known
-"""What other recordings left unsure of the features' coefficients."""
-
-
-def rows(
-    seed: int, variances: FloatArray = VARIANCES, noise: float = 0.1, before: FloatArray | None = None
-) -> ChannelRows:
+def rows(seed: int, variances: FloatArray = VARIANCES, noise: float = 0.1) -> ChannelRows:
     """Random columns and features, and what is measured of coefficients 1, 2, 3 beside a remainder of these
-    ``variances`` in units of the noise's, and of what was unsure ``before``."""
+    ``variances`` in units of the noise's."""
     rng = np.random.default_rng(seed)
     columns, features = rng.standard_normal((ROWS, COLUMNS)), rng.standard_normal((ROWS, len(BLOCK)))
     made = ChannelRows.of(np.column_stack([columns, np.zeros(ROWS)]), features, BLOCK, {})
     drawn = made.features @ (np.sqrt(variances[BLOCK]) * rng.standard_normal(len(BLOCK)))
-    if before is not None:
-        values, vectors = np.linalg.eigh(before)
-        drawn += features @ (vectors @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(len(BLOCK))))
     target = columns @ [1.0, 2.0, 3.0] + noise * (drawn + rng.standard_normal(ROWS))
-    return ChannelRows.of(np.column_stack([columns, target]), features, BLOCK, {}, before)
+    return ChannelRows.of(np.column_stack([columns, target]), features, BLOCK, {})
 
 
 def covariance(own: ChannelRows, variances: FloatArray) -> FloatArray:
     """Of the rows, in units of the noise's variance."""
-    known = 0.0 if own.before is None else own.features @ own.before @ own.features.T
-    return np.eye(ROWS) + (own.features * variances[BLOCK]) @ own.features.T + known
+    return np.eye(ROWS) + (own.features * variances[BLOCK]) @ own.features.T
 
 
 def test_a_block_s_draw_of_variance_one_has_a_mean_square_of_one() -> None:
@@ -47,26 +36,15 @@ def test_a_block_s_draw_of_variance_one_has_a_mean_square_of_one() -> None:
         assert squares == pytest.approx(1.0)
 
 
-either = pytest.mark.parametrize("before", [None, BEFORE], ids=["nothing known", "known before"])
-
-
-def test_what_is_known_is_of_the_features_as_they_were_given() -> None:
-    """Coefficients of the covariance BEFORE make of the given features what ``before`` makes of the scaled ones."""
-    own, given = rows(1, before=BEFORE), rows(1).features / rows(1).scale
-    np.testing.assert_allclose(own.features @ own.before @ own.features.T, given @ BEFORE @ given.T, atol=1e-9)
-
-
-@either
-def test_products_are_those_of_generalised_least_squares(before: FloatArray | None) -> None:
-    own = rows(2, before=before)
+def test_products_are_those_of_generalised_least_squares() -> None:
+    own = rows(2)
     found = own.remainder.marginalised(own.products, VARIANCES)[:-1, :-1]
     exact = own.columns.T @ np.linalg.solve(covariance(own, VARIANCES), own.columns)
     np.testing.assert_allclose(found, exact, rtol=1e-8, atol=1e-8)
 
 
-@either
-def test_whitened_rows_have_these_products(before: FloatArray | None) -> None:
-    own = rows(3, before=before)
+def test_whitened_rows_have_these_products() -> None:
+    own = rows(3)
     taken, vector = np.arange(COLUMNS + 1), np.array([1.0, -2.0, 0.5, -1.0])
     columns, residual = own.whitened(vector, taken, VARIANCES)
     products = own.remainder.marginalised(own.products, VARIANCES)[:-1, :-1]
@@ -74,11 +52,8 @@ def test_whitened_rows_have_these_products(before: FloatArray | None) -> None:
     np.testing.assert_allclose(residual, columns @ vector, atol=1e-10)
 
 
-@either
-def test_the_cost_is_the_volume_of_the_covariance_and_nothing_at_the_usual_size_but_that(
-    before: FloatArray | None,
-) -> None:
-    own, usual = rows(4, before=before), np.full(3, USUAL)
+def test_the_cost_is_the_volume_of_the_covariance_and_nothing_at_the_usual_size_but_that() -> None:
+    own, usual = rows(4), np.full(3, USUAL)
     for variances in (VARIANCES, usual):
         prior = np.sum(np.log(variances / USUAL) + USUAL / variances - 1.0)
         volume = np.linalg.slogdet(covariance(own, variances))[1]
@@ -93,11 +68,10 @@ def score(remainder: Remainder, vector: FloatArray, square: float, variances: Fl
     return remainder.count * float(np.log(left)) + remainder.cost(variances)
 
 
-@either
 @pytest.mark.parametrize("seed", range(6))
-def test_the_variances_that_are_settled_on_are_near_the_most_likely(seed: int, before: FloatArray | None) -> None:
+def test_the_variances_that_are_settled_on_are_near_the_most_likely(seed: int) -> None:
     """MacKay's fixed point leaves no more than a unit to be gained."""
-    own = rows(10 + seed, before=before)
+    own = rows(10 + seed)
     vector = np.append([1.0, 2.0, 3.0, -1.0], 0.0)
     square = float(vector @ own.products @ vector)
     found = own.remainder.settled(vector, square)

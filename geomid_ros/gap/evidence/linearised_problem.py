@@ -9,10 +9,9 @@ import numpy as np
 
 from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesFit
 from geomid_ros.gap.evidence.design import Columns, design_of, term_columns
-from geomid_ros.gap.evidence.features import Basis, Features, features
+from geomid_ros.gap.evidence.features import Features, features
 from geomid_ros.gap.evidence.noise import Autoregression
 from geomid_ros.gap.evidence.record import Records, TotalModel
-from geomid_ros.gap.evidence.standing import StandingRemainder
 from geomid_ros.inference.design import Design
 from geomid_ros.model.effects import Effect, Place, Situation, joints_of
 from geomid_ros.model.measurement import MeasurementModel, Rows
@@ -34,7 +33,7 @@ def total_model(model: MeasurementModel, found: NamesFit) -> TotalModel:
 
 
 class LinearisedProblem:
-    """Records under a model linearised at ``total``, beside what it is known to lack (``standing``).
+    """Records under a model linearised at ``total``.
 
     An effect that is absorbed (a tilt, delay or gain) is not added as its column: the gravity is turned, the efforts
     are moved, the rows scaled; and the target is changed so that the coefficients still mean the whole tilt, delay and
@@ -42,15 +41,9 @@ class LinearisedProblem:
     """
 
     def __init__(
-        self,
-        model: MeasurementModel,
-        records: Records,
-        total: TotalModel,
-        floor: FloatArray | None = None,
-        standing: StandingRemainder | None = None,
+        self, model: MeasurementModel, records: Records, total: TotalModel, floor: FloatArray | None = None
     ) -> None:
         self.total = total
-        self._standing = standing
         self._floor = np.full(len(model.channels), np.inf) if floor is None else floor
         self.records = records.advanced(total.lag)
         gravity = total.gravity
@@ -111,15 +104,7 @@ class LinearisedProblem:
     @cached_property
     def features(self) -> list[Features]:
         """What the remainder of each channel may consist of."""
-        channels, known = range(len(self.model.channels)), self._standing
-        basis = self.basis if known is None else known.basis
-        found = [features(self.model, self.records, self.situation, channel, basis) for channel in channels]
-        return found if known is None else known.beside(found)
-
-    @cached_property
-    def basis(self) -> Basis:
-        """The features' usual basis for these records."""
-        return Basis.of(self.model, self.records, self.situation)
+        return [features(self.model, self.records, self.situation, c) for c in range(len(self.model.channels))]
 
     def design(self, columns: Columns, noise: Sequence[Autoregression]) -> Design:
         """Whitened rows."""
@@ -155,7 +140,7 @@ class LinearisedProblem:
     def remainder(self, design: Design, found: NamesFit) -> FloatArray:
         """The mean of what the model lacks ``(N, C)``, of the whitened rows of a ``design``."""
         lacks = zip(self.features, found.remainders(design), strict=True)
-        return np.stack([own.known + own.columns @ lack.coefficients for own, lack in lacks], axis=1)
+        return np.stack([features.columns @ lack.coefficients for features, lack in lacks], axis=1)
 
     def variance(self, columns: Columns, found: NamesFit) -> FloatArray:
         """Of the prediction ``(N, C)``, from the uncertainty of what was fitted."""
