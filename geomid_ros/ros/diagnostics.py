@@ -38,6 +38,9 @@ class Advised(str):
         own.advice = advice
         return own
 
+    def __reduce__(self) -> tuple[type[Self], tuple[str, str]]:
+        return type(self), (str(self), self.advice)
+
 
 NO_DESCRIPTION = Advised(
     "no robot description yet", "start robot_state_publisher, or set the parameter robot_description"
