@@ -10,7 +10,7 @@ from geomid_ros.signals.ledger import Ledger
 
 pytest.importorskip("rclpy")
 
-from geomid_ros.ros.diagnostics import NO_DESCRIPTION  # noqa: E402 it needs ROS
+from geomid_ros.ros.diagnostics import NO_DESCRIPTION
 
 
 def test_a_sentence_with_advice_can_be_counted_and_copied() -> None:
