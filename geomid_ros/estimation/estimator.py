@@ -185,15 +185,14 @@ def _kept(model: MeasurementModel, warm: WarmStart) -> IntArray:
 
 
 def _unsure(model: MeasurementModel, result: Estimate, columns: IntArray) -> IntArray:
-    """The columns of optional effects that may as well be nothing, the least of them; all at once that are smaller than
-    their deviations."""
+    """The column of the optional effect that may as well be nothing, the least one: others are surer without it."""
     first = model.dimension - len(model.coefficients)
     own = columns[columns >= first]
     always = {c.mechanism for c in model.coefficients if not c.optional}
     sizes = np.array([abs(e.value) / max(e.std, np.finfo(float).tiny) for e in result.effects])
     sizes[[model.coefficients[column - first].mechanism in always for column in own]] = np.inf
     least = float(np.min(sizes, initial=np.inf))
-    return np.asarray(own[(sizes < SURE) & (sizes <= max(least, 1.0))])
+    return np.asarray(own[(sizes < SURE) & (sizes <= least)])
 
 
 def _independent(summary: RowSummary, cutoff: float) -> float:

@@ -18,6 +18,8 @@ from geomid_ros.types import FloatArray, IntArray, frozen
 # The usual spread counts as much as one direction of the tangent space that the data determine.
 _CERTAINTY_OF_USUAL = 1.0
 _ROUNDS = 10  # of the fixed point; a fixed number, so that rounding cannot change how many there are
+_FOLDS_OF_BLOCKS = (1, 2, 4)
+"""Correlations that are longer than a block hide in it: of blocks of several lengths, those count that show most."""
 _LARGEST_SPREAD = 100.0  # times the usual
 _ROUNDING = float(np.finfo(float).eps)  # of the largest information: what rounding may make of none
 _STEP = 1e-5
@@ -108,7 +110,9 @@ def estimate_uncertainty(
     """
     weights = np.maximum(prior_weights, np.finfo(float).tiny)
     measured = _sum(folds, len(weights))
-    factors = variance_inflation(folds, trust * known.information, weights, groups, least_inflation)
+    blocks = [_together(folds, count) for count in _FOLDS_OF_BLOCKS]
+    each = [variance_inflation(many, trust * known.information, weights, groups, least_inflation) for many in blocks]
+    factors = np.max(each, axis=0)
     share = 1.0 / float(np.mean(factors))
     independent = Fold(share * measured.gradient + known.gradient, share * measured.information + known.information)
     spreads = prior_spreads(independent, from_prior, groups)
@@ -117,6 +121,11 @@ def estimate_uncertainty(
     covariance = error_covariance(measured.information, known.information, trust, weights, factors, spreads)
     prior = np.diag(spreads**2) if expected is None else _inverse(expected, spreads**-2.0)
     return Uncertainty(covariance, prior, share)
+
+
+def _together(folds: Sequence[Fold], count: int) -> list[Fold]:
+    """Blocks of so many consecutive folds."""
+    return [_sum(folds[first : first + count], len(folds[0].gradient)) for first in range(0, len(folds), count)]
 
 
 def _sum(folds: Sequence[Fold], dimension: int) -> Fold:
