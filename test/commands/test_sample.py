@@ -118,14 +118,21 @@ def test_ranges_hold_the_estimate_and_are_event_terms_for_isaac_lab(estimate: Pa
 
 
 def test_ranges_are_as_wide_as_the_standard_deviations_say_and_wider_when_asked(estimate: Path, tmp_path: Path) -> None:
+    """Twice as wide where the Gaussian lies inside what can exist; less than that where no body would have the mass."""
     widths = {}
     for spread in ("1", "2"):
         robots(estimate, tmp_path / spread, "--spread", spread)
         links = yaml.safe_load((tmp_path / spread / "ranges.yaml").read_text())["links"]
         widths[spread] = {name: high - low for name, (low, high) in ((n, own["mass"]) for n, own in links.items())}
+    inside = {}
     for link in json.loads(estimate.read_text())["links"]:
-        assert widths["1"][link["name"]] == pytest.approx(2.0 * 1.96 * link["std"]["mass"], rel=0.15)
-        assert widths["2"][link["name"]] == pytest.approx(2.0 * widths["1"][link["name"]], rel=0.15)
+        name, std = link["name"], link["std"]["mass"]
+        assert widths["1"][name] == pytest.approx(2.0 * 1.96 * std, rel=0.15)
+        assert widths["1"][name] < widths["2"][name] < 2.3 * widths["1"][name]
+        inside[name] = 2.0 * 1.96 * std < 0.4 * link["mass"]
+        if inside[name]:
+            assert widths["2"][name] == pytest.approx(2.0 * widths["1"][name], rel=0.15)
+    assert set(inside.values()) == {False, True}
 
 
 def test_the_same_seed_draws_the_same_robots(estimate: Path, tmp_path: Path) -> None:

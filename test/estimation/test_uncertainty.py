@@ -420,23 +420,3 @@ def test_correlations_longer_than_a_fold_are_seen() -> None:
 
     scaled = 1e3 * slopes
     assert factor(np.repeat(scaled, 2, axis=0)) > 1.5 * max(1.0, factor(np.tile(scaled, (2, 1))))
-
-
-@pytest.mark.parametrize("trust", [1.0, 30.0])
-def test_the_covariance_is_that_of_the_errors_whatever_the_weights(trust: float) -> None:
-    """Of many regularised least-squares solutions, with noise that is larger than the weights say."""
-    rng = np.random.default_rng(1)
-    rows, weighed = rng.normal(size=(5, 6)), rng.normal(size=(2, 6))
-    spreads, weights = rng.uniform(0.1, 2.0, 6), rng.uniform(0.1, 10.0, 6)
-    inflation, runs = 4.0, 40000
-    left = np.concatenate([rows, np.sqrt(trust) * weighed, np.diag(np.sqrt(weights))])
-    noise = np.concatenate(
-        [
-            np.sqrt(inflation) * rng.normal(size=(5, runs)),
-            np.sqrt(trust) * rng.normal(size=(2, runs)),
-            np.sqrt(weights * spreads**2)[:, None] * rng.normal(size=(6, runs)),
-        ]
-    )
-    errors = np.linalg.lstsq(left, noise, rcond=None)[0]
-    found = error_covariance(rows.T @ rows, weighed.T @ weighed, trust, weights, np.full(6, inflation), spreads)
-    np.testing.assert_allclose(errors @ errors.T / runs, found, rtol=0, atol=0.05 * np.max(found))
