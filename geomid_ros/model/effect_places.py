@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from geomid_ros.errors import unknown_name
 from geomid_ros.model.channels import ChannelLayout
-from geomid_ros.model.effects import AtJoint, AtJoints, AtSensor, Effect, OnLink, OnRobot, PairEffect, Place, joints_of
+from geomid_ros.model.effects import AtJoint, AtJoints, AtSensor, Effect, OnLink, OnRobot, Place, joints_of
 from geomid_ros.model.effects.places import pair_name
 from geomid_ros.model.robot import Robot
 
@@ -26,8 +26,8 @@ class EffectPlaces:
         match effect.place:
             case "joint":
                 return [AtJoint(joint) for joint in self.layout.efforts]
-            case "joints" if isinstance(effect, PairEffect):
-                return [AtJoints(*pair) for pair in effect.pairs(self._chain)] if self.layout.efforts else []
+            case "joints":
+                return [AtJoints(*pair) for pair in self._chain] if self.layout.efforts else []
             case "robot":
                 felt = self.layout.efforts or effect.turns_gravity
                 return [OnRobot()] if felt and not self.robot.floating_base else []
@@ -53,6 +53,23 @@ class EffectPlaces:
         if name not in places:
             raise unknown_name(f"place of {effect.label}", name, places)
         return places[name]
+
+    def is_usual(self, place: Place) -> bool:
+        """Whether effects are looked for at a place though nobody said that one acts there.
+
+        Two joints share motors where these sit behind both: at a wrist, the last three joints that turn before a chain
+        ends or forks, where their axes meet.
+        """
+        match place:
+            case AtJoints(first, second):
+                beyond = self._turning_on(second)
+                last = len(beyond) != 1 or len(self._turning_on(*beyond)) != 1
+                return last and self.robot.axes_meet(first, second)
+        return True
+
+    def _turning_on(self, joint: int) -> list[int]:
+        """The joints that move on one, nothing that moves between them, and turn."""
+        return [end for begin, end in self._chain if begin == joint and not self.slides(AtJoint(end))]
 
     def slides(self, place: Place) -> bool:
         """Whether the (first) joint of a place is prismatic."""

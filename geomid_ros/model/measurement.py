@@ -119,7 +119,7 @@ class MeasurementModel:
             links: the bodies to identify (all unless given); the others keep their URDF's inertia.
             local_effects: act only at the place by whose name they are given.
             behind_gear: names of the joints whose efforts are measured behind the gear, where a motor is not felt.
-            candidates: may act at every place of their kind where none of the same name is known.
+            candidates: may act at every usual place of their kind where none of the same name is known.
 
         Raises:
             InputError: for a link or sensor that does not fit the robot, or where nothing measured can be predicted.
@@ -164,7 +164,7 @@ class MeasurementModel:
             coefficient
             for effect in effects
             for place in self.places.of(effect)
-            if self._acts(effect, self.places.name(place)) and self._is_felt(effect, place)
+            if self._acts(effect, place) and self._is_felt(effect, place)
             for coefficient in self._coefficients_at(effect, place)
         ]
         names = [effect.name for effect in effects]
@@ -172,11 +172,11 @@ class MeasurementModel:
         # What there is once stands together, whatever shapes it may have.
         return tuple(sorted(found, key=lambda c: (not c.positive, names.index(c.effect.name), places.index(c.place))))
 
-    def _acts(self, effect: IdentifiedEffect, place: str) -> bool:
+    def _acts(self, effect: IdentifiedEffect, place: Place) -> bool:
         """Whether an effect is in the model at a place: one that is known there, or one that every place has unless it
         is known there with other constants."""
-        local = self._local.get(place, ())
-        everywhere = effect in self._common or effect in self._candidates
+        local = self._local.get(self.places.name(place), ())
+        everywhere = effect in self._common or (effect in self._candidates and self.places.is_usual(place))
         return effect in local or (everywhere and effect.name not in {other.name for other in local})
 
     def _is_felt(self, effect: IdentifiedEffect, place: Place) -> bool:

@@ -19,6 +19,7 @@ from geomid_ros.types import FloatArray, frozen
 GRAVITY = np.array([0.0, 0.0, -9.81])
 _DYNAMICS = "damping", "friction"
 _PARALLEL = 0.99  # scalar product of two axes
+_MEETING = 2e-3  # [m] between axes that meet
 _ROOT_JOINT = "floating base of geomid_ros"  # must not be the name of a joint of the URDF
 
 
@@ -395,6 +396,14 @@ class Robot:
         axes = self.frame_jacobian(pin.neutral(self._model), child)[3:]
         alike = np.abs(axes[:, joint] @ axes) > _PARALLEL
         return [other for other in np.flatnonzero(alike).tolist() if other != joint]
+
+    def axes_meet(self, first: int, second: int) -> bool:
+        """Whether the axes of two joints have a point in common, where all joints stand at zero."""
+        pin.computeJointJacobians(self._model, self._data, pin.neutral(self._model))
+        (v, w), (other_v, other_w) = (np.split(self._data.J[:, self.joints[j].v], 2) for j in (first, second))
+        sine = np.linalg.norm(np.cross(w, other_w))
+        crossing = abs(w @ other_w) < _PARALLEL
+        return bool(crossing and abs(w @ other_v + other_w @ v) < _MEETING * sine)
 
     def parent_body(self, link: str) -> str | None:
         """The nearest body above ``link``; the root link if there is none, None for the root itself."""

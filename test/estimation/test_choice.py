@@ -15,7 +15,7 @@ from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart
 from geomid_ros.estimation.fit import CERTAINTY
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.problem import Problem
-from geomid_ros.model.effects import DEFAULT_CANDIDATES
+from geomid_ros.model.effects import DEFAULT_CANDIDATES, identifiable
 from geomid_ros.model.effects.coulomb_friction import SMOOTHINGS, CoulombFriction
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.weighed_masses import weighed_rows
@@ -92,11 +92,12 @@ def chosen(found: Estimate) -> list[EffectEstimate]:
 
 @pytest.mark.parametrize(
     ("name", "joint", "effect"),
-    # Joints 2 and 3 of the small arm are parallel.
+    # Joints 5 and 6 of the large arm are its wrist; the small one has none.
     [
-        (name, joint - (name == "arm3" and effect == "coupled_rotor_inertia"), effect)
+        (name, joint + effect.startswith("coupled"), effect)
         for name, joint in (("arm3", 1), ("arm7", 3))
         for effect in DEFAULT_CANDIDATES
+        if name == "arm7" or not effect.startswith("coupled")
     ],
 )
 def test_a_planted_effect_is_found_where_it_is(name: str, joint: int, effect: str) -> None:
@@ -113,9 +114,12 @@ def test_a_planted_effect_is_found_where_it_is(name: str, joint: int, effect: st
 
 def test_a_motor_that_turns_parallel_joints_is_told_from_an_inertia_by_the_prior_alone() -> None:
     """``c (a_1 + a_2)`` at both is what the outer link's inertia about their axis makes, which would have to be far
-    from the prior."""
-    found = identifier(planted("arm3", 1, "coupled_rotor_inertia")).solve()
-    (taken,) = chosen(found)
+    from the prior. No such motor is looked for; who knows of one says so."""
+    case = planted("arm3", 1, "coupled_rotor_inertia")
+    assert not [c for c in case.model.coefficients if c.effect.name == "coupled_rotor_inertia"]
+    known = identifiable()["coupled_rotor_inertia"]
+    found = identifier(replace(case, model=MeasurementModel(case.model.robot, [*case.model._common, known]))).solve()
+    (taken,) = (effect for effect in chosen(found) if effect.joint == "joint2+joint3")
     assert taken.value == pytest.approx(SIZES["coupled_rotor_inertia"], rel=0.05)
     np.testing.assert_allclose(found.rms, NOISE, rtol=0.1)
 

@@ -284,7 +284,8 @@ def test_values_given_later_win_and_are_checked() -> None:
 
 def test_behind_the_gear_no_motor_is_felt() -> None:
     """At joints whose efforts are measured there neither the own rotor nor one that turns two joints is a parameter."""
-    values = {"joint.joint2.effort_side": "link", "candidates": ["coupled_rotor_inertia", "spring"]}
+    effects = ["rotor_inertia", "coupled_rotor_inertia"]
+    values = {"joint.joint2.effort_side": "link", "effects": effects, "candidates": ["spring"]}
     model = Session((FILE.parents[1] / "bags/arm3.urdf").read_text(), Configuration(values), "arm3.urdf").model
     places = {(c.effect.name, c.place_name) for c in model.coefficients}
     rotors = {place for name, place in places if name == "rotor_inertia"}

@@ -7,7 +7,7 @@ file knows its name. Everything has a default, so that an effect says only what 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self, TypeAlias
 
@@ -344,11 +344,6 @@ class PairEffect(MotionEffect):
     """A function of two joints' motion, with one coefficient per pair."""
 
     place = "joints"
-
-    @staticmethod
-    def pairs(chain: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:
-        """The pairs of joints at which it is possible, among those of the ``chain`` that follow one another."""
-        yield from chain
 
     @abstractmethod
     def columns(self, first: JointMotion, second: JointMotion) -> tuple[FloatArray, FloatArray]:
