@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from benchmarks.comparison import Outcome, compare, show
 from benchmarks.problem import Problem, Rows, measured
 from benchmarks.report import Report
-from geomid_ros.estimation.starting_point import prior_parameters, scales_of_reals
+from geomid_ros.estimation.starting_point import prior_parameters, scales_of_coefficients
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.samples import Samples
@@ -42,7 +42,7 @@ def measured_arm() -> Problem:
         np.tile(np.arange(count), len(samples)),
         np.repeat(np.arange(len(samples)), count),
     )
-    manifold = model.manifold(scales_of_reals(model, summary))
+    manifold = model.manifold(scales_of_coefficients(model, summary)[model.positives :])
     return Problem(
         "arm",
         tuple(channel.name.removesuffix("_joint") for channel in model.channels),

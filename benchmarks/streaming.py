@@ -16,7 +16,12 @@ from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.objective import ResidualObjective
 from geomid_ros.estimation.paper_estimator import PAPER
 from geomid_ros.estimation.solvers import trust_region
-from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS, prior_parameters, scales_of_reals, usual_spreads
+from geomid_ros.estimation.starting_point import (
+    USUAL_SPREAD_OF_LINKS,
+    prior_parameters,
+    scales_of_coefficients,
+    usual_spreads,
+)
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
@@ -123,7 +128,7 @@ def _distance_to_batch(streamed: FloatArray) -> tuple[float, float]:
         coefficients.append(made.coefficients.reshape(-1, model.dimension))
         targets.append(made.targets.ravel())
     summary = identifier.snapshot()
-    manifold = model.manifold(scales_of_reals(model, summary))
+    manifold = model.manifold(scales_of_coefficients(model, summary)[model.positives :])
     prior = manifold.point(prior_parameters(model, summary, None))
     sigmas = np.resize(identifier.solve().sigmas, sum(map(len, targets)))
     rows = np.concatenate(coefficients)

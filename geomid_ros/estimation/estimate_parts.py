@@ -82,19 +82,21 @@ def deviations_of(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray
     return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
 
 
-def effects(
-    model: MeasurementModel, manifold: ParameterManifold, point: Point, found: uncertainty.Uncertainty
-) -> tuple[EffectEstimate, ...]:
+def effects(problem: Problem, point: Point, found: uncertainty.Uncertainty) -> tuple[EffectEstimate, ...]:
     """The effects, each with its standard deviation and how much of that the data tell."""
-    first = manifold.inertial.stop
-    _, diagonal = manifold.jacobian(point)
-    std = diagonal * np.sqrt(np.diag(found.covariance)[first:])
-    shares = found.each_from_data[first:].tolist()
+    model, first = problem.model, problem.manifold.inertial.stop
+    _, diagonal = problem.manifold.jacobian(point)
+    prior, variances = found.prior_spreads[first:] ** 2, np.diag(found.covariance)[first:]
+    # The information is the data's and that of a prior that may be wider.
+    by_data = np.maximum(1.0 - variances / prior, 0.0)
+    information = by_data + np.minimum(variances, prior) / np.maximum(prior, problem.usual_errors(point) ** 2)
+    std = diagonal * np.sqrt(np.maximum(variances, np.minimum(variances, prior) / information))
+    shares = by_data / information
     return tuple(
         EffectEstimate(
             name=c.effect.name, joint=c.place_name, parameters=c.parameters(float(value), float(s)), from_data=share
         )
-        for c, value, s, share in zip(model.coefficients, point.parameters[first:], std, shares, strict=True)
+        for c, value, s, share in zip(model.coefficients, point.parameters[first:], std, shares.tolist(), strict=True)
     )
 
 

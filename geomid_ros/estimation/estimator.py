@@ -148,7 +148,8 @@ def estimate(
         result = _estimate(columns, model, fitted(columns), settings)
         while len(unsure := _unsure(model, result, columns)):
             columns = np.setdiff1d(columns, unsure)
-            result = _estimate(columns, model, fitted(columns), settings)
+            begun = WarmStart(result.parameters, spreads=result.spreads)
+            result = _estimate(columns, model, fitted(columns, begun), settings)
     else:
         columns = kept
         result = _estimate(columns, model, fitted(columns, warm), settings)
@@ -250,7 +251,7 @@ def _estimate(
         links=estimate_parts.links(
             model, manifold, prior_point, solution.point, found, usual=problem.usual, outliers=_outliers(fitted)
         ),
-        effects=estimate_parts.effects(model, manifold, solution.point, found),
+        effects=estimate_parts.effects(problem, solution.point, found),
         parameters=frozen(parameters),
         channels=tuple(channel.name for channel in model.channels),
         sigmas=frozen(fitted.sigmas[: len(model.channels)]),

@@ -10,10 +10,11 @@ import numpy as np
 from geomid_ros.estimation.objective import dual_square
 from geomid_ros.estimation.starting_point import (
     USUAL_SPREAD_OF_LINKS,
+    USUAL_SPREAD_OF_REALS,
     first_sigmas,
     prior_parameters,
     prior_spreads,
-    scales_of_reals,
+    scales_of_coefficients,
 )
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.geometry.manifold import ParameterManifold, Point
@@ -23,7 +24,7 @@ from geomid_ros.types import FloatArray, IntArray
 
 # Of a problem: what does not depend on what is known beside the rows.
 _OF_ROWS = (
-    *("usual", "manifold", "prior_spreads", "prior", "prior_point"),
+    *("usual", "manifold", "_scales", "prior_spreads", "prior", "prior_point"),
     *("products", "row_weights", "counts", "least_sigmas"),
 )
 
@@ -68,7 +69,22 @@ class Problem:
     @cached_property
     def manifold(self) -> ParameterManifold:
         """Where the parameters live."""
-        return self.model.manifold(scales_of_reals(self.model, self.summary))
+        return self.model.manifold(self._scales[self.model.positives :])
+
+    @cached_property
+    def _scales(self) -> FloatArray:
+        return scales_of_coefficients(self.model, self.summary)
+
+    def usual_errors(self, point: Point) -> FloatArray:
+        """Usual errors ``(coefficients,)`` of the coefficients' priors, tangent coordinates at a point.
+
+        That of a logarithm says nothing of how large a positive coefficient may be that is next to nothing: it is no
+        better known than a real one of its channel.
+        """
+        usual = self.prior_spreads[self.manifold.inertial.stop :].copy()
+        positive = slice(0, self.model.positives)
+        usual[positive] = np.maximum(usual[positive], USUAL_SPREAD_OF_REALS * self._scales[positive] / point.positives)
+        return usual
 
     @cached_property
     def prior_spreads(self) -> FloatArray:

@@ -63,10 +63,9 @@ def _least_residual(factor: FloatArray) -> tuple[float, int]:
     return float(np.linalg.norm(factor[:, -1] - regressor @ solution)), int(rank)
 
 
-def scales_of_reals(model: MeasurementModel, summary: RowSummary) -> FloatArray:
-    """The scale of each real coefficient: that with which it is as large as the channel that it adds to, of several the
+def scales_of_coefficients(model: MeasurementModel, summary: RowSummary) -> FloatArray:
+    """The scale of each coefficient: that with which it is as large as the channel that it adds to, of several the
     largest."""
-    first = len(model.nominal_inertias) + model.positives
     scales = np.zeros(model.dimension)
     sizes, factors = channel_sizes(summary, model.dimension), summary.factors()
     counts = np.sum(summary.counts().reshape(2, -1), axis=0)
@@ -76,7 +75,7 @@ def scales_of_reals(model: MeasurementModel, summary: RowSummary) -> FloatArray:
         large = columns > ROUNDING_OF_PRODUCTS
         own = sizes[index] / np.where(large, columns, np.inf)
         scales[channel.columns] = np.maximum(scales[channel.columns], own)
-    return np.where(scales > 0.0, scales, 1.0)[first:]
+    return np.where(scales > 0.0, scales, 1.0)[len(model.nominal_inertias) :]
 
 
 def usual_spreads(manifold: ParameterManifold) -> FloatArray:

@@ -15,7 +15,7 @@ from geomid_ros.estimation.starting_point import (
     first_sigmas,
     prior_parameters,
     prior_spreads,
-    scales_of_reals,
+    scales_of_coefficients,
 )
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.model.effects import identifiable, joint_of
@@ -141,7 +141,7 @@ def test_sizes_of_channels_that_say_nothing_are_one() -> None:
     found = summary(case.with_efforts(quiet))
     sizes = channel_sizes(found, case.model.dimension)
     np.testing.assert_array_equal(sizes[:2], 1.0)
-    np.testing.assert_allclose(scales_of_reals(case.model, found), sizes, rtol=1e-12)
+    np.testing.assert_allclose(scales_of_coefficients(case.model, found)[case.model.positives :], sizes, rtol=1e-12)
 
 
 def test_a_given_prior_says_how_large_an_offset_is() -> None:
@@ -149,7 +149,9 @@ def test_a_given_prior_says_how_large_an_offset_is() -> None:
     given = np.full(case.model.dimension, np.nan)
     given[-1] = 0.7
     found = summary(case)
-    spreads = prior_spreads(case.model, case.model.manifold(scales_of_reals(case.model, found)), given)
+    spreads = prior_spreads(
+        case.model, case.model.manifold(scales_of_coefficients(case.model, found)[case.model.positives :]), given
+    )
     np.testing.assert_array_equal(spreads[-3:], [EffortOffset.expected_share] * 2 + [0.2])
     assert prior_parameters(case.model, found, given)[-1] == 0.7
 
@@ -166,7 +168,7 @@ def test_a_coefficients_scale_is_that_with_which_it_is_as_large_as_its_channel()
             np.sqrt(np.mean(rows.targets[:, joint] ** 2) / np.mean(rows.coefficients[:, joint, 30 + joint] ** 2))
             for joint in range(3)
         ]
-        np.testing.assert_allclose(scales_of_reals(model, found), expected, rtol=1e-9)
+        np.testing.assert_allclose(scales_of_coefficients(model, found)[model.positives :], expected, rtol=1e-9)
 
 
 def test_what_is_known_of_the_prior_replaces_what_is_not() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,6 +10,9 @@ import numpy as np
 import pytest
 
 from geomid_ros.estimation.estimator import _unsure
+from geomid_ros.estimation.identifier import Identifier
+
+from .arms import Truth, arm, efforts
 
 
 def found(*sizes: float, optional: bool = True) -> Any:
@@ -27,3 +31,23 @@ def test_the_least_one_goes_alone(sizes: tuple[float, ...], gone: list[int]) -> 
 
 def test_what_is_always_there_stays() -> None:
     assert _unsure(*found(0.1, 0.2, optional=False)).tolist() == []
+
+
+def test_friction_that_noise_hides_is_not_known_to_be_nothing() -> None:
+    """The deviation of a logarithm would be a share of next to nothing: it is no better known than what its channel
+    may have."""
+    told = 0
+    for seed in range(4):
+        case = arm("arm3", seed, seconds=5.0, noise=0.0)
+        small = Truth(case.true.links, {**case.true.effects, "viscous_friction": np.full(3, 0.02)})
+        clean = efforts(case.model.robot, small, case.samples)
+        noise = np.random.default_rng(100 + seed).normal(size=clean.shape)
+        identifier = Identifier(case.model)
+        identifier.add(replace(case.samples, effort=clean + noise))
+        for effect in identifier.solve().effects:
+            joint = case.model.robot.joint_names.index(effect.joint)
+            speed, size = (np.sqrt(np.mean(a[:, joint] ** 2)) for a in (case.samples.velocity, clean + noise))
+            if effect.name == "viscous_friction" and effect.from_data < 0.5:
+                assert effect.std > 0.7 * 0.2 * size / speed, "half of the variance at least of a fifth of its channel"
+                told += 1
+    assert told
