@@ -19,7 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.estimation.fit import CERTAINTY
+from geomid_ros.estimation.link_spreads import cost_of_spreads, likely_spreads
 from geomid_ros.estimation.objective import Evaluation
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, minimum
@@ -265,8 +265,7 @@ class _Rows:
             earlier = spreads
             hessian = solution.evaluation.information + np.diag(trusted.weights)
             unsure = np.diag(definite.inverse(hessian))[manifold.inertial]
-            errors = np.sum((manifold.log(prior, point)[manifold.inertial] ** 2 + unsure).reshape(-1, 10), axis=1)
-            spreads = np.sqrt((errors + CERTAINTY * self.problem.usual**2) / (10.0 + CERTAINTY))
+            spreads = likely_spreads(manifold.log(prior, point)[manifold.inertial], unsure, self.problem.usual)
             if np.all(np.abs(np.log(spreads / earlier)) < _SETTLED):
                 break
         return _Fit(self, columns, point, objective(spreads), spreads)
@@ -321,9 +320,7 @@ class _Fit:
         """Minus twice the logarithm of the marginal likelihood."""
         links = self.objective.manifold.inertial
         _, volume = np.linalg.slogdet(self.hessian[links, links])
-        relative = self.spreads / self.rows.problem.usual
-        width = 20.0 * float(np.sum(np.log(self.spreads)))
-        width += CERTAINTY * float(np.sum(relative**-2 + 2.0 * np.log(relative)))
+        width = 20.0 * float(np.sum(np.log(self.spreads))) + cost_of_spreads(self.spreads, self.rows.problem.usual)
         return 2.0 * self.evaluation.value + float(volume) + width
 
     @cached_property

@@ -2,9 +2,8 @@
 
 Minus twice the logarithm of the likelihood is ``sum_k N_k (log s_k^2 + S_k / (N_k s_k^2))`` with the standard deviation
 s_k of each group of rows, which is estimated, and its sum of squares S_k. A link's error is Gaussian in geodesic
-distance, of a spread of its own, whose square has an inverse-gamma distribution about the usual one: its tails are
-heavy. Links that the data call wrong are let go one by one, and do not loosen the others. The spreads maximise the
-marginal likelihood in Laplace's approximation (MacKay, "Bayesian interpolation", 1992).
+distance, of a spread of its own (:mod:`geomid_ros.estimation.link_spreads`). The spreads maximise the marginal
+likelihood in Laplace's approximation.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.estimation.fixed_point import Extrapolation
+from geomid_ros.estimation.link_spreads import likely_spreads
 from geomid_ros.estimation.objective import ProductsObjective, ResidualObjective, row_weights
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.solvers import Solution, trust_region
@@ -22,8 +22,6 @@ from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.types import FloatArray
 
-CERTAINTY = 20.0
-"""The usual spread counts as much as the directions of two links."""
 INDEPENDENT = 2.67
 """Independent rows per period of the filter's cutoff, which leaves nothing above 1.5 times this frequency."""
 _ROUNDS = 60
@@ -203,7 +201,4 @@ def _spreads(problem: Problem, objective: ProductsObjective, solution: Solution)
     links = manifold.inertial
     information = solution.evaluation.information + np.diag(objective.prior_weights)
     unsure = np.diag(definite.inverse(problem.independent * information))[links]
-    errors = manifold.log(problem.prior_point, solution.point)[links] ** 2 + unsure
-    squares = np.sum(errors.reshape(-1, 10), axis=1) + CERTAINTY * problem.usual**2
-    spreads: FloatArray = np.sqrt(squares / (10.0 + CERTAINTY))
-    return spreads
+    return likely_spreads(manifold.log(problem.prior_point, solution.point)[links], unsure, problem.usual)

@@ -11,7 +11,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import LinksInformation
-from geomid_ros.estimation.fit import CERTAINTY
+from geomid_ros.estimation.link_spreads import CERTAINTY
 from geomid_ros.gap.analysis import analyse
 from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesPrior, not_driving
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, root_mean_square, total_model

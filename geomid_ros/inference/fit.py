@@ -15,6 +15,7 @@ from typing import Any, Generic
 
 import numpy as np
 
+from geomid_ros.estimation.link_spreads import cost_of_spreads, likely_spreads
 from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, minimum
 from geomid_ros.geometry import definite, pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
@@ -209,7 +210,8 @@ def _free_fit(
             break
         hessian = solution.evaluation.information + np.diag(trusted.weights)
         before = np.append(spreads, inflation)
-        spreads = _spreads(manifold, point, known, hessian, first, prior)
+        unsure = np.diag(definite.inverse(hessian))[:first]
+        spreads = likely_spreads(manifold.log(known, point)[:first], unsure, prior.link_spreads, prior.certainty)
         inflation = priors.inflation_of(rows, manifold, point, known, hessian)
         if np.all(np.abs(np.log(np.append(spreads, inflation) / before)) < 0.05):
             break
@@ -218,7 +220,8 @@ def _free_fit(
     hessian = found.information + np.diag(trusted.weights)
     _, volume = np.linalg.slogdet(hessian)
     score = 2.0 * found.value + float(volume) - float(np.sum(np.log(trusted.weights))) + design.cost
-    score += _cost_of_spreads(spreads, prior) + priors.cost_of_inflation(rows, inflation) + prior.cost
+    score += cost_of_spreads(spreads, prior.link_spreads, prior.certainty)
+    score += priors.cost_of_inflation(rows, inflation) + prior.cost
     score += sum(c.cost for c in chosen)
     return JointFit(
         chosen=tuple(chosen),
@@ -287,21 +290,6 @@ def _first_point(
     reals = [start.value(t) if t in fitted else float(known.reals[i]) for i, t in enumerate(terms)]
     inertias = [*start.point.pseudo_inertias[:links], *payloads]
     return Point(np.array(inertias), np.zeros(0), np.array(reals))
-
-
-def _spreads(
-    manifold: ParameterManifold, point: Point, known: Point, hessian: FloatArray, first: int, prior: Prior[Any]
-) -> FloatArray:
-    """MacKay's re-estimate: mean square of each link's errors, those that the data do not determine included."""
-    unsure = np.diag(definite.inverse(hessian))[:first]
-    errors = np.sum((manifold.log(known, point)[:first] ** 2 + unsure).reshape(-1, 10), axis=1)
-    return np.asarray(np.sqrt((errors + prior.certainty * prior.link_spreads**2) / (10.0 + prior.certainty)))
-
-
-def _cost_of_spreads(spreads: FloatArray, prior: Prior[Any]) -> float:
-    """Of their inverse-gamma prior."""
-    relative = spreads / prior.link_spreads
-    return prior.certainty * float(np.sum(relative**-2.0 + 2.0 * np.log(relative)))
 
 
 def scattered(design: Design, found: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:

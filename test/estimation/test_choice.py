@@ -12,8 +12,8 @@ import pytest
 from geomid_ros.estimation import choice
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart
-from geomid_ros.estimation.fit import CERTAINTY
 from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.estimation.link_spreads import CERTAINTY
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, identifiable
 from geomid_ros.model.effects.coulomb_friction import SMOOTHINGS, CoulombFriction

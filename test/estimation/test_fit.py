@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from geomid_ros.estimation.estimator import EstimatorSettings
-from geomid_ros.estimation.fit import CERTAINTY, Fit, fit
+from geomid_ros.estimation.fit import Fit, fit
 from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.estimation.link_spreads import CERTAINTY
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
 from geomid_ros.geometry import pseudo_inertia, spd
