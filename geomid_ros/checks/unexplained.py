@@ -76,10 +76,10 @@ class Residuals:
         return Finding(cause=Cause(kind="unexplained", sentence=sentence, places=tuple(self.names[j] for j in worst)))
 
     def _hint(self, joint: int) -> str:
-        """What to look at, by what the residual of a joint follows most."""
-        shares = {hint: _explained(self.residuals[:, joint], columns) for hint, columns in self._hints(joint)}
-        best = max(shares, key=lambda hint: shares[hint])
-        return best if shares[best] > HALF else _ELSE
+        """What to look at, by what the residual of a joint follows most, if that leaves half of what others leave."""
+        left = {hint: 1.0 - _explained(self.residuals[:, joint], columns) for hint, columns in self._hints(joint)}
+        best, *others = sorted(left, key=lambda hint: left[hint])
+        return best if left[best] < HALF * min([1.0, *(left[hint] for hint in others)]) else _ELSE
 
     def _hints(self, joint: int) -> Iterator[tuple[str, FloatArray]]:
         """What may be wrong, with what the residual would follow then ``(N, k)``."""

@@ -106,8 +106,8 @@ MEASURED = [
     ("airbot", "axis of the URDF", 1, "'joint2' is not explained"),
     ("airbot", "position turned round", 2, "joint 'joint3' seems to turn opposite"),
     ("med7", "position turned round", 1, "joint 'A2' seems to turn opposite"),
-    # Its speed and two other efforts follow what is left nearly as well as the effort that was planted.
-    ("lwr4", "parallel drive", 2, "'lwr_2_joint' is not explained"),
+    # Its speed and two other efforts follow what is left about as well as the effort that was planted: none is named.
+    ("lwr4", "parallel drive", 2, "check the axis and the sign of the position in the URDF, a coupling of its gear"),
     ("lwr4", "position turned round", 3, "joint 'lwr_3_joint' seems to turn opposite"),
 ]
 
