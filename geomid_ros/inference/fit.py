@@ -207,10 +207,10 @@ def _free_fit(
         point = solution.point
         if fixed:
             break
-        hessian = solution.evaluation.information + np.diag(trusted.weights)
+        whitener = definite.whitener(solution.evaluation.information + np.diag(trusted.weights))
         before = np.append(spreads, inflation)
-        spreads = _spreads(manifold, point, known, hessian, first, prior)
-        inflation = priors.inflation_of(rows, manifold, point, known, hessian)
+        spreads = _spreads(manifold, point, known, whitener, first, prior)
+        inflation = priors.inflation_of(rows, manifold, point, known, whitener)
         if np.all(np.abs(np.log(np.append(spreads, inflation) / before)) < 0.05):
             break
     trusted = objective(spreads, inflation)
@@ -290,10 +290,10 @@ def _first_point(
 
 
 def _spreads(
-    manifold: ParameterManifold, point: Point, known: Point, hessian: FloatArray, first: int, prior: Prior[Any]
+    manifold: ParameterManifold, point: Point, known: Point, whitener: FloatArray, first: int, prior: Prior[Any]
 ) -> FloatArray:
     """MacKay's re-estimate: mean square of each link's errors, those that the data do not determine included."""
-    unsure = np.diag(definite.inverse(hessian))[:first]
+    unsure = np.sum(whitener[:, :first] ** 2, axis=0)
     errors = np.sum((manifold.log(known, point)[:first] ** 2 + unsure).reshape(-1, 10), axis=1)
     return np.asarray(np.sqrt((errors + prior.certainty * prior.link_spreads**2) / (10.0 + prior.certainty)))
 
