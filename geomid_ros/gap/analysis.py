@@ -126,14 +126,22 @@ def _supported(
 
 
 def _worth_their_place(search: NamesSearch, found: NamesFit) -> tuple[NamesFit, Supports[Candidate, EffectTerm]]:
-    """Without the names that are worth nothing, the least one first."""
-    while True:
-        each = Supports(search, found)
-        worth = {candidate: each.worth(candidate) for candidate in found.chosen}
-        least = min(worth, key=worth.__getitem__, default=None)
-        if least is None or worth[least] > 0.0:
-            return found, each
-        found = search.without(found, least)
+    """Without the names that are worth nothing, the least one first. Without one the others are worth more, so that
+    what is asked anew is the least of what they were worth before."""
+    each, asked = Supports(search, found), set[Candidate]()
+    worth = dict.fromkeys(found.chosen, -np.inf)
+    while worth:
+        least = min(worth, key=worth.__getitem__)
+        if least not in asked:
+            worth[least] = each.worth(least)
+            asked.add(least)
+        elif worth[least] > 0.0:
+            break
+        else:
+            found = search.without(found, least)
+            each, asked = Supports(search, found), set()
+            del worth[least]
+    return found, each
 
 
 @dataclass(frozen=True, eq=False)
