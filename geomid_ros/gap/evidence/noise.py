@@ -128,7 +128,7 @@ class Repeats:
 
 
 def noise_by_repeats(model: MeasurementModel, records: Records) -> Repeats:
-    """The noise of each channel, without a model.
+    """The noise of each channel, without a model; what never changes shows none.
 
     Two runs of a motion, in one stretch or in two, differ by the noise of both, whatever the robot does; so half their
     mean squared difference is the variance of the noise, coloured or not.
@@ -138,6 +138,7 @@ def noise_by_repeats(model: MeasurementModel, records: Records) -> Repeats:
         values = [_measured(model, part) for part in (first, second)]
         delay = repeated_after(first, second)
         known = np.all(np.isfinite(values[0]), axis=0) & np.all(np.isfinite(values[1]), axis=0)
+        known &= np.any(values[0] != values[0][0], axis=0)
         if delay is None or not np.any(known):
             continue
         from scipy.interpolate import CubicSpline  # noqa: PLC0415 of repeats alone, takes long to load
