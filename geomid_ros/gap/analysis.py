@@ -10,7 +10,7 @@ import numpy as np
 
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesFit, NamesPrior, NamesSearch
-from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
+from geomid_ros.gap.evidence.linearised_problem import Columns, LinearisedProblem, total_model
 from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
 from geomid_ros.gap.evidence.record import Records, TotalModel
 from geomid_ros.inference.fit import fit, unfitted
@@ -25,8 +25,6 @@ _SETTLED = 0.5  # standard deviations
 _TOLD_BY_ROWS = 0.25  # directions for each row, which leaves most of the noise as it is
 _MEDIAN_OF_GAUSSIAN = 0.6745
 _CLEARLY = 12.0  # in minus twice a logarithm: as unlikely as one in four hundred
-
-Columns = dict[EffectTerm, dict[int, FloatArray]]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
