@@ -10,7 +10,7 @@ import numpy as np
 
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesFit, NamesPrior, NamesSearch
-from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
+from geomid_ros.gap.evidence.linearised_problem import Columns, LinearisedProblem, total_model
 from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
 from geomid_ros.gap.evidence.record import Records, TotalModel
 from geomid_ros.inference.fit import fit, unfitted
@@ -25,8 +25,6 @@ _SETTLED = 0.5  # standard deviations
 _TOLD_BY_ROWS = 0.25  # directions for each row, which leaves most of the noise as it is
 _MEDIAN_OF_GAUSSIAN = 0.6745
 _CLEARLY = 12.0  # in minus twice a logarithm: as unlikely as one in four hundred
-
-Columns = dict[EffectTerm, dict[int, FloatArray]]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -126,14 +124,22 @@ def _supported(
 
 
 def _worth_their_place(search: NamesSearch, found: NamesFit) -> tuple[NamesFit, Supports[Candidate, EffectTerm]]:
-    """Without the names that are worth nothing, the least one first."""
-    while True:
-        each = Supports(search, found)
-        worth = {candidate: each.worth(candidate) for candidate in found.chosen}
-        least = min(worth, key=worth.__getitem__, default=None)
-        if least is None or worth[least] > 0.0:
-            return found, each
-        found = search.without(found, least)
+    """Without the names that are worth nothing, the least one first. Without one the others are worth more, so that
+    what is asked anew is the least of what they were worth before."""
+    each, asked = Supports(search, found), set[Candidate]()
+    worth = dict.fromkeys(found.chosen, -np.inf)
+    while worth:
+        least = min(worth, key=worth.__getitem__)
+        if least not in asked:
+            worth[least] = each.worth(least)
+            asked.add(least)
+        elif worth[least] > 0.0:
+            break
+        else:
+            found = search.without(found, least)
+            each, asked = Supports(search, found), set()
+            del worth[least]
+    return found, each
 
 
 @dataclass(frozen=True, eq=False)

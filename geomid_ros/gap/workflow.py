@@ -120,7 +120,8 @@ def find_gap(
     analysis = analyse(bare, records, prior, report)
     report("judging", 0.0)
     links = changed_links(bare, analysis)
-    kept = written(bare, records, analysis, findings(bare, analysis), links)
+    named = findings(bare, analysis)
+    kept = written(bare, records, analysis, named, links)
     files = HeldOut(bare, held, replace(analysis, names=kept.found))
     report("judging", 1.0)
     said = {term for candidate in kept.found.chosen for term in candidate.terms}
@@ -139,7 +140,7 @@ def find_gap(
         gap=files.on_all,
         moving=files.gap.after,
         located=located(bare, records, first, np.abs(bare.rows(records.samples).targets - first)),
-        ranking=ranking(bare, analysis),
+        ranking=ranking(bare, analysis, named),
         trace=files.trace,
         bodies=bare.body_names,
         inertias=kept.found.inertias,

@@ -44,6 +44,19 @@ def solved_anyway(matrix: FloatArray, right: FloatArray) -> FloatArray:
         return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0])
 
 
+def whitener(matrix: FloatArray) -> FloatArray:
+    """A triangular T ``(n, n)`` with ``T matrix T' = 1``, so that ``T'T`` is the inverse; where rounding leaves the
+    matrix not quite positive definite, that of the nearest one which is."""
+    if not len(matrix):
+        return matrix
+    factor, failed = _lapack().dpotrf(matrix, lower=1, clean=1)
+    if failed:
+        values, vectors = np.linalg.eigh(matrix)
+        values = np.maximum(values, np.finfo(np.float64).eps * values[-1])
+        return np.asarray(np.linalg.qr((vectors / np.sqrt(values)).T, mode="r"))
+    return np.asarray(_lapack().dtrtri(factor, lower=1)[0])
+
+
 def inverse(matrix: FloatArray) -> FloatArray:
     """The inverse of ``matrix (n, n)``; by a general method where rounding leaves it not quite positive definite."""
     factor, failed = _lapack().dpotrf(matrix, lower=1, clean=1)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.inference.hypothesis import Hypothesis
-from geomid_ros.inference.remainder import Remainder
+from geomid_ros.inference.remainder import Marginal, Remainder
 from geomid_ros.types import FloatArray, IntArray
 
 BLOCKS = 8  # of time, whose scatter shows how far rows are independent
@@ -97,7 +97,7 @@ class Design:
     _known_terms: dict[Any, IntArray] = field(default_factory=dict, repr=False)
     _known_trust: dict[Hypothesis[Any], FloatArray] = field(default_factory=dict, repr=False)
     _known_reach: dict[Hypothesis[Any], list[int]] = field(default_factory=dict, repr=False)
-    _products: dict[tuple[int, bytes], tuple[FloatArray, float]] = field(default_factory=dict, repr=False)
+    _products: dict[tuple[int, bytes], Marginal] = field(default_factory=dict, repr=False)
 
     @staticmethod
     def of(channels: Sequence[ChannelRows], dimension: int) -> Design:
@@ -109,21 +109,20 @@ class Design:
         return replace(self, variances=tuple(variances))
 
     @cached_property
-    def _marginalised(self) -> list[tuple[FloatArray, float]]:
-        """Products and cost of each channel."""
+    def _marginalised(self) -> list[Marginal]:
+        """Of each channel."""
         found = []
         for place, (channel, variances) in enumerate(zip(self.channels, self.variances, strict=True)):
             key = place, variances.tobytes()
             if key not in self._products:
-                products = channel.remainder.marginalised(channel.products, variances)
-                self._products[key] = products, channel.remainder.cost(variances)
+                self._products[key] = channel.remainder.marginalised(channel.products, variances)
             found.append(self._products[key])
         return found
 
     @property
     def cost(self) -> float:
         """What the remainder adds to minus twice the log likelihood."""
-        return sum(cost for _, cost in self._marginalised)
+        return sum(each.cost for each in self._marginalised)
 
     @property
     def counts(self) -> FloatArray:
@@ -133,7 +132,7 @@ class Design:
     @property
     def target_squares(self) -> FloatArray:
         """Sum of squares of each channel's target."""
-        return np.array([products[-2, -2] for products, _ in self._marginalised])
+        return np.array([each.products[-2, -2] for each in self._marginalised])
 
     def scales(self, terms: Sequence[Any]) -> FloatArray:
         """Of each coefficient: the one with which its column is as large as the target in some channel, and smaller in
@@ -161,8 +160,8 @@ class Design:
         and the target's."""
         places = self.places(bodies, terms)
         found, first = np.empty((*places.shape, places.shape[1])), self.dimension
-        for (products, _), own, into in zip(self._marginalised, places, found, strict=True):
-            rows = products[own]
+        for each, own, into in zip(self._marginalised, places, found, strict=True):
+            rows = each.products[own]
             into[:, :first], into[:, first:] = rows[:, :first], rows[:, own[first:]]
         return found
 
@@ -180,13 +179,13 @@ class Design:
         """What each channel's remainder is, beside these ``parameters (D,)``."""
         left = self._residuals(bodies, terms, parameters)
         found = []
-        for channel, (vector, square), variances in zip(self.channels, left, self.variances, strict=True):
-            inverse = channel.remainder.inverse(variances)
-            mean = -inverse @ (channel.remainder.crossed @ vector)
-            own = [np.where(channel.block == block, mean, 0.0) for block in range(len(variances))]
-            explained = np.array([float(each @ channel.remainder.squared @ each) for each in own])
-            freedom = float(np.sum(inverse * channel.remainder.squared))
-            power = float(mean @ channel.remainder.squared @ mean)
+        for channel, (vector, square), marginal in zip(self.channels, left, self._marginalised, strict=True):
+            squared, whitener = channel.remainder.squared, marginal.whitener
+            mean = -(whitener @ (channel.remainder.crossed @ vector)) @ whitener
+            own = np.where(channel.block[:, None] == np.arange(len(channel.remainder.usual)), mean[:, None], 0.0)
+            explained = np.sum(own * (squared @ own), axis=0)
+            freedom = float(np.sum((whitener @ squared) * whitener))
+            power = float(mean @ squared @ mean)
             found.append(Lack(channel.scale * mean, explained / max(square, 1e-300), power, freedom))
         return found
 
@@ -238,10 +237,10 @@ class Design:
         places = self.places(bodies, terms)
         crossed = np.empty((*every.shape, places.shape[1]))
         squared = np.empty((*every.shape, every.shape[2]))
-        for channel, (products, _) in enumerate(self._marginalised):
+        for channel, each in enumerate(self._marginalised):
             mine = every[:, channel]
-            crossed[:, channel] = products[mine][:, :, places[channel]]
-            squared[:, channel] = products[mine[:, :, None], mine[:, None]]
+            crossed[:, channel] = each.products[mine][:, :, places[channel]]
+            squared[:, channel] = each.products[mine[:, :, None], mine[:, None]]
         return CandidateProducts(crossed, squared)
 
     def _own_places(self, candidate: Hypothesis[Any]) -> IntArray:

@@ -208,11 +208,11 @@ def _free_fit(
         point = solution.point
         if fixed:
             break
-        hessian = solution.evaluation.information + np.diag(trusted.weights)
+        whitener = definite.whitener(solution.evaluation.information + np.diag(trusted.weights))
         before = np.append(spreads, inflation)
-        unsure = np.diag(definite.inverse(hessian))[:first]
+        unsure = np.sum(whitener[:, :first] ** 2, axis=0)
         spreads = likely_spreads(manifold.log(known, point)[:first], unsure, prior.link_spreads, prior.certainty)
-        inflation = priors.inflation_of(rows, manifold, point, known, hessian)
+        inflation = priors.inflation_of(rows, manifold, point, known, whitener)
         if np.all(np.abs(np.log(np.append(spreads, inflation) / before)) < 0.05):
             break
     trusted = objective(spreads, inflation)

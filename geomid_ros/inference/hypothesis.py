@@ -53,7 +53,7 @@ class Hypothesis(Protocol[_Term_co]):
         """Whether all other columns depend on its size, so that a search with it is to be begun anew."""
 
     def excludes(self, other: Self) -> bool:
-        """Whether both at once make no sense."""
+        """Whether both at once make no sense; all of a group are alike in this."""
 
     def includes(self, other: Self) -> bool:
         """Whether it is the same with another constant, or the other is a special case of it."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
-from geomid_ros.geometry import definite, pseudo_inertia
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.inference.hypothesis import Term
 from geomid_ros.types import FloatArray
@@ -144,10 +144,10 @@ def known_rows(known: LinksInformation | None, dimension: int) -> FloatArray:
 
 
 def inflation_of(
-    rows: FloatArray, manifold: ParameterManifold, point: Point, prior: Point, hessian: FloatArray
+    rows: FloatArray, manifold: ParameterManifold, point: Point, prior: Point, whitener: FloatArray
 ) -> float:
-    """By how much the variances of ``rows (r, D + 1)`` are larger than they say, at least 1, as a fit with ``hessian
-    (D, D)`` shows: their model had errors, too.
+    """By how much the variances of ``rows (r, D + 1)`` are larger than they say, at least 1, as a fit shows whose
+    Hessian has the ``whitener (D, D)``: their model had errors, too.
 
     MacKay's re-estimate, as of the prior's spread: mean square of the residuals, the fit's uncertainty included.
     """
@@ -155,7 +155,7 @@ def inflation_of(
         return 1.0
     off = rows @ np.append(point.parameters - prior.parameters, 1.0)
     normals = manifold.whiten(point, rows[:, :-1])
-    unsure = float(np.sum((normals @ definite.inverse(hessian)) * normals))
+    unsure = float(np.sum((whitener @ normals.T) ** 2))
     return max(1.0, (float(off @ off) + unsure + _CERTAINTY) / (_telling(rows) + _CERTAINTY))
 
 

@@ -22,6 +22,16 @@ _SETTLED = 0.1  # of the logarithm of a variance
 
 
 @dataclass(frozen=True, eq=False)
+class Marginal:
+    """Columns' ``products (K, K)`` with the features integrated out, which takes their ``whitener (m, m)`` and adds a
+    ``cost`` to minus twice the log likelihood."""
+
+    products: FloatArray
+    whitener: FloatArray
+    cost: float
+
+
+@dataclass(frozen=True, eq=False)
 class Remainder:
     """Products of a channel's features, where a draw of a block with variance 1 has a mean square of 1.
 
@@ -42,25 +52,22 @@ class Remainder:
         """The usual variance of each block."""
         return np.full(int(np.max(self.block, initial=-1)) + 1, USUAL)
 
-    def marginalised(self, products: FloatArray, variances: FloatArray) -> FloatArray:
+    def marginalised(self, products: FloatArray, variances: FloatArray) -> Marginal:
         """Products ``(K, K)`` of the columns with the features integrated out, for ``variances (blocks,)``."""
-        if not len(self.block):
-            return products
-        solved = self.inverse(variances) @ self.crossed
-        return np.asarray(products - self.crossed.T @ solved)
+        whitener = self.whitener(variances)
+        crossed = whitener @ self.crossed
+        return Marginal(products - crossed.T @ crossed, whitener, self._cost(whitener, variances))
 
-    def inverse(self, variances: FloatArray) -> FloatArray:
-        """Covariance ``(m, m)`` of the coefficients after the data, in units of the noise's variance."""
-        return definite.inverse(self.squared + np.diag(1.0 / variances[self.block]))
+    def whitener(self, variances: FloatArray) -> FloatArray:
+        """The T ``(m, m)`` of which ``T'T`` is the coefficients' covariance after the data, in units of the noise's
+        variance."""
+        return definite.whitener(self.squared + np.diag(1.0 / variances[self.block]))
 
-    def cost(self, variances: FloatArray) -> float:
+    def _cost(self, whitener: FloatArray, variances: FloatArray) -> float:
         """What the features add to minus twice the log likelihood: ``log det(I + R^1/2 F'F R^1/2)`` and the
         inverse-gamma prior of the variances."""
-        if not len(self.block):
-            return 0.0
-        root = np.sqrt(variances[self.block])
-        _, volume = np.linalg.slogdet(np.eye(len(root)) + root[:, None] * self.squared * root)
         relative = variances / USUAL
+        volume = np.sum(np.log(variances[self.block])) - 2.0 * np.sum(np.log(np.abs(np.diag(whitener))))
         return float(volume + np.sum(np.log(relative) + 1.0 / relative - 1.0))
 
     def settled(self, vector: FloatArray, square: float) -> FloatArray:
@@ -73,14 +80,14 @@ class Remainder:
         return min(found, key=lambda own: own[0])[1]
 
     def _from(self, variances: FloatArray, residual: FloatArray, square: float) -> tuple[float, FloatArray]:
-        sizes, inverse = np.bincount(self.block).astype(np.float64), self.inverse(variances)
+        sizes, whitener = np.bincount(self.block).astype(np.float64), self.whitener(variances)
         for _ in range(_ROUNDS):
-            before, mean = variances, inverse @ residual
-            noise = max(square - float(mean @ residual), 1e-9 * square) / self.count
-            told = sizes - np.bincount(self.block, np.diag(inverse)) / variances
-            variances = (np.bincount(self.block, mean**2) / noise + USUAL) / (told + 1.0)
-            inverse = self.inverse(variances)
+            before, white = variances, whitener @ residual
+            noise = max(square - float(white @ white), 1e-9 * square) / self.count
+            told = sizes - np.bincount(self.block, np.sum(whitener**2, axis=0)) / variances
+            variances = (np.bincount(self.block, (white @ whitener) ** 2) / noise + USUAL) / (told + 1.0)
+            whitener = self.whitener(variances)
             if np.all(np.abs(np.log(variances / before)) < _SETTLED):
                 break
-        left = max(square - float(residual @ inverse @ residual), 1e-9 * square)
-        return self.count * float(np.log(left)) + self.cost(variances), variances
+        left = max(square - float(np.sum((whitener @ residual) ** 2)), 1e-9 * square)
+        return self.count * float(np.log(left)) + self._cost(whitener, variances), variances

@@ -34,7 +34,8 @@ class Selection(Generic[Chosen, Term]):
         self._fits: dict[frozenset[Chosen], JointFit[Chosen, Term]] = {}
         self._bodies: dict[frozenset[Chosen], list[Trial[Chosen]]] = {}
         self._ranked: dict[frozenset[Chosen], list[Trial[Chosen]]] = {}
-        self._excluded: dict[Chosen, frozenset[Chosen]] = {}
+        self._groups = {hypothesis.group: hypothesis for hypothesis in self.hypotheses}
+        self._excluded: dict[Hashable, frozenset[Hashable]] = {}
         self._contested_at: dict[Chosen, float] = {}  # the score at which another may stand in its place
 
     def fit(self, chosen: Collection[Chosen], start: JointFit[Chosen, Term] | None = None) -> JointFit[Chosen, Term]:
@@ -56,8 +57,8 @@ class Selection(Generic[Chosen, Term]):
         return self._ranked[key]
 
     def _rank(self, current: JointFit[Chosen, Term], among: Sequence[Chosen]) -> list[Trial[Chosen]]:
-        excluded = set[Chosen]().union(*map(self._excluded_by, current.chosen))
-        possible = [c for c in among if c not in excluded]
+        excluded = set[Hashable]().union(*map(self._excluded_by, current.chosen))
+        possible = [c for c in among if c.group not in excluded]
         best: dict[Hashable, Trial[Chosen]] = {}
         for trial in score_tests(self.design, current, possible):
             group = trial.candidate.group
@@ -65,11 +66,12 @@ class Selection(Generic[Chosen, Term]):
                 best[group] = trial
         return sorted(best.values(), key=lambda trial: -trial.gain)
 
-    def _excluded_by(self, chosen: Chosen) -> frozenset[Chosen]:
-        """The hypotheses that make no sense beside one that is chosen."""
-        if chosen not in self._excluded:
-            self._excluded[chosen] = frozenset(c for c in self.hypotheses if c.excludes(chosen))
-        return self._excluded[chosen]
+    def _excluded_by(self, chosen: Chosen) -> frozenset[Hashable]:
+        """The groups that make no sense beside one that is chosen."""
+        if chosen.group not in self._excluded:
+            excluded = [group for group, own in self._groups.items() if own.excludes(chosen)]
+            self._excluded[chosen.group] = frozenset(excluded)
+        return self._excluded[chosen.group]
 
     def possible(self, found: JointFit[Chosen, Term]) -> bool:
         """Whether no coefficient has a sign or a size that it cannot have, and no body outweighs the robot."""

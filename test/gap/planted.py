@@ -83,13 +83,13 @@ def recording(
     efforts: Efforts,
     seed: int,
     seconds: float = 40.0,
-    noise: float = NOISE,
+    noise: FloatArray | float = NOISE,
     pace: float = 1.0,
-    size: float = 1.0,
+    size: FloatArray | float = 1.0,
     posture: FloatArray | float = 0.0,
 ) -> Samples:
-    """What is measured of a robot that takes these efforts, in a motion that is so many times as large, about a
-    ``posture (joints,)``."""
+    """What is measured of a robot that takes these efforts, in a motion that is so many times as large, or of
+    each joint so many times, about a ``posture (joints,)``."""
     times, *moving = motion(seed, seconds, pace)
     position, velocity, acceleration = (size * each for each in moving)
     position += posture

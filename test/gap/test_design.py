@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from geomid_ros.gap.candidates import Candidate, EffectTerm
-from geomid_ros.gap.evidence.design import design_of, term_columns
 from geomid_ros.gap.evidence.features import Features
+from geomid_ros.gap.evidence.linearised_problem import design_of, term_columns
 from geomid_ros.gap.evidence.noise import Autoregression
 from geomid_ros.model.effects import AtJoint, AtSensor, OnLink, OnRobot, Situation
 from geomid_ros.model.effects.effort_gain import EffortGain

@@ -387,7 +387,7 @@ class TestOtherRecordings:
         best = minimize_scalar(
             lambda size: squares / np.exp(size) + before.cost_of_inflation(rows, float(np.exp(size)))
         )
-        certain = 1e12 * np.eye(10)
+        certain = 1e-6 * np.eye(10)
         found = before.inflation_of(rows, manifold, point, prior, certain)
         assert found == pytest.approx(np.exp(best.x), rel=1e-3)
         assert found > 5.0
@@ -396,7 +396,7 @@ class TestOtherRecordings:
         rows = before.known_rows(replace(self.KNOWN, residuals=np.zeros(12)), 10)
         manifold = StraightManifold(1, 0, np.zeros(0))
         point = manifold.point(LINK)
-        sure, unsure = (before.inflation_of(rows, manifold, point, point, size * np.eye(10)) for size in (1e9, 1e-3))
+        sure, unsure = (before.inflation_of(rows, manifold, point, point, std * np.eye(10)) for std in (1e-5, 1e3**0.5))
         assert sure == 1.0
         normals = manifold.whiten(point, rows[:, :-1])
         assert unsure == pytest.approx((1e3 * np.sum(normals**2) + 4.0) / (12 + 4.0))

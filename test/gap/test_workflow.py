@@ -269,6 +269,30 @@ def test_links_that_have_not_changed_are_not_told_however_small_a_change_would_c
     assert find_gap(planted.model(), *recordings, nominal=inertias.ravel()).links == ()
 
 
+@pytest.mark.parametrize("identified", [False, True])
+@pytest.mark.parametrize("still", [[0], [1], [1, 2]])
+def test_of_joints_that_stand_exactly_still_nothing_is_said_and_of_the_others_what_is_true(
+    still: list[int], identified: bool
+) -> None:
+    """Neither their positions nor their measured efforts ever change: they show no noise, and divide nothing by it."""
+    inertias = planted.true_inertias(76, 0.03)
+    robot, moves = planted.rigid(inertias), np.isin(np.arange(3), still, invert=True)
+
+    def efforts(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        return np.where(moves, robot(q, v, a) + 0.8 * v, 1.25)
+
+    motion: dict[str, Any] = {"noise": planted.NOISE * moves, "size": 1.0 * moves, "posture": 0.4}
+    train, held_out = (planted.recording(efforts, seed, **motion) for seed in (76, 1076))
+    assert np.all(np.ptp(train.position[:, still], axis=0) == 0.0)
+    with np.errstate(divide="raise", invalid="raise"):
+        result = find_gap(planted.model(), [train], [held_out], nominal=inertias.ravel() if identified else None)
+    sure = {(finding.effect, finding.joint) for finding in result.sure}
+    assert sure == {("viscous_friction", JOINTS[joint]) for joint in np.flatnonzero(moves)}
+    assert not {finding.joint for finding in result.findings} & {JOINTS[joint] for joint in still}
+    for found in (result.floor, result.gap.after, result.moving):
+        np.testing.assert_array_equal(np.isfinite(found), moves)
+
+
 def test_friction_that_has_grown_is_named_with_what_it_was() -> None:
     """It is no payload, gain or delay, and the friction that has not changed is not named."""
     inertias = planted.true_inertias(71, 0.03)

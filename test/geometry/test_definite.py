@@ -24,6 +24,9 @@ def test_they_are_solved_and_inverted_as_by_general_methods(size: int) -> None:
         expected = np.linalg.solve(np.linalg.matrix_power(matrix, twice), right)
         assert once == pytest.approx(expected, rel=1e-10)
     assert definite.inverse(matrix) == pytest.approx(np.linalg.inv(matrix), rel=1e-12, abs=1e-15)
+    whitener = definite.whitener(matrix)
+    assert whitener @ matrix @ whitener.T == pytest.approx(np.eye(size), abs=1e-12)
+    assert np.array_equal(whitener, np.tril(whitener))
     assert np.array_equal(matrix, given)
     assert np.array_equal(right, np.arange(1.0, size + 1.0))
 
@@ -41,3 +44,13 @@ def test_of_an_indefinite_one_nothing_is_solved_but_there_is_an_inverse() -> Non
         definite.solved_twice(matrix, np.ones(3))
     assert definite.inverse(matrix) == pytest.approx(np.diag([1.0, -0.5, 0.25]))
     assert definite.solved_anyway(matrix, np.ones(3)) == pytest.approx([1.0, -0.5, 0.25])
+
+
+def test_a_whitener_of_one_that_rounding_made_indefinite_is_triangular_and_that_of_the_nearest() -> None:
+    turn = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
+    whitener = definite.whitener((turn * [1.0, 4.0, -1e-17]) @ turn.T)
+    assert whitener[np.tril_indices(3, -1)] == pytest.approx(0.0, abs=1e-6)
+    large, *found = np.linalg.svd(whitener, compute_uv=False)
+    assert found == pytest.approx([1.0, 0.5], rel=1e-6)
+    assert 1e7 < large < np.inf
+    assert definite.whitener(np.zeros((0, 0))).shape == (0, 0)

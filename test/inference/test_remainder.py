@@ -38,7 +38,7 @@ def test_a_block_s_draw_of_variance_one_has_a_mean_square_of_one() -> None:
 
 def test_products_are_those_of_generalised_least_squares() -> None:
     own = rows(2)
-    found = own.remainder.marginalised(own.products, VARIANCES)[:-1, :-1]
+    found = own.remainder.marginalised(own.products, VARIANCES).products[:-1, :-1]
     exact = own.columns.T @ np.linalg.solve(covariance(own, VARIANCES), own.columns)
     np.testing.assert_allclose(found, exact, rtol=1e-8, atol=1e-8)
 
@@ -47,7 +47,7 @@ def test_whitened_rows_have_these_products() -> None:
     own = rows(3)
     taken, vector = np.arange(COLUMNS + 1), np.array([1.0, -2.0, 0.5, -1.0])
     columns, residual = own.whitened(vector, taken, VARIANCES)
-    products = own.remainder.marginalised(own.products, VARIANCES)[:-1, :-1]
+    products = own.remainder.marginalised(own.products, VARIANCES).products[:-1, :-1]
     np.testing.assert_allclose(columns.T @ columns, products, atol=1e-8)
     np.testing.assert_allclose(residual, columns @ vector, atol=1e-10)
 
@@ -57,15 +57,15 @@ def test_the_cost_is_the_volume_of_the_covariance_and_nothing_at_the_usual_size_
     for variances in (VARIANCES, usual):
         prior = np.sum(np.log(variances / USUAL) + USUAL / variances - 1.0)
         volume = np.linalg.slogdet(covariance(own, variances))[1]
-        assert own.remainder.cost(variances) == pytest.approx(volume + prior)
+        assert own.remainder.marginalised(own.products, variances).cost == pytest.approx(volume + prior)
     assert own.remainder.usual.tolist() == usual.tolist()
 
 
 def score(remainder: Remainder, vector: FloatArray, square: float, variances: FloatArray) -> float:
     """Minus twice the log evidence, at the noise that suits."""
-    residual = remainder.crossed @ vector
-    left = square - residual @ remainder.inverse(variances) @ residual
-    return remainder.count * float(np.log(left)) + remainder.cost(variances)
+    marginal = remainder.marginalised(np.zeros((len(vector), len(vector))), variances)
+    left = square + float(vector @ marginal.products @ vector)
+    return remainder.count * float(np.log(left)) + marginal.cost
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -98,6 +98,7 @@ def test_without_features_nothing_changes() -> None:
     bare = ChannelRows.of(own.columns, np.zeros((ROWS, 0)), np.zeros(0, dtype=np.intp), {})
     none = bare.remainder.usual
     assert none.shape == (0,)
-    np.testing.assert_array_equal(bare.remainder.marginalised(bare.products, none), bare.products)
-    assert bare.remainder.cost(none) == 0.0
+    marginal = bare.remainder.marginalised(bare.products, none)
+    np.testing.assert_array_equal(marginal.products, bare.products)
+    assert marginal.cost == 0.0
     assert bare.remainder.settled(np.ones(COLUMNS + 2), 1.0).shape == (0,)

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
 
 from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesFit
-from geomid_ros.gap.evidence.design import Columns, design_of, term_columns
 from geomid_ros.gap.evidence.features import Features, features
-from geomid_ros.gap.evidence.noise import Autoregression
+from geomid_ros.gap.evidence.noise import Autoregression, runs_of
 from geomid_ros.gap.evidence.record import Records, TotalModel
-from geomid_ros.inference.design import Design
-from geomid_ros.model.effects import Effect, Place, Situation, joints_of
+from geomid_ros.inference.design import ChannelRows, Design
+from geomid_ros.model.effects import Effect, MotionEffect, Place, SensorEffect, Situation, SituationEffect, joints_of
 from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.types import BoolArray, FloatArray
+
+Columns = Mapping[EffectTerm, Mapping[int, FloatArray]]
+"""Of each term, by channel ``(N,)``."""
 
 _FRICTION_ERROR = 0.7  # of the noise: where dry friction is less sure than this nothing is learnt and nothing judged
 
@@ -152,6 +154,43 @@ class LinearisedProblem:
                 own[:, channel, place] = column
         jacobian = np.concatenate([coefficients, *again, own], axis=2)
         return np.asarray(np.einsum("ncd,de,nce->nc", jacobian, found.covariance, jacobian, optimize=True))
+
+
+def term_columns(
+    model: MeasurementModel, records: Records, terms: Sequence[EffectTerm], situation: Callable[[], Situation]
+) -> dict[EffectTerm, dict[int, FloatArray]]:
+    """Columns of effects' terms at the chosen rows, by the channels that they reach; ``situation``, which takes
+    long, is asked for only when a term needs it."""
+    found: dict[EffectTerm, dict[int, FloatArray]] = {}
+    for term in terms:
+        if isinstance(term.effect, SituationEffect):
+            columns = term.effect.columns(situation(), term.place)[:, :, term.index]
+            found[term] = {channel: column for channel, column in enumerate(columns.T) if np.any(column)}
+        elif isinstance(term.effect, MotionEffect | SensorEffect):
+            found[term] = model.columns_of(records.samples, term.effect, term.place, term.index)
+    return found
+
+
+def design_of(
+    rows: Rows,
+    valid: BoolArray,
+    columns: Columns,
+    features: Sequence[Features],
+    noise: Sequence[Autoregression],
+    records: Records,
+) -> Design:
+    """From rows, which of them are ``valid (N, C)``, columns, features and noise of the channels."""
+    channels = []
+    for channel in range(rows.targets.shape[1]):
+        terms = [term for term, by_channel in columns.items() if channel in by_channel]
+        own = [columns[term][channel] for term in terms]
+        inertial, target, remainder = rows.coefficients[:, channel], rows.targets[:, channel], features[channel]
+        stacked = np.column_stack([inertial, *own, target, remainder.columns])
+        white = noise[channel].whiten(stacked, runs_of(valid[:, channel], records.segment))
+        place = {term: inertial.shape[1] + index for index, term in enumerate(terms)}
+        first = inertial.shape[1] + len(own) + 1
+        channels.append(ChannelRows.of(white[:, :first], white[:, first:], remainder.block, place))
+    return Design.of(channels, rows.coefficients.shape[2])
 
 
 def root_mean_square(values: FloatArray) -> FloatArray:

@@ -128,20 +128,21 @@ class Repeats:
 
 
 def noise_by_repeats(model: MeasurementModel, records: Records) -> Repeats:
-    """The noise of each channel, without a model.
+    """The noise of each channel, without a model; what never changes shows none.
 
     Two runs of a motion, in one stretch or in two, differ by the noise of both, whatever the robot does; so half their
     mean squared difference is the variance of the noise, coloured or not.
     """
-    from scipy.interpolate import CubicSpline  # noqa: PLC0415 takes long to load
-
     squares, counts = np.zeros((2, len(model.channels)))
     for first, second in combinations_with_replacement(records.dense, 2):
         values = [_measured(model, part) for part in (first, second)]
         delay = repeated_after(first, second)
         known = np.all(np.isfinite(values[0]), axis=0) & np.all(np.isfinite(values[1]), axis=0)
+        known &= np.any(values[0] != values[0][0], axis=0)
         if delay is None or not np.any(known):
             continue
+        from scipy.interpolate import CubicSpline  # noqa: PLC0415 of repeats alone, takes long to load
+
         times, others = first.seconds, second.seconds
         both = (times + delay >= others[0]) & (times + delay <= others[-1])
         again = CubicSpline(others, values[1][:, known])(times[both] + delay)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -134,15 +134,14 @@ def verdict(analysis: Analysis, unseen: HeldOut) -> Verdict:
     return "named" if analysis.names.chosen else "no gap"
 
 
-def ranking(model: MeasurementModel, analysis: Analysis) -> tuple[Ranked, ...]:
-    """Chosen names by what they are worth, then the others by what the score test says of them."""
-    search, names, chosen = analysis.search, analysis.names, []
-    for c, support in analysis.supports.items():
-        separability = score_test(search.design, search.without(names, c), c).separability
-        chosen.append(Ranked(c.name, model.places.name(c.place), support.loss, separability, True))
+def ranking(
+    model: MeasurementModel, analysis: Analysis, named: Sequence[tuple[Candidate, Finding]]
+) -> tuple[Ranked, ...]:
+    """What is named, as it was found; then the others by what the score test says of them."""
+    chosen = [Ranked(f.effect, model.places.name(c.place), f.loss, f.separability, True) for c, f in named]
     others = [
         Ranked(t.candidate.name, model.places.name(t.candidate.place), t.gain, t.separability, False)
-        for t in search.ranked(names)
+        for t in analysis.search.ranked(analysis.names)
         if np.isfinite(t.gain)
     ]
-    return tuple(sorted(chosen, key=lambda r: -r.gain) + others[:20])
+    return (*chosen, *others[:20])
