@@ -14,11 +14,9 @@ import numpy as np
 
 from geomid_ros.checks.candidates import RIVAL, Candidate, Judged
 from geomid_ros.checks.causes import BIT_BY_BIT, Cause
-from geomid_ros.checks.evidence import SURE
-from geomid_ros.checks.flexible import Gain, by_channel
+from geomid_ros.checks.evidence import SURE, Gain, by_channel
 from geomid_ros.checks.instants import FEWEST, elapsed
-from geomid_ros.checks.rows import SPREAD, payload_factor
-from geomid_ros.checks.subject import Subject
+from geomid_ros.checks.subject import SPREAD, Subject, payload_factor
 from geomid_ros.checks.transforms import REASON, STEP, TILT
 from geomid_ros.types import FloatArray
 

@@ -7,15 +7,19 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.checks.evidence import LEAST_SIGMA, Evidence, Products, evidence
-from geomid_ros.checks.flexible import FlexibleFit
+from geomid_ros.checks.evidence import LEAST_SIGMA, Evidence, FlexibleFit, Products, evidence
 from geomid_ros.checks.instants import FEWEST, Kept
-from geomid_ros.checks.rows import effort_rows, friction_columns, gravity_rows, prior_factor
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.geometry.manifold import ParameterManifold
+from geomid_ros.model.moving import SIGN, STILL
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.saturation import STANDING
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
+SPREAD = 0.7
+"""Of links, a geodesic distance, and of gains: a mass may be half or twice that of the URDF."""
+_PAYLOAD = 0.1  # of the whole robot's mass, at each end of a chain: robots carry what their URDF does not say
+_SIZE = 0.1  # [m] its radius of gyration about a plane through its centre
 _ROUNDING = 1e-10
 _FRICTION = 2.0  # standard deviations of a channel that friction, and a constant, may well explain
 _STRETCHES = 20  # of a recording, alternately in one part and in the other
@@ -192,7 +196,7 @@ class Subject:
     @cached_property
     def moving(self) -> Subject:
         """The same at the instants at which a joint moves."""
-        return self.part(np.any(np.abs(self.samples.velocity[:, self.joints]) > STANDING, axis=1))
+        return self.part(np.any(np.abs(self.samples.velocity[:, self.joints]) > STILL, axis=1))
 
     @cached_property
     def flexible(self) -> FlexibleFit:
@@ -297,3 +301,59 @@ class Subject:
         crossed, size = np.sum(own * nominal, axis=0), np.maximum(np.sum(nominal**2, axis=0), 1e-30)
         alike = crossed / np.maximum(np.sqrt(size * np.sum(own**2, axis=0)), 1e-30)
         return crossed / size, np.where(np.std(own, axis=0) > _PART * self.spread, alike, 0.0)
+
+
+def gravity_rows(robot: Robot, samples: Samples) -> tuple[FloatArray, FloatArray]:
+    """The rows of efforts over all links' parameters: without gravity ``(N, joints, D)``, and per unit of gravity along
+    each axis of the base ``(3, N, joints, D)``."""
+    at_rest = replace(
+        samples,
+        velocity=np.zeros_like(samples.velocity),
+        acceleration=np.zeros_like(samples.acceleration),
+        base_velocity=np.zeros_like(samples.base_velocity),
+        base_acceleration=np.zeros_like(samples.base_acceleration),
+    )
+    by_gravity = np.array([effort_rows(robot, at_rest, axis) for axis in np.eye(3)])
+    return effort_rows(robot, samples, np.zeros(3)), by_gravity
+
+
+def effort_rows(robot: Robot, samples: Samples, gravity: FloatArray) -> FloatArray:
+    """The rows ``(N, joints, D)`` of efforts over all links' parameters."""
+    robot = robot.with_gravity(gravity)
+    rows = robot.joint_effort_rows(*robot.configuration(samples))
+    return rows.reshape(len(samples), len(robot.joints), -1)
+
+
+def friction_columns(samples: Samples) -> FloatArray:
+    """What may be added at each joint ``(N, joints, 4)``: a constant, and per positive unit viscous friction, dry
+    friction and rotor inertia."""
+    columns = [np.ones(samples.velocity.shape), samples.velocity, samples.column(SIGN), samples.acceleration]
+    return np.stack(columns, axis=2)
+
+
+def prior_factor(robot: Robot) -> FloatArray:
+    """A factor ``(D, D)`` of the covariance of what the URDF may be wrong by: every link's shape and mass, and a
+    payload at each end of a chain."""
+    bodies = np.array([body.parameters for body in robot.bodies])
+    manifold = ParameterManifold(len(bodies), 0, np.zeros(0))
+    blocks, _ = manifold.jacobian(manifold.point(bodies.ravel()))
+    factor = np.zeros((bodies.size, bodies.size))
+    for index, body in enumerate(robot.bodies):
+        covariance = (SPREAD * blocks[index]) @ (SPREAD * blocks[index]).T
+        if len(robot.subtree(body.name)) == 1:
+            payload = payload_factor(bodies, index)
+            covariance += payload @ payload.T
+        values, vectors = np.linalg.eigh(covariance)
+        factor[10 * index : 10 * index + 10, 10 * index : 10 * index + 10] = vectors * np.sqrt(np.maximum(values, 0.0))
+    return factor
+
+
+def payload_factor(bodies: FloatArray, carrier: int) -> FloatArray:
+    """A factor ``(10, 10)`` of the covariance of what the link ``carrier`` may carry."""
+    mass = _PAYLOAD * float(np.sum(bodies[:, 0]))
+    ball = pseudo_inertia.assemble(
+        np.array(mass), bodies[carrier, 1:4] / bodies[carrier, 0], 2.0 * mass * _SIZE**2 * np.eye(3)
+    )
+    manifold = ParameterManifold(1, 0, np.zeros(0))
+    block: FloatArray = manifold.jacobian(manifold.point(ball))[0][0]
+    return block

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.checks.causes import Cause, Finding
-from geomid_ros.checks.flexible import moving
+from geomid_ros.checks.evidence import moving
 from geomid_ros.checks.instants import FEWEST
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples

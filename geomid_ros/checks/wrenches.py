@@ -17,7 +17,7 @@ from geomid_ros.checks.candidates import FOLLOWS, GAIN
 from geomid_ros.checks.causes import Cause, Finding, written
 from geomid_ros.checks.evidence import LEAST_SIGMA
 from geomid_ros.checks.instants import FEWEST
-from geomid_ros.checks.rows import prior_factor
+from geomid_ros.checks.subject import prior_factor
 from geomid_ros.checks.transforms import REASON, ROUNDS
 from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.model.samples import Samples
