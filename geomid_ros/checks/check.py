@@ -8,10 +8,10 @@ from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.checks.candidates import FOLLOWS, Tried, decide
+from geomid_ros.checks.candidates import Tried, decide
 from geomid_ros.checks.causes import MODEL, Cause, Finding
 from geomid_ros.checks.changes import changes, lags
-from geomid_ros.checks.evidence import LEAST_SIGMA
+from geomid_ros.checks.evidence import FOLLOWS, LEAST_SIGMA
 from geomid_ros.checks.instants import FEWEST, Instants, Kept, Stretch
 from geomid_ros.checks.subject import Subject
 from geomid_ros.checks.transforms import REASON, STANDARD_GRAVITY, candidates
@@ -73,8 +73,9 @@ class JudgementTask:
         if efforts_alone(self.model):
             check = EffortCheck(self.model, excerpt.kept, self.gains)
             findings, remarks = check.findings(), check.remarks
-        wrenches = filter(None, (self._wrench(sensor, excerpt) for sensor in self.model.mounted))
-        return Judgement((*findings, *wrenches), tuple(remarks))
+        if not findings:  # a motion that is not the robot's would be the sensors' fault, too
+            findings = [found for sensor in self.model.mounted if (found := self._wrench(sensor, excerpt))]
+        return Judgement(tuple(findings), tuple(remarks))
 
     def _wrench(self, sensor: WrenchSensor, excerpt: Excerpt) -> Finding | None:
         if excerpt.stretch is None or not can_be_judged(sensor):
@@ -230,7 +231,7 @@ def _unexplained(subject: Subject) -> list[Finding]:
         residuals=np.where(curved, subject.measured - subject.explained(subject.nominal), np.nan),
         before=np.full(len(subject.joints), np.inf),
     )
-    found = residuals.finding(subject.spread, FOLLOWS)
+    found = residuals.finding(subject.spread)
     return [] if found is None else [found]
 
 

@@ -19,8 +19,8 @@ from geomid_ros.types import BoolArray, FloatArray
 
 LEAST_SIGMA = 0.1
 """Of a channel's standard deviation: no model is believed to be better."""
-SURE = 3.0
-"""Standard deviations within which sizes agree."""
+FOLLOWS = 0.6
+"""A channel follows the model if no more than this share of its standard deviation is left."""
 _ROUNDS = 12
 _SETTLED = 1e-3
 _SLOW = 0.05  # of a joint's largest speed: below it stiction holds whatever it likes

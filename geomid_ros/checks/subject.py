@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.checks.evidence import LEAST_SIGMA, Evidence, FlexibleFit, Products, evidence
+from geomid_ros.checks.evidence import FOLLOWS, LEAST_SIGMA, Evidence, FlexibleFit, Products, evidence
 from geomid_ros.checks.instants import FEWEST, Kept
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
@@ -22,8 +22,8 @@ _PAYLOAD = 0.1  # of the whole robot's mass, at each end of a chain: robots carr
 _SIZE = 0.1  # [m] its radius of gyration about a plane through its centre
 _ROUNDING = 1e-10
 _FRICTION = 2.0  # standard deviations of a channel that friction, and a constant, may well explain
-_STRETCHES = 20  # of a recording, alternately in one part and in the other
-_ALIKE, _PART = 0.7, 0.5  # correlation of what links take, and share of what was measured
+STRETCHES = 20
+"""Of a recording: something may begin with each, and they are alternately in one part and in the other."""
 _OF_MOTION = (
     "regressor", "predicted", "friction", "basis", "columns", "_unknowns", "tolerated", "gravity_rows", "_bases",
 )  # fmt: skip
@@ -92,7 +92,7 @@ class Subject:
         have something of all of the time, if ``alternating``."""
         places = np.arange(len(self.samples))
         if alternating:
-            which = (_STRETCHES * places // len(places)) % 2
+            which = (STRETCHES * places // len(places)) % 2
         else:
             several = len(np.unique(self.recordings)) > 1
             which = self.recordings if several else 2 * places // len(places)
@@ -286,12 +286,12 @@ class Subject:
     def fitted_slopes(self, found: Evidence) -> tuple[FloatArray, BoolArray]:
         """How many times as much the links that were found take as the URDF's, and whether that is sure ``(C,)``."""
         slopes, alike = self._compared(found)
-        return slopes, alike > _ALIKE
+        return slopes, alike > np.sqrt(1.0 - FOLLOWS**2)
 
     def opposite(self, found: Evidence) -> BoolArray:
         """Whether the links that were found take the opposite of what the URDF's do ``(C,)``: as if of mass below zero,
         which is what shows efforts with the wrong sign where links explain a good part of them."""
-        return self._compared(found)[1] < -_ALIKE
+        return self._compared(found)[1] < -np.sqrt(1.0 - FOLLOWS**2)
 
     def _compared(self, found: Evidence) -> tuple[FloatArray, FloatArray]:
         """The slopes of what links take that were found over what the URDF's do, and their correlations, which are zero
@@ -300,7 +300,7 @@ class Subject:
         own, nominal = own - np.mean(own, axis=0), nominal - np.mean(nominal, axis=0)
         crossed, size = np.sum(own * nominal, axis=0), np.maximum(np.sum(nominal**2, axis=0), 1e-30)
         alike = crossed / np.maximum(np.sqrt(size * np.sum(own**2, axis=0)), 1e-30)
-        return crossed / size, np.where(np.std(own, axis=0) > _PART * self.spread, alike, 0.0)
+        return crossed / size, np.where(np.std(own, axis=0) > FOLLOWS * self.spread, alike, 0.0)
 
 
 def gravity_rows(robot: Robot, samples: Samples) -> tuple[FloatArray, FloatArray]:

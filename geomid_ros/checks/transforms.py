@@ -14,17 +14,19 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from geomid_ros.checks.candidates import FOLLOWS, GAIN, Candidate, Judged
+from geomid_ros.checks.candidates import GAIN, Candidate, Judged
 from geomid_ros.checks.causes import Cause, gain_settings, gravity_settings
-from geomid_ros.checks.evidence import LEAST_SIGMA
+from geomid_ros.checks.evidence import FOLLOWS, LEAST_SIGMA
+from geomid_ros.checks.instants import FEWEST
 from geomid_ros.checks.subject import Subject
 from geomid_ros.model.moving import SIGN
+from geomid_ros.model.robot import GRAVITY
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray, IntArray
 
 REASON = 4.0
 """No URDF is wrong by more in its masses: a gain beyond it is a unit."""
-STANDARD_GRAVITY = 9.81
+STANDARD_GRAVITY = float(np.linalg.norm(GRAVITY))
 """[m/s^2]"""
 UNITS = {
     "N m": {
@@ -45,7 +47,6 @@ STEP = 1e-4
 """[rad, m] of derivatives by positions."""
 ROUNDS = 3
 """Of a fit that is linearised where it leads."""
-_FEW = 64  # instants that tell which candidates are worth a closer look
 _BEST = 3
 _PAIRS = 8  # joints of which all pairs are tried; of more, neighbours
 _NEARLY = 0.02  # of instants, and of the largest effort: what a filter leaves beyond zero
@@ -55,7 +56,7 @@ _SIDE = re.compile(r"(?<![a-z])(left|right|l|r)(?![a-z])", re.IGNORECASE)
 
 def candidates(subject: Subject) -> Iterator[Candidate]:
     """All candidates that are worth judging on a subject."""
-    few = subject.part(slice(None, None, -(-len(subject.samples) // _FEW)))
+    few = subject.part(slice(None, None, -(-len(subject.samples) // (2 * FEWEST))))
     # Of what is nearly explained no more could be told by reading the motion otherwise.
     rows = ROWS if np.sum(np.log(subject.nominal.sigmas / LEAST_SIGMA)) > GAIN else AS_IT_MOVES
     for row in rows:

@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomid_ros.checks.causes import Finding
-from geomid_ros.checks.evidence import SURE
 from geomid_ros.checks.unexplained import WORSE
-from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimate import SURE, Estimate
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples

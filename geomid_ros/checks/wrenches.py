@@ -13,22 +13,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.checks.candidates import FOLLOWS, GAIN
+from geomid_ros.checks.candidates import GAIN
 from geomid_ros.checks.causes import Cause, Finding, written
-from geomid_ros.checks.evidence import LEAST_SIGMA
-from geomid_ros.checks.instants import FEWEST
+from geomid_ros.checks.evidence import FOLLOWS, LEAST_SIGMA
+from geomid_ros.checks.instants import FEWEST, STEP
 from geomid_ros.checks.subject import prior_factor
-from geomid_ros.checks.transforms import REASON, ROUNDS
+from geomid_ros.checks.transforms import REASON, ROUNDS, TILT
 from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import AXES, WrenchSensor
 from geomid_ros.types import FloatArray
 
 _FREE = 4.0  # times the URDF's errors: links of any mass, of either sign
-_BETTER = 0.75
-_UNIT = 1000.0
 _OTHER_UNIT = 50.0  # times as much, or as little: no tool is
-_LONGEST, _STEP, _SHORTEST = 5.0, 0.02, 0.1  # [s] of a delay
 _FLOOR = np.finfo(float).tiny
 
 
@@ -85,12 +82,9 @@ class WrenchSensorCheck:
         tried = [(self._fit(self._regressor, wrench), cause) for wrench, cause in self._geometries()]
         tried += list(self._delayed())
         best, cause = max(tried, key=lambda one: one[0].score(count))
-        if best.score(count) - nominal.score(count) > 2.0 * GAIN * count and self._better(best, nominal):
+        if best.score(count) - nominal.score(count) > 2.0 * GAIN * count and np.all(best.sigmas < FOLLOWS):
             return Finding(cause=cause)
         return self._sign_or_unit(nominal)
-
-    def _better(self, best: _Fit, nominal: _Fit) -> bool:
-        return bool(np.all(best.sigmas < FOLLOWS) and np.any(best.sigmas < _BETTER * nominal.sigmas))
 
     def _sign_or_unit(self, fit: _Fit) -> Finding | None:
         if not fit.sigmas[0] < FOLLOWS:
@@ -117,11 +111,12 @@ class WrenchSensorCheck:
         forces = [each[:, :3] - np.mean(each[:, :3], axis=0) for each in (self._regressor @ self._prior, self._wrench)]
         for sign in (1.0, -1.0):
             rotation = _rotation(sign * forces[0].T @ forces[1])[0]
-            what = f"its axes are rotated: {_described(rotation, self._sensor.frame)}; set the right frame"
-            yield (halves @ rotation.T).reshape(-1, 6), self._cause(what)
+            if _angle(rotation) > TILT:  # less may be a zero of a joint that is off
+                what = f"its axes are rotated: {_described(rotation, self._sensor.frame)}; set the right frame"
+                yield (halves @ rotation.T).reshape(-1, 6), self._cause(what)
         in_sensor = np.einsum("nji,nkj->nki", self._rotations, halves).reshape(-1, 6)
         yield in_sensor, self._cause(f"its wrench is in the axes of the base, not of '{self._sensor.frame}'")
-        for factor, unit in ((1.0 / _UNIT, "N mm"), (_UNIT, "kN m")):
+        for factor, unit in ((1e-3, "N mm"), (1e3, "kN m")):
             scaled = self._wrench * np.array([1.0] * 3 + [factor] * 3)
             yield scaled, self._cause(f"its torques are in {unit}, its forces in N; they must be in N and N m")
 
@@ -129,13 +124,11 @@ class WrenchSensorCheck:
         """The wrench of other times, where forces of the URDF's links are most alike."""
         dense = self._dense
         times = dense.seconds
-        if len(dense) < FEWEST or times[-1] < 2.0 * _SHORTEST:
+        if len(dense) < FEWEST:
             return
         rows = self._bare.rows(dense)
         regressor, wrench = rows.coefficients[:, self._channels], rows.targets[:, self._channels]
         delay = _best_delay(times, (regressor @ self._prior)[:, :3], wrench[:, :3])
-        if abs(delay) < _SHORTEST:
-            return
         now = self._fit(regressor, wrench)
         inside = (times + delay >= times[0]) & (times + delay <= times[-1])
         then = np.array([np.interp(times[inside] + delay, times, column) for column in wrench.T]).T
@@ -172,14 +165,14 @@ class WrenchSensorCheck:
 
 def _best_delay(times: FloatArray, expected: FloatArray, measured: FloatArray) -> float:
     """By how much [s] measured forces ``(N, 3)`` come later than the expected ones."""
-    grid = np.arange(times[0], times[-1], _STEP)
+    step = 1e-9 * STEP
+    grid = np.arange(times[0], times[-1], step)
     if len(grid) < FEWEST:
         return 0.0
     both = [np.array([np.interp(grid, times, c) for c in forces.T]).T for forces in (expected, measured)]
-    most = min(round(_LONGEST / _STEP), len(grid) // 2)
-    shifts = np.arange(-most, most + 1)
+    shifts = np.arange(-(len(grid) // 2), len(grid) // 2 + 1)
     alike = [_correlation(both[0][max(-s, 0) :], both[1][max(s, 0) :]) for s in shifts]
-    return float(shifts[int(np.argmax(alike))] * _STEP)
+    return float(shifts[int(np.argmax(alike))] * step)
 
 
 def _correlation(a: FloatArray, b: FloatArray) -> float:
@@ -196,12 +189,15 @@ def _rotation(products: FloatArray) -> tuple[FloatArray, float]:
     return np.asarray(left * handed @ right), float(strengths @ handed)
 
 
+def _angle(rotation: FloatArray) -> float:
+    return float(np.arccos(np.clip(0.5 * (np.trace(rotation) - 1.0), -1.0, 1.0)))
+
+
 def _described(rotation: FloatArray, frame: str) -> str:
     """A rotation by about right angles by the names of axes, any other by its angle."""
     turns = np.round(rotation)
     if np.array_equal(turns, np.eye(3)) or np.any(np.sum(np.abs(turns), axis=1) != 1.0):
-        angle = np.degrees(np.arccos(np.clip(0.5 * (np.trace(rotation) - 1.0), -1.0, 1.0)))
-        return f"against those of '{frame}' by about {angle:.0f} degrees"
+        return f"against those of '{frame}' by about {np.degrees(_angle(rotation)):.0f} degrees"
     named = ", ".join(("-" if min(row) < 0.0 else "") + "xyz"[int(np.argmax(np.abs(row)))] for row in turns)
     return f"x, y, z of '{frame}' are its {named}"
 
