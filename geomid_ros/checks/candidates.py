@@ -161,24 +161,24 @@ class Tried:
 
 
 def decide(tried: Iterable[Tried]) -> tuple[Finding | None, str]:
-    """What is wrong: the best cause, with its rivals, if it repeats. It is sure unless several other places explain as
-    much.
+    """What is wrong: what is settled, or the best cause if it repeats, with its rivals. It is sure unless several other
+    places explain as much.
 
     Returns:
         The finding, and a remark on what is not believed; None and empty if there is none.
     """
-    named = sorted((one for one in tried if one.is_named), key=lambda one: -one.gain)
+    named = sorted((one for one in tried if one.is_named), key=lambda one: (not one.candidate.settled, -one.gain))
     aside = max((one.gain for one in named if not one.candidate.alone), default=-np.inf)
     # What explains less than what is not named by itself is explained by that.
     causes = [one for one in named if one.candidate.alone and (one.candidate.settled or one.gain > aside - RIVAL)]
-    remark = ""
-    for best in [one for number, one in enumerate(causes) if number == 0 or one.candidate.settled]:
-        if not best.repeats():
-            remark = f"in a part of the recording, or at some joints, only: {best.cause.sentence}"
-            continue
-        rivals = {one.name: one for one in reversed(named) if one.gain > best.gain - RIVAL and one.name != best.name}
-        elsewhere = {one.cause.places for one in rivals.values() if one.repeats()} - {best.cause.places}
-        if not best.candidate.settled and len(elsewhere) > 1:
-            return Finding(cause=best.cause, sure=False), ""
-        return Finding(cause=best.cause, rivals=tuple(one.cause for one in rivals.values())), ""
-    return None, remark
+    settled = [one for one in causes if one.candidate.settled]
+    # What explains less than a cause that does not repeat may be explained by the same as that.
+    best = next((one for one in causes[: len(settled) + 1] if one.repeats()), None)
+    if best is None:
+        remark = "in a part of the recording, or at some joints, only: "
+        return None, remark + causes[0].cause.sentence if causes else ""
+    rivals = {one.name: one for one in reversed(named) if one.gain > best.gain - RIVAL and one.name != best.name}
+    elsewhere = {one.cause.places for one in rivals.values() if one.repeats()} - {best.cause.places}
+    if not best.candidate.settled and len(elsewhere) > 1:
+        return Finding(cause=best.cause, sure=False), ""
+    return Finding(cause=best.cause, rivals=tuple(one.cause for one in rivals.values())), ""

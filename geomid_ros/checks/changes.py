@@ -14,9 +14,9 @@ import numpy as np
 
 from geomid_ros.checks.candidates import RIVAL, Candidate, Judged
 from geomid_ros.checks.causes import BIT_BY_BIT, Cause
-from geomid_ros.checks.evidence import Gain, by_channel
+from geomid_ros.checks.evidence import SPREAD, Gain, by_channel
 from geomid_ros.checks.instants import FEWEST, elapsed
-from geomid_ros.checks.subject import SPREAD, STRETCHES, Subject, payload_factor
+from geomid_ros.checks.subject import STRETCHES, Subject, payload_factor
 from geomid_ros.checks.transforms import REASON, STEP, TILT
 from geomid_ros.estimation.estimate import SURE
 from geomid_ros.types import FloatArray

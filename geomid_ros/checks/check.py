@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -26,12 +26,11 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 MEASURED = 0.5
 """The least share of instants at which the effort of a joint that is judged is measured."""
-_FARTHEST = 10.0  # between lengths, distances and radii of one robot: in mm it is a hundred times as much or more
 _SAME = 1e-6  # of a range: what changes less stays exactly the same
 _FEWEST = (
     5  # instants in a row; and at the ends of a stretch, at which a filter makes a motion of the step that follows
 )
-_STILL, _PART = 0.01, 0.1  # of a range that nothing changes by; and that something changes by
+_PART = 0.1  # of a range that something changes by
 _FAR = 2.0  # times what is left at other instants
 
 
@@ -264,10 +263,10 @@ def impossible_description(subject: Subject) -> Cause | None:
          "moments of inertia", "g mm^2 or kg mm^2", "kg m^2"),
     ):  # fmt: skip
         most = int(np.argmax(sizes))
-        if 0.0 < _FARTHEST * length < sizes[most]:
+        if 0.0 < REASON**2 * length < sizes[most]:
             said = f"{what.format(robot.body_names[most], sizes[most])}, {whole}"
             return _lengths([robot.body_names[most]], said, quantity, unit, right)
-    if length > _FARTHEST * float(np.sum(radii)) > 0.0:
+    if length > REASON**2 * float(np.sum(radii)) > 0.0:
         said = f"all links together are {length:.3g} m long, though their mass is within {np.max(radii):.3g} m"
         return _lengths([], said, "the origins of joints", "mm", "m")
     with np.errstate(divide="ignore"):
@@ -284,9 +283,9 @@ def _lengths(links: list[str], what: str, quantity: str, unit: str, right: str) 
 
 
 def _length(subject: Subject) -> float:
-    """The sum of all distances from a joint to the next."""
-    robot = subject.robot
-    frames = robot.link_frames(subject.samples.select(slice(1)))
+    """The sum of all distances from a joint to the next, where all positions are zero."""
+    robot, first = subject.robot, subject.samples.select(slice(1))
+    frames = robot.link_frames(replace(first, position=np.zeros_like(first.position)))
     return float(sum(np.linalg.norm(frames[j.child][1] - frames[j.parent][1]) for j in robot.tree.joints))
 
 
@@ -315,7 +314,7 @@ def held_efforts(subject: Subject) -> list[Cause]:
         begins = np.flatnonzero(np.diff(same.astype(np.int8), prepend=0) == 1)
         ends = np.flatnonzero(np.diff(same.astype(np.int8), append=0) == -1) + 1
         for begin, end in zip(begins, ends, strict=True):
-            others = np.delete(same & (changes > _STILL * np.std(effort)), np.arange(begin, end))
+            others = np.delete(same & (changes > _PART * np.std(effort)), np.arange(begin, end))
             asked = float(np.ptp(rigid[begin : end + 1, channel]))
             if end - begin >= _FEWEST and np.mean(others) < _PART and asked > np.std(effort):
                 times = {name: (stamps[at] - stamps[0]) * 1e-9 for name, at in (("begin", begin), ("end", end))}

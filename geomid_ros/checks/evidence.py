@@ -24,8 +24,9 @@ FOLLOWS = 0.6
 _ROUNDS = 12
 _SETTLED = 1e-3
 _SLOW = 0.05  # of a joint's largest speed: below it stiction holds whatever it likes
-_CURVE = 0.5  # standard deviations of a channel that a curve may well explain
-_CREEP = 0.3  # standard deviations of the speed: friction above its dry part
+SPREAD = 0.7
+"""Of links, a geodesic distance, of gains, and of curves in units of a channel: a mass may be half or twice that of the
+URDF."""
 _FLOOR = np.finfo(float).tiny
 
 
@@ -303,5 +304,5 @@ def _curves(position: FloatArray, friction: FloatArray, predicted: FloatArray) -
     sign = friction[:, :, 2]
     load = np.abs(predicted - np.mean(predicted, axis=0)) / np.maximum(np.std(predicted, axis=0), _FLOOR)
     bent, cubic = place**2 - 1.0, place**3 - 3.0 * place
-    creeping = sign * np.exp(-((speed / _CREEP) ** 2))
-    return _CURVE * np.stack([place, bent, cubic, speed * np.abs(speed), creeping, load * sign], axis=2)
+    creeping = sign * np.exp(-(speed**2))
+    return SPREAD * np.stack([place, bent, cubic, speed * np.abs(speed), creeping, load * sign], axis=2)

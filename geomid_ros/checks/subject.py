@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.checks.evidence import FOLLOWS, LEAST_SIGMA, Evidence, FlexibleFit, Products, evidence
+from geomid_ros.checks.evidence import FOLLOWS, LEAST_SIGMA, SPREAD, Evidence, FlexibleFit, Products, evidence
 from geomid_ros.checks.instants import FEWEST, Kept
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
@@ -16,8 +16,6 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
-SPREAD = 0.7
-"""Of links, a geodesic distance, and of gains: a mass may be half or twice that of the URDF."""
 _PAYLOAD = 0.1  # of the whole robot's mass, at each end of a chain: robots carry what their URDF does not say
 _SIZE = 0.1  # [m] its radius of gyration about a plane through its centre
 _ROUNDING = 1e-10

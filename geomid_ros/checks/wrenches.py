@@ -24,7 +24,6 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import AXES, WrenchSensor
 from geomid_ros.types import FloatArray
 
-_FREE = 4.0  # times the URDF's errors: links of any mass, of either sign
 _OTHER_UNIT = 50.0  # times as much, or as little: no tool is
 _FLOOR = np.finfo(float).tiny
 
@@ -58,7 +57,7 @@ class WrenchSensorCheck:
         bare = MeasurementModel(model.robot, (), model.sensors)
         self._channels = list(model.layout.wrenches[sensor.topic])
         self._prior = bare.nominal_parameters
-        self._factor = _FREE * prior_factor(model.robot)
+        self._factor = prior_factor(model.robot)
         rows = bare.rows(samples)
         self._regressor = rows.coefficients[:, self._channels]
         self._wrench = rows.targets[:, self._channels]
