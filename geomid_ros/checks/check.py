@@ -31,7 +31,6 @@ _FEWEST = (
     5  # instants in a row; and at the ends of a stretch, at which a filter makes a motion of the step that follows
 )
 _PART = 0.1  # of a range that something changes by
-_FAR = 2.0  # times what is left at other instants
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,7 +342,7 @@ def frozen_position(subject: Subject) -> Cause | None:
             changes = np.ptp(efforts[still], axis=0) > _PART * np.ptp(efforts, axis=0)
             inside, outside = _left(subject, still)
             moving = np.ptp(positions[still], axis=0) > _PART * np.ptp(positions, axis=0)
-            if np.any(moving) and np.any((inside > _FAR * outside) & changes):
+            if np.any(moving) and np.any((inside > outside) & changes):
                 return Cause.of("frozen", [subject.robot.joint_names[joint]], share=np.mean(still))
     return None
 
