@@ -229,7 +229,7 @@ def _unexplained(subject: Subject) -> list[Finding]:
         residuals=np.where(curved, subject.measured - subject.explained(subject.nominal), np.nan),
         before=np.full(len(subject.joints), np.inf),
     )
-    found = residuals.finding(subject.spread)
+    found = residuals.finding(subject.spread, FOLLOWS)
     return [] if found is None else [found]
 
 

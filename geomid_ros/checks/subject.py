@@ -284,12 +284,12 @@ class Subject:
     def fitted_slopes(self, found: Evidence) -> tuple[FloatArray, BoolArray]:
         """How many times as much the links that were found take as the URDF's, and whether that is sure ``(C,)``."""
         slopes, alike = self._compared(found)
-        return slopes, alike > np.sqrt(1.0 - FOLLOWS**2)
+        return slopes, np.asarray(alike > np.sqrt(1.0 - FOLLOWS**2))
 
     def opposite(self, found: Evidence) -> BoolArray:
         """Whether the links that were found take the opposite of what the URDF's do ``(C,)``: as if of mass below zero,
         which is what shows efforts with the wrong sign where links explain a good part of them."""
-        return self._compared(found)[1] < -np.sqrt(1.0 - FOLLOWS**2)
+        return np.asarray(self._compared(found)[1] < -np.sqrt(1.0 - FOLLOWS**2))
 
     def _compared(self, found: Evidence) -> tuple[FloatArray, FloatArray]:
         """The slopes of what links take that were found over what the URDF's do, and their correlations, which are zero

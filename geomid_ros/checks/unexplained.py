@@ -12,12 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.checks.causes import Cause, Finding
-from geomid_ros.checks.evidence import FOLLOWS, LEAST_SIGMA, moving
+from geomid_ros.checks.evidence import LEAST_SIGMA, moving
 from geomid_ros.checks.instants import FEWEST
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
+HALF = 0.5
+"""Share of an effort's standard deviation: an identified model leaves less, a cause of what is left explains more."""
 WORSE = 1.05
 """RMS over that of the input's file: less is of no account."""
 _ELSE = (
@@ -50,16 +52,17 @@ class Residuals:
         """Standard deviations of the efforts where they are judged ``(C,)``."""
         return deviations(np.where(np.isfinite(self.residuals), self.efforts, np.nan))
 
-    def finding(self, variation: FloatArray) -> Finding | None:
+    def finding(self, variation: FloatArray, allowed: float = HALF) -> Finding | None:
         """The joints that are not explained, the worst first, and what to look at; None if all are.
 
         Args:
             variation: ``(C,)`` standard deviations of the efforts.
+            allowed: share of these that may be left.
         """
         left, units = rms(self.residuals), np.array(self.units)
         largest = np.array([np.max(variation[units == unit]) for unit in units])
         share = left / np.maximum(variation, np.finfo(float).tiny)
-        bad = (left > LEAST_SIGMA * largest) & ((share > FOLLOWS) | (left > WORSE * self.before))
+        bad = (left > LEAST_SIGMA * largest) & ((share > allowed) | (left > WORSE * self.before))
         worst = sorted(np.flatnonzero(bad).tolist(), key=lambda joint: -share[joint])
         if not worst:
             return None
@@ -75,7 +78,7 @@ class Residuals:
         """What to look at, by what the residual of a joint follows most."""
         shares = {hint: _explained(self.residuals[:, joint], columns) for hint, columns in self._hints(joint)}
         best = max(shares, key=lambda hint: shares[hint])
-        return best if shares[best] > FOLLOWS else _ELSE
+        return best if shares[best] > HALF else _ELSE
 
     def _hints(self, joint: int) -> Iterator[tuple[str, FloatArray]]:
         """What may be wrong, with what the residual would follow then ``(N, k)``."""
