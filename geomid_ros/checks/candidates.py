@@ -161,19 +161,20 @@ class Tried:
 
 
 def decide(tried: Iterable[Tried]) -> tuple[Finding | None, str]:
-    """What is wrong: what is settled, or the best cause if it repeats, with its rivals. It is sure unless several other
+    """What is wrong: the best cause if it repeats, or what is settled, with its rivals. It is sure unless several other
     places explain as much.
 
     Returns:
         The finding, and a remark on what is not believed; None and empty if there is none.
     """
-    named = sorted((one for one in tried if one.is_named), key=lambda one: (not one.candidate.settled, -one.gain))
+    named = sorted((one for one in tried if one.is_named), key=lambda one: -one.gain)
     aside = max((one.gain for one in named if not one.candidate.alone), default=-np.inf)
     # What explains less than what is not named by itself is explained by that.
     causes = [one for one in named if one.candidate.alone and (one.candidate.settled or one.gain > aside - RIVAL)]
-    settled = [one for one in causes if one.candidate.settled]
     # What explains less than a cause that does not repeat may be explained by the same as that.
-    best = next((one for one in causes[: len(settled) + 1] if one.repeats()), None)
+    first = [one for number, one in enumerate(causes) if number == 0 or one.candidate.settled]
+    first.sort(key=lambda one: -len(one.cause.places))  # one cause for all joints before one for each
+    best = next((one for one in first if one.repeats()), None)
     if best is None:
         remark = "in a part of the recording, or at some joints, only: "
         return None, remark + causes[0].cause.sentence if causes else ""
