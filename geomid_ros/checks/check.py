@@ -289,11 +289,12 @@ def _length(subject: Subject) -> float:
 
 
 def _weights(subject: Subject) -> FloatArray:
-    """The largest efforts of the URDF's links at rest where the robot was, whatever gravity is said to be
-    ``(joints,)``."""
-    gravity, weights = subject.robot.gravity, np.zeros(len(subject.robot.joints))
+    """The largest efforts of the URDF's links at rest where the robot was, within its limits, whatever gravity is said
+    to be ``(joints,)``."""
+    samples, gravity, weights = subject.samples, subject.robot.gravity, np.zeros(len(subject.robot.joints))
+    within = replace(samples, position=np.clip(samples.position, *subject.robot.position_limits.T))
     on_earth = STANDARD_GRAVITY / max(float(np.linalg.norm(gravity)), STANDARD_GRAVITY)
-    weights[subject.joints] = on_earth * np.max(np.abs(subject.weight), axis=0)
+    weights[subject.joints] = on_earth * np.max(np.abs(subject.with_samples(within).weight), axis=0)
     return weights
 
 
