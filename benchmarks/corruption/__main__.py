@@ -73,7 +73,9 @@ def answer(recording: Recording, fault: Fault, size: Any) -> tuple[str, str]:
             right = cause.kind == fault.kind or (fault.said and fault.said in cause.sentence)
             if right and (places is None or set(cause.places) == places):
                 return (NAMED if finding.sure else SUSPECTED), said
-    return (WRONG if any(finding.sure for finding in session.findings) else SUSPECTED), said
+    # That a joint is not explained names no cause.
+    named = [finding for finding in session.findings if finding.sure and finding.cause.kind != "unexplained"]
+    return (WRONG if named else SUSPECTED), said
 
 
 def judged(recording: Recording, bag: Path) -> Session:

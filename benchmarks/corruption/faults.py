@@ -30,7 +30,7 @@ class Fault:
         name: what is wrong.
         plant: plants it.
         sizes: three of them; places of joints count from the base, those below zero from the tip.
-        kind: of the cause that is the right answer, see :data:`geomid_ros.checks.causes.KINDS`; empty for an
+        kind: of the cause that is the right answer, see :mod:`geomid_ros.checks.causes`; empty for an
             answer that the ledger of messages gives.
         joints: the places of the joints that the answer has to name; None for all.
         noted: what the ledger has to say, for a fault of messages.

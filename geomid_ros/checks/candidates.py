@@ -12,18 +12,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from geomid_ros.checks.causes import Cause, Finding
-from geomid_ros.checks.evidence import SURE, Evidence
+from geomid_ros.checks.evidence import Evidence
 from geomid_ros.checks.subject import Subject
+from geomid_ros.estimation.estimate import SURE
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
-FOLLOWS = 0.6
-"""A channel follows the model if no more than this share of its standard deviation is left."""
 GAIN = 0.25
 """The least that a cause gains [nats per instant]."""
 RIVAL = 0.1
 """What explains as much, within this, explains it as well [nats per instant]."""
 _MISFIT = 0.1  # of the gain: a cause that is true explains no channel worse
-_SINGLED, _MANY = 0.8, 2  # of the gain: fewer causes at other joints come so near to one that is singled out
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -144,8 +142,7 @@ class Tried:
         return self.cause.kind, self.cause.places
 
     def repeats(self) -> bool:
-        """Whether it explains no channel worse, and every part of the recording asks for it, too, with sizes that are
-        those of all of it."""
+        """Whether it explains no channel worse, and every part of the recording asks for it, in sizes of one sign."""
         if self.candidate.settled:
             return True
         before, concerned = self.subject.nominal.sigmas, list(self.candidate.concerned)
@@ -158,13 +155,14 @@ class Tried:
     def _repeats(self, part: Subject) -> bool:
         judged = self.candidate.undo(part)
         off = np.abs(judged.sizes - self.judged.sizes)
-        # What changes is measured by the variation of each part: there the sign has to agree.
-        allowed = np.abs(self.judged.sizes) if self.candidate.changes else SURE * judged.deviations
+        # What noise and friction have in common makes sizes less sure than their deviations say: signs have to agree.
+        allowed = np.maximum(np.abs(self.judged.sizes), SURE * judged.deviations)
         return judged.log > part.nominal.log and bool(np.all(off <= allowed))
 
 
 def decide(tried: Iterable[Tried]) -> tuple[Finding | None, str]:
-    """What is wrong: the best cause, with its rivals, if it repeats and is singled out.
+    """What is wrong: the best cause if it repeats, or what is settled, with its rivals. It is sure unless several other
+    places explain as much.
 
     Returns:
         The finding, and a remark on what is not believed; None and empty if there is none.
@@ -173,17 +171,15 @@ def decide(tried: Iterable[Tried]) -> tuple[Finding | None, str]:
     aside = max((one.gain for one in named if not one.candidate.alone), default=-np.inf)
     # What explains less than what is not named by itself is explained by that.
     causes = [one for one in named if one.candidate.alone and (one.candidate.settled or one.gain > aside - RIVAL)]
-    remark = ""
-    for best in [one for number, one in enumerate(causes) if number == 0 or one.candidate.settled]:
-        if not best.repeats():
-            remark = f"in a part of the recording, or at some joints, only: {best.cause.sentence}"
-            continue
-        # Whatever begins during a recording asks for the same: to use the part before or after.
-        near = [one for one in causes if not (one.candidate.changes and best.candidate.changes)]
-        near = [one for one in near if one.cause.places != best.cause.places and one.gain > _SINGLED * best.gain]
-        if not best.candidate.settled and len({one.cause.places for one in near if one.repeats()}) >= _MANY:
-            return Finding(cause=best.cause, sure=False), ""
-        rivals = {one.name: one.cause for one in reversed(named) if one.gain > best.gain - RIVAL}
-        rivals.pop(best.name)
-        return Finding(cause=best.cause, rivals=tuple(rivals.values())), ""
-    return None, remark
+    # What explains less than a cause that does not repeat may be explained by the same as that.
+    first = [one for number, one in enumerate(causes) if number == 0 or one.candidate.settled]
+    first.sort(key=lambda one: -len(one.cause.places))  # one cause for all joints before one for each
+    best = next((one for one in first if one.repeats()), None)
+    if best is None:
+        remark = "in a part of the recording, or at some joints, only: "
+        return None, remark + causes[0].cause.sentence if causes else ""
+    rivals = {one.name: one for one in reversed(named) if one.gain > best.gain - RIVAL and one.name != best.name}
+    elsewhere = {one.cause.places for one in rivals.values() if one.repeats()} - {best.cause.places}
+    if not best.candidate.settled and len(elsewhere) > 1:
+        return Finding(cause=best.cause, sure=False), ""
+    return Finding(cause=best.cause, rivals=tuple(one.cause for one in rivals.values())), ""

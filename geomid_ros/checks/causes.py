@@ -10,37 +10,6 @@ import numpy as np
 
 from geomid_ros.types import FloatArray
 
-KINDS = {
-    "sign": "efforts are reversed",
-    "order": "efforts of two joints are swapped",
-    "names": "names of joints are swapped",
-    "gain": "efforts are in another unit",
-    "magnitude": "efforts have no sign",
-    "friction": "more friction is compensated than there is",
-    "zero": "the zero of a joint is off",
-    "axis": "a joint turns in the opposite direction",
-    "absolute": "the position of a joint includes that of another one",
-    "description": "the robot description cannot be that of this robot",
-    "frozen": "the position of a joint is frozen while the joint moves",
-    "position": "positions are in another unit",
-    "time": "stamps run too fast or too slow",
-    "gravity": "gravity acts in another direction, or is of another size",
-    "compensated": "gravity is not in the efforts",
-    "offset": "the offset of an effort changes during the recording",
-    "drift": "the gain of efforts changes during the recording",
-    "switched": "gravity is in the efforts only part of the time",
-    "load": "the payload changes during the recording",
-    "slip": "the zero of a position changes during the recording",
-    "late": "efforts are delayed against the motion",
-    "unrelated": "efforts follow neither gravity nor motion",
-    "unexplained": "the efforts of a joint are not explained by this robot",
-    "constant": "an effort never changes",
-    "stream": "messages are not as a driver should send them",
-    "still": "the robot does not move",
-    "wrench": "a wrench sensor is declared wrongly",
-}
-"""What may be wrong."""
-
 _APART = "Record again, or use only the part before or after"
 _FOLLOW = "efforts would follow this robot's gravity and motion"
 _SENTENCES = {
@@ -92,7 +61,7 @@ _SENTENCES = {
     "that pose: check the encoder, and whether the driver repeats an old value. Leave that part out",
     "lengths": "in the URDF {what}: {quantity} may be in {unit}; they must be in {right}",
 }
-"""What is said of each kind."""
+"""What is said of each kind, or of what is more special."""
 MODEL = (
     "the efforts equal those of the URDF's own model, without friction or errors: they come from a simulation or a "
     "controller's model. To identify a real robot, record its measured efforts"
@@ -107,7 +76,7 @@ class Cause:
     """What a recording seems to be.
 
     Attributes:
-        kind: one of :data:`KINDS`.
+        kind: of the sentences, or another word.
         sentence: what is wrong, and what to do.
         settings: the parameters that mend it, by full name; empty if none does.
         places: the joints, or the topic, that it is about.
@@ -131,7 +100,7 @@ class Cause:
         """A cause in the sentence of its kind.
 
         Args:
-            kind: one of :data:`KINDS`.
+            kind: of the sentences, or another word.
             places: names of joints.
             settings: the parameters that mend it.
             said: the sentence, if it is not the kind's.

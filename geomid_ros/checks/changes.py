@@ -14,15 +14,14 @@ import numpy as np
 
 from geomid_ros.checks.candidates import RIVAL, Candidate, Judged
 from geomid_ros.checks.causes import BIT_BY_BIT, Cause
-from geomid_ros.checks.evidence import SURE
-from geomid_ros.checks.flexible import Gain, by_channel
+from geomid_ros.checks.evidence import SPREAD, Gain, by_channel
 from geomid_ros.checks.instants import FEWEST, elapsed
-from geomid_ros.checks.rows import SPREAD, payload_factor
-from geomid_ros.checks.subject import Subject
+from geomid_ros.checks.subject import STRETCHES, Subject, payload_factor
 from geomid_ros.checks.transforms import REASON, STEP, TILT
+from geomid_ros.estimation.estimate import SURE
 from geomid_ros.types import FloatArray
 
-PLACES = np.arange(1, 20) / 20.0
+PLACES = np.arange(1, STRETCHES) / STRETCHES
 """Shares of the instants, from which on something may be another."""
 _MAIN = 0.5  # of the largest change: the joints that it is about; of what each explains: all have it in common
 _LEAST_LAG, _MOST_LAG = 0.03, 0.3  # [s] less hardly matters behind the filter; where more fits, it is no lag

@@ -7,19 +7,21 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.checks.evidence import LEAST_SIGMA, Evidence, Products, evidence
-from geomid_ros.checks.flexible import FlexibleFit
+from geomid_ros.checks.evidence import FOLLOWS, LEAST_SIGMA, SPREAD, Evidence, FlexibleFit, Products, evidence
 from geomid_ros.checks.instants import FEWEST, Kept
-from geomid_ros.checks.rows import effort_rows, friction_columns, gravity_rows, prior_factor
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.geometry.manifold import ParameterManifold
+from geomid_ros.model.moving import SIGN, STILL
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.saturation import STANDING
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
+_PAYLOAD = 0.1  # of the whole robot's mass, at each end of a chain: robots carry what their URDF does not say
+_SIZE = 0.1  # [m] its radius of gyration about a plane through its centre
 _ROUNDING = 1e-10
 _FRICTION = 2.0  # standard deviations of a channel that friction, and a constant, may well explain
-_STRETCHES = 20  # of a recording, alternately in one part and in the other
-_ALIKE, _PART = 0.7, 0.5  # correlation of what links take, and share of what was measured
+STRETCHES = 20
+"""Of a recording: something may begin with each, and they are alternately in one part and in the other."""
 _OF_MOTION = (
     "regressor", "predicted", "friction", "basis", "columns", "_unknowns", "tolerated", "gravity_rows", "_bases",
 )  # fmt: skip
@@ -88,7 +90,7 @@ class Subject:
         have something of all of the time, if ``alternating``."""
         places = np.arange(len(self.samples))
         if alternating:
-            which = (_STRETCHES * places // len(places)) % 2
+            which = (STRETCHES * places // len(places)) % 2
         else:
             several = len(np.unique(self.recordings)) > 1
             which = self.recordings if several else 2 * places // len(places)
@@ -192,7 +194,7 @@ class Subject:
     @cached_property
     def moving(self) -> Subject:
         """The same at the instants at which a joint moves."""
-        return self.part(np.any(np.abs(self.samples.velocity[:, self.joints]) > STANDING, axis=1))
+        return self.part(np.any(np.abs(self.samples.velocity[:, self.joints]) > STILL, axis=1))
 
     @cached_property
     def flexible(self) -> FlexibleFit:
@@ -282,12 +284,12 @@ class Subject:
     def fitted_slopes(self, found: Evidence) -> tuple[FloatArray, BoolArray]:
         """How many times as much the links that were found take as the URDF's, and whether that is sure ``(C,)``."""
         slopes, alike = self._compared(found)
-        return slopes, alike > _ALIKE
+        return slopes, np.asarray(alike > np.sqrt(1.0 - FOLLOWS**2))
 
     def opposite(self, found: Evidence) -> BoolArray:
         """Whether the links that were found take the opposite of what the URDF's do ``(C,)``: as if of mass below zero,
         which is what shows efforts with the wrong sign where links explain a good part of them."""
-        return self._compared(found)[1] < -_ALIKE
+        return np.asarray(self._compared(found)[1] < -np.sqrt(1.0 - FOLLOWS**2))
 
     def _compared(self, found: Evidence) -> tuple[FloatArray, FloatArray]:
         """The slopes of what links take that were found over what the URDF's do, and their correlations, which are zero
@@ -296,4 +298,60 @@ class Subject:
         own, nominal = own - np.mean(own, axis=0), nominal - np.mean(nominal, axis=0)
         crossed, size = np.sum(own * nominal, axis=0), np.maximum(np.sum(nominal**2, axis=0), 1e-30)
         alike = crossed / np.maximum(np.sqrt(size * np.sum(own**2, axis=0)), 1e-30)
-        return crossed / size, np.where(np.std(own, axis=0) > _PART * self.spread, alike, 0.0)
+        return crossed / size, np.where(np.std(own, axis=0) > FOLLOWS * self.spread, alike, 0.0)
+
+
+def gravity_rows(robot: Robot, samples: Samples) -> tuple[FloatArray, FloatArray]:
+    """The rows of efforts over all links' parameters: without gravity ``(N, joints, D)``, and per unit of gravity along
+    each axis of the base ``(3, N, joints, D)``."""
+    at_rest = replace(
+        samples,
+        velocity=np.zeros_like(samples.velocity),
+        acceleration=np.zeros_like(samples.acceleration),
+        base_velocity=np.zeros_like(samples.base_velocity),
+        base_acceleration=np.zeros_like(samples.base_acceleration),
+    )
+    by_gravity = np.array([effort_rows(robot, at_rest, axis) for axis in np.eye(3)])
+    return effort_rows(robot, samples, np.zeros(3)), by_gravity
+
+
+def effort_rows(robot: Robot, samples: Samples, gravity: FloatArray) -> FloatArray:
+    """The rows ``(N, joints, D)`` of efforts over all links' parameters."""
+    robot = robot.with_gravity(gravity)
+    rows = robot.joint_effort_rows(*robot.configuration(samples))
+    return rows.reshape(len(samples), len(robot.joints), -1)
+
+
+def friction_columns(samples: Samples) -> FloatArray:
+    """What may be added at each joint ``(N, joints, 4)``: a constant, and per positive unit viscous friction, dry
+    friction and rotor inertia."""
+    columns = [np.ones(samples.velocity.shape), samples.velocity, samples.column(SIGN), samples.acceleration]
+    return np.stack(columns, axis=2)
+
+
+def prior_factor(robot: Robot) -> FloatArray:
+    """A factor ``(D, D)`` of the covariance of what the URDF may be wrong by: every link's shape and mass, and a
+    payload at each end of a chain."""
+    bodies = np.array([body.parameters for body in robot.bodies])
+    manifold = ParameterManifold(len(bodies), 0, np.zeros(0))
+    blocks, _ = manifold.jacobian(manifold.point(bodies.ravel()))
+    factor = np.zeros((bodies.size, bodies.size))
+    for index, body in enumerate(robot.bodies):
+        covariance = (SPREAD * blocks[index]) @ (SPREAD * blocks[index]).T
+        if len(robot.subtree(body.name)) == 1:
+            payload = payload_factor(bodies, index)
+            covariance += payload @ payload.T
+        values, vectors = np.linalg.eigh(covariance)
+        factor[10 * index : 10 * index + 10, 10 * index : 10 * index + 10] = vectors * np.sqrt(np.maximum(values, 0.0))
+    return factor
+
+
+def payload_factor(bodies: FloatArray, carrier: int) -> FloatArray:
+    """A factor ``(10, 10)`` of the covariance of what the link ``carrier`` may carry."""
+    mass = _PAYLOAD * float(np.sum(bodies[:, 0]))
+    ball = pseudo_inertia.assemble(
+        np.array(mass), bodies[carrier, 1:4] / bodies[carrier, 0], 2.0 * mass * _SIZE**2 * np.eye(3)
+    )
+    manifold = ParameterManifold(1, 0, np.zeros(0))
+    block: FloatArray = manifold.jacobian(manifold.point(ball))[0][0]
+    return block

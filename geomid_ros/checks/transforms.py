@@ -14,17 +14,19 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from geomid_ros.checks.candidates import FOLLOWS, GAIN, Candidate, Judged
+from geomid_ros.checks.candidates import GAIN, Candidate, Judged
 from geomid_ros.checks.causes import Cause, gain_settings, gravity_settings
-from geomid_ros.checks.evidence import LEAST_SIGMA
+from geomid_ros.checks.evidence import FOLLOWS, LEAST_SIGMA
+from geomid_ros.checks.instants import FEWEST
 from geomid_ros.checks.subject import Subject
 from geomid_ros.model.moving import SIGN
+from geomid_ros.model.robot import GRAVITY
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray, IntArray
 
 REASON = 4.0
 """No URDF is wrong by more in its masses: a gain beyond it is a unit."""
-STANDARD_GRAVITY = 9.81
+STANDARD_GRAVITY = float(np.linalg.norm(GRAVITY))
 """[m/s^2]"""
 UNITS = {
     "N m": {
@@ -38,14 +40,12 @@ UNITS = {
 """Units of positions, in rad and m, of joints with efforts in N m and N."""
 TIMES = (0.5, 2.0, 1e-3, 1e3)
 """Factors of time: seconds that are counted as halves, twice, as milliseconds or as thousands."""
-_MOST, _LEAST = 2.0, 0.03  # efforts as shares of the URDF's limits: those of right ones are between
 TILT = np.radians(25.0)
 """A base that is not level, and a zero that is off, are hardly off by more."""
 STEP = 1e-4
 """[rad, m] of derivatives by positions."""
 ROUNDS = 3
 """Of a fit that is linearised where it leads."""
-_FEW = 64  # instants that tell which candidates are worth a closer look
 _BEST = 3
 _PAIRS = 8  # joints of which all pairs are tried; of more, neighbours
 _NEARLY = 0.02  # of instants, and of the largest effort: what a filter leaves beyond zero
@@ -55,7 +55,7 @@ _SIDE = re.compile(r"(?<![a-z])(left|right|l|r)(?![a-z])", re.IGNORECASE)
 
 def candidates(subject: Subject) -> Iterator[Candidate]:
     """All candidates that are worth judging on a subject."""
-    few = subject.part(slice(None, None, -(-len(subject.samples) // _FEW)))
+    few = subject.part(slice(None, None, -(-len(subject.samples) // (2 * FEWEST))))
     # Of what is nearly explained no more could be told by reading the motion otherwise.
     rows = ROWS if np.sum(np.log(subject.nominal.sigmas / LEAST_SIGMA)) > GAIN else AS_IT_MOVES
     for row in rows:
@@ -157,8 +157,9 @@ def _gains(subject: Subject, _: Subject) -> Iterator[Candidate]:
     factors = np.where((told > 1.0 - FOLLOWS**2) & (slopes > 0.0), 1.0 / np.maximum(slopes, 1e-30), by_size)
     own = np.abs(np.log(np.maximum(factors / (common if settled else 1.0), 1e-30))) > np.log(REASON)
     unlike = np.abs(np.log(np.maximum(factors, 1e-30))) > np.log(REASON)
+    loads = np.quantile(np.abs(subject.measured), 0.99, axis=0) / subject.robot.effort_limits[subject.joints]
     for joint in np.flatnonzero(own & unlike & (factors > 0.0)).tolist() if len(every) > 1 else ():
-        factor, absurd = float(factors[joint]), bool(_loads(subject)[joint] > REASON**2)
+        factor, absurd = float(factors[joint]), bool(loads[joint] > REASON**2)
         matrix = np.diag(np.where(np.isin(every, joint), factor, 1.0))
         yield _gain(matrix, _other_unit(subject, [joint], factor), [joint], absurd)
 
@@ -168,23 +169,16 @@ def _gain(matrix: FloatArray, cause: Cause, concerned: Sequence[int], settled: b
     return replace(_linear(matrix, cause, concerned), settled=settled, read=None)
 
 
-def _loads(subject: Subject) -> FloatArray:
-    """The largest efforts as shares of the URDF's limits ``(C,)``."""
-    return np.asarray(np.quantile(np.abs(subject.measured), 0.99, axis=0) / subject.robot.effort_limits[subject.joints])
-
-
 def _common_factor(subject: Subject, slopes: FloatArray, told: FloatArray) -> tuple[float, bool]:
     """The factor that makes all efforts those of the URDF, and whether it is sure without any evidence: where the
-    links that were fitted are all as much too light or too heavy, or limits are exceeded."""
+    links that were fitted are all as much too light or too heavy."""
     fitted, follows = subject.fitted_slopes(subject.nominal)
     for ratios, sure in ((slopes, (told > 1.0 - FOLLOWS**2) & (slopes > 0.0)), (fitted, follows)):
         if np.count_nonzero(sure) >= 2:
             factor = 1.0 / float(np.median(ratios[sure]))
             return factor, bool(np.median(np.abs(np.log(ratios[sure] * factor))) < np.log(REASON))
     predicted = np.maximum(np.std(subject.predicted, axis=0), 1e-9)
-    loads = _loads(subject)
-    beyond = bool(np.median(loads) > _MOST or np.max(loads) < _LEAST)
-    return float(np.median(predicted / subject.spread)), beyond
+    return float(np.median(predicted / subject.spread)), False
 
 
 def _other_unit(subject: Subject, joints: Sequence[int], factor: float) -> Cause:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.checks.causes import Cause, Finding
-from geomid_ros.checks.flexible import moving
+from geomid_ros.checks.evidence import LEAST_SIGMA, moving
 from geomid_ros.checks.instants import FEWEST
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
@@ -20,7 +20,6 @@ from geomid_ros.types import FloatArray
 
 HALF = 0.5
 """Share of an effort's standard deviation: an identified model leaves less, a cause of what is left explains more."""
-_MATTERS = 0.05  # of the largest standard deviation of an effort of the robot
 WORSE = 1.05
 """RMS over that of the input's file: less is of no account."""
 _ELSE = (
@@ -63,7 +62,7 @@ class Residuals:
         left, units = rms(self.residuals), np.array(self.units)
         largest = np.array([np.max(variation[units == unit]) for unit in units])
         share = left / np.maximum(variation, np.finfo(float).tiny)
-        bad = (left > _MATTERS * largest) & ((share > allowed) | (left > WORSE * self.before))
+        bad = (left > LEAST_SIGMA * largest) & ((share > allowed) | (left > WORSE * self.before))
         worst = sorted(np.flatnonzero(bad).tolist(), key=lambda joint: -share[joint])
         if not worst:
             return None

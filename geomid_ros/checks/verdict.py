@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomid_ros.checks.causes import Finding
-from geomid_ros.checks.evidence import SURE
+from geomid_ros.checks.transforms import REASON
 from geomid_ros.checks.unexplained import WORSE
-from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimate import SURE, Estimate
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
@@ -20,11 +20,10 @@ USABLE, NOT_CONVERGED, DOUBTFUL = "usable", "not converged", "doubtful"
 STATUS = {USABLE: 0, NOT_CONVERGED: 3, DOUBTFUL: 4}
 """Exit status of each verdict; 2 is that of a refusal."""
 
-REASON = 2.0
+HEAVIER = 2.0
 """No URDF is wrong by more in the mass of the whole robot."""
 _BLOCK = 1_000_000_000  # [ns] errors so far apart are independent
 _FEWEST_BLOCKS = 4
-_UNLIKE = 4.0  # times the RMS of what was fitted: more than a motion that is a little different explains
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +104,7 @@ def _beyond_reason(estimate: Estimate, model: MeasurementModel) -> Iterator[str]
     """That all links together weigh what no such robot weighs, unless something was weighed, or carries the robot."""
     found, nominal = sum(link.mass for link in estimate.links), float(np.sum(model.nominal_inertias[::10]))
     weighed = bool(estimate.known) or model.robot.floating_base
-    if not weighed and not nominal / REASON <= found <= nominal * REASON:
+    if not weighed and not nominal / HEAVIER <= found <= nominal * HEAVIER:
         yield (
             f"the links weigh {found:.3g} kg in all instead of the URDF's {nominal:.3g} kg: the motion does not "
             "identify masses, effects that the model lacks stand in for them, or the recording is of another robot; "
@@ -121,9 +120,9 @@ def unlike(estimate: Estimate, held_out: FloatArray) -> list[str]:
         held_out: RMS of what it leaves on held-out data ``(channels,)``, NaN where nothing is measured.
     """
     ratios = held_out / np.maximum(estimate.rms, np.finfo(float).tiny)
-    if not np.any(ratios > _UNLIKE):
+    if not np.any(ratios > REASON):
         return []
-    named = ", ".join(f"'{estimate.channels[c]}' ({ratios[c]:.0f} times)" for c in np.flatnonzero(ratios > _UNLIKE))
+    named = ", ".join(f"'{estimate.channels[c]}' ({ratios[c]:.0f} times)" for c in np.flatnonzero(ratios > REASON))
     sentence = (
         f"what was held out is predicted far worse than what was fitted: {named}; the robot moves otherwise there, or "
         "something has changed. If nothing has, fit all of it (--hold-out 0), and judge on another recording "

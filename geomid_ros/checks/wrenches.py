@@ -2,33 +2,29 @@
 
 The weight of what a sensor carries turns with the sensor, whatever it weighs: the axes, the ratio of force to torque
 and the time are judged first, by what links of any mass, of either sign, leave unexplained. Only then the fitted mass
-tells the sign and the unit of both together.
+tells the sign and the unit of both together. The first forces of a stream are judged by the URDF alone: a payload
+changes neither the direction nor, by as much as a unit, the size.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import permutations, product
 
 import numpy as np
 
-from geomid_ros.checks.candidates import FOLLOWS, GAIN
+from geomid_ros.checks.candidates import GAIN
 from geomid_ros.checks.causes import Cause, Finding, written
-from geomid_ros.checks.evidence import LEAST_SIGMA
-from geomid_ros.checks.instants import FEWEST
-from geomid_ros.checks.rows import prior_factor
-from geomid_ros.checks.transforms import REASON, ROUNDS
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.checks.evidence import FOLLOWS, LEAST_SIGMA
+from geomid_ros.checks.instants import FEWEST, STEP
+from geomid_ros.checks.subject import prior_factor
+from geomid_ros.checks.transforms import REASON, ROUNDS, TILT
+from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import AXES, WrenchSensor
 from geomid_ros.types import FloatArray
 
-_FREE = 4.0  # times the URDF's errors: links of any mass, of either sign
-_BETTER = 0.75
-_UNIT = 1000.0
 _OTHER_UNIT = 50.0  # times as much, or as little: no tool is
-_LONGEST, _STEP, _SHORTEST = 5.0, 0.02, 0.1  # [s] of a delay
 _FLOOR = np.finfo(float).tiny
 
 
@@ -61,7 +57,7 @@ class WrenchSensorCheck:
         bare = MeasurementModel(model.robot, (), model.sensors)
         self._channels = list(model.layout.wrenches[sensor.topic])
         self._prior = bare.nominal_parameters
-        self._factor = _FREE * prior_factor(model.robot)
+        self._factor = prior_factor(model.robot)
         rows = bare.rows(samples)
         self._regressor = rows.coefficients[:, self._channels]
         self._wrench = rows.targets[:, self._channels]
@@ -85,12 +81,9 @@ class WrenchSensorCheck:
         tried = [(self._fit(self._regressor, wrench), cause) for wrench, cause in self._geometries()]
         tried += list(self._delayed())
         best, cause = max(tried, key=lambda one: one[0].score(count))
-        if best.score(count) - nominal.score(count) > 2.0 * GAIN * count and self._better(best, nominal):
+        if best.score(count) - nominal.score(count) > 2.0 * GAIN * count and np.all(best.sigmas < FOLLOWS):
             return Finding(cause=cause)
         return self._sign_or_unit(nominal)
-
-    def _better(self, best: _Fit, nominal: _Fit) -> bool:
-        return bool(np.all(best.sigmas < FOLLOWS) and np.any(best.sigmas < _BETTER * nominal.sigmas))
 
     def _sign_or_unit(self, fit: _Fit) -> Finding | None:
         if not fit.sigmas[0] < FOLLOWS:
@@ -114,14 +107,15 @@ class WrenchSensorCheck:
     def _geometries(self) -> Iterator[tuple[FloatArray, Cause]]:
         """Other wrenches ``(N, 6)`` that the messages may mean."""
         halves = self._wrench.reshape(-1, 2, 3)
-        for rotation in _turns():
-            turned = (halves @ rotation.T).reshape(-1, 6)
-            named = ", ".join(_axis(row) for row in rotation)
-            what = f"its axes are rotated: x, y, z of '{self._sensor.frame}' are its {named}; set the right frame"
-            yield turned, self._cause(what)
+        forces = [each[:, :3] - np.mean(each[:, :3], axis=0) for each in (self._regressor @ self._prior, self._wrench)]
+        for sign in (1.0, -1.0):
+            rotation = _rotation(sign * forces[0].T @ forces[1])[0]
+            if _angle(rotation) > TILT:  # less may be a zero of a joint that is off
+                what = f"its axes are rotated: {_described(rotation, self._sensor.frame)}; set the right frame"
+                yield (halves @ rotation.T).reshape(-1, 6), self._cause(what)
         in_sensor = np.einsum("nji,nkj->nki", self._rotations, halves).reshape(-1, 6)
         yield in_sensor, self._cause(f"its wrench is in the axes of the base, not of '{self._sensor.frame}'")
-        for factor, unit in ((1.0 / _UNIT, "N mm"), (_UNIT, "kN m")):
+        for factor, unit in ((1e-3, "N mm"), (1e3, "kN m")):
             scaled = self._wrench * np.array([1.0] * 3 + [factor] * 3)
             yield scaled, self._cause(f"its torques are in {unit}, its forces in N; they must be in N and N m")
 
@@ -129,13 +123,11 @@ class WrenchSensorCheck:
         """The wrench of other times, where forces of the URDF's links are most alike."""
         dense = self._dense
         times = dense.seconds
-        if len(dense) < FEWEST or times[-1] < 2.0 * _SHORTEST:
+        if len(dense) < FEWEST:
             return
         rows = self._bare.rows(dense)
         regressor, wrench = rows.coefficients[:, self._channels], rows.targets[:, self._channels]
         delay = _best_delay(times, (regressor @ self._prior)[:, :3], wrench[:, :3])
-        if abs(delay) < _SHORTEST:
-            return
         now = self._fit(regressor, wrench)
         inside = (times + delay >= times[0]) & (times + delay <= times[-1])
         then = np.array([np.interp(times[inside] + delay, times, column) for column in wrench.T]).T
@@ -172,14 +164,14 @@ class WrenchSensorCheck:
 
 def _best_delay(times: FloatArray, expected: FloatArray, measured: FloatArray) -> float:
     """By how much [s] measured forces ``(N, 3)`` come later than the expected ones."""
-    grid = np.arange(times[0], times[-1], _STEP)
+    step = 1e-9 * STEP
+    grid = np.arange(times[0], times[-1], step)
     if len(grid) < FEWEST:
         return 0.0
     both = [np.array([np.interp(grid, times, c) for c in forces.T]).T for forces in (expected, measured)]
-    most = min(round(_LONGEST / _STEP), len(grid) // 2)
-    shifts = np.arange(-most, most + 1)
+    shifts = np.arange(-(len(grid) // 2), len(grid) // 2 + 1)
     alike = [_correlation(both[0][max(-s, 0) :], both[1][max(s, 0) :]) for s in shifts]
-    return float(shifts[int(np.argmax(alike))] * _STEP)
+    return float(shifts[int(np.argmax(alike))] * step)
 
 
 def _correlation(a: FloatArray, b: FloatArray) -> float:
@@ -188,21 +180,87 @@ def _correlation(a: FloatArray, b: FloatArray) -> float:
     return float(np.sum(a * b) / np.sqrt(max(float(np.sum(a * a) * np.sum(b * b)), _FLOOR)))
 
 
-def _turns() -> Iterator[FloatArray]:
-    """The 23 rotations by right angles."""
-    for order in permutations(range(3)):
-        for signs in product((1.0, -1.0), repeat=3):
-            rotation = np.zeros((3, 3))
-            rotation[range(3), order] = signs
-            if np.linalg.det(rotation) > 0.0 and not np.array_equal(rotation, np.eye(3)):
-                yield rotation
+def _rotation(products: FloatArray) -> tuple[FloatArray, float]:
+    """The rotation ``(3, 3)`` of the second vectors that makes them most like the first, by their summed products
+    ``(3, 3)``, and the sum of scalar products then (orthogonal Procrustes problem; Kabsch 1976)."""
+    left, strengths, right = np.linalg.svd(products)
+    handed = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    return np.asarray(left * handed @ right), float(strengths @ handed)
 
 
-def _axis(row: FloatArray) -> str:
-    index = int(np.argmax(np.abs(row)))
-    return ("-" if row[index] < 0.0 else "") + "xyz"[index]
+def _angle(rotation: FloatArray) -> float:
+    return float(np.arccos(np.clip(0.5 * (np.trace(rotation) - 1.0), -1.0, 1.0)))
+
+
+def _described(rotation: FloatArray, frame: str) -> str:
+    """A rotation by about right angles by the names of axes, any other by its angle."""
+    turns = np.round(rotation)
+    if np.array_equal(turns, np.eye(3)) or np.any(np.sum(np.abs(turns), axis=1) != 1.0):
+        return f"against those of '{frame}' by about {np.degrees(_angle(rotation)):.0f} degrees"
+    named = ", ".join(("-" if min(row) < 0.0 else "") + "xyz"[int(np.argmax(np.abs(row)))] for row in turns)
+    return f"x, y, z of '{frame}' are its {named}"
 
 
 def can_be_judged(sensor: WrenchSensor) -> bool:
     """Whether a sensor is one that the weight behind it decides on."""
     return sensor.role == "mounted" and tuple(sensor.axes) == AXES
+
+
+class FirstForces:
+    """Compares the mounted sensors' first forces with those of the URDF: sign, axes and unit.
+
+    One thread may call :meth:`add` while another asks.
+    """
+
+    def __init__(self, model: MeasurementModel, nominal: FloatArray) -> None:
+        """
+        Args:
+            model: has the sensors.
+            nominal: ``(D,)`` the URDF's parameters.
+        """
+        self._nominal = nominal
+        self._forces = {
+            sensor.topic: [model.layout.wrenches[sensor.topic][sensor.axes.index(axis)] for axis in AXES[:3]]
+            for sensor in model.mounted
+            if set(AXES[:3]) <= set(sensor.axes)
+        }
+        self._count = 0
+        self._products = {topic: np.zeros((6, 6)) for topic in self._forces}
+        self.problems: dict[str, str] = {}
+        """What is wrong with each sensor that is not as declared, by its topic."""
+
+    @property
+    def ended(self) -> bool:
+        """Whether the sensors have been judged, or there are none to judge."""
+        return self._count >= 2 * FEWEST or not self._forces
+
+    def add(self, rows: Rows) -> None:
+        """Take rows of instants in motion, until there are enough."""
+        if self.ended:
+            return
+        self._count += len(rows.targets)
+        for topic, places in self._forces.items():
+            expected = rows.coefficients[:, places] @ self._nominal
+            both = np.concatenate([rows.targets[:, places], expected], axis=1)
+            both = both[np.all(np.isfinite(both), axis=1)]
+            self._products[topic] += both.T @ both
+        if self.ended:
+            judged = {topic: _problem(products) for topic, products in self._products.items()}
+            self.problems = {topic: problem for topic, problem in judged.items() if problem}
+
+
+def _problem(products: FloatArray) -> str:
+    """What is wrong with a sensor, by the summed products ``(6, 6)`` of measured and expected forces."""
+    measured, expected = np.trace(products[:3, :3]), np.trace(products[3:, 3:])
+    if not measured > 0.0 or not expected > 0.0:
+        return ""
+    scale, follows = float(np.sqrt(measured * expected)), np.sqrt(1.0 - FOLLOWS**2)
+    agreement = float(np.trace(products[:3, 3:])) / scale
+    if agreement < -follows:
+        return "the forces are opposite to those expected from the URDF: check the sign"
+    if agreement < FOLLOWS and _rotation(products[3:, :3])[1] > follows * scale:
+        return "the forces are rotated against those expected from the URDF: check the frame"
+    ratio = float(np.sqrt(measured / expected))
+    if agreement > follows and not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT:
+        return f"the forces are {ratio:.2g} times those expected from the URDF: check the unit"
+    return ""

@@ -18,8 +18,12 @@ from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.live.activity import Activity
 from geomid_ros.live.daemon import start_daemon
 from geomid_ros.live.pace import NEW_SHARE, Pace
-from geomid_ros.monitoring.change_detection import ChangeDetector
-from geomid_ros.monitoring.wrench_sensors import changed_sensors, robot_may_have_changed, sensor_channels
+from geomid_ros.monitoring.change_detection import (
+    ChangeDetector,
+    changed_sensors,
+    robot_may_have_changed,
+    sensor_channels,
+)
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import count_reason
 

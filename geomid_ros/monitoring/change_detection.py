@@ -27,7 +27,7 @@ from geomid_ros.estimation.estimate import SURE
 from geomid_ros.estimation.identifier import LONGEST_STEP
 from geomid_ros.geometry import definite
 from geomid_ros.model.channels import Channel
-from geomid_ros.model.measurement import Rows
+from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.types import FloatArray, IntArray
 
 BLOCK = 40
@@ -274,3 +274,44 @@ class _Cusum:
 def _unexplained(factor: FloatArray) -> float:
     """The sum of squares that least squares leave, from the triangular factor of ``[A b]``."""
     return float(factor[-1, -1] ** 2) if len(factor) == factor.shape[1] else 0.0
+
+
+def sensor_channels(model: MeasurementModel) -> dict[str, list[int]]:
+    """The places among the model's channels of each mounted sensor's axes, by its topic."""
+    return {sensor.topic: list(model.layout.wrenches[sensor.topic]) for sensor in model.mounted}
+
+
+def changed_sensors(gaps: Sequence[ChannelGap], model: MeasurementModel) -> dict[str, int] | None:
+    """The mounted sensors that are no longer what they were.
+
+    A load that is picked up is felt by other sensors and at the joints, too: where there is a gap at any other channel,
+    or no other is watched, it may be the robot that has changed.
+
+    Args:
+        gaps: of the channels that are watched.
+        model: has the sensors.
+
+    Returns:
+        By the topic of each changed sensor, the number of the instant before which it had not changed; None if it may
+        be the robot that has.
+    """
+    mounted = _channels_by_topic(model)
+    first = {gap.channel: gap.first for gap in gaps if gap.since is not None}
+    begin = {
+        topic: min(first[name] for name in names if name in first) - LATE
+        for topic, names in mounted.items()
+        if not first.keys().isdisjoint(names)
+    }
+    others = {gap.channel for gap in gaps}.difference(*mounted.values())
+    return begin if others and not robot_may_have_changed(gaps, model) else None
+
+
+def robot_may_have_changed(gaps: Sequence[ChannelGap], model: MeasurementModel) -> bool:
+    """Whether there is a gap at a joint, or at several sensors. As long as no joint is watched yet, nobody knows."""
+    mounted = _channels_by_topic(model)
+    opened = {gap.channel for gap in gaps if gap.since is not None}
+    return bool(opened.difference(*mounted.values())) or sum(map(bool, map(opened.intersection, mounted.values()))) > 1
+
+
+def _channels_by_topic(model: MeasurementModel) -> dict[str, list[str]]:
+    return {topic: [model.channels[place].name for place in places] for topic, places in sensor_channels(model).items()}

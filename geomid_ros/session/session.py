@@ -16,7 +16,7 @@ from geomid_ros.checks.causes import Finding
 from geomid_ros.checks.check import Judge, JudgementTask, RecordingCheck, efforts_alone
 from geomid_ros.checks.unexplained import unexplained
 from geomid_ros.checks.verdict import (
-    REASON,
+    HEAVIER,
     Verdict,
     unlike,
     verdict,
@@ -252,7 +252,7 @@ class Session:
         it."""
         masses = self.model.nominal_inertias[::10]
         for link, nominal in zip(estimate.links, masses, strict=True):
-            far = link.outlier or not nominal / REASON <= link.mass <= nominal * REASON
+            far = link.outlier or not nominal / HEAVIER <= link.mass <= nominal * HEAVIER
             if far and len(self.robot.subtree(link.name)) > 1:
                 yield link
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from geomid_ros.checks.wrenches import FirstForces
 from geomid_ros.model.measurement import Rows
-from geomid_ros.monitoring.wrench_sensors import WrenchCheck, sensor_channels
+from geomid_ros.monitoring.change_detection import sensor_channels
 from geomid_ros.session.session import Session
 
 _MOST_HELD = 100_000_000  # bytes of rows that can be taken back
@@ -18,7 +19,7 @@ class WrenchGuard:
         """Begin with the next rows."""
         self._session = session
         self._sensors = sensor_channels(session.model)
-        self._check = WrenchCheck(session.model, session.nominal_parameters)
+        self._check = FirstForces(session.model, session.nominal_parameters)
         self._keep_revocable()
 
     @property

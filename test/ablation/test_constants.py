@@ -10,23 +10,29 @@ import pytest
 
 from benchmarks.ablation.constants import PACKAGES, Constant, constants
 from benchmarks.ablation.running import Case, Figures, baseline, changed_by
-from geomid_ros.monitoring import change_detection, wrench_sensors
+from geomid_ros.estimation import estimate
+from geomid_ros.monitoring import change_detection
 
 BLOCK = Constant("geomid_ros.monitoring.change_detection", "", "BLOCK")
+SURE = Constant("geomid_ros.estimation.estimate", "", "SURE")
 
 
 @pytest.fixture
-def changed() -> Iterator[int]:
-    """The block is three times as long."""
-    usual = change_detection.BLOCK
-    BLOCK.change(3 * usual)
+def changed() -> Iterator[tuple[int, float]]:
+    """The block and the interval are three times as long."""
+    usual = change_detection.BLOCK, estimate.SURE
+    for constant, value in zip((BLOCK, SURE), usual, strict=True):
+        constant.change(3 * value)
     yield usual
-    BLOCK.change(usual)
+    for constant, value in zip((BLOCK, SURE), usual, strict=True):
+        constant.change(value)
 
 
-def test_importers_and_computed_numbers_follow(changed: int) -> None:
-    assert 3 * changed == change_detection.BLOCK
-    assert change_detection.LATE == wrench_sensors.LATE == 6 * changed
+def test_importers_and_computed_numbers_follow(changed: tuple[int, float]) -> None:
+    block, sure = changed
+    assert 3 * block == change_detection.BLOCK
+    assert 6 * block == change_detection.LATE
+    assert 3 * sure == estimate.SURE == vars(change_detection)["SURE"]
 
 
 def test_lines_that_read_it() -> None:
@@ -34,7 +40,9 @@ def test_lines_that_read_it() -> None:
     lines = {line for path, line in BLOCK.lines if path == change_detection.__file__}
     reading = {first + number for number, line in enumerate(text) if "BLOCK" in line}
     assert reading <= lines
-    assert {path for path, _ in BLOCK.lines} >= {wrench_sensors.__file__}, "through LATE"
+    changed, first = inspect.getsourcelines(change_detection.changed_sensors)
+    assert {first + number for number, line in enumerate(changed) if "LATE" in line} <= lines, "through LATE"
+    assert {path for path, _ in SURE.lines} >= {change_detection.__file__}
 
 
 @pytest.mark.parametrize("package", PACKAGES)
@@ -49,7 +57,7 @@ def test_every_number_has_other_values(package: str) -> None:
 
 def test_a_case_notices_what_it_depends_on_and_nothing_else() -> None:
     def run() -> Figures:
-        return {"late": float(wrench_sensors.LATE), "verdict": "as it was"}
+        return {"late": float(change_detection.LATE), "verdict": "as it was"}
 
     case = Case("a bench", "a robot", run)
     known = {case.name: baseline(case)}

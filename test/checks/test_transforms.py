@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from estimation.arms import Case, efforts, motion, samples
 
+from benchmarks.corruption.__main__ import judged
 from benchmarks.corruption.recording import ARM3, Recording
+from benchmarks.corruption.simulated import RAIL, simulated
 from checks.test_efforts import ROBOTS, case, checked, named
 from geomid_ros.checks.check import JudgementTask, RecordingCheck
 from geomid_ros.model.samples import Samples
@@ -64,6 +66,17 @@ def test_gravity_is_in_another_unit(robot: Case, size: float) -> None:
     cause = named(model, robot.samples)
     assert cause.kind == "gravity"
     assert cause.settings["gravity"] == pytest.approx([0.0, 0.0, -9.81], abs=1.5)
+
+
+@pytest.mark.parametrize("slide", [0, 4])
+def test_a_slide_in_millimetres_is_not_taken_for_lengths_of_the_urdf(slide: int, tmp_path: Path) -> None:
+    """A slide that is said to be hundreds of metres out makes no URDF long."""
+    sound = simulated(RAIL, 0)
+    scales = np.where(np.arange(sound.position.shape[1]) == slide, 1000.0, 1.0)
+    assert sound.velocity is not None
+    wrong = replace(sound, position=scales * sound.position, velocity=scales * sound.velocity)
+    (finding,) = judged(wrong, wrong.write(tmp_path / "bag")).findings
+    assert (finding.cause.kind, finding.cause.places) == ("position", (sound.robot.joint_names[slide],))
 
 
 def test_what_one_of_two_recordings_shows_is_a_remark(robot: Case) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -81,6 +82,16 @@ def test_turned_axes_are_named(axis: str, quarters: int, axes: str) -> None:
     found = cause(lambda wrench: wrench @ turn.T)
     assert found is not None
     assert f"are its {axes};" in found.sentence
+
+
+@pytest.mark.parametrize("degrees", [35.0, 70.0])
+def test_axes_turned_by_any_angle_are_named(degrees: float) -> None:
+    """Not only right angles: a flange that is mounted a few holes further on."""
+    turn = Rotation.from_rotvec(np.radians(degrees) * np.array([1.0, 2.0, 2.0]) / 3.0).as_matrix()
+    found = cause(lambda wrench: wrench @ turn.T)
+    assert found is not None
+    (told,) = re.findall(r"by about (\d+) degrees", found.sentence)
+    assert float(told) == pytest.approx(degrees, abs=3.0)
 
 
 def test_the_axes_of_the_base() -> None:

@@ -17,7 +17,7 @@ import pytest
 from files.recordings import BAGS
 from signals.feeding import completed
 
-from geomid_ros.checks.efforts import EffortCheck
+from geomid_ros.checks.check import EffortCheck
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.identifier import EstimationTask, Identifier
