@@ -55,21 +55,9 @@ class EffectPlaces:
         return places[name]
 
     def is_usual(self, place: Place) -> bool:
-        """Whether effects are looked for at a place though nobody said that one acts there.
-
-        Two joints share motors where these sit behind both: at a wrist, the last three joints that turn before a chain
-        ends or forks, where their axes meet.
-        """
-        match place:
-            case AtJoints(first, second):
-                beyond = self._turning_on(second)
-                last = len(beyond) != 1 or len(self._turning_on(*beyond)) != 1
-                return last and self.robot.axes_meet(first, second)
-        return True
-
-    def _turning_on(self, joint: int) -> list[int]:
-        """The joints that move on one, nothing that moves between them, and turn."""
-        return [end for begin, end in self._chain if begin == joint and not self.slides(AtJoint(end))]
+        """Whether effects are looked for at a place though nobody said that one acts there: two joints share a motor
+        by a gear between them, where their axes meet."""
+        return not isinstance(place, AtJoints) or self.robot.axes_meet(place.first, place.second)
 
     def slides(self, place: Place) -> bool:
         """Whether the (first) joint of a place is prismatic."""

@@ -92,7 +92,7 @@ def chosen(found: Estimate) -> list[EffectEstimate]:
 
 @pytest.mark.parametrize(
     ("name", "joint", "effect"),
-    # Joints 5 and 6 of the large arm are its wrist; the small one has none.
+    # Joints 5 and 6 of the large arm are its wrist; no axes of the small one meet.
     [
         (name, joint + effect.startswith("coupled"), effect)
         for name, joint in (("arm3", 1), ("arm7", 3))

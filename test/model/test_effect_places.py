@@ -25,15 +25,22 @@ def pairs(name: str, *, asked_for: bool = False) -> set[str]:
 
 
 @pytest.mark.parametrize(
-    ("name", "wrist"),
+    ("name", "meeting"),
     [
-        ("ur5_robot.urdf", {"wrist_1_joint+wrist_2_joint", "wrist_2_joint+wrist_3_joint"}),
-        ("panda.urdf", {"panda_joint5+panda_joint6"}),  # joint 7 is beside joint 6
-        ("kinova.urdf", {"j2s6s200_joint_4+j2s6s200_joint_5", "j2s6s200_joint_5+j2s6s200_joint_6"}),
+        # The other axes of its arm are parallel.
+        (
+            "ur5_robot.urdf",
+            {"shoulder_pan_joint+shoulder_lift_joint", "wrist_1_joint+wrist_2_joint", "wrist_2_joint+wrist_3_joint"},
+        ),
+        # Its elbow and its flange are beside the axes before them.
+        (
+            "panda.urdf",
+            {"panda_joint1+panda_joint2", "panda_joint2+panda_joint3", "panda_joint5+panda_joint6"},
+        ),
     ],
 )
-def test_a_motor_of_two_joints_is_looked_for_at_wrists(name: str, wrist: set[str]) -> None:
-    assert pairs(name) == wrist
+def test_a_motor_of_two_joints_is_looked_for_where_axes_meet(name: str, meeting: set[str]) -> None:
+    assert pairs(name) == meeting
 
 
 def test_a_motor_of_two_joints_is_at_all_that_follow_one_another_where_it_is_asked_for() -> None:
