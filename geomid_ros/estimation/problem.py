@@ -79,12 +79,13 @@ class Problem:
         """Usual errors ``(coefficients,)`` of the coefficients' priors, tangent coordinates at a point.
 
         That of a logarithm says nothing of how large a positive coefficient may be that is next to nothing: it is no
-        better known than a real one of its channel.
+        better known than a real one of its channel. A real one that was fitted first is known to its own size at best,
+        as positive ones are.
         """
-        usual = self.prior_spreads[self.manifold.inertial.stop :].copy()
-        positive = slice(0, self.model.positives)
-        usual[positive] = np.maximum(usual[positive], USUAL_SPREAD_OF_REALS * self._scales[positive] / point.positives)
-        return usual
+        positive, real = np.split(self.prior_spreads[self.manifold.inertial.stop :], [self.model.positives])
+        least = USUAL_SPREAD_OF_REALS * self._scales[: self.model.positives] / point.positives
+        fitted = np.abs(self.prior_point.reals) / self.manifold.scales if self.given is None else 0.0
+        return np.concatenate([np.maximum(positive, least), np.maximum(real, fitted)])
 
     @cached_property
     def prior_spreads(self) -> FloatArray:

@@ -12,8 +12,10 @@ from geomid_ros.estimation.fit import Fit, fit
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.link_spreads import CERTAINTY
 from geomid_ros.estimation.problem import Problem
-from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
+from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS, USUAL_SPREAD_OF_REALS
 from geomid_ros.geometry import pseudo_inertia, spd
+from geomid_ros.model.effects import identifiable
+from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.weighed_masses import weighed_rows
 from geomid_ros.types import FloatArray
 
@@ -170,3 +172,15 @@ def test_a_budget_that_is_spent_is_told() -> None:
         identifier = Identifier(case.model, EstimatorSettings(max_steps=most))
         identifier.add(case.samples)
         assert any("budget of steps" in warning for warning in identifier.solve().warnings) == told
+
+
+def test_what_was_fitted_first_is_known_to_its_own_size_at_best() -> None:
+    """Of an offset that is part of a spring, as large as all that its joint feels."""
+    case = arm("arm3", 0, seconds=8)
+    model = MeasurementModel(case.model.robot, [identifiable()["effort_offset"], identifiable()["spring"]])
+    far = case.samples.effort + 500.0 * (case.samples.position - 2.0)
+    found = problem(replace(case.with_efforts(far), model=model))
+    errors = found.usual_errors(found.prior_point)
+    own = np.abs(found.prior_point.reals) / found.manifold.scales
+    assert np.all(errors[found.model.positives :] >= own)
+    assert np.max(own) > 2.0 * USUAL_SPREAD_OF_REALS
