@@ -29,7 +29,6 @@ from geomid_ros.report.drawing import draw_identification, series_of
 from geomid_ros.report.identification_page import IdentificationPage, write_identification_page
 from geomid_ros.report.series import Series
 from geomid_ros.report.sheet import write_picture
-from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.locking import read_with_locked
 from geomid_ros.session.recordings import Bags, Progress, read_bags, read_fitted, silent
 from geomid_ros.session.session import Session
@@ -40,6 +39,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from geomid_ros.resimulation.closed_loop import Tracking
+
+
+_RATIOS = tuple(2.0 ** (0.25**reading) for reading in (1, 2, 3))
+"""Between the shapes of dry friction that are tried in each further reading: four times as close as before."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,7 +115,7 @@ class Identification:
         kept."""
         if not self.held_out:
             return self.judged
-        return read_fitted(Session(*self._again), self.bags)
+        return read_fitted(self.session.again(), self.bags)
 
     @cached_property
     def rms_nominal(self) -> dict[str, float]:
@@ -138,12 +141,7 @@ class Identification:
             return None
         from geomid_ros.session.tracking import tracking_of  # noqa: PLC0415 seldom asked for
 
-        return tracking_of(Session(*self._again), self.written.model, self.bags, self.command)
-
-    @property
-    def _again(self) -> tuple[str, Configuration, str]:
-        """What another session of the same robot is made of."""
-        return self.session.urdf, self.session.configuration, self.session.robot.source
+        return tracking_of(self.session.again(), self.written.model, self.bags, self.command)
 
     def _by_channel(self, values: FloatArray) -> dict[str, float]:
         return dict(zip(self.estimate.channels, values.tolist(), strict=True))
@@ -343,6 +341,13 @@ def identify(
     session.check_description()
     progress("solving", 0.0)
     estimate = session.identifier.solve()
+    for ratio in _RATIOS:
+        if not (shapes := session.shapes_near(estimate, ratio)):
+            break
+        session = session.again(shapes)
+        held_out, judged = _read(session, recorded, progress)
+        progress("solving", 0.0)
+        estimate = session.identifier.solve()
     return Identification(
         session=session,
         bags=recorded,

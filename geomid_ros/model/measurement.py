@@ -117,7 +117,8 @@ class MeasurementModel:
             effects: act at every place of their kind.
             sensors: the wrench sensors.
             links: the bodies to identify (all unless given); the others keep their URDF's inertia.
-            local_effects: act only at the place by whose name they are given.
+            local_effects: act only at the place by whose name they are given; of one name the first, unless another
+                shape of it, which those after it are, fits better.
             behind_gear: names of the joints whose efforts are measured behind the gear, where a motor is not felt.
             candidates: may act at every place of their kind where none of the same name is known.
 
@@ -179,6 +180,11 @@ class MeasurementModel:
         everywhere = effect in self._common or effect in self._candidates
         return effect in local or (everywhere and effect.name not in {other.name for other in local})
 
+    def _stands(self, effect: IdentifiedEffect, place: str) -> bool:
+        """Whether an effect that is in the model at a place may not be left out."""
+        local = [other for other in self._local.get(place, ()) if other.name == effect.name]
+        return effect == local[0] if local else effect in self._common
+
     def _is_felt(self, effect: IdentifiedEffect, place: Place) -> bool:
         """Whether the sensors are on that side of the gear on which an effect acts."""
         joints = {self.robot.joint_names[joint] for joint in joints_of(place)}
@@ -199,7 +205,7 @@ class MeasurementModel:
                 place_name=name,
                 parameter=form.name,
                 unit=form.units[sliding],
-                optional=effect not in self._common and effect not in self._local.get(name, ()),
+                optional=not self._stands(effect, name),
             )
 
     def _check_sensors(self) -> None:

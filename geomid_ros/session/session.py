@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -41,6 +43,7 @@ from geomid_ros.files.models.readers import ELEMENTS, URDF
 from geomid_ros.files.models.urdf import inertia_of, with_effects, with_inertials
 from geomid_ros.model.absent_joints import lockable
 from geomid_ros.model.columns import Columns
+from geomid_ros.model.effects import IdentifiedEffect
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -70,6 +73,7 @@ class Session:
         source: str,
         ledger: Ledger | None = None,
         readers: Collection[str] = (),
+        shapes: Mapping[str, Sequence[IdentifiedEffect]] = MappingProxyType({}),
     ) -> None:
         """Build the model that description and configuration ask for.
 
@@ -79,6 +83,7 @@ class Session:
             source: where the description is from, for messages.
             ledger: told what becomes of every message.
             readers: who will read the files of results, of :data:`~geomid_ros.files.models.handover.ELEMENTS`.
+            shapes: by place, those of effects to choose from, where the model says nothing of these.
 
         Raises:
             InputError: these do not fit together.
@@ -86,13 +91,13 @@ class Session:
         self.urdf = urdf
         self._source = source
         self.configuration = configuration
-        self._readers = readers
+        self._readers, self._shapes = readers, shapes
         self.loaded = LoadedModel.read(configuration["model"])
         sensors = self.loaded.sensors(configuration.sensors)
         self._sensors = sensors
         self.robot = self.read_robot(urdf, source)
         effects = configuration.effects
-        local = self.loaded.local_effects(effects)
+        local = _beside(self.loaded.local_effects(effects), shapes)
         model = MeasurementModel(
             self.robot,
             effects,
@@ -143,6 +148,27 @@ class Session:
             gravity=self.loaded.gravity(configuration.gravity),
             source=source,
         )
+
+    def again(self, shapes: Mapping[str, Sequence[IdentifiedEffect]] | None = None) -> Session:
+        """Another session of the same robot, with other ``shapes`` of effects if they are given."""
+        shapes = self._shapes if shapes is None else shapes
+        session = Session(self.urdf, self.configuration, self._source, readers=self._readers, shapes=shapes)
+        session.settled += self.settled
+        return session
+
+    def shapes_near(self, estimate: Estimate, ratio: float) -> dict[str, list[IdentifiedEffect]]:
+        """By place, shapes of effects that lie near those of an ``estimate``, a ``ratio`` from one to the next, where
+        there were some to choose from."""
+        first = self.model.dimension - len(self.model.coefficients)
+        sizes = estimate.parameters[first:].tolist()
+        shapes = Counter(c.mechanism for c in self.model.coefficients)
+        always = {c.mechanism for c in self.model.coefficients if not c.optional}
+        found: dict[str, list[IdentifiedEffect]] = {}
+        for c, size in zip(self.model.coefficients, sizes, strict=True):
+            if size and shapes[c.mechanism] > 1 and c.mechanism in always:
+                near = (effect for effect in c.effect.near(ratio) if isinstance(effect, IdentifiedEffect))
+                found.setdefault(c.place_name, []).extend(near)
+        return found
 
     @property
     def prior(self) -> FloatArray | None:
@@ -480,3 +506,14 @@ def _massless(links: Sequence[str]) -> str:
         f"{named} moves without a mass in the URDF: it is not identified, and what it weighs is put down to other "
         "links; give it an <inertial> ('geomid prior' does)"
     )
+
+
+def _beside(
+    local: dict[str, list[IdentifiedEffect]], shapes: Mapping[str, Sequence[IdentifiedEffect]]
+) -> dict[str, list[IdentifiedEffect]]:
+    """Effects by their place, with ``shapes`` of those of which nothing is there."""
+    found = {place: list(effects) for place, effects in local.items()}
+    for place, own in shapes.items():
+        names = {effect.name for effect in local.get(place, ())}
+        found.setdefault(place, []).extend(effect for effect in own if effect.name not in names)
+    return found

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import EFFECTS, IdentifiedEffect, KnownEffect, Quantity, effect_class, values_of
-from geomid_ros.model.effects.parameters import COM_ENTRIES
+from geomid_ros.model.effects.parameters import COM_ENTRIES, Quantities
 from geomid_ros.types import FloatArray
 
 
@@ -56,8 +57,8 @@ def unsaid(effects: Iterable[KnownEffect], files: Iterable[str]) -> list[str]:
     for effect in effects:
         cls = effect_class(effect.effect)
         forms = [form for form in cls.parameters if form.name in effect.parameters]
-        # A usual constant no format has, and no simulator needs.
-        missing = [form.name for form in forms if not form.said_by(files) and form.name != cls.usual_constant]
+        # Usual constants no format has, and no simulator needs.
+        missing = [form.name for form in forms if not form.said_by(files) and form.name not in cls.usual_constants]
         if missing and not cls.of_sensor:
             name = cls.label if cls.label[0].isupper() else effect.effect.replace("_", " ")
             what = name + (f" ({', '.join(missing)})" if len(missing) < len(forms) else "")
@@ -122,8 +123,6 @@ def _refined(effect: KnownEffect, left: dict[tuple[str, str], KnownEffect]) -> K
     return KnownEffect(effect.effect, effect.joint, effect.link, parameters)
 
 
-def coefficient(name: str, joint: str, quantity: Quantity, constant: Quantity | None = None) -> KnownEffect:
-    """An effect of one parameter, and of a constant where it is not as usual."""
-    cls = effect_class(name)
-    constants = {} if constant is None else {cls.usual_constant: constant}
-    return KnownEffect(name, joint, "", {cls.parameters[0].name: quantity} | constants)
+def coefficient(name: str, joint: str, quantity: Quantity, constants: Quantities = MappingProxyType({})) -> KnownEffect:
+    """An effect of one parameter, and of constants where they are not as usual."""
+    return KnownEffect(name, joint, "", {effect_class(name).parameters[0].name: quantity, **constants})

@@ -330,7 +330,7 @@ def inertias_of(links: Sequence[LinkEntry], source: str) -> dict[str, FloatArray
 
 
 def _known(given: CoefficientEntry, own: Mapping[str, Any], source: str) -> KnownEffect:
-    """An effect of one coefficient, whose constant stands beside it under its name where it is not as usual."""
+    """An effect of one coefficient, whose constants stand beside it under their names where they are not as usual."""
     if given.name not in identifiable():
         raise InputError(f"{source} {unknown_name('effect', given.name, identifiable())}")
     cls = effect_class(given.name)
@@ -338,16 +338,15 @@ def _known(given: CoefficientEntry, own: Mapping[str, Any], source: str) -> Know
         raise InputError(f"{source} effect '{given.name}' has several parameters, expected it under 'added'")
     if not math.isfinite(given.value):
         raise InputError(f"{source} {given.name} at '{given.joint}' has no value, expected a finite number")
-    constant = None
-    if cls.usual_constant in own:
-        (form,) = (form for form in cls.parameters if form.name == cls.usual_constant)
+    constants = {}
+    for form in (form for form in cls.parameters if form.name in cls.usual_constants and form.name in own):
         value = own[form.name]
         if type(value) not in (int, float) or not form.above < value < form.below:
             where = f"{source} {form.name} of {cls.name} at '{given.joint}'"
             raise InputError(f"{where} is {value!r:.80}, expected a number above {form.above:g} {form.units[0]}")
-        constant = Quantity(float(value), 0.0, form.units[0])
+        constants[form.name] = Quantity(float(value), 0.0, form.units[0])
     quantity = Quantity(given.value, given.std or math.nan, cls.parameters[0].units[0])
-    return coefficient(given.name, given.joint, quantity, constant)
+    return coefficient(given.name, given.joint, quantity, constants)
 
 
 def _link_estimate(link: LinkEntry, parameters: FloatArray, source: str) -> LinkEstimate:

@@ -118,10 +118,10 @@ def effect_entry(effect: KnownEffect) -> dict[str, Any]:
 
 
 def coefficient_entry(effect: KnownEffect) -> dict[str, Any]:
-    """An effect of one coefficient at a joint, as ``estimate.json`` has it; with its constant unless that is usual."""
+    """An effect of one coefficient at a joint, as ``estimate.json`` has it; with constants that are not usual."""
     quantity, *_ = effect.parameters.values()
-    name = effect_class(effect.effect).usual_constant
-    constants = {name: effect.parameters[name].value} if name in effect.parameters else {}
+    usual = effect_class(effect.effect).usual_constants
+    constants = {name: effect.parameters[name].value for name in usual if name in effect.parameters}
     return {"name": effect.effect, "joint": effect.joint, **quantity_entry(quantity), **constants}
 
 

@@ -85,8 +85,9 @@ class Effect(ABC):
     """How many coefficients its own columns have."""
     constant: ClassVar[str] = ""
     """The parameter that enters nonlinearly, a field of the instances, in which the :meth:`variants` differ."""
-    usual_constant: ClassVar[str] = ""
-    """Another field and parameter of this kind, which files leave out where it is as usual, the class's own."""
+    usual_constants: ClassVar[tuple[str, ...]] = ()
+    """Other fields and parameters of this kind, the last ones, which files leave out where they are as usual, the
+    class's own."""
     absorbed: ClassVar[bool] = False
     """Whether what was found of it is built into the model (gravity, time, scale), and only its change is a column."""
     largest: ClassVar[float] = np.inf
@@ -110,12 +111,16 @@ class Effect(ABC):
     @classmethod
     def is_one_number(cls) -> bool:
         """Whether its coefficient says all of it, if its other constants are as usual."""
-        return len(cls.parameters) == (2 if cls.usual_constant else 1)
+        return len(cls.parameters) == 1 + len(cls.usual_constants)
 
     @classmethod
     def trials(cls) -> tuple[Effect, ...]:
         """The few instances that an identification tries beside the default effects."""
         return (cls(),)
+
+    def near(self, ratio: float) -> tuple[Effect, ...]:  # noqa: ARG002
+        """Itself, and other shapes of it with constants up to the square of a ``ratio`` away."""
+        return (self,)
 
     @property
     def scanned(self) -> float:
@@ -200,19 +205,19 @@ class Effect(ABC):
         return quantities(self.parameters, [*found, *self.constants(found, unsure, usual_load)], sliding=sliding)
 
     def constants(self, found: Sequence[Found], unsure: float, usual_load: float) -> list[Found]:  # noqa: ARG002
-        """Values and standard deviations of the parameters that are constants, from those ``found`` before."""
+        """Values and standard deviations of the parameters that are constants, from those ``found`` before; zero for a
+        constant that is as usual."""
         constants = [(self.scanned, unsure * self.scanned)] if self.constant else []
-        name = self.usual_constant
-        if name and getattr(self, name) != getattr(type(self), name):
-            constants.append((float(getattr(self, name)), 0.0))
+        for name in self.usual_constants:
+            value = getattr(self, name)
+            constants.append((0.0 if value == getattr(type(self), name) else float(value), 0.0))
         return constants
 
     @classmethod
     def from_values(cls, values: Values, usual_load: float = 0.0) -> Self:  # noqa: ARG003
         """The instance with the constants of these parameters."""
         given = {cls.constant: values[cls.constant]} if cls.constant else {}
-        if values.get(cls.usual_constant):
-            given[cls.usual_constant] = values[cls.usual_constant]
+        given |= {name: values[name] for name in cls.usual_constants if values.get(name)}
         return cls(**given)
 
     @classmethod
@@ -242,7 +247,7 @@ class Effect(ABC):
         """The parameters of one effect that does what two at one place do, the ``second`` found beside the first."""
         if not cls.adds_up:
             return second
-        added = second.keys() & first.keys() - {cls.usual_constant}
+        added = second.keys() & first.keys() - {*cls.usual_constants}
         return {**first, **{name: first[name].plus(q) if name in added else q for name, q in second.items()}}
 
     # What it does to the world and to the sensors; the defaults do nothing.

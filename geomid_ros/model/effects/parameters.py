@@ -41,11 +41,12 @@ ByEffect: TypeAlias = Mapping[str, Quantities]
 
 
 def quantities(forms: Iterable[ParameterForm], found: Iterable[Found], *, sliding: bool = False) -> dict[str, Quantity]:
-    """The first of some parameters by name, from their values and standard deviations; ``sliding``: at a prismatic
-    joint."""
+    """The first of some parameters by name, from their values and standard deviations, without optional ones that are
+    exactly zero; ``sliding``: at a prismatic joint."""
     return {
         form.name: Quantity(float(value), float(std), form.units[sliding])
         for form, (value, std) in zip(forms, found, strict=False)
+        if not form.optional or value or std
     }
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.model.effects.coulomb_friction import SMOOTHING, SMOOTHINGS, CoulombFriction
+from geomid_ros.model.effects.coulomb_friction import SIGN_FORMS, SMOOTHINGS, CoulombFriction
 from geomid_ros.model.effects.effect import Effect, JointEffect
 from geomid_ros.model.effects.parameters import EFFORT, ByEffect, ParameterForm, Quantities, Values
 from geomid_ros.model.effects.places import Place
@@ -28,18 +28,19 @@ class StribeckFriction(JointEffect):
 
     speed: float = 0.1
     smoothing: float = 0.02
+    creep: float = 0.0
 
     name = "stribeck_friction"
     label = "Stribeck friction"
-    meaning = "effort sign(v) (level + excess exp(-(v/speed)^2)); smoothing as in coulomb_friction"
+    meaning = "effort sign(v) (level + excess exp(-(v/speed)^2)); smoothing and creep as in coulomb_friction"
     parameters = (
         ParameterForm("level", EFFORT, above=0.0, optional=True, urdf="dynamics/friction", mjcf="joint/frictionloss"),
         ParameterForm("excess", EFFORT),  # the coefficient: positive and in units as the level
         ParameterForm("speed", ("rad/s", "m/s"), above=0.0),
-        SMOOTHING,
+        *SIGN_FORMS,
     )
     said_first = 3
-    usual_constant = SMOOTHING.name
+    usual_constants = tuple(form.name for form in SIGN_FORMS)
     settled_by = "this joint at several constant speeds, from creeping to fast"
     constant = "speed"
     adds_up = False
@@ -59,7 +60,12 @@ class StribeckFriction(JointEffect):
     @property
     def parts(self) -> tuple[Effect, ...]:
         """Coulomb friction, and the excess."""
-        return CoulombFriction(self.smoothing), self
+        return self._level, self
+
+    @property
+    def _level(self) -> CoulombFriction:
+        """The friction of a fast joint, with the same sign."""
+        return CoulombFriction(self.smoothing, self.creep)
 
     @property
     def positives(self) -> int:
@@ -76,7 +82,7 @@ class StribeckFriction(JointEffect):
         return bool(coefficients[1] > _LARGEST_EXCESS * coefficients[0])
 
     def column(self, motion: JointMotion) -> FloatArray:
-        return CoulombFriction(self.smoothing).column(motion) * np.exp(-((motion.velocity / self.speed) ** 2))
+        return self._level.column(motion) * np.exp(-((motion.velocity / self.speed) ** 2))
 
     @classmethod
     def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:  # noqa: ARG003
@@ -84,7 +90,7 @@ class StribeckFriction(JointEffect):
         own = cls.from_values(values)
         found: dict[Effect, tuple[float, ...]] = {own: (values["excess"],)}
         if values["level"]:
-            found[CoulombFriction(own.smoothing)] = (values["level"],)
+            found[own.parts[0]] = (values["level"],)
         return found
 
     @classmethod
@@ -103,5 +109,5 @@ class StribeckFriction(JointEffect):
 
     def unsaid_efforts(self, values: Values, motion: Motion, place: Place) -> FloatArray:
         """What the motion takes off :meth:`holding_friction`."""
-        full = self.holding_friction(values) * CoulombFriction(self.smoothing).efforts(motion, place)
+        full = self.holding_friction(values) * self._level.efforts(motion, place)
         return full * np.expm1(-((motion.velocity / self.speed) ** 2))
