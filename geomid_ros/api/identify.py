@@ -341,12 +341,12 @@ def identify(
     session.check_description()
     progress("solving", 0.0)
     estimate = session.identifier.solve()
-    for ratio in _RATIOS:
+    for readings, ratio in enumerate(_RATIOS, 1):
         if not (shapes := session.shapes_near(estimate, ratio)):
             break
         session = session.again(shapes)
-        held_out, judged = _read(session, recorded, progress)
-        progress("solving", 0.0)
+        held_out, judged = _read(session, recorded, silent)
+        progress("solving", readings / (1 + len(_RATIOS)))
         estimate = session.identifier.solve()
     return Identification(
         session=session,

@@ -243,10 +243,9 @@ def test_the_shape_of_dry_friction_stands_beside_its_level(run: tuple[str, Path,
     """Where it is not the usual one; it is no other effect for that."""
     _, out, text = run
     table, _, others = text.partition("Joint effects")[2].partition("RMS of the residual")[0].partition("Other effects")
-    shapes = [entry["smoothing"] for entry in read(out)["effects"] if "smoothing" in entry]
+    shapes = [(name, entry[name]) for entry in read(out)["effects"] for name in ("smoothing", "creep") if name in entry]
     assert shapes
-    assert "smoothing" in table
-    assert all(f" {smoothing:g} " in table for smoothing in shapes)
+    assert all(f" {value:.3g} " in table and name in table for name, value in shapes)
     assert "Coulomb friction" not in others
 
 

@@ -122,7 +122,7 @@ def test_a_motor_that_turns_parallel_joints_is_told_from_an_inertia_by_the_prior
     np.testing.assert_allclose(found.rms, NOISE, rtol=0.1)
 
 
-@pytest.mark.parametrize("shape", CoulombFriction.variants(), ids=str)
+@pytest.mark.parametrize("shape", CoulombFriction.trials(), ids=str)
 def test_dry_friction_has_its_shape_and_passes_for_nothing_else(shape: CoulombFriction) -> None:
     """It turns within a speed, and in a way, that nobody told; beside it there is no Stribeck friction."""
     case = planted("arm3", 1, "")

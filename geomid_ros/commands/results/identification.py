@@ -136,7 +136,7 @@ def _joint_effects_table(effects: Sequence[EffectEstimate]) -> Table:
         first, _, second = effect.name.partition("_")
         columns.setdefault(f"{first}\n{second}\n[{own.unit}]", {})[effect.joint] = f"{own.value:.3g} ± {own.std:.1g}"
         for name, constant in constants:
-            columns.setdefault(f"{first}\n{name}\n[{constant.unit}]", {})[effect.joint] = f"{constant.value:g}"
+            columns.setdefault(f"{first}\n{name}\n[{constant.unit}]", {})[effect.joint] = f"{constant.value:.3g}"
     table = plain_table("Joint effects")
     table.add_column("joint", overflow="fold")
     number_columns(table, list(columns))

@@ -52,8 +52,8 @@ class CoulombFriction(JointEffect):
 
     @classmethod
     def variants(cls) -> tuple[Effect, ...]:
-        """One for each of :data:`SMOOTHINGS`, and of :data:`CREEPS`."""
-        return (*(cls(smoothing) for smoothing in SMOOTHINGS), *(cls(creep=creep) for creep in CREEPS))
+        """One for each of :data:`SMOOTHINGS`."""
+        return tuple(cls(smoothing) for smoothing in SMOOTHINGS)
 
     def near(self, ratio: float) -> tuple[Effect, ...]:
         """Itself and others of either kind, a ``ratio`` from one to the next."""
@@ -64,8 +64,8 @@ class CoulombFriction(JointEffect):
 
     @classmethod
     def trials(cls) -> tuple[Effect, ...]:
-        """The same: the shape of dry friction is not known before."""
-        return cls.variants()
+        """The same, and one for each of :data:`CREEPS`: the shape of dry friction is not known before."""
+        return (*cls.variants(), *(cls(creep=creep) for creep in CREEPS))
 
     def column(self, motion: JointMotion) -> FloatArray:
         if self.creep:
