@@ -28,8 +28,11 @@ from geomid_ros.model.effects import (
     register,
     values_of,
 )
+from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
-from geomid_ros.model.measurement import Coefficient
+from geomid_ros.model.measurement import Coefficient, MeasurementModel
+from geomid_ros.model.robot import Robot
+from geomid_ros.simulation.robots import robot_description
 
 OF_JOINTS = {name: cls for name, cls in EFFECTS.items() if issubclass(cls, JointEffect)}
 # What files/urdf.py and files/mjcf.py write: attributes of a joint by themselves, elements by code of their own.
@@ -146,3 +149,26 @@ def test_two_effects_of_one_name_are_refused() -> None:
     with pytest.raises(TypeError, match=r"ViscousFriction.*CopiedEffect.*same name, 'viscous_friction'"):
         register(copied)
     assert EFFECTS["viscous_friction"] is ViscousFriction
+
+
+@pytest.mark.parametrize("shape", CoulombFriction.trials(), ids=str)
+def test_shapes_near_one_are_closer_and_of_either_kind(shape: CoulombFriction) -> None:
+    first, *others = shape.near(1.1)
+    widths = np.array([other.creep or other.smoothing for other in others if bool(other.creep) == bool(shape.creep)])
+    assert first == shape
+    np.testing.assert_allclose(np.sort(widths) / (shape.creep or shape.smoothing), 1.1 ** np.array([-2, -1, 1, 2]))
+    assert len({bool(other.creep) for other in others}) == 2
+    assert len(set(others)) == len(others)
+
+
+def test_of_shapes_at_a_place_the_first_stands() -> None:
+    """The others are tried in its place, and the usual one is not there."""
+    shapes = [CoulombFriction(creep=0.03), CoulombFriction(0.04)]
+    model = MeasurementModel(
+        Robot(robot_description("arm3")),
+        [CoulombFriction()],
+        local_effects={"joint1": shapes},
+        candidates=[CoulombFriction(0.1)],
+    )
+    own = [(c.effect, c.optional) for c in model.coefficients if c.place_name == "joint1"]
+    assert own == [(shapes[0], False), (shapes[1], True)]
