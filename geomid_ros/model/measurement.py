@@ -307,9 +307,10 @@ class MeasurementModel:
 
     @cached_property
     def usual_shapes(self) -> dict[Mechanism, int]:
-        """The parameter, by its place among the D, that each effect is in its usual shape."""
+        """The parameter, by its place among the D, that each effect is in its usual shape, or in the first."""
         first = 10 * len(self.identified)
-        return {c.mechanism: first + k for k, c in reversed([*enumerate(self.coefficients)])}
+        shapes = sorted(enumerate(self.coefficients), key=lambda shape: (shape[1].effect.is_usual, -shape[0]))
+        return {c.mechanism: first + k for k, c in shapes}
 
     @property
     def described_coefficients(self) -> FloatArray:

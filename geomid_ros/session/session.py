@@ -158,15 +158,16 @@ class Session:
 
     def shapes_near(self, estimate: Estimate, ratio: float) -> dict[str, list[IdentifiedEffect]]:
         """By place, shapes of effects that lie near those of an ``estimate``, a ``ratio`` from one to the next, where
-        there were some to choose from."""
+        there were some to choose from; and the usual one, as files have no other."""
         first = self.model.dimension - len(self.model.coefficients)
         sizes = estimate.parameters[first:].tolist()
-        shapes = Counter(c.mechanism for c in self.model.coefficients)
+        numbers = Counter(c.mechanism for c in self.model.coefficients)
         always = {c.mechanism for c in self.model.coefficients if not c.optional}
         found: dict[str, list[IdentifiedEffect]] = {}
         for c, size in zip(self.model.coefficients, sizes, strict=True):
-            if size and shapes[c.mechanism] > 1 and c.mechanism in always:
-                near = (effect for effect in c.effect.near(ratio) if isinstance(effect, IdentifiedEffect))
+            if size and numbers[c.mechanism] > 1 and c.mechanism in always:
+                shapes = dict.fromkeys((*c.effect.near(ratio), type(c.effect)()))
+                near = (effect for effect in shapes if isinstance(effect, IdentifiedEffect))
                 found.setdefault(c.place_name, []).extend(near)
         return found
 

@@ -123,6 +123,11 @@ class Effect(ABC):
         return (self,)
 
     @property
+    def is_usual(self) -> bool:
+        """Whether its :attr:`usual_constants` are as usual."""
+        return all(getattr(self, name) == getattr(type(self), name) for name in self.usual_constants)
+
+    @property
     def scanned(self) -> float:
         """What variants differ in, which must be above zero; 0 if there is nothing to choose."""
         return float(getattr(self, self.constant)) if self.constant else 0.0
