@@ -87,11 +87,10 @@ def effects(problem: Problem, point: Point, found: uncertainty.Uncertainty) -> t
     model, first = problem.model, problem.manifold.inertial.stop
     _, diagonal = problem.manifold.jacobian(point)
     prior, variances = found.prior_spreads[first:] ** 2, np.diag(found.covariance)[first:]
-    # The information is the data's and that of a prior that may be wider.
-    by_data = np.maximum(1.0 - variances / prior, 0.0)
-    information = by_data + np.minimum(variances, prior) / np.maximum(prior, problem.usual_errors(point) ** 2)
-    std = diagonal * np.sqrt(np.maximum(variances, np.minimum(variances, prior) / information))
-    shares = by_data / information
+    wider = np.maximum(prior, problem.usual_errors(point) ** 2)
+    apart = 1.0 / (found.by_rows[first:] + 1.0 / wider)
+    variances = np.where(wider > prior, np.maximum(variances, apart), variances)
+    std, shares = diagonal * np.sqrt(variances), np.clip(1.0 - variances / wider, 0.0, 1.0)
     return tuple(
         EffectEstimate(
             name=c.effect.name, joint=c.place_name, parameters=c.parameters(float(value), float(s)), from_data=share

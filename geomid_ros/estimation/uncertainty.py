@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -52,11 +52,13 @@ class Uncertainty:
         covariance: ``(D, D)`` of the estimate's error.
         prior: Covariance ``(D, D)`` of the prior's error.
         share: Share of the measured rows' information that correlations leave, 0 to 1.
+        by_rows: Information ``(D,)`` that the rows have of each coordinate, the others within their priors.
     """
 
     covariance: FloatArray
     prior: FloatArray
     share: float
+    by_rows: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def prior_spreads(self) -> FloatArray:
@@ -120,7 +122,9 @@ def estimate_uncertainty(
         spreads = np.maximum(spreads, assumed_spreads)
     covariance = error_covariance(measured.information, known.information, trust, weights, factors, spreads)
     prior = np.diag(spreads**2) if expected is None else _inverse(expected, spreads**-2.0)
-    return Uncertainty(covariance, prior, share)
+    inverse = _inverse(measured.information + trust * known.information, weights)
+    by_rows = np.maximum(1.0 / np.diag(inverse) - weights, 0.0) / factors
+    return Uncertainty(covariance, prior, share, by_rows)
 
 
 def _together(folds: Sequence[Fold], count: int) -> list[Fold]:

@@ -34,9 +34,8 @@ def test_what_is_always_there_stays() -> None:
 
 
 def test_friction_that_noise_hides_is_not_known_to_be_nothing() -> None:
-    """The deviation of a logarithm would be a share of next to nothing: it is no better known than what its channel
-    may have."""
-    told = 0
+    """The deviation of a logarithm would be a share of next to nothing. None is smaller than that of the least squares
+    of the friction's column alone."""
     for seed in range(4):
         case = arm("arm3", seed, seconds=5.0, noise=0.0)
         small = Truth(case.true.links, {**case.true.effects, "viscous_friction": np.full(3, 0.02)})
@@ -44,10 +43,7 @@ def test_friction_that_noise_hides_is_not_known_to_be_nothing() -> None:
         noise = np.random.default_rng(100 + seed).normal(size=clean.shape)
         identifier = Identifier(case.model)
         identifier.add(replace(case.samples, effort=clean + noise))
+        least = 1.0 / np.linalg.norm(case.samples.velocity, axis=0)
         for effect in identifier.solve().effects:
-            joint = case.model.robot.joint_names.index(effect.joint)
-            speed, size = (np.sqrt(np.mean(a[:, joint] ** 2)) for a in (case.samples.velocity, clean + noise))
-            if effect.name == "viscous_friction" and effect.from_data < 0.5:
-                assert effect.std > 0.7 * 0.2 * size / speed, "half of the variance at least of a fifth of its channel"
-                told += 1
-    assert told
+            if effect.name == "viscous_friction":
+                assert effect.std > 0.8 * least[case.model.robot.joint_names.index(effect.joint)]
