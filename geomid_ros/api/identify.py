@@ -24,12 +24,14 @@ from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.files.models.readers import DESCRIBED_FOR, ELEMENTS, READERS, URDF
 from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.tables import tables, write_tables
+from geomid_ros.gap.evidence.standing import StandingRemainder
 from geomid_ros.model.samples import Samples
 from geomid_ros.report.drawing import draw_identification, series_of
 from geomid_ros.report.identification_page import IdentificationPage, write_identification_page
 from geomid_ros.report.series import Series
 from geomid_ros.report.sheet import write_picture
 from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.gap import gap_session, remainder_of
 from geomid_ros.session.locking import read_with_locked
 from geomid_ros.session.recordings import Bags, Progress, read_bags, read_fitted, silent
 from geomid_ros.session.session import Session
@@ -271,15 +273,21 @@ class Identification:
             write_text(folder / name, text)
         sidecar, picture, report = (folder / name for name in ("effects.yaml", "identification.png", "report.html"))
         write_sidecar(sidecar, self.session.robot.name, self.written.model.effects)
-        posterior = write_posterior(folder / POSTERIOR, self.estimate.posterior)
         document = self.document
         write_json(folder / "estimate.json", document | {"origin": asdict(origin(self.session, self.bags, command))})
+        posterior = write_posterior(folder / POSTERIOR, self.estimate.posterior, self._remainder(folder, progress))
         csv = write_tables(folder, tables(document))
         progress("drawing", 0.0)
         write_picture(picture, self.plot())
         self.report(report, command=command)
         written = [folder / name for name in ("estimate.json", *texts)]
         return [*written, sidecar, *posterior, *csv, picture, report]
+
+    def _remainder(self, folder: Path, progress: Progress) -> StandingRemainder | None:
+        """What the estimate in a folder lacks on the bags, as ``geomid gap --model`` will see it."""
+        urdf, configuration, source = self._again
+        written = configuration.with_values({"model": str(folder / "estimate.json")})
+        return remainder_of(gap_session(urdf, written, source), self.bags, progress)
 
     def __repr__(self) -> str:
         """Reasons for doubt, and a line for each link."""

@@ -13,6 +13,7 @@ from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesFit, NamesPrio
 from geomid_ros.gap.evidence.linearised_problem import Columns, LinearisedProblem, total_model
 from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
 from geomid_ros.gap.evidence.record import Records, TotalModel
+from geomid_ros.gap.evidence.standing import StandingRemainder, root_of
 from geomid_ros.inference.fit import fit, unfitted
 from geomid_ros.inference.probability import Support, Supports
 from geomid_ros.inference.selection import Selection
@@ -24,6 +25,7 @@ _REFITS = 3  # more rounds, without a search
 _SETTLED = 0.5  # standard deviations
 _TOLD_BY_ROWS = 0.25  # directions for each row, which leaves most of the noise as it is
 _MEDIAN_OF_GAUSSIAN = 0.6745
+_WHITENINGS = 4  # of a remainder by the noise that it leaves
 _CLEARLY = 12.0  # in minus twice a logarithm: as unlikely as one in four hundred
 
 
@@ -45,21 +47,51 @@ class Analysis:
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """What is searched: the ``model`` in the ``records``, with candidates that are ``tried``; ``progress`` is told."""
+    """What is searched: the ``model`` in the ``records``, with candidates that are ``tried``, beside what the model is
+    known to lack (``standing``); ``progress`` is told."""
 
     model: MeasurementModel
     records: Records
     tried: Sequence[Candidate]
+    standing: StandingRemainder | None
     progress: Callable[[str, float], None]
+
+    def linearised(self, total: TotalModel, floor: FloatArray | None = None) -> LinearisedProblem:
+        """The problem at a total model."""
+        return LinearisedProblem(self.model, self.records, total, floor, self.standing)
 
 
 def analyse(
-    model: MeasurementModel, records: Records, prior: NamesPrior, progress: Callable[[str, float], None]
+    model: MeasurementModel,
+    records: Records,
+    prior: NamesPrior,
+    progress: Callable[[str, float], None],
+    standing: StandingRemainder | None = None,
 ) -> Analysis:
     """Find the set of names that explains the records best, and what is to be thought of the links beside it."""
     tried = library.candidates(model, prior.terms, bare=not prior.identified)
-    task = _Task(model, records, tried, progress)
+    task = _Task(model, records, tried, standing, progress)
     return _with_changed_link(task, _searched(task, prior, "searching"))
+
+
+def standing_remainder(model: MeasurementModel, records: Records, prior: NamesPrior) -> StandingRemainder:
+    """What the model that the ``prior`` describes lacks on records, its parameters as they are."""
+    given, floor = unfitted(prior), None
+    noise = (Autoregression.white(),) * len(model.channels)
+    for _ in range(_WHITENINGS):
+        problem = LinearisedProblem(model, records, total_model(model, given), floor)
+        columns = problem.columns((), prior.terms)
+        design = given.settled(problem.design(columns, noise))
+        left = problem.residual(columns, given) - problem.remainder(design, given)
+        floor, noise = _typical_size(left, problem.valid), _noise(left, problem.valid, records)
+    lacks = given.remainders(design)
+    return StandingRemainder(
+        joints=tuple(model.robot.joint_names),
+        channels=tuple(channel.name for channel in model.channels),
+        basis=problem.basis,
+        means=tuple(lack.coefficients for lack in lacks),
+        roots=tuple(root_of(lack.covariance) for lack in lacks),
+    )
 
 
 def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
@@ -163,7 +195,7 @@ def _last_round(task: _Task, prior: NamesPrior, stage: str) -> _Round:
     rounds: list[_Round] = []
     for attempt in range(_ROUNDS + _REFITS):
         task.progress(stage, min(1.0, attempt / _ROUNDS))
-        problem = LinearisedProblem(task.model, task.records, total, floor)
+        problem = task.linearised(total, floor)
         rounds.clear()  # columns and their products are large, and go before others come
         last = _round(task, prior, problem, noise, before, variances=variances, attempt=attempt, settling=settling)
         rounds.append(last)
@@ -184,7 +216,7 @@ def _last_round(task: _Task, prior: NamesPrior, stage: str) -> _Round:
 
 def _beginning(task: _Task, prior: NamesPrior) -> tuple[tuple[Autoregression, ...], TotalModel]:
     """The first noise, and the total model without names."""
-    problem = LinearisedProblem(task.model, task.records, total_model(task.model, unfitted(prior)))
+    problem = task.linearised(total_model(task.model, unfitted(prior)))
     columns = problem.columns(task.tried, prior.terms)
     bare: NamesFit = fit(problem.design(columns, (Autoregression.white(),) * len(task.model.channels)), prior, ())
     return _flexible_noise(problem, columns, bare, problem.valid), total_model(task.model, bare)

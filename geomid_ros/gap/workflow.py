@@ -12,10 +12,11 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.estimation.link_spreads import CERTAINTY
-from geomid_ros.gap.analysis import analyse
+from geomid_ros.gap.analysis import analyse, standing_remainder
 from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesPrior, not_driving
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, root_mean_square, total_model
 from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.evidence.standing import StandingRemainder
 from geomid_ros.gap.judgement.changed_links import changed_links
 from geomid_ros.gap.judgement.folded import folded
 from geomid_ros.gap.judgement.held_out import HeldOut
@@ -70,6 +71,7 @@ def find_gap(
     deviations: FloatArray | None = None,
     known: LinksInformation | None = None,
     beside: Sequence[KnownEffect] = (),
+    standing: StandingRemainder | None = None,
     simulated: Sequence[Samples] = (),
     progress: Callable[[str, float], None] | None = None,
 ) -> GapResult:
@@ -94,6 +96,7 @@ def find_gap(
         deviations: their standard deviations ``(D,)``, NaN where they are not known.
         known: what other recordings than ``train``, from which they were identified, say of all links together.
         beside: the effects that the model has beside its coefficients, as they depend on what it says of a motion.
+        standing: what the model lacked there, see :func:`lacking`; it is not counted as a change.
         simulated: recordings of the user's simulator under the same commands, in the same form; what they show as well
             as ``train`` is no gap.
         progress: called with what is being done and the finished share, 0 to 1.
@@ -116,8 +119,8 @@ def find_gap(
     prior, own = _with_beside(bare, records, prior, beside)
     prior = _with_least_spreads(bare, records, prior)
     if simulated:
-        prior = _as_simulated(bare, Records.make(simulated, settings.cutoff), prior, report)
-    analysis = analyse(bare, records, prior, report)
+        prior, standing = _as_simulated(bare, Records.make(simulated, settings.cutoff), prior, report), None
+    analysis = analyse(bare, records, prior, report, standing)
     report("judging", 0.0)
     links = changed_links(bare, analysis)
     named = findings(bare, analysis)
@@ -150,6 +153,34 @@ def find_gap(
         folded=folded(LinearisedProblem(bare, records, total_model(bare, kept.found)), kept.found),
         seconds=perf_counter() - started,
     )
+
+
+def lacking(
+    model: MeasurementModel,
+    train: Sequence[Samples],
+    cutoff: float,
+    nominal: FloatArray | None,
+    beside: Sequence[KnownEffect],
+) -> StandingRemainder | None:
+    """What an identified model lacks on the recordings that it is from, which is no change where others show it, too.
+
+    Args:
+        model: the robot, its wrench sensors, and the effects that are part of the model.
+        train: what it was identified from, as in :func:`find_gap`, of a pipeline with this ``cutoff`` [Hz].
+        cutoff: of their low-pass [Hz].
+        nominal: the model's parameters ``(D,)``, as in :func:`find_gap`.
+        beside: the effects that it has beside these.
+
+    Returns:
+        None if there is too little motion to tell.
+    """
+    bare, records = model.without_effects(), Records.make(train, cutoff)
+    try:
+        _check(bare, records)
+    except InputError:
+        return None
+    prior, _ = _with_beside(bare, records, _prior(model, nominal, None, None, GapSettings(cutoff=cutoff)), beside)
+    return standing_remainder(bare, records, prior)
 
 
 def left_by_model(

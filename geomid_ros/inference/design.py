@@ -14,6 +14,7 @@ from geomid_ros.inference.remainder import Marginal, Remainder
 from geomid_ros.types import FloatArray, IntArray
 
 BLOCKS = 8  # of time, whose scatter shows how far rows are independent
+_LEAST_SIZE = 1e-4  # a mean square of whitened features: those of what hardly occurs are not made large
 USUAL_SHARE = 0.3
 """Prior standard deviation of a coefficient, as a share of what is measured, where nothing else is known of it."""
 
@@ -22,20 +23,29 @@ USUAL_SHARE = 0.3
 class ChannelRows:
     """Whitened rows of a channel: ``columns (N, K + 1)`` with the target as the last, ``features (N, m)`` of a
     remainder in their ``block (m,)``, which are ``scale (m,)`` times those given: a draw of a block with variance 1 has
-    a mean square of 1; ``place`` of each term among the columns."""
+    a mean square of 1; ``place`` of each term among the columns; ``before``: what is left unsure of the features'
+    coefficients by other recordings, see :class:`Remainder`."""
 
     columns: FloatArray
     features: FloatArray
     scale: FloatArray
     block: IntArray
     place: Mapping[Any, int]
+    before: FloatArray | None = None
 
     @staticmethod
-    def of(columns: FloatArray, features: FloatArray, block: IntArray, place: Mapping[Any, int]) -> ChannelRows:
+    def of(
+        columns: FloatArray,
+        features: FloatArray,
+        block: IntArray,
+        place: Mapping[Any, int],
+        before: FloatArray | None = None,
+    ) -> ChannelRows:
         """With features of any scale."""
         sizes = np.bincount(block, np.sum(features**2, axis=0)) / max(len(columns), 1)
-        scale = 1.0 / np.sqrt(np.where(sizes > 0.0, sizes, 1.0))[block]
-        return ChannelRows(columns, features * scale, scale, block, place)
+        scale = 1.0 / np.sqrt(np.maximum(sizes, _LEAST_SIZE))[block]
+        scaled = None if before is None else before / np.outer(scale, scale)
+        return ChannelRows(columns, features * scale, scale, block, place, scaled)
 
     @property
     def count(self) -> int:
@@ -51,14 +61,14 @@ class ChannelRows:
     def remainder(self) -> Remainder:
         """Products with the features."""
         crossed = np.pad(self.features.T @ self.columns, ((0, 0), (0, 1)))
-        return Remainder(self.features.T @ self.features, crossed, self.block, self.count)
+        return Remainder(self.features.T @ self.features, crossed, self.block, self.count, self.before)
 
     def whitened(self, vector: FloatArray, taken: IntArray, variances: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Columns ``(N, n)`` that are ``taken`` and their sum with a ``vector (n,)``, white beside the remainder."""
         padded = np.pad(self.columns, ((0, 0), (0, 1)))[:, taken]
         rows = np.column_stack([padded, padded @ vector])
         if len(self.block):
-            drawn = self.features * np.sqrt(variances[self.block])
+            drawn = self.features @ self.remainder.root(variances)
             directions, sizes, _ = np.linalg.svd(drawn, full_matrices=False)
             rows -= directions @ ((1.0 - 1.0 / np.sqrt(1.0 + sizes**2))[:, None] * (directions.T @ rows))
         return rows[:, :-1], rows[:, -1]
@@ -67,10 +77,11 @@ class ChannelRows:
 @dataclass(frozen=True, eq=False)
 class Lack:
     """What a channel's remainder is: ``coefficients (m,)`` of the features that were given, the share of the residual's
-    squares that each block ``explained (blocks,)``, its sum of squares (``power``), and for how many parameters it
-    counts (``freedom``)."""
+    squares that each block ``explained (blocks,)``, its sum of squares (``power``), for how many parameters it counts
+    (``freedom``), and the ``covariance (m, m)`` of the coefficients."""
 
     coefficients: FloatArray
+    covariance: FloatArray
     explained: FloatArray
     power: float
     freedom: float
@@ -166,13 +177,18 @@ class Design:
         return found
 
     def settled(
-        self, bodies: Sequence[int], terms: Sequence[Any], parameters: FloatArray, among: Collection[int] | None = None
+        self,
+        bodies: Sequence[int],
+        terms: Sequence[Any],
+        parameters: FloatArray,
+        named: FloatArray,
+        among: Collection[int] | None = None,
     ) -> Design:
-        """Beside the remainder that is most likely for these ``parameters (D,)`` of the columns of :meth:`gather`, of
-        all channels unless it is ``among`` some."""
+        """Beside the remainder that is most likely for these ``parameters (D,)`` of the columns of :meth:`gather`, and
+        what is ``named (C,)`` in each channel, see :meth:`Remainder.settled`; of all channels unless ``among`` some."""
         left, variances = self._residuals(bodies, terms, parameters), list(self.variances)
         for place in range(len(left)) if among is None else among:
-            variances[place] = self.channels[place].remainder.settled(*left[place])
+            variances[place] = self.channels[place].remainder.settled(*left[place], float(named[place]))
         return self.given(variances)
 
     def remainders(self, bodies: Sequence[int], terms: Sequence[Any], parameters: FloatArray) -> list[Lack]:
@@ -181,12 +197,15 @@ class Design:
         found = []
         for channel, (vector, square), marginal in zip(self.channels, left, self._marginalised, strict=True):
             squared, whitener = channel.remainder.squared, marginal.whitener
-            mean = -(whitener @ (channel.remainder.crossed @ vector)) @ whitener
+            white = whitener @ (channel.remainder.crossed @ vector)
+            mean = -white @ whitener
             own = np.where(channel.block[:, None] == np.arange(len(channel.remainder.usual)), mean[:, None], 0.0)
             explained = np.sum(own * (squared @ own), axis=0)
             freedom = float(np.sum((whitener @ squared) * whitener))
             power = float(mean @ squared @ mean)
-            found.append(Lack(channel.scale * mean, explained / max(square, 1e-300), power, freedom))
+            noise = max(square - float(white @ white), 0.0) / max(channel.count, 1)
+            root = np.sqrt(noise) * channel.scale * whitener
+            found.append(Lack(channel.scale * mean, root.T @ root, explained / max(square, 1e-300), power, freedom))
         return found
 
     def powers(self, columns: Hypothesis[Any] | int, values: FloatArray) -> FloatArray:

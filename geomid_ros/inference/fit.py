@@ -8,7 +8,7 @@ So large errors of inertias make the prior wide instead of passing for an effect
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Generic
@@ -43,6 +43,7 @@ class JointFit(Generic[Chosen, Term]):
         weights: the prior's share of it ``(D,)``, what other recordings say apart.
         spreads: of the links' errors ``(links,)``, geodesic distances.
         inflation: factor on the variances of what other recordings say.
+        changes: what each candidate adds to what was known of its coefficients, or the parameters of its body ``(k,)``.
     """
 
     chosen: tuple[Chosen, ...]
@@ -55,6 +56,7 @@ class JointFit(Generic[Chosen, Term]):
     weights: FloatArray
     spreads: FloatArray
     inflation: float
+    changes: Mapping[Chosen, FloatArray]
 
     @property
     def bodies(self) -> list[int]:
@@ -97,7 +99,10 @@ class JointFit(Generic[Chosen, Term]):
 
     def settled(self, design: Design, among: Collection[int] | None = None) -> Design:
         """The design beside the remainder that is most likely at this fit, of all channels unless ``among`` some."""
-        return design.settled(self.bodies, self.terms, self.point.parameters, among)
+        named = np.zeros(len(design.channels))
+        for candidate, values in self.changes.items():
+            named += design.powers(candidate, values) / self.squares
+        return design.settled(self.bodies, self.terms, self.point.parameters, named, among)
 
     def remainders(self, design: Design) -> list[Lack]:
         """What each channel's remainder is at this fit."""
@@ -223,6 +228,14 @@ def _free_fit(
     score += cost_of_spreads(spreads, prior.link_spreads, prior.certainty)
     score += priors.cost_of_inflation(rows, inflation) + prior.cost
     score += sum(c.cost for c in chosen)
+    places = {term: place for place, term in enumerate(terms)}
+    payloads = iter(point.parameters[first : manifold.inertial.stop].reshape(-1, 10))
+    changes = {
+        c: np.array([point.reals[places[term]] - prior.value(term) for term in c.terms])
+        if c.payload is None
+        else next(payloads)
+        for c in chosen
+    }
     return JointFit(
         chosen=tuple(chosen),
         terms=terms,
@@ -234,6 +247,7 @@ def _free_fit(
         weights=trusted.weights,
         spreads=spreads,
         inflation=inflation,
+        changes=changes,
     )
 
 
@@ -259,6 +273,7 @@ def unfitted(prior: Prior[Term]) -> JointFit[Any, Term]:
         weights=np.ones(size),
         spreads=prior.link_spreads,
         inflation=1.0,
+        changes={},
     )
 
 

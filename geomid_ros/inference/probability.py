@@ -10,7 +10,6 @@ import numpy as np
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import JointFit, fit, scattered
 from geomid_ros.inference.hypothesis import Chosen, Hypothesis, Term
-from geomid_ros.inference.prior import Prior
 from geomid_ros.inference.selection import Selection
 from geomid_ros.types import FloatArray
 
@@ -101,8 +100,8 @@ class Supports(Generic[Chosen, Term]):
     def _of_size(self, candidate: Chosen) -> float:
         """By how much the score is worse if it is nothing, as its size says; of a body its mass and first moment, whose
         prior is next to none."""
-        found, prior = self._found, self._selection.prior
-        values, places = _change(prior, found, candidate)
+        found = self._found
+        values, places = found.changes[candidate], _places(found, candidate)
         narrowed = 0.0
         if candidate.payload is not None:
             values, places = values[:4], places[:4]
@@ -114,24 +113,27 @@ class Supports(Generic[Chosen, Term]):
 
     def doubt(self, candidate: Chosen) -> float:
         """The relative standard deviation of its size that comes from what the model lacks."""
-        values, _ = _change(self._selection.prior, self._found, candidate)
-        return relative_doubt(self._selection.design, self._found, candidate, values)
+        return relative_doubt(self._selection.design, self._found, candidate, self._found.changes[candidate])
 
 
 def relative_doubt(
     design: Design, found: JointFit[Any, Any], columns: Hypothesis[Any] | int, values: FloatArray
 ) -> float:
     """The relative standard deviation of ``values (k,)`` of a hypothesis's columns, or of a link's, that comes from
-    what their channels lack beside a fit: a part of it may lie along them."""
-    powers, lacks = design.powers(columns, values) / found.squares, found.remainders(design)
-    left = np.array([lack.power for lack in lacks]) / found.squares
-    return _ALONG * float(np.sqrt(np.sum(left[powers > 0.0]) / max(float(np.sum(powers)), 1e-300)))
+    what their channels lack beside a fit: a part of it may lie along them. Where other recordings have told what is
+    lacking, no more than along any of the directions that are left to its change."""
+    powers, left = design.powers(columns, values) / found.squares, 0.0
+    for channel, lack, power, square in zip(
+        design.channels, found.remainders(design), powers, found.squares, strict=True
+    ):
+        share = _ALONG**2 if channel.before is None else 1.0 / max(lack.freedom, 1.0)
+        left += share * lack.power / square if power > 0.0 else 0.0
+    return float(np.sqrt(left / max(float(np.sum(powers)), 1e-300)))
 
 
-def _change(prior: Prior[Term], found: JointFit[Chosen, Term], candidate: Chosen) -> tuple[FloatArray, list[int]]:
-    """What a hypothesis makes of its parameters ``(k,)``, and their places."""
+def _places(found: JointFit[Chosen, Term], candidate: Chosen) -> list[int]:
+    """Where a hypothesis's parameters stand ``(k,)``."""
     if candidate.payload is None:
-        places = [found.place(term) for term in candidate.terms]
-        return np.array([found.value(term) - prior.value(term) for term in candidate.terms]), places
+        return [found.place(term) for term in candidate.terms]
     first = 10 * (found.manifold.links - len(found.bodies) + found.bodies.index(candidate.payload))
-    return found.point.parameters[first : first + 10], list(range(first, first + 10))
+    return list(range(first, first + 10))

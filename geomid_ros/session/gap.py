@@ -11,9 +11,11 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import Bag
+from geomid_ros.files.models.posterior import POSTERIOR, read_remainder
 from geomid_ros.gap.candidates import library_columns
+from geomid_ros.gap.evidence.standing import StandingRemainder
 from geomid_ros.gap.result import GapResult
-from geomid_ros.gap.workflow import CUTOFF, GapSettings, find_gap, left_by_model
+from geomid_ros.gap.workflow import CUTOFF, GapSettings, find_gap, lacking, left_by_model
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.resimulate import CUTOFF as SHARP_CUTOFF
 from geomid_ros.session.configuration import Configuration
@@ -105,9 +107,41 @@ def find(session: Session, recordings: Recordings, progress: Progress) -> GapRes
         deviations=session.loaded.deviations(session.model),
         known=session.loaded.information(session.model),
         beside=session.loaded.beside_coefficients,
+        standing=standing_of(session),
         simulated=recordings.simulated,
         progress=progress,
     )
+
+
+def standing_of(session: Session) -> StandingRemainder | None:
+    """What the session's model lacked where it was identified; that this is not known is told."""
+    source = session.loaded.source
+    if session.loaded.known is None:
+        return None
+    path = Path(source).with_name(POSTERIOR)
+    found = read_remainder(path) if path.is_file() else None
+    if found is None:
+        without = f"{path}: has no remainder" if path.is_file() else f"{source}: no {POSTERIOR} beside it"
+        session.settled.append(f"{without}: changes are judged without it; identify again from bags to have it")
+        return None
+    names = tuple(channel.name for channel in session.model.channels)
+    if (found.joints, found.channels) != (tuple(session.robot.joint_names), names):
+        session.settled.append(
+            f"{path}: its remainder is of {', '.join(found.channels)}, here {', '.join(names)} are measured; changes "
+            "are judged without it"
+        )
+        return None
+    return found
+
+
+def remainder_of(session: Session, bags: Bags, progress: Progress = silent) -> StandingRemainder | None:
+    """What a session's model lacks on the bags that it was identified from; None if they tell too little.
+
+    Raises:
+        InputError: a bag cannot be read.
+    """
+    cutoff, train = GapReader(session, bags, progress).train()
+    return lacking(session.model, train, cutoff, session.prior, session.loaded.beside_coefficients)
 
 
 def rms_of_model(session: Session, samples: Sequence[Samples]) -> FloatArray:
@@ -188,6 +222,16 @@ class GapReader:
             )
         held_out = [samples for samples in held_out if len(samples)]
         return Recordings(cutoff=cutoff, train=train, held_out=held_out, simulated=twins)
+
+    def train(self) -> tuple[float, list[Samples]]:
+        """Read what is fitted: the cutoff of its samples [Hz], and these, one element per bag.
+
+        Raises:
+            InputError: a bag cannot be used; it is named.
+        """
+        cutoff = gap_cutoff(self.session, self._rate(self.bags.fitted))
+        parts = [divided([self._whole(path, cutoff)], self.bags.share)[0] for path in self.bags.fitted]
+        return cutoff, [early for early, _ in parts]
 
     def _judge(self, recordings: Sequence[Samples]) -> None:
         for samples in recordings:

@@ -15,7 +15,9 @@ import pytest
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import EffectEstimate
 from geomid_ros.estimation.posterior import Posterior
-from geomid_ros.files.models.posterior import POSTERIOR, read_posterior, write_posterior
+from geomid_ros.files.models.posterior import POSTERIOR, read_posterior, read_remainder, write_posterior
+from geomid_ros.gap.evidence.features import Basis
+from geomid_ros.gap.evidence.standing import StandingRemainder
 from geomid_ros.model.effects import Quantity
 
 from .estimates import estimate_of, link_estimate
@@ -86,7 +88,7 @@ def headed(change: Callable[[dict], None]) -> Callable[[dict], dict]:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (headed(lambda header: header.update(format=2)), "has format 2, this version reads format 1"),
+        (headed(lambda header: header.update(format=3)), "has format 3, this version reads formats 1 and 2"),
         (headed(lambda header: header.update(links=7)), "cannot be read"),
         (headed(lambda header: header["links"].pop()), "of shape"),
         (headed(lambda header: header["links"][0].update(name=3)), "not named as expected"),
@@ -130,8 +132,74 @@ def test_what_is_no_archive_is_refused(tmp_path: Path) -> None:
     refused(tmp_path / "none.npz", "cannot be read")
 
 
-def refused(path: Path, reason: str) -> None:
+SIZES = 5, 3
+
+
+def remainder() -> StandingRemainder:
+    rng = np.random.default_rng(4)
+    return StandingRemainder(
+        joints=("shoulder", "elbow"),
+        channels=("effort shoulder", "effort elbow"),
+        basis=Basis(np.sort(rng.standard_normal((2, 3, 2))), tuple(rng.uniform(0.5, 2.0, size) for size in SIZES)),
+        means=tuple(rng.standard_normal(size) for size in SIZES),
+        roots=tuple(np.tril(rng.standard_normal((size, size))) for size in SIZES),
+    )
+
+
+@pytest.fixture
+def with_remainder(tmp_path: Path) -> Path:
+    path = tmp_path / POSTERIOR
+    write_posterior(path, posterior(), remainder())
+    return path
+
+
+def test_what_the_model_lacks_is_read_as_it_was_written(with_remainder: Path) -> None:
+    found, expected = read_remainder(with_remainder), remainder()
+    assert found is not None
+    assert (found.joints, found.channels) == (expected.joints, expected.channels)
+    assert np.array_equal(found.basis.knots, expected.basis.knots)
+    for each, own in ((found.means, expected.means), (found.basis.scales, expected.basis.scales)):
+        assert all(map(np.array_equal, each, own))
+    for read, made in zip(found.roots, expected.roots, strict=True):
+        np.testing.assert_allclose(read, made, rtol=1e-6)
+    assert np.array_equal(read_posterior(with_remainder).covariance, posterior().covariance)
+
+
+def test_files_without_it_are_read(written: Path) -> None:
+    assert read_remainder(written) is None
+    with np.load(written) as archive:
+        arrays = headed(lambda header: header.update(format=1))(dict(archive))
+    np.savez(written, **arrays)
+    assert read_remainder(written) is None
+    assert np.array_equal(read_posterior(written).covariance, posterior().covariance)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (headed(lambda header: header["remainder"].update(joints=["one"])), "'knots' is float64 of shape"),
+        (headed(lambda header: header["remainder"].update(channels=[1, 2])), "not named as expected"),
+        (headed(lambda header: header["remainder"].update(channels=["a", "b", "c"])), "cannot be read"),
+        (headed(lambda header: header.update(remainder=3)), "cannot be read"),
+        (lambda arrays: arrays | {"knots": -arrays["knots"]}, "cannot be"),
+        (lambda arrays: arrays | {"scales_0": 0.0 * arrays["scales_0"]}, "cannot be"),
+        (lambda arrays: arrays | {"mean_1": arrays["mean_1"][:2]}, "'root_1' is float32 of shape"),
+        (lambda arrays: arrays | {"mean_1": np.inf * arrays["mean_1"]}, "finite"),
+        (lambda arrays: arrays | {"mean_1": 1e12 * arrays["mean_1"]}, "beyond all measure"),
+        (lambda arrays: arrays | {"root_0": arrays["root_0"].astype("f8")}, "'root_0' is float64"),
+    ],
+)
+def test_a_remainder_that_cannot_be_is_refused(
+    with_remainder: Path, change: Callable[[dict], dict], reason: str
+) -> None:
+    with np.load(with_remainder) as archive:
+        arrays = dict(archive)
+    np.savez(with_remainder, **change(arrays))
+    refused(with_remainder, reason, read_remainder)
+
+
+def refused(path: Path, reason: str, read: Callable[[Path], object] = read_posterior) -> None:
     with pytest.raises(InputError, match=reason) as raised:
-        read_posterior(path)
+        read(path)
     assert str(raised.value).startswith(f"{path}: ")
     assert "\n" not in str(raised.value)

@@ -173,8 +173,7 @@ class Rounds:
         monkeypatch.setattr(analysis, "_noise", self.noise)
         monkeypatch.setattr(analysis, "_typical_size", lambda *_: None)
         monkeypatch.setattr(analysis, "total_model", lambda *_: None)
-        problem = SimpleNamespace(residual=lambda *_: 0.0, remainder=lambda *_: 0.0, valid=None)
-        monkeypatch.setattr(analysis, "LinearisedProblem", lambda *_: problem)
+        self.problem = SimpleNamespace(residual=lambda *_: 0.0, remainder=lambda *_: 0.0, valid=None)
 
     def round(self, *given: Any, variances: object, attempt: int, settling: bool) -> Any:
         _, _, _, noise, before = given
@@ -194,7 +193,9 @@ class Rounds:
 
 def test_what_does_not_settle_is_fitted_in_the_noise_of_the_last_search(monkeypatch: pytest.MonkeyPatch) -> None:
     rounds = Rounds(monkeypatch)
-    task: Any = SimpleNamespace(model=None, records=None, progress=lambda *_: None)
+    task: Any = SimpleNamespace(
+        model=None, records=None, linearised=lambda *_: rounds.problem, progress=lambda *_: None
+    )
     analysis._last_round(task, None, "")  # type: ignore[arg-type]
     searches = ["first", 1, 2, 3, 4, 5]
     assert rounds.noises == [*searches, 5, 5, 5]

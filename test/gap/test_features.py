@@ -17,7 +17,7 @@ PROBLEM = LinearisedProblem(MODEL, RECORDS, total_model(MODEL, unfitted(planted.
 
 @pytest.fixture(scope="module")
 def own() -> Features:
-    return features(MODEL, PROBLEM.records, PROBLEM.situation, 1)
+    return features(MODEL, PROBLEM.records, PROBLEM.situation, 1, PROBLEM.basis)
 
 
 def of_variable(own: Features, variable: str) -> np.ndarray:

@@ -13,20 +13,31 @@ BLOCK = np.repeat([0, 1, 2], [4, 6, 5])
 VARIANCES = np.array([0.5, 8.0, 0.02])
 
 
-def rows(seed: int, variances: FloatArray = VARIANCES, noise: float = 0.1) -> ChannelRows:
+BEFORE = 3.0 * np.cov(np.random.default_rng(3).standard_normal((len(BLOCK), 60)))
+BEFORE[:4] = BEFORE[:, :4] = 0.0  # of the first block nothing is known
+"""What other recordings left unsure of the features' coefficients."""
+
+
+def rows(
+    seed: int, variances: FloatArray = VARIANCES, noise: float = 0.1, before: FloatArray | None = None
+) -> ChannelRows:
     """Random columns and features, and what is measured of coefficients 1, 2, 3 beside a remainder of these
-    ``variances`` in units of the noise's."""
+    ``variances`` in units of the noise's, and of what was unsure ``before``."""
     rng = np.random.default_rng(seed)
     columns, features = rng.standard_normal((ROWS, COLUMNS)), rng.standard_normal((ROWS, len(BLOCK)))
     made = ChannelRows.of(np.column_stack([columns, np.zeros(ROWS)]), features, BLOCK, {})
     drawn = made.features @ (np.sqrt(variances[BLOCK]) * rng.standard_normal(len(BLOCK)))
+    if before is not None:
+        values, vectors = np.linalg.eigh(before)
+        drawn += features @ (vectors @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(len(BLOCK))))
     target = columns @ [1.0, 2.0, 3.0] + noise * (drawn + rng.standard_normal(ROWS))
-    return ChannelRows.of(np.column_stack([columns, target]), features, BLOCK, {})
+    return ChannelRows.of(np.column_stack([columns, target]), features, BLOCK, {}, before)
 
 
 def covariance(own: ChannelRows, variances: FloatArray) -> FloatArray:
     """Of the rows, in units of the noise's variance."""
-    return np.eye(ROWS) + (own.features * variances[BLOCK]) @ own.features.T
+    known = 0.0 if own.before is None else own.features @ own.before @ own.features.T
+    return np.eye(ROWS) + (own.features * variances[BLOCK]) @ own.features.T + known
 
 
 def test_a_block_s_draw_of_variance_one_has_a_mean_square_of_one() -> None:
@@ -36,15 +47,26 @@ def test_a_block_s_draw_of_variance_one_has_a_mean_square_of_one() -> None:
         assert squares == pytest.approx(1.0)
 
 
-def test_products_are_those_of_generalised_least_squares() -> None:
-    own = rows(2)
+either = pytest.mark.parametrize("before", [None, BEFORE], ids=["nothing known", "known before"])
+
+
+def test_what_is_known_is_of_the_features_as_they_were_given() -> None:
+    """Coefficients of the covariance BEFORE make of the given features what ``before`` makes of the scaled ones."""
+    own, given = rows(1, before=BEFORE), rows(1).features / rows(1).scale
+    np.testing.assert_allclose(own.features @ own.before @ own.features.T, given @ BEFORE @ given.T, atol=1e-9)
+
+
+@either
+def test_products_are_those_of_generalised_least_squares(before: FloatArray | None) -> None:
+    own = rows(2, before=before)
     found = own.remainder.marginalised(own.products, VARIANCES).products[:-1, :-1]
     exact = own.columns.T @ np.linalg.solve(covariance(own, VARIANCES), own.columns)
     np.testing.assert_allclose(found, exact, rtol=1e-8, atol=1e-8)
 
 
-def test_whitened_rows_have_these_products() -> None:
-    own = rows(3)
+@either
+def test_whitened_rows_have_these_products(before: FloatArray | None) -> None:
+    own = rows(3, before=before)
     taken, vector = np.arange(COLUMNS + 1), np.array([1.0, -2.0, 0.5, -1.0])
     columns, residual = own.whitened(vector, taken, VARIANCES)
     products = own.remainder.marginalised(own.products, VARIANCES).products[:-1, :-1]
@@ -52,10 +74,13 @@ def test_whitened_rows_have_these_products() -> None:
     np.testing.assert_allclose(residual, columns @ vector, atol=1e-10)
 
 
-def test_the_cost_is_the_volume_of_the_covariance_and_nothing_at_the_usual_size_but_that() -> None:
-    own, usual = rows(4), np.full(3, USUAL)
+@either
+def test_the_cost_is_the_volume_of_the_covariance_and_nothing_at_the_usual_size_but_that(
+    before: FloatArray | None,
+) -> None:
+    own, usual = rows(4, before=before), np.full(3, USUAL)
     for variances in (VARIANCES, usual):
-        prior = np.sum(np.log(variances / USUAL) + USUAL / variances - 1.0)
+        prior = np.sum(np.log(variances / USUAL) + USUAL / variances - 1.0) if before is None else 0.0
         volume = np.linalg.slogdet(covariance(own, variances))[1]
         assert own.remainder.marginalised(own.products, variances).cost == pytest.approx(volume + prior)
     assert own.remainder.usual.tolist() == usual.tolist()
@@ -74,7 +99,7 @@ def test_the_variances_that_are_settled_on_are_near_the_most_likely(seed: int) -
     own = rows(10 + seed)
     vector = np.append([1.0, 2.0, 3.0, -1.0], 0.0)
     square = float(vector @ own.products @ vector)
-    found = own.remainder.settled(vector, square)
+    found = own.remainder.settled(vector, square, 0.0)
     best = minimize(
         lambda logs: score(own.remainder, vector, square, np.exp(logs)), np.log(found), method="Nelder-Mead"
     )
@@ -87,10 +112,27 @@ def test_what_is_lacking_is_found_and_counts_as_parameters() -> None:
     found = []
     for seed in range(30):
         own = rows(100 + seed)
-        found.append(own.remainder.settled(vector, float(vector @ own.products @ vector)))
+        found.append(own.remainder.settled(vector, float(vector @ own.products @ vector), 0.0))
     medians = np.median(found, axis=0)
     assert medians[1] == pytest.approx(VARIANCES[1], rel=0.5)
     assert medians[2] < 1.5 * USUAL
+
+
+def test_beside_other_recordings_it_changes_as_much_as_usual_and_by_a_share_of_what_is_named() -> None:
+    """However much is left: what stands there is a change that has no name yet."""
+    remainder, vector = rows(6, before=BEFORE).remainder, np.append([1.0, 2.0, 3.0, -1.0], 0.0)
+    for square in (0.1, 1e6):
+        np.testing.assert_array_equal(remainder.settled(vector, square, 0.0), remainder.usual)
+    larger = [remainder.settled(vector, 1.0, named) - USUAL for named in (100.0, 400.0)]
+    np.testing.assert_allclose(larger[1], 4.0 * larger[0])
+    assert 0.0 < larger[0][0] < 100.0
+
+
+def test_of_what_hardly_occurs_features_are_not_made_large() -> None:
+    own = rows(7)
+    rare = ChannelRows.of(own.columns, own.features * np.where(BLOCK == 1, 1e-9, 1.0), BLOCK, {})
+    assert np.max(rare.features[:, BLOCK == 1] ** 2) < 1e-6
+    assert np.max(rare.scale) < 1e3
 
 
 def test_without_features_nothing_changes() -> None:
@@ -101,4 +143,4 @@ def test_without_features_nothing_changes() -> None:
     marginal = bare.remainder.marginalised(bare.products, none)
     np.testing.assert_array_equal(marginal.products, bare.products)
     assert marginal.cost == 0.0
-    assert bare.remainder.settled(np.ones(COLUMNS + 2), 1.0).shape == (0,)
+    assert bare.remainder.settled(np.ones(COLUMNS + 2), 1.0, 0.0).shape == (0,)

@@ -1,8 +1,12 @@
-"""``posterior.npz``: the joint posterior of links and effects on disk, beside ``estimate.json``.
+"""``posterior.npz``: the joint posterior of links and effects on disk, beside ``estimate.json``, and what they lack.
 
 A NumPy archive without pickled objects. ``posterior`` is a JSON text: ``format``, ``links`` (``name``, ``merged``) and
 ``effects`` (``name``, ``place``, ``parameter``, ``unit``, ``positive``). The arrays of float64 are the fields of
 :class:`~geomid_ros.estimation.posterior.Posterior` of the same names, where their coordinates are described.
+
+From format 2 on, ``remainder`` in that text may hold ``joints`` and ``channels`` of a
+:class:`~geomid_ros.gap.evidence.standing.StandingRemainder`. Then ``knots`` are those of its basis, and each channel
+has its ``scales_N`` and ``mean_N``, and ``root_N``: the lower triangle of its root, row by row, in float32.
 """
 
 from __future__ import annotations
@@ -10,31 +14,40 @@ from __future__ import annotations
 import io
 import json
 import zipfile
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.files.disk import read_bytes, write_bytes
+from geomid_ros.gap.evidence.features import Basis
+from geomid_ros.gap.evidence.standing import StandingRemainder
 from geomid_ros.types import AnyArray, FloatArray, frozen
 
 POSTERIOR = "posterior.npz"
-FORMAT = 1
+FORMAT = 2
+_FORMATS = (1, FORMAT)
 _HEADER = "posterior"
 _VECTORS = ("parameters", "prior", "prior_spreads")
 _MOST_PARAMETERS = 2000
 _MOST_HEADER = 2_000_000  # bytes
 _ENCRYPTED = 1  # bit of a zip entry's flags
-_MOST_BYTES = 8 * _MOST_PARAMETERS * (_MOST_PARAMETERS + 8) + _MOST_HEADER
+_MOST_REMAINDER = 8 * _MOST_PARAMETERS**2  # bytes
+_MOST_BYTES = 8 * _MOST_PARAMETERS * (_MOST_PARAMETERS + 8) + _MOST_REMAINDER + _MOST_HEADER
+_LARGEST = 1e9
 _ROUNDING = 1e-8
+T = TypeVar("T")
+
 _UNREADABLE = (zipfile.BadZipFile, KeyError, TypeError, ValueError, RecursionError, EOFError, NotImplementedError)
 
 
-def write_posterior(path: Path, posterior: Posterior) -> list[Path]:
-    """Write a posterior; of a robot with more than 2000 parameters, none. Returns the files.
+def write_posterior(path: Path, posterior: Posterior, remainder: StandingRemainder | None = None) -> list[Path]:
+    """Write a posterior, and what the model lacks if that is known and no larger than a posterior may be; of a robot
+    with more than 2000 parameters, none. Returns the files.
 
     Raises GeomidError naming the file.
     """
@@ -48,6 +61,9 @@ def write_posterior(path: Path, posterior: Posterior) -> list[Path]:
         "effects": [asdict(effect) for effect in posterior.effects],
     }
     arrays = {name: getattr(posterior, name) for name in (*_VECTORS, "scales", "covariance")}
+    if remainder is not None and _size_of(remainder) < _MOST_REMAINDER:
+        header["remainder"] = {"joints": remainder.joints, "channels": remainder.channels}
+        arrays |= _arrays_of(remainder)
     content = io.BytesIO()
     np.savez(content, allow_pickle=False, **{_HEADER: np.array(json.dumps(header))}, **arrays)
     write_bytes(path, content.getvalue())
@@ -67,20 +83,73 @@ def beside(estimate: Path) -> Path:
 
 def read_posterior(path: Path) -> Posterior:
     """Read a posterior. Raises InputError naming the file."""
+    return _read(path, _posterior)
+
+
+def read_remainder(path: Path) -> StandingRemainder | None:
+    """Read what the model lacks; None if the file does not say. Raises InputError naming the file."""
+    return _read(path, _remainder)
+
+
+def _read(path: Path, read: Callable[[zipfile.ZipFile, Any], T]) -> T:
+    """Read a part of the archive with its header."""
     content = read_bytes(path, "posterior", _MOST_BYTES)
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            return _posterior(archive)
+            return read(archive, _header(archive))
     except InputError as error:
         raise InputError(f"{path}: {error}; identify again") from error
     except _UNREADABLE as error:
         raise InputError(f"{path}: the posterior cannot be read ({error}); identify again") from error
 
 
-def _posterior(archive: zipfile.ZipFile) -> Posterior:
+def _header(archive: zipfile.ZipFile) -> Any:
     header = json.loads(str(_array(archive, _HEADER)))
-    if header["format"] != FORMAT:
-        raise InputError(f"has format {header['format']!r}, this version reads format {FORMAT}")
+    if header["format"] not in _FORMATS:
+        raise InputError(f"has format {header['format']!r}, this version reads formats 1 and {FORMAT}")
+    return header
+
+
+def _size_of(remainder: StandingRemainder) -> int:
+    """Bytes, at most."""
+    return sum(8 * len(mean) * (len(mean) + 2) for mean in remainder.means)
+
+
+def _arrays_of(remainder: StandingRemainder) -> dict[str, FloatArray]:
+    arrays: dict[str, Any] = {"knots": remainder.basis.knots}
+    for place, (scales, mean, root) in enumerate(
+        zip(remainder.basis.scales, remainder.means, remainder.roots, strict=True)
+    ):
+        triangle = root[np.tril_indices(len(root))].astype(np.float32)
+        arrays |= {f"scales_{place}": scales, f"mean_{place}": mean, f"root_{place}": triangle}
+    return arrays
+
+
+def _remainder(archive: zipfile.ZipFile, header: Any) -> StandingRemainder | None:
+    if (entry := header.get("remainder")) is None:
+        return None
+    joints, channels = tuple(entry["joints"]), tuple(entry["channels"])
+    if not all(isinstance(name, str) for name in (*joints, *channels)):
+        raise InputError("joints or channels are not named as expected")
+    knots, scales, means, roots = _numbers(archive, "knots", (len(joints), 3, 2)), [], [], []
+    for place in range(len(channels)):
+        size = len(_array(archive, f"mean_{place}"))
+        triangle = _numbers(archive, f"root_{place}", (size * (size + 1) // 2,), np.float32)
+        root = np.zeros((size, size))
+        root[np.tril_indices(size)] = triangle
+        scales.append(_numbers(archive, f"scales_{place}", (size,)))
+        means.append(_numbers(archive, f"mean_{place}", (size,)))
+        roots.append(root)
+    if not (np.all(knots[:, :, 0] <= knots[:, :, 1]) and all(np.all(own > 0.0) for own in scales)):
+        raise InputError("holds a remainder whose ranges or scales cannot be")
+    if any(np.any(np.abs(own) > _LARGEST) for own in (knots, *scales, *means, *roots)):
+        raise InputError("holds a remainder beyond all measure")
+    return StandingRemainder(
+        joints=joints, channels=channels, basis=Basis(knots, tuple(scales)), means=tuple(means), roots=tuple(roots)
+    )
+
+
+def _posterior(archive: zipfile.ZipFile, header: Any) -> Posterior:
     links, effects = header["links"], [EffectCoordinate(**entry) for entry in header["effects"]]
     _check_names(links, effects)
     positives = sum(effect.positive for effect in effects)
@@ -121,10 +190,13 @@ def _check(posterior: Posterior) -> None:
         raise InputError("holds a covariance that is not positive semidefinite")
 
 
-def _numbers(archive: zipfile.ZipFile, name: str, shape: tuple[int, ...]) -> FloatArray:
+def _numbers(
+    archive: zipfile.ZipFile, name: str, shape: tuple[int, ...], kind: type[np.floating] = np.float64
+) -> FloatArray:
     array = _array(archive, name)
-    if array.shape != shape or array.dtype != np.float64 or not np.all(np.isfinite(array)):
-        raise InputError(f"'{name}' is {array.dtype} of shape {array.shape}, expected finite float64 of {shape}")
+    if array.shape != shape or array.dtype != kind or not np.all(np.isfinite(array)):
+        expected = f"finite {np.dtype(kind)} of {shape}"
+        raise InputError(f"'{name}' is {array.dtype} of shape {array.shape}, expected {expected}")
     return frozen(array)
 
 

@@ -13,49 +13,86 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray, IntArray
 
 _SLOW_WAVES, _FAST_WAVES = range(2, 11), range(11, 33)  # per radian (or metre): cogging, ripple of gears
+TIME = "time"
+"""What features depend on that no other recording tells of."""
 _STRIBECK_SPEEDS = (0.02, 0.05, 0.12)  # [rad/s or m/s]
 
 
 @dataclass(frozen=True, eq=False)
+class Basis:
+    """Where the features of a robot's remainder have their knots, for each joint's position, velocity and load
+    ``(joints, 3, 2)``, and what the columns of each channel are multiplied by: ``scales (m,)``."""
+
+    knots: FloatArray
+    scales: tuple[FloatArray, ...]
+
+    @staticmethod
+    def of(model: MeasurementModel, records: Records, situation: Situation) -> Basis:
+        """For what is measured: knots at the ends of each range; columns of other units than the channel's, each with a
+        mean square of 1."""
+        samples = records.samples
+        variables = samples.position, samples.velocity, situation.predicted
+        ends = np.array([[knots(own) for own in joint] for joint in zip(*(v.T for v in variables), strict=False)])
+        scales = []
+        for channel in range(len(model.channels)):
+            blocks = _blocks(model, records, situation, channel, ends)
+            scales.append(np.concatenate([_alike(own) if unit else np.ones(own.shape[1]) for _, own, unit in blocks]))
+        return Basis(ends, tuple(scales))
+
+
+@dataclass(frozen=True, eq=False)
 class Features:
-    """Columns ``(N, m)`` of a channel, in their ``block (m,)``, and the variable that each block ``depends_on``."""
+    """Columns ``(N, m)`` of a channel, in their ``block (m,)``, and the variable that each block ``depends_on``; the
+    ``mean (m,)`` of their coefficients and its covariance, ``unsure (m, m)``, of which other recordings tell."""
 
     columns: FloatArray
     block: IntArray
     depends_on: tuple[str, ...]
+    mean: FloatArray | None = None
+    unsure: FloatArray | None = None
+
+    @property
+    def known(self) -> FloatArray:
+        """What other recordings make one expect ``(N,)``."""
+        return np.zeros(len(self.columns)) if self.mean is None else self.columns @ self.mean
 
 
-def features(model: MeasurementModel, records: Records, situation: Situation, channel: int) -> Features:
+def features(model: MeasurementModel, records: Records, situation: Situation, channel: int, basis: Basis) -> Features:
     """What the remainder of a channel may consist of: of a wrench's, of time and the joints alone."""
-    own = model.channels[channel].joint is not None
-    blocks = [*(_of_joint(records, situation, channel) if own else ()), *_of_others(model, records, situation, channel)]
-    block = np.repeat(np.arange(len(blocks)), [columns.shape[1] for _, columns in blocks])
-    names, columns = zip(*blocks, strict=True)
-    return Features(np.concatenate(columns, axis=1), block, names)
+    names, columns, _ = zip(*_blocks(model, records, situation, channel, basis.knots), strict=True)
+    block = np.repeat(np.arange(len(names)), [own.shape[1] for own in columns])
+    return Features(np.concatenate(columns, axis=1) * basis.scales[channel], block, names)
 
 
-def _of_joint(records: Records, situation: Situation, joint: int) -> Iterator[tuple[str, FloatArray]]:
+_Block = tuple[str, FloatArray, bool]  # what it depends on, its columns, and whether they are of several units
+
+
+def _blocks(
+    model: MeasurementModel, records: Records, situation: Situation, channel: int, ends: FloatArray
+) -> Iterator[_Block]:
+    if model.channels[channel].joint is not None:
+        yield from _of_joint(records, situation, channel, ends[channel])
+    yield from _of_others(model, records, situation, channel)
+
+
+def _of_joint(records: Records, situation: Situation, joint: int, ends: FloatArray) -> Iterator[_Block]:
     samples = records.samples
     q, v, a = (values[:, joint] for values in (samples.position, samples.velocity, samples.acceleration))
     sign, load = situation.sign[:, joint, None], situation.predicted[:, joint]
-    yield "velocity", hats(v, knots(v), 8)
-    for name, values in (("position", q), ("load", load)):
-        curves = knots(values)
-        yield name, hats(values, curves, 8)
-        yield name, sign * hats(values, curves, 5)
+    yield "velocity", hats(v, ends[1], 8), False
+    for name, values, curves in (("position", q, ends[0]), ("load", load, ends[2])):
+        yield name, hats(values, curves, 8), False
+        yield name, sign * hats(values, curves, 5), False
     for waves in (_SLOW_WAVES, _FAST_WAVES):
-        yield "position", np.stack([wave(k * q) for k in waves for wave in (np.sin, np.cos)], axis=1)
-    yield "time", _alike(time_of(records)[:, None] * np.column_stack([v, sign]))
-    yield "acceleration", _alike(np.stack([situation.load_rate[:, joint], a, a * np.abs(v)], axis=1))
-    yield "reversals", sign * np.stack([np.exp(-((v / speed) ** 2)) for speed in _STRIBECK_SPEEDS], axis=1)
+        yield "position", np.stack([wave(k * q) for k in waves for wave in (np.sin, np.cos)], axis=1), False
+    yield TIME, time_of(records)[:, None] * np.column_stack([v, sign]), True
+    yield "acceleration", np.stack([situation.load_rate[:, joint], a, a * np.abs(v)], axis=1), True
+    yield "reversals", sign * np.stack([np.exp(-((v / speed) ** 2)) for speed in _STRIBECK_SPEEDS], axis=1), False
 
 
-def _of_others(
-    model: MeasurementModel, records: Records, situation: Situation, channel: int
-) -> Iterator[tuple[str, FloatArray]]:
+def _of_others(model: MeasurementModel, records: Records, situation: Situation, channel: int) -> Iterator[_Block]:
     samples = records.samples
-    time = time_of(records)
-    yield "time", hats(time, (-1.0, 1.0), 5)
+    yield TIME, hats(time_of(records), (-1.0, 1.0), 5), False
     own = samples.position[:, channel] if model.channels[channel].joint is not None else None
     for other, name in enumerate(model.robot.joint_names):
         if own is None or other != channel:
@@ -63,13 +100,13 @@ def _of_others(
             columns = [samples.velocity[:, other], situation.sign[:, other], np.sin(q), np.cos(q)]
             if own is not None:
                 columns += [np.sin(q + own), np.cos(q + own), np.sin(q - own), np.cos(q - own)]
-            yield name, _alike(np.stack(columns, axis=1))
+            yield name, np.stack(columns, axis=1), True
 
 
 def _alike(columns: FloatArray) -> FloatArray:
-    """Columns ``(N, m)`` of different units, each with a mean square of 1."""
+    """Factors ``(m,)`` by which columns ``(N, m)`` have a mean square of 1."""
     sizes = np.sqrt(np.mean(columns**2, axis=0))
-    return columns / np.where(sizes > 0.0, sizes, 1.0)
+    return np.asarray(1.0 / np.where(sizes > 0.0, sizes, 1.0))
 
 
 def time_of(records: Records) -> FloatArray:

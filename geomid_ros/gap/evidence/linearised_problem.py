@@ -8,9 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesFit
-from geomid_ros.gap.evidence.features import Features, features
+from geomid_ros.gap.evidence.features import Basis, Features, features
 from geomid_ros.gap.evidence.noise import Autoregression, runs_of
 from geomid_ros.gap.evidence.record import Records, TotalModel
+from geomid_ros.gap.evidence.standing import StandingRemainder
 from geomid_ros.inference.design import ChannelRows, Design
 from geomid_ros.model.effects import Effect, MotionEffect, Place, SensorEffect, Situation, SituationEffect, joints_of
 from geomid_ros.model.measurement import MeasurementModel, Rows
@@ -35,7 +36,7 @@ def total_model(model: MeasurementModel, found: NamesFit) -> TotalModel:
 
 
 class LinearisedProblem:
-    """Records under a model linearised at ``total``.
+    """Records under a model linearised at ``total``, beside what it is known to lack (``standing``).
 
     An effect that is absorbed (a tilt, delay or gain) is not added as its column: the gravity is turned, the efforts
     are moved, the rows scaled; and the target is changed so that the coefficients still mean the whole tilt, delay and
@@ -43,9 +44,15 @@ class LinearisedProblem:
     """
 
     def __init__(
-        self, model: MeasurementModel, records: Records, total: TotalModel, floor: FloatArray | None = None
+        self,
+        model: MeasurementModel,
+        records: Records,
+        total: TotalModel,
+        floor: FloatArray | None = None,
+        standing: StandingRemainder | None = None,
     ) -> None:
         self.total = total
+        self._standing = standing
         self._floor = np.full(len(model.channels), np.inf) if floor is None else floor
         self.records = records.advanced(total.lag)
         gravity = total.gravity
@@ -106,7 +113,15 @@ class LinearisedProblem:
     @cached_property
     def features(self) -> list[Features]:
         """What the remainder of each channel may consist of."""
-        return [features(self.model, self.records, self.situation, c) for c in range(len(self.model.channels))]
+        channels, known = range(len(self.model.channels)), self._standing
+        basis = self.basis if known is None else known.basis
+        found = [features(self.model, self.records, self.situation, channel, basis) for channel in channels]
+        return found if known is None else known.beside(found)
+
+    @cached_property
+    def basis(self) -> Basis:
+        """The features' usual basis for these records."""
+        return Basis.of(self.model, self.records, self.situation)
 
     def design(self, columns: Columns, noise: Sequence[Autoregression]) -> Design:
         """Whitened rows."""
@@ -142,7 +157,7 @@ class LinearisedProblem:
     def remainder(self, design: Design, found: NamesFit) -> FloatArray:
         """The mean of what the model lacks ``(N, C)``, of the whitened rows of a ``design``."""
         lacks = zip(self.features, found.remainders(design), strict=True)
-        return np.stack([features.columns @ lack.coefficients for features, lack in lacks], axis=1)
+        return np.stack([own.known + own.columns @ lack.coefficients for own, lack in lacks], axis=1)
 
     def variance(self, columns: Columns, found: NamesFit) -> FloatArray:
         """Of the prediction ``(N, C)``, from the uncertainty of what was fitted."""
@@ -184,12 +199,13 @@ def design_of(
     for channel in range(rows.targets.shape[1]):
         terms = [term for term, by_channel in columns.items() if channel in by_channel]
         own = [columns[term][channel] for term in terms]
-        inertial, target, remainder = rows.coefficients[:, channel], rows.targets[:, channel], features[channel]
-        stacked = np.column_stack([inertial, *own, target, remainder.columns])
+        inertial, remainder = rows.coefficients[:, channel], features[channel]
+        stacked = np.column_stack([inertial, *own, rows.targets[:, channel] - remainder.known, remainder.columns])
         white = noise[channel].whiten(stacked, runs_of(valid[:, channel], records.segment))
         place = {term: inertial.shape[1] + index for index, term in enumerate(terms)}
         first = inertial.shape[1] + len(own) + 1
-        channels.append(ChannelRows.of(white[:, :first], white[:, first:], remainder.block, place))
+        unsure = None if remainder.unsure is None else remainder.unsure / noise[channel].variances[-1]
+        channels.append(ChannelRows.of(white[:, :first], white[:, first:], remainder.block, place, unsure))
     return Design.of(channels, rows.coefficients.shape[2])
 
 

@@ -1,0 +1,108 @@
+"""What a model lacked where it was identified is expected elsewhere, and is no change there."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from geomid_ros.gap.analysis import standing_remainder
+from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
+from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.evidence.standing import StandingRemainder, root_of
+from geomid_ros.gap.workflow import find_gap, lacking
+from geomid_ros.inference.fit import unfitted
+from geomid_ros.model.samples import Samples
+from geomid_ros.types import FloatArray
+
+from . import planted
+
+MODEL, JOINT, COGGING = planted.model(), 1, 0.4  # [N m]
+TRUE = planted.true_inertias(3, 0.1)
+LINKS = TRUE[list(MODEL.identified)]
+
+
+def cogging(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+    efforts = planted.rigid(TRUE)(q, v, a)
+    efforts[:, JOINT] += COGGING * np.sin(7.0 * q[:, JOINT] + 0.3)
+    return efforts
+
+
+def recorded(seed: int, more: float = 0.0) -> Samples:
+    """With ``more`` dry friction of the last joint."""
+
+    def efforts(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        found = cogging(q, v, a)
+        found[:, -1] += more * np.tanh(v[:, -1] / 0.02)
+        return found
+
+    return planted.recording(efforts, seed, 30.0)
+
+
+@cache
+def standing() -> StandingRemainder:
+    found = lacking(MODEL, [recorded(1)], planted.CUTOFF, LINKS.ravel(), ())
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("seed", [2, 3, 8])
+def test_it_is_expected_of_another_motion_as_far_as_it_says(seed: int) -> None:
+    """What is not expected of another motion is as large as noise and the coefficients' covariance say."""
+    given = unfitted(planted.prior(LINKS))
+    records = Records.make([recorded(seed)], planted.CUTOFF)
+    problem = LinearisedProblem(MODEL, records, total_model(MODEL, given), standing=standing())
+    residual = problem.residual({}, given)
+    for channel, own in enumerate(problem.features):
+        off, unsure = residual[:, channel] - own.known, np.einsum("ij,jk,ik->i", own.columns, own.unsure, own.columns)
+        assert 0.6 < np.sqrt(np.mean(off**2 / (planted.NOISE**2 + unsure))) < 1.4
+        if channel == JOINT:
+            assert np.std(off) < 0.5 * np.std(residual[:, JOINT])
+
+
+def test_its_covariance_says_how_far_it_is_off() -> None:
+    """Where nothing lacks, coefficients are a few of their standard deviations from none."""
+    records = Records.make([planted.recording(planted.rigid(TRUE), 4, 30.0)], planted.CUTOFF)
+    found = standing_remainder(MODEL, records, planted.prior(LINKS))
+    for mean, root in zip(found.means, found.roots, strict=True):
+        assert np.all(np.abs(mean) < 4.0 * np.linalg.norm(root, axis=1))
+
+
+@pytest.mark.parametrize("size", [1, 4, 9])
+def test_a_root_is_lower_triangular_and_of_its_covariance(size: int) -> None:
+    rng = np.random.default_rng(size)
+    half = rng.standard_normal((size, max(size - 1, 1)))  # singular
+    root = root_of(half @ half.T)
+    np.testing.assert_allclose(root @ root.T, half @ half.T, atol=1e-12)
+    np.testing.assert_array_equal(root, np.tril(root))
+
+
+def named(known: StandingRemainder | None, recording: Sequence[Samples]) -> dict[tuple[str, str], float]:
+    found = find_gap(MODEL, recording, (), nominal=LINKS.ravel(), standing=known)
+    return {(finding.effect, finding.joint): finding.loss for finding in found.findings}
+
+
+def test_it_is_no_change() -> None:
+    assert not named(standing(), [recorded(5)])
+
+
+def test_a_change_beside_it_is_named() -> None:
+    assert list(named(standing(), [recorded(6, more=0.3)])) == [("coulomb_friction", MODEL.robot.joint_names[-1])]
+
+
+def test_nothing_is_known_of_what_depends_on_time() -> None:
+    records = Records.make([recorded(7)], planted.CUTOFF)
+    problem = LinearisedProblem(MODEL, records, total_model(MODEL, unfitted(planted.prior(LINKS))), standing=standing())
+    for own in problem.features:
+        of_time = np.array([name == "time" for name in own.depends_on])[own.block]
+        assert own.mean is not None
+        assert own.unsure is not None
+        assert not np.any(own.mean[of_time])
+        assert not np.any(own.unsure[of_time])
+        assert np.all(np.diag(own.unsure)[~of_time] > 0.0)
+
+
+def test_of_a_recording_that_is_too_short_nothing_is_known() -> None:
+    short = recorded(1).select(slice(50))
+    assert lacking(MODEL, [replace(short)], planted.CUTOFF, LINKS.ravel(), ()) is None

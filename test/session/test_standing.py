@@ -1,0 +1,67 @@
+"""What a model lacked where it was identified, as a session finds it beside the model's file."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from geomid_ros.files.models import posterior as files
+from geomid_ros.gap.evidence.features import Basis
+from geomid_ros.gap.evidence.standing import StandingRemainder
+from geomid_ros.session.gap import standing_of
+
+NOTHING = np.zeros((0, 0))
+KEPT = StandingRemainder(
+    joints=("shoulder",), channels=("effort",), basis=Basis(NOTHING, (NOTHING,)), means=(NOTHING,), roots=(NOTHING,)
+)
+
+
+def session(folder: Path, known: object = True, channel: str = "effort") -> Any:
+    return SimpleNamespace(
+        loaded=SimpleNamespace(source=str(folder / "estimate.json"), known=known),
+        robot=SimpleNamespace(joint_names=["shoulder"]),
+        model=SimpleNamespace(channels=[SimpleNamespace(name=channel)]),
+        settled=[],
+    )
+
+
+@pytest.fixture
+def beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a file that has a remainder."""
+    (tmp_path / files.POSTERIOR).touch()
+    monkeypatch.setattr("geomid_ros.session.gap.read_remainder", lambda _: KEPT)
+    return tmp_path
+
+
+def test_it_is_that_of_the_file_beside_the_estimate(beside: Path) -> None:
+    own = session(beside)
+    assert standing_of(own) is KEPT
+    assert not own.settled
+
+
+def test_of_other_channels_it_is_not_used_and_that_is_told(beside: Path) -> None:
+    own = session(beside, channel="current")
+    assert standing_of(own) is None
+    assert [note.count("effort") + note.count("current") for note in own.settled] == [2]
+
+
+@pytest.mark.parametrize(("exists", "told"), [(True, "has no remainder"), (False, "no posterior.npz beside it")])
+def test_that_there_is_none_is_told_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, exists: bool, told: str
+) -> None:
+    if exists:
+        (tmp_path / files.POSTERIOR).touch()
+        monkeypatch.setattr("geomid_ros.session.gap.read_remainder", lambda _: None)
+    own = session(tmp_path)
+    assert standing_of(own) is None
+    (note,) = own.settled
+    assert told in note
+    assert "judged without it" in note
+
+
+def test_beside_a_description_alone_there_is_nothing_to_tell(tmp_path: Path) -> None:
+    own = session(tmp_path, known=None)
+    assert standing_of(own) is None
+    assert not own.settled
