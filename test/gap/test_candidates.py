@@ -21,7 +21,7 @@ MODEL = planted.model()
 ALL = library.candidates(MODEL)
 VARIANTS = {
     "coulomb_friction": len(SMOOTHINGS),
-    "saturating_friction": len(SETTING_IN) - 1,
+    "saturating_friction": len(SETTING_IN) - 2,
     "stribeck_friction": len(SPEEDS),
     "backlash": len(CROSSINGS),
 }

@@ -9,7 +9,7 @@ from geomid_ros.model.effects.parameters import EFFORT, ParameterForm
 from geomid_ros.model.effects.situation import JointMotion
 from geomid_ros.types import FloatArray
 
-SPEEDS = (0.15, 0.3, 0.6, 1.2, 2.4)
+SPEEDS = (0.15, 0.3, 0.6, 1.2)
 """[rad/s or m/s] over which it may set in: slower than dry friction does."""
 
 
@@ -36,13 +36,13 @@ class SaturatingFriction(JointEffect):
 
     @classmethod
     def variants(cls) -> tuple[Effect, ...]:
-        """Of :data:`SPEEDS` all but the slowest, in whose place dry friction may have changed."""
-        return tuple(cls(speed) for speed in SPEEDS[1:])
+        """Of :data:`SPEEDS` those at which it is neither nearly dry nor nearly viscous friction: of one of these a
+        change goes by the simpler name."""
+        return tuple(cls(speed) for speed in SPEEDS[2:])
 
     @classmethod
     def trials(cls) -> tuple[Effect, ...]:
-        """All but the fastest, which hardly differs from viscous friction."""
-        return tuple(cls(speed) for speed in SPEEDS[:-1])
+        return tuple(cls(speed) for speed in SPEEDS)
 
     def column(self, motion: JointMotion) -> FloatArray:
         return np.tanh(motion.velocity / self.speed)
