@@ -109,7 +109,8 @@ class Supports(Generic[Chosen, Term]):
             narrowed = -float(np.linalg.slogdet(found.inverse[np.ix_(places, places)] * found.weights[places])[1])
         square = float(values @ np.linalg.solve(self._sized.covariance[np.ix_(places, places)], values))
         wider = 1.0 + self.doubt(candidate) ** 2 * square  # of the covariance's determinant
-        return square / wider - max(narrowed - float(np.log(wider)) + candidate.cost, _LEAST_SQUARE)
+        size, price = square / wider, narrowed - float(np.log(wider)) + candidate.cost
+        return size - (price if size > _LEAST_SQUARE else max(price, _LEAST_SQUARE))
 
     def doubt(self, candidate: Chosen) -> float:
         """The relative standard deviation of its size that comes from what the model lacks."""

@@ -5,7 +5,7 @@ import numpy as np
 from geomid_ros.inference.probability import Support, Supports
 from geomid_ros.inference.selection import Selection
 
-from .small import PRIOR, Recording, at
+from .small import PRIOR, ROWS, Recording, at
 
 CANDIDATES = [
     at(name, joint)
@@ -52,3 +52,18 @@ def test_a_name_is_worth_no_more_than_its_size_says() -> None:
     for seed in range(5):
         for support in supports({VISCOUS: 0.05, OFFSET: 0.2}, seed).values():
             assert support.worth <= support.loss
+
+
+def test_what_every_joint_may_have_is_likely_from_three_standard_deviations_on_and_not_before() -> None:
+    """Of a name that is as likely as not, a size is evidence or none, and its probability is not held back besides."""
+    ordinary, beyond, within = at("effort_gain", 0, odds=1.0), [], []
+    for seed in range(60):
+        design = Recording(seed, [ordinary]).design({ordinary.terms[0]: 0.1}, noise=0.03 * np.sqrt(ROWS))
+        selection = Selection(design, PRIOR, [ordinary])
+        found = selection.fit([ordinary])
+        each = Supports(selection, found)
+        deviations = found.value(ordinary.terms[0]) / np.sqrt(each._sized.covariance_of(ordinary.terms)[0, 0])
+        (beyond if deviations > 3.0 else within).append(each.of(ordinary).probability)
+    assert min(len(beyond), len(within)) > 5
+    assert min(beyond) > 0.7
+    assert max(within) < 0.5 + 1e-9
