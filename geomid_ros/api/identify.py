@@ -286,7 +286,7 @@ class Identification:
     def _remainder(self, folder: Path, progress: Progress) -> StandingRemainder | None:
         """What the estimate in a folder lacks on the bags, as ``geomid gap --model`` will see it."""
         urdf, configuration, source = self._again
-        written = configuration.with_values({"model": str(folder / "estimate.json")})
+        written = configuration.with_values({"model": str(folder / "estimate.json"), "prior": ""})
         return remainder_of(gap_session(urdf, written, source), self.bags, progress)
 
     def __repr__(self) -> str:
