@@ -9,11 +9,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
+import numpy as np
+
 from geomid_ros.api.arguments import PathLike, Paths, Texts, entries
 from geomid_ros.api.options import RecordingKeywords, RecordingOptions
 from geomid_ros.api.origin import origin
 from geomid_ros.checks.verdict import DOUBTFUL, Verdict
-from geomid_ros.errors import unknown_name
+from geomid_ros.errors import GeomidError, unknown_name
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
 from geomid_ros.estimation.suggested_motions import suggested_motions
 from geomid_ros.exports.handover import HandedOver, JudgedFile
@@ -284,10 +286,15 @@ class Identification:
         return [*written, sidecar, *posterior, *csv, picture, report]
 
     def _remainder(self, folder: Path, progress: Progress) -> StandingRemainder | None:
-        """What the estimate in a folder lacks on the bags, as ``geomid gap --model`` will see it."""
+        """What the estimate in a folder lacks on the bags, as ``geomid gap --model`` will see it; None, and that is
+        told, where it cannot be found: the estimate is worth keeping without it."""
         urdf, configuration, source = self._again
         written = configuration.with_values({"model": str(folder / "estimate.json"), "prior": ""})
-        return remainder_of(gap_session(urdf, written, source), self.bags, progress)
+        try:
+            return remainder_of(gap_session(urdf, written, source), self.bags, progress)
+        except (GeomidError, np.linalg.LinAlgError) as error:
+            self.session.settled.append(f"{POSTERIOR}: without what the model leaves unexplained: {error}")
+            return None
 
     def __repr__(self) -> str:
         """Reasons for doubt, and a line for each link."""

@@ -75,7 +75,8 @@ def analyse(
 
 
 def standing_remainder(model: MeasurementModel, records: Records, prior: NamesPrior) -> StandingRemainder:
-    """What the model that the ``prior`` describes lacks on records, its parameters as they are."""
+    """What the model that the ``prior`` describes lacks on records, its parameters as they are: at channels that have
+    fewer rows than features, that is not known."""
     given, floor = unfitted(prior), None
     noise = (Autoregression.white(),) * len(model.channels)
     for _ in range(_WHITENINGS):
@@ -85,12 +86,14 @@ def standing_remainder(model: MeasurementModel, records: Records, prior: NamesPr
         left = problem.residual(columns, given) - problem.remainder(design, given)
         floor, noise = _typical_size(left, problem.valid), _noise(left, problem.valid, records)
     lacks = given.remainders(design)
+    sizes = [len(lack.coefficients) for lack in lacks]
+    told = [size if rows > size else 0 for size, rows in zip(sizes, design.counts, strict=True)]
     return StandingRemainder(
         joints=tuple(model.robot.joint_names),
         channels=tuple(channel.name for channel in model.channels),
         basis=problem.basis,
-        means=tuple(lack.coefficients for lack in lacks),
-        roots=tuple(root_of(lack.covariance) for lack in lacks),
+        means=tuple(lack.coefficients[:size] for lack, size in zip(lacks, told, strict=True)),
+        roots=tuple(root_of(lack.covariance[:size, :size]) for lack, size in zip(lacks, told, strict=True)),
     )
 
 

@@ -172,7 +172,7 @@ def lacking(
         beside: the effects that it has beside these.
 
     Returns:
-        None if there is too little motion to tell.
+        None if there is too little motion to tell, or no channel tells enough.
     """
     bare, records = model.without_effects(), Records.make(train, cutoff)
     try:
@@ -180,7 +180,8 @@ def lacking(
     except InputError:
         return None
     prior, _ = _with_beside(bare, records, _prior(model, nominal, None, None, GapSettings(cutoff=cutoff)), beside)
-    return standing_remainder(bare, records, prior)
+    found = standing_remainder(bare, records, prior)
+    return found if any(map(len, found.means)) else None
 
 
 def left_by_model(

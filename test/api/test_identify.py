@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from commands.running import WRIST, done, identify, undrawn
 from files.recordings import BAGS, altered
 
 import geomid_ros
+from geomid_ros.files.models.posterior import read_remainder
 from geomid_ros.session.configuration import Configuration
 
 BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
@@ -79,6 +81,16 @@ def test_without_held_out_data_the_fitted_ones_are_judged() -> None:
     assert found.document["rms"]["held_out"] is None
     assert list(found.rms.values()) == found.estimate.rms.tolist()
     assert list(found.rms_nominal.values()) == found.estimate.rms_nominal.tolist()
+
+
+def test_an_estimate_is_kept_whose_bag_is_gone_before_it_is_saved(tmp_path: Path) -> None:
+    bag = shutil.copytree(BAG, tmp_path / "bag")
+    found = geomid_ros.identify(bag, URDF, hold_out=0.0)
+    shutil.rmtree(bag)
+    files = {file.name for file in found.save(tmp_path / "out")}
+    assert {"estimate.json", "posterior.npz", "report.html"} <= files
+    assert any("posterior.npz" in note and "bag" in note for note in found.session.notes)
+    assert read_remainder(tmp_path / "out" / "posterior.npz") is None
 
 
 def test_progress_is_told() -> None:

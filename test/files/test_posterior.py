@@ -6,7 +6,7 @@ import io
 import json
 import zipfile
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -163,6 +163,29 @@ def test_what_the_model_lacks_is_read_as_it_was_written(with_remainder: Path) ->
     for read, made in zip(found.roots, expected.roots, strict=True):
         np.testing.assert_allclose(read, made, rtol=1e-6)
     assert np.array_equal(read_posterior(with_remainder).covariance, posterior().covariance)
+
+
+def test_what_would_be_refused_is_not_written(tmp_path: Path) -> None:
+    own, path = remainder(), tmp_path / POSTERIOR
+    for wrong in (
+        replace(own, means=(1e7 * own.means[0], own.means[1])),
+        replace(own, basis=replace(own.basis, scales=(1e4 * own.basis.scales[0], own.basis.scales[1]))),
+        replace(own, roots=(np.nan * own.roots[0], own.roots[1])),
+    ):
+        write_posterior(path, posterior(), wrong)
+        assert read_remainder(path) is None
+        assert np.array_equal(read_posterior(path).covariance, posterior().covariance)
+
+
+def test_a_channel_of_which_nothing_is_known_is_kept_as_such(tmp_path: Path) -> None:
+    own, path = remainder(), tmp_path / POSTERIOR
+    write_posterior(
+        path, posterior(), replace(own, means=(np.zeros(0), own.means[1]), roots=(np.zeros((0, 0)), own.roots[1]))
+    )
+    found = read_remainder(path)
+    assert found is not None
+    assert [len(mean) for mean in found.means] == [0, SIZES[1]]
+    assert [len(scales) for scales in found.basis.scales] == list(SIZES)
 
 
 def test_files_without_it_are_read(written: Path) -> None:

@@ -7,7 +7,9 @@ from functools import cache
 import numpy as np
 import pytest
 
+from geomid_ros.errors import InputError
 from geomid_ros.gap.analysis import standing_remainder
+from geomid_ros.gap.evidence.features import LARGEST_SCALE
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.evidence.standing import StandingRemainder, root_of
@@ -101,6 +103,42 @@ def test_nothing_is_known_of_what_depends_on_time() -> None:
         assert not np.any(own.mean[of_time])
         assert not np.any(own.unsure[of_time])
         assert np.all(np.diag(own.unsure)[~of_time] > 0.0)
+
+
+def test_of_a_channel_that_told_nothing_nothing_is_known() -> None:
+    """Which is not that it lacks nothing."""
+    silent = recorded(1)
+    effort = silent.effort.copy()
+    effort[:, JOINT] = np.nan
+    found = lacking(MODEL, [replace(silent, effort=effort)], planted.CUTOFF, LINKS.ravel(), ())
+    assert found is not None
+    problem = LinearisedProblem(
+        MODEL,
+        Records.make([recorded(2)], planted.CUTOFF),
+        total_model(MODEL, unfitted(planted.prior(LINKS))),
+        standing=found,
+    )
+    assert [own.mean is None for own in problem.features] == [c == JOINT for c in range(len(MODEL.channels))]
+
+
+def test_a_joint_that_stands_still_makes_no_feature_large() -> None:
+    """Its motion is rounding errors; where it moves, what they would have told is not known."""
+    samples = recorded(1)
+    still = {name: getattr(samples, name).copy() for name in ("position", "velocity", "acceleration")}
+    for value, own in zip((0.3, 1e-14, 1e-13), still.values(), strict=True):
+        own[:, JOINT] = value * (1.0 if value > 0.1 else np.random.default_rng(1).standard_normal(len(own)))
+    found = lacking(MODEL, [replace(samples, **still)], planted.CUTOFF, LINKS.ravel(), ())
+    assert found is not None
+    assert max(np.max(own) for own in found.basis.scales) <= LARGEST_SCALE
+    assert all(np.all(np.abs(own) < 1e6) for own in (*found.means, *found.roots))
+
+
+def test_a_basis_of_other_features_is_refused() -> None:
+    known = standing()
+    scales = (known.basis.scales[0][1:], *known.basis.scales[1:])
+    other = replace(known, basis=replace(known.basis, scales=scales))
+    with pytest.raises(InputError, match=r"identify again"):
+        named(other, [recorded(2)])
 
 
 def test_of_a_recording_that_is_too_short_nothing_is_known() -> None:

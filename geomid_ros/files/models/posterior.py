@@ -6,7 +6,8 @@ A NumPy archive without pickled objects. ``posterior`` is a JSON text: ``format`
 
 From format 2 on, ``remainder`` in that text may hold ``joints`` and ``channels`` of a
 :class:`~geomid_ros.gap.evidence.standing.StandingRemainder`. Then ``knots`` are those of its basis, and each channel
-has its ``scales_N`` and ``mean_N``, and ``root_N``: the lower triangle of its root, row by row, in float32.
+has its ``scales_N`` and ``mean_N``, which is empty where nothing is known, and ``root_N``: the lower triangle of its
+root, row by row, in float32.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.files.disk import read_bytes, write_bytes
-from geomid_ros.gap.evidence.features import Basis
+from geomid_ros.gap.evidence.features import LARGEST_SCALE, Basis
 from geomid_ros.gap.evidence.standing import StandingRemainder
 from geomid_ros.types import AnyArray, FloatArray, frozen
 
@@ -38,7 +39,7 @@ _MOST_HEADER = 2_000_000  # bytes
 _ENCRYPTED = 1  # bit of a zip entry's flags
 _MOST_REMAINDER = 8 * _MOST_PARAMETERS**2  # bytes
 _MOST_BYTES = 8 * _MOST_PARAMETERS * (_MOST_PARAMETERS + 8) + _MOST_REMAINDER + _MOST_HEADER
-_LARGEST = 1e9
+_LARGEST = 1e6  # N m, N, rad, rad/s
 _ROUNDING = 1e-8
 T = TypeVar("T")
 
@@ -46,8 +47,8 @@ _UNREADABLE = (zipfile.BadZipFile, KeyError, TypeError, ValueError, RecursionErr
 
 
 def write_posterior(path: Path, posterior: Posterior, remainder: StandingRemainder | None = None) -> list[Path]:
-    """Write a posterior, and what the model lacks if that is known and no larger than a posterior may be; of a robot
-    with more than 2000 parameters, none. Returns the files.
+    """Write a posterior, and what the model lacks if that is known, possible and no larger than a posterior may be; of
+    a robot with more than 2000 parameters, none. Returns the files.
 
     Raises GeomidError naming the file.
     """
@@ -61,7 +62,7 @@ def write_posterior(path: Path, posterior: Posterior, remainder: StandingRemaind
         "effects": [asdict(effect) for effect in posterior.effects],
     }
     arrays = {name: getattr(posterior, name) for name in (*_VECTORS, "scales", "covariance")}
-    if remainder is not None and _size_of(remainder) < _MOST_REMAINDER:
+    if remainder is not None and _size_of(remainder) < _MOST_REMAINDER and not _objection(remainder):
         header["remainder"] = {"joints": remainder.joints, "channels": remainder.channels}
         arrays |= _arrays_of(remainder)
     content = io.BytesIO()
@@ -112,7 +113,19 @@ def _header(archive: zipfile.ZipFile) -> Any:
 
 def _size_of(remainder: StandingRemainder) -> int:
     """Bytes, at most."""
-    return sum(8 * len(mean) * (len(mean) + 2) for mean in remainder.means)
+    return sum(4 * len(mean) * (len(mean) + 5) for mean in remainder.means)
+
+
+def _objection(remainder: StandingRemainder) -> str:
+    """Why no model can lack this; empty if one can."""
+    knots, scales = remainder.basis.knots, remainder.basis.scales
+    if not np.all(knots[:, :, 0] <= knots[:, :, 1]):
+        return "holds a remainder whose ranges cannot be"
+    if not all(np.all((own > 0.0) & (own <= LARGEST_SCALE)) for own in scales):
+        return "holds a remainder whose scales cannot be"
+    if not all(np.all(np.abs(own) < _LARGEST) for own in (knots, *remainder.means, *remainder.roots)):
+        return "holds a remainder beyond all measure"
+    return ""
 
 
 def _arrays_of(remainder: StandingRemainder) -> dict[str, FloatArray]:
@@ -137,16 +150,15 @@ def _remainder(archive: zipfile.ZipFile, header: Any) -> StandingRemainder | Non
         triangle = _numbers(archive, f"root_{place}", (size * (size + 1) // 2,), np.float32)
         root = np.zeros((size, size))
         root[np.tril_indices(size)] = triangle
-        scales.append(_numbers(archive, f"scales_{place}", (size,)))
+        scales.append(_numbers(archive, f"scales_{place}", (size or len(_array(archive, f"scales_{place}")),)))
         means.append(_numbers(archive, f"mean_{place}", (size,)))
         roots.append(root)
-    if not (np.all(knots[:, :, 0] <= knots[:, :, 1]) and all(np.all(own > 0.0) for own in scales)):
-        raise InputError("holds a remainder whose ranges or scales cannot be")
-    if any(np.any(np.abs(own) > _LARGEST) for own in (knots, *scales, *means, *roots)):
-        raise InputError("holds a remainder beyond all measure")
-    return StandingRemainder(
+    remainder = StandingRemainder(
         joints=joints, channels=channels, basis=Basis(knots, tuple(scales)), means=tuple(means), roots=tuple(roots)
     )
+    if objection := _objection(remainder):
+        raise InputError(objection)
+    return remainder
 
 
 def _posterior(archive: zipfile.ZipFile, header: Any) -> Posterior:

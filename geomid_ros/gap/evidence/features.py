@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geomid_ros.errors import InputError
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.model.effects import Situation
 from geomid_ros.model.measurement import MeasurementModel
@@ -15,6 +16,8 @@ from geomid_ros.types import FloatArray, IntArray
 _SLOW_WAVES, _FAST_WAVES = range(2, 11), range(11, 33)  # per radian (or metre): cogging, ripple of gears
 TIME = "time"
 """What features depend on that no other recording tells of."""
+LARGEST_SCALE = 1e3
+"""A column of rounding errors, as of a joint that stands still, is not made as large as one of a motion."""
 _STRIBECK_SPEEDS = (0.02, 0.05, 0.12)  # [rad/s or m/s]
 
 
@@ -58,9 +61,17 @@ class Features:
 
 
 def features(model: MeasurementModel, records: Records, situation: Situation, channel: int, basis: Basis) -> Features:
-    """What the remainder of a channel may consist of: of a wrench's, of time and the joints alone."""
+    """What the remainder of a channel may consist of: of a wrench's, of time and the joints alone.
+
+    Raises InputError for a basis of other features.
+    """
     names, columns, _ = zip(*_blocks(model, records, situation, channel, basis.knots), strict=True)
     block = np.repeat(np.arange(len(names)), [own.shape[1] for own in columns])
+    if len(basis.scales[channel]) != len(block):
+        raise InputError(
+            f"the model's posterior.npz has {len(basis.scales[channel])} features of what it lacks at "
+            f"{model.channels[channel].name}, this version has {len(block)}; identify again"
+        )
     return Features(np.concatenate(columns, axis=1) * basis.scales[channel], block, names)
 
 
@@ -104,9 +115,8 @@ def _of_others(model: MeasurementModel, records: Records, situation: Situation, 
 
 
 def _alike(columns: FloatArray) -> FloatArray:
-    """Factors ``(m,)`` by which columns ``(N, m)`` have a mean square of 1."""
-    sizes = np.sqrt(np.mean(columns**2, axis=0))
-    return np.asarray(1.0 / np.where(sizes > 0.0, sizes, 1.0))
+    """Factors ``(m,)`` by which columns ``(N, m)`` have a mean square of 1, unless they are next to nothing."""
+    return np.asarray(1.0 / np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1.0 / LARGEST_SCALE))
 
 
 def time_of(records: Records) -> FloatArray:

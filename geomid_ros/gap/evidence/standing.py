@@ -18,7 +18,7 @@ class StandingRemainder:
     Attributes:
         joints, channels: their names, in the order of the model.
         basis: of the features.
-        means: of the coefficients of each channel ``(m,)`` [N m, N].
+        means: of the coefficients of each channel ``(m,)`` [N m, N]; of one that told nothing ``(0,)``.
         roots: lower triangular roots of their covariances ``(m, m)``.
     """
 
@@ -29,9 +29,13 @@ class StandingRemainder:
     roots: tuple[FloatArray, ...]
 
     def beside(self, features: Sequence[Features]) -> list[Features]:
-        """Features of all channels with what is known of them: of what depends on time, nothing."""
+        """Features of all channels with what is known of them: of what depends on time, and of channels that told
+        nothing, nothing."""
         known = []
         for own, mean, root in zip(features, self.means, self.roots, strict=True):
+            if not len(mean):
+                known.append(own)
+                continue
             lasting = np.array([name != TIME for name in own.depends_on])[own.block]
             lasting_root = lasting[:, None] * root
             known.append(replace(own, mean=lasting * mean, unsure=lasting_root @ lasting_root.T))
