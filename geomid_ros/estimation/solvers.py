@@ -148,7 +148,7 @@ class _QuadraticModel:
         smallest = _ROUNDING * max(sizes)
         low, high, damping, trial = 0.0, np.inf, 0.0, self._undamped
         fitting: FloatArray | None = None
-        while fitting is None or high - low > _CLOSE * high:
+        while fitting is None or high - max(low, smallest) > _CLOSE * high:
             length = np.inf if trial is None else float(np.linalg.norm(trial[0]))
             if trial is not None and length <= radius:
                 high, fitting = damping, trial[0]

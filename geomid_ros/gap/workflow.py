@@ -304,7 +304,7 @@ def _with_least_spreads(model: MeasurementModel, records: Records, prior: NamesP
     spring an offset near zero is no better known than the spring's rest. The change of a larger one is to be named."""
     problem = LinearisedProblem(model, records, total_model(model, unfitted(prior)))
     least = _LEAST_SHARE * problem.usual_sizes(prior.terms)
-    small = np.abs(prior.values) < least
+    small = (np.abs(prior.values) < least) & np.isfinite(least)  # where nothing is measured nothing is small
     return replace(prior, spreads=np.where(small, np.maximum(prior.spreads, least), prior.spreads))
 
 

@@ -179,6 +179,24 @@ def test_nothing_hidden_is_nothing_found(tmp_path: Path) -> None:
     assert read(tmp_path / "out")["findings"] == []
 
 
+@pytest.mark.usefixtures("without_pictures")
+def test_beside_a_model_a_joint_may_be_without_efforts(tmp_path: Path) -> None:
+    def silent(item: Recorded) -> Recorded:
+        if item.topic != "/joint_states":
+            return item
+        return item.changed(
+            effort=np.where([name == "joint2" for name in item.message.name], np.nan, item.message.effort)
+        )
+
+    identified = tmp_path / "identified"
+    done("identify", BAGS / "arm3", "--urdf", URDF, "--out", identified)
+    arguments = "--urdf", URDF, "--model", identified / "estimate.json", "--out", tmp_path / "out"
+    done("gap", altered(BAGS / "arm3", tmp_path / "bag", silent), *arguments)
+    judged = {name for name, size in read(tmp_path / "out")["floor"].items() if size is not None}
+    assert judged == {"joint1", "joint3"}
+    assert not read(tmp_path / "out")["findings"]
+
+
 # --- What is refused ---
 
 

@@ -256,6 +256,14 @@ def test_a_gradient_that_does_not_say_which_way_down_still_gives_a_step() -> Non
     np.testing.assert_allclose(step, [0.0, -1.0 / 3.0, -1.0 / 6.0], rtol=2e-3)
 
 
+@pytest.mark.parametrize("least", [0.0, -6e-14])
+def test_a_parameter_of_which_nothing_is_known_ends_no_step_never(least: float) -> None:
+    """Neither curvature nor slope along it: damping that is next to nothing is the least there is."""
+    hessian, gradient = np.diag([least, 1.0, 5e5]), np.array([0.0, 1.0, 700.0])
+    step = _QuadraticModel(Evaluation(0.0, gradient, hessian, hessian)).minimiser(16.0)
+    np.testing.assert_allclose(step, [0.0, -1.0, -700.0 / 5e5], rtol=1e-5, atol=1e-12)
+
+
 def test_of_no_curvature_at_all_a_step_goes_to_the_end() -> None:
     model = _QuadraticModel(Evaluation(0.0, np.ones(4), np.zeros((4, 4)), np.zeros((4, 4))))
     np.testing.assert_allclose(model.minimiser(2.0), -np.ones(4), rtol=0.01)

@@ -380,7 +380,7 @@ static double minimiser(const State *at, int size, double radius, double *factor
     const double largest = sqrt(dot(at->hessian, at->hessian, size * size));
     const double smallest = 1e-13 * (largest > steepest ? largest : steepest);
     double low = 0.0, high = INFINITY, damping = 0.0, found = -1.0, bend;
-    while (found < 0.0 || high - low > close * high) {
+    while (found < 0.0 || high - (low > smallest ? low : smallest) > close * high) {
         const int definite = damped(at, size, damping, factor, room, x, &bend);
         const double length = definite ? sqrt(dot(x, x, size)) : INFINITY;
         if (length <= radius) {
