@@ -13,7 +13,7 @@ from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesFit, NamesPrio
 from geomid_ros.gap.evidence.linearised_problem import Columns, LinearisedProblem, total_model
 from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
 from geomid_ros.gap.evidence.record import Records, TotalModel
-from geomid_ros.gap.evidence.standing import StandingRemainder, root_of
+from geomid_ros.gap.evidence.standing import StandingRemainder
 from geomid_ros.inference.fit import fit, unfitted
 from geomid_ros.inference.probability import Support, Supports
 from geomid_ros.inference.selection import Selection
@@ -93,7 +93,10 @@ def standing_remainder(model: MeasurementModel, records: Records, prior: NamesPr
         channels=tuple(channel.name for channel in model.channels),
         basis=problem.basis,
         means=tuple(lack.coefficients[:size] for lack, size in zip(lacks, told, strict=True)),
-        roots=tuple(root_of(lack.covariance[:size, :size]) for lack, size in zip(lacks, told, strict=True)),
+        triangles=tuple(
+            np.asarray(np.linalg.qr(lack.triangle[:size, :size], mode="r"))
+            for lack, size in zip(lacks, told, strict=True)
+        ),
     )
 
 

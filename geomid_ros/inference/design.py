@@ -78,10 +78,10 @@ class ChannelRows:
 class Lack:
     """What a channel's remainder is: ``coefficients (m,)`` of the features that were given, the share of the residual's
     squares that each block ``explained (blocks,)``, its sum of squares (``power``), for how many parameters it counts
-    (``freedom``), and the ``covariance (m, m)`` of the coefficients."""
+    (``freedom``), and the ``triangle (m, m)`` of which ``T'T`` is the coefficients' covariance."""
 
     coefficients: FloatArray
-    covariance: FloatArray
+    triangle: FloatArray
     explained: FloatArray
     power: float
     freedom: float
@@ -204,8 +204,8 @@ class Design:
             freedom = float(np.sum((whitener @ squared) * whitener))
             power = float(mean @ squared @ mean)
             noise = max(square - float(white @ white), 0.0) / max(channel.count, 1)
-            root = np.sqrt(noise) * channel.scale * whitener
-            found.append(Lack(channel.scale * mean, root.T @ root, explained / max(square, 1e-300), power, freedom))
+            triangle = np.sqrt(noise) * channel.scale * whitener
+            found.append(Lack(channel.scale * mean, triangle, explained / max(square, 1e-300), power, freedom))
         return found
 
     def powers(self, columns: Hypothesis[Any] | int, values: FloatArray) -> FloatArray:

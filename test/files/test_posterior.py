@@ -142,7 +142,7 @@ def remainder() -> StandingRemainder:
         channels=("effort shoulder", "effort elbow"),
         basis=Basis(np.sort(rng.standard_normal((2, 3, 2))), tuple(rng.uniform(0.5, 2.0, size) for size in SIZES)),
         means=tuple(rng.standard_normal(size) for size in SIZES),
-        roots=tuple(np.tril(rng.standard_normal((size, size))) for size in SIZES),
+        triangles=tuple(np.triu(rng.standard_normal((size, size))) for size in SIZES),
     )
 
 
@@ -160,7 +160,7 @@ def test_what_the_model_lacks_is_read_as_it_was_written(with_remainder: Path) ->
     assert np.array_equal(found.basis.knots, expected.basis.knots)
     for each, own in ((found.means, expected.means), (found.basis.scales, expected.basis.scales)):
         assert all(map(np.array_equal, each, own))
-    for read, made in zip(found.roots, expected.roots, strict=True):
+    for read, made in zip(found.triangles, expected.triangles, strict=True):
         np.testing.assert_allclose(read, made, rtol=1e-6)
     assert np.array_equal(read_posterior(with_remainder).covariance, posterior().covariance)
 
@@ -170,7 +170,7 @@ def test_what_would_be_refused_is_not_written(tmp_path: Path) -> None:
     for wrong in (
         replace(own, means=(1e7 * own.means[0], own.means[1])),
         replace(own, basis=replace(own.basis, scales=(1e4 * own.basis.scales[0], own.basis.scales[1]))),
-        replace(own, roots=(np.nan * own.roots[0], own.roots[1])),
+        replace(own, triangles=(np.nan * own.triangles[0], own.triangles[1])),
     ):
         write_posterior(path, posterior(), wrong)
         assert read_remainder(path) is None
@@ -180,7 +180,9 @@ def test_what_would_be_refused_is_not_written(tmp_path: Path) -> None:
 def test_a_channel_of_which_nothing_is_known_is_kept_as_such(tmp_path: Path) -> None:
     own, path = remainder(), tmp_path / POSTERIOR
     write_posterior(
-        path, posterior(), replace(own, means=(np.zeros(0), own.means[1]), roots=(np.zeros((0, 0)), own.roots[1]))
+        path,
+        posterior(),
+        replace(own, means=(np.zeros(0), own.means[1]), triangles=(np.zeros((0, 0)), own.triangles[1])),
     )
     found = read_remainder(path)
     assert found is not None
@@ -206,10 +208,10 @@ def test_files_without_it_are_read(written: Path) -> None:
         (headed(lambda header: header.update(remainder=3)), "cannot be read"),
         (lambda arrays: arrays | {"knots": -arrays["knots"]}, "cannot be"),
         (lambda arrays: arrays | {"scales_0": 0.0 * arrays["scales_0"]}, "cannot be"),
-        (lambda arrays: arrays | {"mean_1": arrays["mean_1"][:2]}, "'root_1' is float32 of shape"),
+        (lambda arrays: arrays | {"mean_1": arrays["mean_1"][:2]}, "'triangle_1' is float32 of shape"),
         (lambda arrays: arrays | {"mean_1": np.inf * arrays["mean_1"]}, "finite"),
         (lambda arrays: arrays | {"mean_1": 1e12 * arrays["mean_1"]}, "beyond all measure"),
-        (lambda arrays: arrays | {"root_0": arrays["root_0"].astype("f8")}, "'root_0' is float64"),
+        (lambda arrays: arrays | {"triangle_0": arrays["triangle_0"].astype("f8")}, "'triangle_0' is float64"),
     ],
 )
 def test_a_remainder_that_cannot_be_is_refused(

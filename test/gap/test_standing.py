@@ -12,7 +12,7 @@ from geomid_ros.gap.analysis import standing_remainder
 from geomid_ros.gap.evidence.features import LARGEST_SCALE
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.evidence.record import Records
-from geomid_ros.gap.evidence.standing import StandingRemainder, root_of
+from geomid_ros.gap.evidence.standing import StandingRemainder
 from geomid_ros.gap.workflow import find_gap, lacking
 from geomid_ros.inference.fit import unfitted
 from geomid_ros.model.samples import Samples
@@ -67,17 +67,8 @@ def test_its_covariance_says_how_far_it_is_off() -> None:
     """Where nothing lacks, coefficients are a few of their standard deviations from none."""
     records = Records.make([planted.recording(planted.rigid(TRUE), 4, 30.0)], planted.CUTOFF)
     found = standing_remainder(MODEL, records, planted.prior(LINKS))
-    for mean, root in zip(found.means, found.roots, strict=True):
-        assert np.all(np.abs(mean) < 4.0 * np.linalg.norm(root, axis=1))
-
-
-@pytest.mark.parametrize("size", [1, 4, 9])
-def test_a_root_is_lower_triangular_and_of_its_covariance(size: int) -> None:
-    rng = np.random.default_rng(size)
-    half = rng.standard_normal((size, max(size - 1, 1)))  # singular
-    root = root_of(half @ half.T)
-    np.testing.assert_allclose(root @ root.T, half @ half.T, atol=1e-12)
-    np.testing.assert_array_equal(root, np.tril(root))
+    for mean, triangle in zip(found.means, found.triangles, strict=True):
+        assert np.all(np.abs(mean) < 4.0 * np.linalg.norm(triangle, axis=0))
 
 
 def named(known: StandingRemainder | None, recording: Sequence[Samples]) -> dict[tuple[str, str], float]:
@@ -130,7 +121,7 @@ def test_a_joint_that_stands_still_makes_no_feature_large() -> None:
     found = lacking(MODEL, [replace(samples, **still)], planted.CUTOFF, LINKS.ravel(), ())
     assert found is not None
     assert max(np.max(own) for own in found.basis.scales) <= LARGEST_SCALE
-    assert all(np.all(np.abs(own) < 1e6) for own in (*found.means, *found.roots))
+    assert all(np.all(np.abs(own) < 1e6) for own in (*found.means, *found.triangles))
 
 
 def test_a_basis_of_other_features_is_refused() -> None:

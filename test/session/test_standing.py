@@ -14,7 +14,7 @@ from geomid_ros.session.gap import standing_of
 
 NOTHING = np.zeros((0, 0))
 KEPT = StandingRemainder(
-    joints=("shoulder",), channels=("effort",), basis=Basis(NOTHING, (NOTHING,)), means=(NOTHING,), roots=(NOTHING,)
+    joints=("shoulder",), channels=("effort",), basis=Basis(NOTHING, (NOTHING,)), means=(NOTHING,), triangles=(NOTHING,)
 )
 
 

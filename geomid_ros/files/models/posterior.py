@@ -6,8 +6,8 @@ A NumPy archive without pickled objects. ``posterior`` is a JSON text: ``format`
 
 From format 2 on, ``remainder`` in that text may hold ``joints`` and ``channels`` of a
 :class:`~geomid_ros.gap.evidence.standing.StandingRemainder`. Then ``knots`` are those of its basis, and each channel
-has its ``scales_N`` and ``mean_N``, which is empty where nothing is known, and ``root_N``: the lower triangle of its
-root, row by row, in float32.
+has its ``scales_N`` and ``mean_N``, which is empty where nothing is known, and ``triangle_N``: the upper triangle, row
+by row, in float32.
 """
 
 from __future__ import annotations
@@ -123,18 +123,18 @@ def _objection(remainder: StandingRemainder) -> str:
         return "holds a remainder whose ranges cannot be"
     if not all(np.all((own > 0.0) & (own <= LARGEST_SCALE)) for own in scales):
         return "holds a remainder whose scales cannot be"
-    if not all(np.all(np.abs(own) < _LARGEST) for own in (knots, *remainder.means, *remainder.roots)):
+    if not all(np.all(np.abs(own) < _LARGEST) for own in (knots, *remainder.means, *remainder.triangles)):
         return "holds a remainder beyond all measure"
     return ""
 
 
 def _arrays_of(remainder: StandingRemainder) -> dict[str, FloatArray]:
     arrays: dict[str, Any] = {"knots": remainder.basis.knots}
-    for place, (scales, mean, root) in enumerate(
-        zip(remainder.basis.scales, remainder.means, remainder.roots, strict=True)
+    for place, (scales, mean, triangle) in enumerate(
+        zip(remainder.basis.scales, remainder.means, remainder.triangles, strict=True)
     ):
-        triangle = root[np.tril_indices(len(root))].astype(np.float32)
-        arrays |= {f"scales_{place}": scales, f"mean_{place}": mean, f"root_{place}": triangle}
+        rows = triangle[np.triu_indices(len(triangle))].astype(np.float32)
+        arrays |= {f"scales_{place}": scales, f"mean_{place}": mean, f"triangle_{place}": rows}
     return arrays
 
 
@@ -144,17 +144,21 @@ def _remainder(archive: zipfile.ZipFile, header: Any) -> StandingRemainder | Non
     joints, channels = tuple(entry["joints"]), tuple(entry["channels"])
     if not all(isinstance(name, str) for name in (*joints, *channels)):
         raise InputError("joints or channels are not named as expected")
-    knots, scales, means, roots = _numbers(archive, "knots", (len(joints), 3, 2)), [], [], []
+    knots, scales, means, triangles = _numbers(archive, "knots", (len(joints), 3, 2)), [], [], []
     for place in range(len(channels)):
         size = len(_array(archive, f"mean_{place}"))
-        triangle = _numbers(archive, f"root_{place}", (size * (size + 1) // 2,), np.float32)
-        root = np.zeros((size, size))
-        root[np.tril_indices(size)] = triangle
+        rows = _numbers(archive, f"triangle_{place}", (size * (size + 1) // 2,), np.float32)
+        triangle = np.zeros((size, size))
+        triangle[np.triu_indices(size)] = rows
         scales.append(_numbers(archive, f"scales_{place}", (size or len(_array(archive, f"scales_{place}")),)))
         means.append(_numbers(archive, f"mean_{place}", (size,)))
-        roots.append(root)
+        triangles.append(triangle)
     remainder = StandingRemainder(
-        joints=joints, channels=channels, basis=Basis(knots, tuple(scales)), means=tuple(means), roots=tuple(roots)
+        joints=joints,
+        channels=channels,
+        basis=Basis(knots, tuple(scales)),
+        means=tuple(means),
+        triangles=tuple(triangles),
     )
     if objection := _objection(remainder):
         raise InputError(objection)

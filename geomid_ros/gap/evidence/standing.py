@@ -19,31 +19,24 @@ class StandingRemainder:
         joints, channels: their names, in the order of the model.
         basis: of the features.
         means: of the coefficients of each channel ``(m,)`` [N m, N]; of one that told nothing ``(0,)``.
-        roots: lower triangular roots of their covariances ``(m, m)``.
+        triangles: upper ones ``(m, m)``, the T of which ``T'T`` is their covariance.
     """
 
     joints: tuple[str, ...]
     channels: tuple[str, ...]
     basis: Basis
     means: tuple[FloatArray, ...]
-    roots: tuple[FloatArray, ...]
+    triangles: tuple[FloatArray, ...]
 
     def beside(self, features: Sequence[Features]) -> list[Features]:
         """Features of all channels with what is known of them: of what depends on time, and of channels that told
         nothing, nothing."""
         known = []
-        for own, mean, root in zip(features, self.means, self.roots, strict=True):
+        for own, mean, triangle in zip(features, self.means, self.triangles, strict=True):
             if not len(mean):
                 known.append(own)
                 continue
             lasting = np.array([name != TIME for name in own.depends_on])[own.block]
-            lasting_root = lasting[:, None] * root
-            known.append(replace(own, mean=lasting * mean, unsure=lasting_root @ lasting_root.T))
+            unsure = triangle * lasting
+            known.append(replace(own, mean=lasting * mean, unsure=unsure.T @ unsure))
         return known
-
-
-def root_of(covariance: FloatArray) -> FloatArray:
-    """A lower triangular L ``(m, m)`` with ``L L^T = covariance``, which may be singular."""
-    values, vectors = np.linalg.eigh(covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    return np.asarray(np.linalg.qr(root.T)[1].T)
