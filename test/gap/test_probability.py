@@ -1,8 +1,12 @@
 """How often names are true that are stated with a probability, on designs of random columns."""
 
-import numpy as np
+from types import SimpleNamespace
+from typing import Any
 
-from geomid_ros.inference.probability import Support, Supports
+import numpy as np
+import pytest
+
+from geomid_ros.inference.probability import Support, Supports, relative_doubt
 from geomid_ros.inference.selection import Selection
 
 from .small import PRIOR, ROWS, Recording, at
@@ -67,3 +71,16 @@ def test_what_every_joint_may_have_is_likely_from_three_standard_deviations_on_a
     assert min(len(beyond), len(within)) > 5
     assert min(beyond) > 0.7
     assert max(within) < 0.5 + 1e-9
+
+
+@pytest.mark.parametrize(("before", "doubt"), [(None, 0.5), (np.eye(1), 0.25)], ids=["nothing known", "known before"])
+def test_what_is_left_may_lie_along_a_name_or_where_it_was_told_in_any_of_its_directions(
+    before: Any, doubt: float
+) -> None:
+    """Of a remainder as large as the name, with 16 directions; that of a channel which the name does not reach says
+    nothing."""
+    lacks = [SimpleNamespace(power=4.0, freedom=16.0), SimpleNamespace(power=1e6, freedom=1.0)]
+    channels = [SimpleNamespace(before=before)] * 2
+    design: Any = SimpleNamespace(channels=channels, powers=lambda *_: np.array([4.0, 0.0]))
+    found: Any = SimpleNamespace(squares=np.array([2.0, 1.0]), remainders=lambda _: lacks)
+    assert relative_doubt(design, found, 0, np.ones(1)) == pytest.approx(doubt)
