@@ -17,7 +17,8 @@ Verdict: TypeAlias = Literal["no gap", "named", "incomplete", "unexplained"]
 
 
 SURE, LIKELY = 0.95, 0.5
-"""The least probabilities of a name that is sure, and of one that is tentative; a less likely one has rivals."""
+"""The least probabilities of a name that is sure, and of one that is tentative; a less likely one has rivals that
+make up for it, see :attr:`Finding.is_likely`."""
 
 
 def confidence_of(probability: float) -> Confidence:
@@ -65,6 +66,12 @@ class Finding(KnownEffect):
     def confidence(self) -> Confidence:
         """The probability in a word."""
         return confidence_of(self.probability)
+
+    @property
+    def is_likely(self) -> bool:
+        """Whether it, or one of its rivals, is there rather than nothing."""
+        weights = np.exp(-0.5 * np.array([0.0, *(rival.loss for rival in self.rivals)]))
+        return bool(self.probability * np.sum(weights) >= LIKELY)
 
 
 @dataclass(frozen=True)

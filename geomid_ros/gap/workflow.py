@@ -132,7 +132,7 @@ def find_gap(
     problem = LinearisedProblem(bare, records, total_model(bare, untouched))
     first = problem.residual(problem.columns((), prior.terms), untouched)
     return GapResult(
-        verdict=verdict(analysis, files),
+        verdict=verdict(analysis, files, named=bool(kept.findings)),
         findings=kept.findings,
         links=kept.links,
         unexplained=unexplained(bare, analysis, files),

@@ -12,7 +12,7 @@ from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.gap import workflow
 from geomid_ros.gap.candidates import EffectTerm
 from geomid_ros.gap.evidence.record import Records
-from geomid_ros.gap.result import GapResult
+from geomid_ros.gap.result import GapResult, Rival
 from geomid_ros.gap.workflow import GapSettings, find_gap, left_by_model
 from geomid_ros.model.effects import AtJoint, KnownEffect, Quantity
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
@@ -75,6 +75,18 @@ def test_what_is_missing_is_named_and_what_is_known_stays(result: GapResult) -> 
     assert known == [KNOWN], "no finding says that it is another"
     assert result.beside == (BESIDE,)
     assert result.ordinary == (), "the model knows of friction"
+
+
+@pytest.mark.parametrize("nothing", [0.01, 0.9, 1.1, 1.4, 1.6, 50.0])
+@pytest.mark.parametrize("losses", [(), (1.4,), (2.0, 15.0)])
+def test_a_name_is_likely_if_it_or_a_rival_is_rather_than_nothing(
+    result: GapResult, losses: tuple[float, ...], nothing: float
+) -> None:
+    """By the weights of all, of which the name's is 1."""
+    something = 1.0 + sum(np.exp(-0.5 * loss) for loss in losses)
+    rivals = tuple(Rival("spring", JOINTS[0], loss) for loss in losses)
+    finding = replace(result.findings[0], probability=1.0 / (something + nothing), rivals=rivals)
+    assert finding.is_likely == (something >= nothing)
 
 
 def test_a_model_with_effects_beside_its_coefficients_is_judged_as_the_search_begins(result: GapResult) -> None:

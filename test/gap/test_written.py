@@ -85,16 +85,16 @@ def test_what_is_not_sure_is_not_written(monkeypatch: pytest.MonkeyPatch) -> Non
     np.testing.assert_allclose(result.gap.after, result.gap.before, rtol=0.01)
 
 
-def test_a_name_whose_written_size_may_be_nothing_is_not_sure_and_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_name_whose_written_size_may_be_nothing_is_none_and_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
     def unsure(_: Design, fit: NamesFit) -> NamesFit:
         return replace(fit, information=1e-6 * fit.information)
 
     monkeypatch.setattr(written_module, "scattered", unsure)
     result = found(nominal=known())
-    (finding,) = result.findings
-    assert (finding.effect, finding.joint) == ("viscous_friction", JOINTS[1])
-    assert result.sure == ()
-    assert finding.probability < 0.5
+    assert result.findings == ()
+    first = result.ranking[0]
+    assert (first.effect, first.joint, first.chosen) == ("viscous_friction", JOINTS[1], True)
+    assert result.verdict != "named"
     np.testing.assert_allclose(result.gap.after, result.gap.before, rtol=0.01)
 
 

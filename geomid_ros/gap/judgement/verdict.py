@@ -125,13 +125,14 @@ def unexplained(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) ->
     return tuple(found)
 
 
-def verdict(analysis: Analysis, unseen: HeldOut) -> Verdict:
-    """Of the whole run: unexplained where features explain most of a gap that stays open."""
+def verdict(analysis: Analysis, unseen: HeldOut, *, named: bool) -> Verdict:
+    """Of the whole run, in which something was ``named`` or not: unexplained where features explain most of a gap that
+    stays open."""
     if np.any(unseen.is_open):
         lacks = analysis.names.remainders(analysis.search.design)
         explained = np.array([np.sum(lack.explained) for lack in lacks])
         return "unexplained" if np.any(explained[unseen.is_open] > _MOST_OF_IT) else "incomplete"
-    return "named" if analysis.names.chosen else "no gap"
+    return "named" if named else "no gap"
 
 
 def ranking(

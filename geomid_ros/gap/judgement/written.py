@@ -30,8 +30,8 @@ _ORDINARY = tuple(cls() for name, cls in EFFECTS.items() if name in DEFAULT_EFFE
 
 @dataclass(frozen=True, eq=False)
 class Written:
-    """The ``found`` fit; ``findings`` and ``links`` with the sizes that it has; and, where nothing was known of joints
-    before, their ``ordinary`` effects, which need no name."""
+    """The ``found`` fit; ``findings`` and ``links`` with the sizes that it has, without the names in whose place there
+    is rather nothing; and, where nothing was known of joints before, their ``ordinary`` effects, which need no name."""
 
     found: NamesFit
     findings: tuple[Finding, ...]
@@ -64,7 +64,7 @@ def written(
     ordinary = [c for c in found.chosen if c not in sure]
     return Written(
         found,
-        tuple(sized),
+        tuple(finding for finding in sized if finding.is_likely),
         tuple(_as_written(link, model, analysis, found) for link in links),
         tuple(_known(model, found, candidate) for candidate in ordinary),
     )
