@@ -14,7 +14,8 @@ def ticks(low: float, high: float, most: int) -> list[float]:
     least = (high - low) / most
     power = 10.0 ** np.floor(np.log10(least))
     step = power * _ROUND[np.searchsorted(_ROUND, 0.999 * least / power)]
-    found: list[float] = (step * np.arange(np.ceil(low / step), np.floor(high / step) + 1.0)).tolist()
+    whole = np.arange(np.ceil(low / step), np.floor(high / step) + 1.0)
+    found: list[float] = (step * whole + 0.0).tolist()  # + 0: zero has no sign
     return found
 
 
