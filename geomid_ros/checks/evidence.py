@@ -92,10 +92,12 @@ def evidence(products: Products, tolerated: FloatArray, *, either_sign: bool = F
     bounded = np.concatenate([np.zeros(rank, dtype=bool), np.tile(of_friction, channels)])
     held = np.zeros(len(precision), dtype=bool)  # coefficients that are held at zero
     sigmas = np.full(channels, 0.5)
+    # Of efforts next to nothing, beside what the links predict, sums of squares leave their rounding errors.
+    least = max(LEAST_SIGMA**2, float(np.finfo(float).eps * np.max(products.squares / products.counts)))
     for _ in range(_ROUNDS):
         mean, posterior, held = _solved(products, sigmas, precision, bounded, held)
         squares = _squares(products, mean)
-        before, sigmas = sigmas, np.sqrt(np.maximum(squares / products.counts, LEAST_SIGMA**2))
+        before, sigmas = sigmas, np.sqrt(np.maximum(squares / products.counts, least))
         if np.all(np.abs(np.log(sigmas / before)) < _SETTLED):
             break
     weighted = float(np.sum(squares / sigmas**2) + precision @ mean**2)
