@@ -181,22 +181,10 @@ class _Rows:
         return form.above < value < form.below and (value > 0.0 or not coefficient.positive)
 
     @cached_property
-    def products(self) -> list[tuple[IntArray, FloatArray]]:
-        """Of each channel: which columns it has, the last of which is the target, and of each fold these by each other,
-        ``(folds, n, n)``; only the share of them that is independent counts."""
-        channels, independent = self.problem.model.channels, self.problem.independent
-        return [
-            (np.append(channel.columns, self.size), independent * np.array([p.factor.T @ p.factor for p in parts]))
-            for channel, parts in zip(channels, self.problem.summary.parts(), strict=False)
-        ]
-
-    @cached_property
-    def all_products(self) -> FloatArray:
-        """Of each channel: all columns and the target by each other, of all folds, ``(channels, D + 1, D + 1)``."""
-        whole = np.zeros((len(self.products), self.size + 1, self.size + 1))
-        for own, (places, products) in zip(whole, self.products, strict=True):
-            own[places[:, None], places] = np.sum(products, axis=0)
-        return whole
+    def products(self) -> FloatArray:
+        """Of each channel: all columns and the target by each other, ``(channels, D + 1, D + 1)``; only the share of
+        the rows that is independent counts."""
+        return np.asarray(self.problem.independent * self.problem.products[: len(self.problem.model.channels)])
 
     @cached_property
     def counts(self) -> FloatArray:
@@ -206,7 +194,7 @@ class _Rows:
     @cached_property
     def scales(self) -> FloatArray:
         """Of each coefficient: the one with which its column is as large as a channel that it reaches."""
-        squares = np.diagonal(self.all_products, axis1=1, axis2=2)
+        squares = np.diagonal(self.products, axis1=1, axis2=2)
         own, target = squares[:, self.first : -1], squares[:, -1:]
         size = np.where(own > 0.0, target / np.where(own > 0.0, own, 1.0), np.inf)
         best = np.sqrt(np.min(size, axis=0, initial=np.inf))
@@ -244,7 +232,7 @@ class _Rows:
         spreads = spreads if given is None else given
         own = np.append(columns, self.size)
         # In the order of its axes, in which such an index leaves nothing: else it is multiplied five times as slowly.
-        products = np.ascontiguousarray(self.all_products[:, own[:, None], own])
+        products = np.ascontiguousarray(self.products[:, own[:, None], own])
         least = _LEAST_SHARE * products[:, -1, -1] + np.finfo(float).tiny
         weighed = self.problem.known
         known = weighed.rows[:, columns]
@@ -360,9 +348,13 @@ class _Fit:
     @property
     def _slopes(self) -> FloatArray:
         """Half the derivative of the squares of each fold that has rows by each of its coefficients ``(folds, k)``."""
-        slopes = np.zeros((self.rows.problem.summary.folds, self.rows.size + 1))
-        for weight, (places, products) in zip(self.weights, self.rows.products, strict=True):
-            slopes[:, places] += weight * (products @ self._vector[places])
+        problem = self.rows.problem
+        slopes = np.zeros((problem.summary.folds, self.rows.size + 1))
+        for channel, weight, parts in zip(problem.model.channels, self.weights, problem.summary.parts(), strict=False):
+            own = np.append(channel.columns, self.rows.size)
+            residuals = [part.factor @ self._vector[own] for part in parts]
+            slopes[:, own] += weight * np.array([r @ part.factor for r, part in zip(residuals, parts, strict=True)])
+        slopes *= problem.independent
         return slopes[np.any(slopes, axis=1)][:, self.columns]
 
     def squares_of(self, columns: IntArray) -> FloatArray:
@@ -382,7 +374,7 @@ class _Fit:
         coefficient that would be negative and cannot be."""
         manifold = self.objective.manifold
         whitener = manifold.whiten(self.point, np.eye(len(self.columns)))
-        products = np.tensordot(self.weights, self.rows.all_products[:, columns], axes=1)
+        products = np.tensordot(self.weights, self.rows.products[:, columns], axes=1)
         shared = products[:, self.columns].T
         projected = whitener @ definite.inverse(self.hessian) @ whitener.T @ shared
         squares = products[np.arange(len(columns)), columns]
