@@ -20,9 +20,14 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.estimation.link_spreads import cost_of_spreads, likely_spreads
-from geomid_ros.estimation.objective import Evaluation
 from geomid_ros.estimation.problem import Problem
-from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, minimum
+from geomid_ros.estimation.profile_objective import (
+    Profile,
+    ProfileFit,
+    ProfileObjective,
+    StraightManifold,
+    fit_scales,
+)
 from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.effects import joints_of
@@ -38,8 +43,6 @@ _RARE = 6.0
 _PARALLEL = 1e-6  # a column that is so nearly a combination of others says nothing
 _LOOSE = 1.5  # times the usual spread: a link beyond it has left its prior
 _FREE = 1e-6  # weight of a coefficient's prior
-_ROUNDS, _SETTLED = 8, 0.03
-_LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
 
 
 def choose(problem: Problem, earlier: IntArray | None = None) -> IntArray:
@@ -78,7 +81,7 @@ def _shaped(fit: _Fit, joints: Collection[int]) -> _Fit:
         if len(shapes) > 1:
             rest = np.setdiff1d(fit.every, shapes)
             sets = [np.sort(np.append(rest, shape)) for shape in shapes]
-            fits = [rows.fit(columns, fit, spreads=fit.spreads) for columns in sets]
+            fits = [rows.fit(columns, fit, spreads=fit.fit.scales) for columns in sets]
             fit = min(fits, key=lambda shaped: shaped.score)
     return rows.fit(fit.every, fit)
 
@@ -191,15 +194,6 @@ class _Rows:
         """Independent rows of each channel."""
         return self.problem.independent * self.problem.counts[: len(self.problem.model.channels)]
 
-    @cached_property
-    def scales(self) -> FloatArray:
-        """Of each coefficient: the one with which its column is as large as a channel that it reaches."""
-        squares = np.diagonal(self.products, axis1=1, axis2=2)
-        own, target = squares[:, self.first : -1], squares[:, -1:]
-        size = np.where(own > 0.0, target / np.where(own > 0.0, own, 1.0), np.inf)
-        best = np.sqrt(np.min(size, axis=0, initial=np.inf))
-        return np.where(np.isfinite(best) & (best > 0.0), best, 1.0)
-
     def fit(self, columns: IntArray, start: _Fit | None = None, *, spreads: FloatArray | None = None) -> _Fit:
         """Fit these parameters, from an earlier fit where one is given; with ``spreads (links,)`` of the links, unless
         these are to be found. Coefficients that would be negative and cannot be are zero."""
@@ -219,56 +213,41 @@ class _Rows:
 
     def _fit(self, columns: IntArray, start: _Fit | None, given: FloatArray | None) -> _Fit:
         """The same, in which every coefficient may be negative."""
-        scales = self.scales[columns[columns >= self.first] - self.first]
-        manifold = StraightManifold(self.first // 10, 0, scales)
-        inertias = self.problem.prior[: self.first]
-        prior = manifold.point(np.concatenate([inertias, np.zeros(len(scales))]))
-        spreads = self.problem.usual
-        point = prior
+        problem, usual = self.problem, self.problem.usual
+        manifold = StraightManifold(len(usual), 0, problem.scales[columns[columns >= self.first] - self.first])
+        links = manifold.inertial
+        prior = manifold.point(np.append(problem.prior[links], np.zeros(len(manifold.scales))))
+        point, spreads = prior, usual
         if start is not None:
             before = np.zeros(self.size)
-            before[start.columns] = start.point.parameters
-            point, spreads = manifold.point(before[columns]), start.spreads
-        spreads = spreads if given is None else given
+            before[start.columns] = start.fit.point.parameters
+            point, spreads = manifold.point(before[columns]), start.fit.scales
         own = np.append(columns, self.size)
         # In the order of its axes, in which such an index leaves nothing: else it is multiplied five times as slowly.
         products = np.ascontiguousarray(self.products[:, own[:, None], own])
-        least = _LEAST_SHARE * products[:, -1, -1] + np.finfo(float).tiny
-        weighed = self.problem.known
-        known = weighed.rows[:, columns]
-        known_rows = np.column_stack([known, known @ prior.parameters - weighed.targets])
-        profile = Profile(manifold, products, self.counts, least, prior)
+        known = problem.known.rows[:, columns]
+        known_rows = np.column_stack([known, known @ prior.parameters - problem.known.targets])
+        profile = Profile(manifold, products, self.counts, prior)
 
         def objective(spreads: FloatArray) -> ProfileObjective:
-            weights = np.full(manifold.dimension, _FREE)
-            weights[manifold.inertial] = np.repeat(spreads, 10) ** -2.0
+            weights = np.append(np.repeat(spreads, 10) ** -2.0, np.full(len(manifold.scales), _FREE))
             return ProfileObjective(profile, weights, known_rows)
 
-        for _ in range(_ROUNDS):
-            trusted = objective(spreads)
-            solution = minimum(trusted, point)
-            point = solution.point
-            if given is not None:
-                break
-            earlier = spreads
-            hessian = solution.evaluation.information + np.diag(trusted.weights)
-            unsure = np.diag(definite.inverse(hessian))[manifold.inertial]
-            spreads = likely_spreads(manifold.log(prior, point)[manifold.inertial], unsure, self.problem.usual)
-            if np.all(np.abs(np.log(spreads / earlier)) < _SETTLED):
-                break
-        return _Fit(self, columns, point, objective(spreads), spreads)
+        def likely(point: Point, whitener: FloatArray) -> FloatArray:
+            unsure = np.sum(whitener[:, links] ** 2, axis=0)
+            return likely_spreads(manifold.log(prior, point)[links], unsure, usual)
+
+        found = fit_scales(objective, point, spreads if given is None else given, likely if given is None else None)
+        return _Fit(self, columns, found)
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """Where a fit of the ``columns`` of ``rows`` ended: at a ``point``, with the links' ``spreads``; coefficients of
-    other columns are held at ``zero``."""
+    """A ``fit`` of the ``columns`` of ``rows``; coefficients of other columns are held at ``zero``."""
 
     rows: _Rows
     columns: IntArray
-    point: Point
-    objective: ProfileObjective
-    spreads: FloatArray
+    fit: ProfileFit
     zero: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @property
@@ -279,7 +258,7 @@ class _Fit:
     @property
     def negative(self) -> IntArray:
         """The columns of coefficients that are negative, and cannot be."""
-        negative = self.point.parameters < 0.0
+        negative = self.fit.point.parameters < 0.0
         return np.array([c for c in self.columns[negative] if c >= self.rows.first and self.rows.positive(c)])
 
     @property
@@ -291,25 +270,16 @@ class _Fit:
     def firm(self) -> _Fit:
         """The fit of the same parameters with links that keep the usual spread; this one, if they do here."""
         usual = self.rows.problem.usual
-        return self.rows.fit(self.every, spreads=usual) if np.any(self.spreads > _LOOSE * usual) else self
-
-    @cached_property
-    def evaluation(self) -> Evaluation:
-        """The objective there."""
-        return self.objective.evaluate(self.point)
-
-    @cached_property
-    def hessian(self) -> FloatArray:
-        """Information ``(D, D)`` of the rows and of the prior, in tangent coordinates."""
-        return self.evaluation.information + np.diag(self.objective.weights)
+        return self.rows.fit(self.every, spreads=usual) if np.any(self.fit.scales > _LOOSE * usual) else self
 
     @cached_property
     def score(self) -> float:
         """Minus twice the logarithm of the marginal likelihood."""
-        links = self.objective.manifold.inertial
-        _, volume = np.linalg.slogdet(self.hessian[links, links])
-        width = 20.0 * float(np.sum(np.log(self.spreads))) + cost_of_spreads(self.spreads, self.rows.problem.usual)
-        return 2.0 * self.evaluation.value + float(volume) + width
+        links = self.fit.objective.manifold.inertial
+        _, volume = np.linalg.slogdet(self.fit.hessian[links, links])
+        spreads = self.fit.scales
+        width = 20.0 * float(np.sum(np.log(spreads))) + cost_of_spreads(spreads, self.rows.problem.usual)
+        return 2.0 * self.fit.evaluation.value + float(volume) + width
 
     @cached_property
     def weights(self) -> FloatArray:
@@ -320,7 +290,7 @@ class _Fit:
     def possible(self) -> bool:
         """Whether all optional coefficients are in their ranges."""
         every = np.zeros(self.rows.size)
-        every[self.columns] = self.point.parameters
+        every[self.columns] = self.fit.point.parameters
         return all(map(self.rows.allows, self.chosen.tolist(), every[self.chosen].tolist()))
 
     @cached_property
@@ -331,7 +301,7 @@ class _Fit:
     @cached_property
     def left(self) -> FloatArray:
         """Sum of squares of each channel."""
-        return self.objective.profile.squares(self.point)
+        return self.fit.objective.profile.squares(self.fit.point)
 
     def is_visible_beside(self, smaller: _Fit) -> bool:
         """Whether it leaves clearly less of some channel, links as they were fitted or such as stay near the prior."""
@@ -342,7 +312,7 @@ class _Fit:
     def _vector(self) -> FloatArray:
         """All parameters and minus one ``(n + 1,)``: the residual is what the columns with the target leave of it."""
         vector = np.zeros(self.rows.size + 1)
-        vector[self.columns], vector[-1] = self.point.parameters, -1.0
+        vector[self.columns], vector[-1] = self.fit.point.parameters, -1.0
         return vector
 
     @property
@@ -359,12 +329,12 @@ class _Fit:
 
     def squares_of(self, columns: IntArray) -> FloatArray:
         """Squares of some of its coefficients in units of their variances."""
-        inverse, manifold = definite.inverse(self.hessian), self.objective.manifold
-        slopes = manifold.whiten(self.point, self._slopes)
+        inverse, manifold = definite.inverse(self.fit.hessian), self.fit.objective.manifold
+        slopes = manifold.whiten(self.fit.point, self._slopes)
         real = self.columns >= self.rows.first
         variances = np.diag(inverse)[real]
         inflation = self._inflation(self.columns[real], (slopes @ inverse)[:, real], variances)
-        values = manifold.log(self.objective.profile.prior, self.point)[real]
+        values = manifold.log(self.fit.objective.profile.prior, self.fit.point)[real]
         squares = np.zeros(self.rows.size)
         squares[self.columns[real]] = values**2 / (inflation * variances)
         return np.asarray(squares[columns])
@@ -372,11 +342,11 @@ class _Fit:
     def gains(self, columns: IntArray) -> FloatArray:
         """By how much each of other ``columns`` would improve twice the log likelihood, by the score test; zero for a
         coefficient that would be negative and cannot be."""
-        manifold = self.objective.manifold
-        whitener = manifold.whiten(self.point, np.eye(len(self.columns)))
+        manifold = self.fit.objective.manifold
+        whitener = manifold.whiten(self.fit.point, np.eye(len(self.columns)))
         products = np.tensordot(self.weights, self.rows.products[:, columns], axes=1)
         shared = products[:, self.columns].T
-        projected = whitener @ definite.inverse(self.hessian) @ whitener.T @ shared
+        projected = whitener @ definite.inverse(self.fit.hessian) @ whitener.T @ shared
         squares = products[np.arange(len(columns)), columns]
         left = squares - np.sum(shared * projected, axis=0)
         values = -products @ self._vector

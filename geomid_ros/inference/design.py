@@ -140,11 +140,6 @@ class Design:
         """Rows of each channel."""
         return np.array([float(channel.count) for channel in self.channels])
 
-    @property
-    def target_squares(self) -> FloatArray:
-        """Sum of squares of each channel's target."""
-        return np.array([each.products[-2, -2] for each in self._marginalised])
-
     def scales(self, terms: Sequence[Any]) -> FloatArray:
         """Of each coefficient: the one with which its column is as large as the target in some channel, and smaller in
         the others."""

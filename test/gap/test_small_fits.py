@@ -48,7 +48,6 @@ def objective(counts: float = 1.0) -> ProfileObjective:
         manifold,
         design.gather([], [TERM, OFFSET.terms[0]]),
         counts * design.counts,
-        np.full(CHANNELS, 1e-9),
         manifold.point(np.append(LINK, [0.1, 0.0])),
     )
     return ProfileObjective(profile, np.append(np.full(10, 3.0), [1.0, 5.0]), known)
