@@ -28,6 +28,7 @@ from geomid_ros.estimation.profile_objective import (
     StraightManifold,
     fit_scales,
 )
+from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.effects import joints_of
@@ -38,11 +39,6 @@ _TIMES = 3.0
 """Standard deviations that an effect is different from nothing."""
 _VISIBLE = 0.04
 """Share of a channel's remaining squares that an effect explains at least."""
-_RARE = 6.0
-"""Twice the logarithm of how many times rarer an effect of two joints is than one of each."""
-_PARALLEL = 1e-6  # a column that is so nearly a combination of others says nothing
-_LOOSE = 1.5  # times the usual spread: a link beyond it has left its prior
-_FREE = 1e-6  # weight of a coefficient's prior
 
 
 def choose(problem: Problem, earlier: IntArray | None = None) -> IntArray:
@@ -89,19 +85,19 @@ def _shaped(fit: _Fit, joints: Collection[int]) -> _Fit:
 def _without_unbelieved(fit: _Fit) -> _Fit:
     """The fit without the optional effects that are not believed, the least one first."""
     while len(fit.chosen):
-        beyond = np.max([each.squares_of(fit.chosen) for each in (fit, fit.firm)], axis=0) - fit.rows.bounds(fit.chosen)
-        if np.min(beyond) > 0.0 and fit.possible:
+        squares = np.max([each.squares_of(fit.chosen) for each in (fit, fit.firm)], axis=0)
+        if np.min(squares) > _TIMES**2 and fit.possible:
             break
-        fit = fit.rows.fit(np.setdiff1d(fit.every, fit.chosen[np.argmin(beyond)]), fit)
+        fit = fit.rows.fit(np.setdiff1d(fit.every, fit.chosen[np.argmin(squares)]), fit)
     return fit
 
 
 def _best(chosen: _Fit, left: IntArray) -> tuple[int, _Fit | None]:
     """The column that improves a fit most, and the fit with it; None if none improves it visibly."""
-    starts = list(dict.fromkeys((chosen, chosen.firm)))
+    starts = (chosen, chosen.firm)
     gains = np.max([start.gains(left) for start in starts], axis=0)
     column = int(left[np.argmax(gains)])
-    if np.max(gains) < max(_VISIBLE * float(np.max(chosen.rows.counts)), chosen.rows.bounds([column])[0]):
+    if np.max(gains) < max(_VISIBLE * float(np.max(chosen.rows.counts)), _TIMES**2):
         return column, None
     columns = np.sort(np.append(chosen.every, column))
     return column, min((chosen.rows.fit(columns, start) for start in starts), key=lambda fit: fit.score)
@@ -168,11 +164,6 @@ class _Rows:
         there = {self.mechanism(column) for column in columns if column >= self.first} | {*refused}
         return np.array([column for column in self.optional if self.mechanism(column) not in there], dtype=np.int64)
 
-    def bounds(self, columns: IntArray | list[int]) -> FloatArray:
-        """Squares, in units of the variance, above which coefficients are believed."""
-        pairs = [len(joints_of(self.coefficient(column).place)) > 1 for column in columns]
-        return np.asarray(_TIMES**2 + _RARE * np.array(pairs))
-
     def positive(self, column: int) -> bool:
         """Whether a coefficient cannot be negative."""
         return self.coefficient(column).positive
@@ -230,7 +221,7 @@ class _Rows:
         profile = Profile(manifold, products, self.counts, prior)
 
         def objective(spreads: FloatArray) -> ProfileObjective:
-            weights = np.append(np.repeat(spreads, 10) ** -2.0, np.full(len(manifold.scales), _FREE))
+            weights = np.append(np.repeat(spreads, 10) ** -2.0, np.full(len(manifold.scales), ROUNDING))
             return ProfileObjective(profile, weights, known_rows)
 
         def likely(point: Point, whitener: FloatArray) -> FloatArray:
@@ -268,9 +259,8 @@ class _Fit:
 
     @cached_property
     def firm(self) -> _Fit:
-        """The fit of the same parameters with links that keep the usual spread; this one, if they do here."""
-        usual = self.rows.problem.usual
-        return self.rows.fit(self.every, spreads=usual) if np.any(self.fit.scales > _LOOSE * usual) else self
+        """The fit of the same parameters with links that keep the usual spread."""
+        return self.rows.fit(self.every, spreads=self.rows.problem.usual)
 
     @cached_property
     def score(self) -> float:
@@ -351,7 +341,7 @@ class _Fit:
         left = squares - np.sum(shared * projected, axis=0)
         values = -products @ self._vector
         positive = np.array([self.rows.positive(column) for column in columns])
-        possible = (left > _PARALLEL * squares) & ~(positive & (values < 0.0))
+        possible = (left > ROUNDING * squares) & ~(positive & (values < 0.0))
         return np.asarray(np.where(possible, values**2 / np.where(possible, left, 1.0), 0.0))
 
     def _inflation(self, columns: IntArray, parts: FloatArray, variances: FloatArray) -> FloatArray:
