@@ -115,28 +115,12 @@ class RowSummary:
 
         By ``elapsed`` [s] all earlier rows grow older. ``unsettled (channels,)`` says which rows are.
         """
-        self._complete = False
-        self._time += elapsed
-        self.weight *= float(np.exp(-elapsed / self._forgetting_time))
-        fold = self._fold()
-        self._instants += 1
-        groups = np.arange(len(self.channels)) + len(self.channels) * np.asarray(unsettled)
-        for channel in np.flatnonzero(usable(coefficients, targets)):
-            self.rows += 1
-            self.weight += 1.0
-            index = groups[channel]
-            waiting = self._waiting[fold][index]
-            row = coefficients[channel, self.channels[channel].columns]
-            waiting.append((row, float(targets[channel]), self._time))
-            # Channels that have as many rows wait differently long: few instants cost more than one QR.
-            if len(waiting) >= self._CHUNK + index:
-                self._absorb(fold, int(index))
+        groups = np.broadcast_to(unsettled, targets.shape)
+        self.add_all(coefficients[None], targets[None], np.array([elapsed]), groups[None])
 
     def add_all(self, coefficients: FloatArray, targets: FloatArray, elapsed: FloatArray, unsettled: BoolArray) -> None:
-        """Add the rows of N instants, as :meth:`add` does one by one, in a fraction of the time.
-
-        ``coefficients (N, channels, D)``, ``targets`` and ``unsettled (N, channels)``, ``elapsed (N,)``.
-        """
+        """Add the rows of N instants: ``coefficients (N, channels, D)``, ``targets`` and ``unsettled (N, channels)``,
+        ``elapsed (N,)``."""
         self._complete = False
         taken = usable(coefficients, targets)
         self.rows += int(np.count_nonzero(taken))
@@ -151,10 +135,13 @@ class RowSummary:
             for index, group in enumerate(self.groups):
                 second, channel = divmod(index, len(self.channels))
                 own = taken[begin:end, channel] & (unsettled[begin:end, channel] == bool(second))
+                if not np.any(own):
+                    continue
                 chosen = begin + np.flatnonzero(own)
                 rows = coefficients[chosen[:, None], channel, group.columns]
                 waiting = self._waiting[fold][index]
                 waiting += zip(rows, targets[chosen, channel].tolist(), times[chosen].tolist(), strict=True)
+                # Channels that have as many rows wait differently long: few instants cost more than one QR.
                 while len(waiting) >= self._CHUNK + index:
                     self._absorb(fold, index, self._CHUNK + index)
             self._instants += end - begin
