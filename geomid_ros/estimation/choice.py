@@ -19,6 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
+from geomid_ros.estimation.estimate import TOLD
 from geomid_ros.estimation.link_spreads import cost_of_spreads, likely_spreads
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.profile_objective import (
@@ -35,8 +36,6 @@ from geomid_ros.model.effects import joints_of
 from geomid_ros.model.measurement import Coefficient, Mechanism
 from geomid_ros.types import FloatArray, IntArray
 
-_TIMES = 3.0
-"""Standard deviations that an effect is different from nothing."""
 _VISIBLE = 0.04
 """Share of a channel's remaining squares that an effect explains at least."""
 
@@ -86,7 +85,7 @@ def _without_unbelieved(fit: _Fit) -> _Fit:
     """The fit without the optional effects that are not believed, the least one first."""
     while len(fit.chosen):
         squares = np.max([each.squares_of(fit.chosen) for each in (fit, fit.firm)], axis=0)
-        if np.min(squares) > _TIMES**2 and fit.possible:
+        if np.min(squares) > TOLD**2 and fit.possible:
             break
         fit = fit.rows.fit(np.setdiff1d(fit.every, fit.chosen[np.argmin(squares)]), fit)
     return fit
@@ -97,7 +96,7 @@ def _best(chosen: _Fit, left: IntArray) -> tuple[int, _Fit | None]:
     starts = (chosen, chosen.firm)
     gains = np.max([start.gains(left) for start in starts], axis=0)
     column = int(left[np.argmax(gains)])
-    if np.max(gains) < max(_VISIBLE * float(np.max(chosen.rows.counts)), _TIMES**2):
+    if np.max(gains) < max(_VISIBLE * float(np.max(chosen.rows.counts)), TOLD**2):
         return column, None
     columns = np.sort(np.append(chosen.every, column))
     return column, min((chosen.rows.fit(columns, start) for start in starts), key=lambda fit: fit.score)

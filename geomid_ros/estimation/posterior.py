@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from geomid_ros.estimation.tolerances import ROUNDING_OF_PRODUCTS
 from geomid_ros.geometry import spd, symmetric
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
@@ -16,7 +17,6 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 _LEAST = 0.05  # of what the estimate has
 _REMEMBERED = 0.01  # of a chain's beginning, as a share of the variance
 _MOST_STEPS = 1000
-_LEAST_VARIANCE = 1e-12  # in units of the prior's
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +44,7 @@ def beyond_prior(covariance: FloatArray, spreads: FloatArray) -> FloatArray:
         ``(D, D)``, a factor F of the information ``F^T F`` on the coordinates in units of the spreads.
     """
     values, vectors = np.linalg.eigh(covariance / np.outer(spreads, spreads))
-    beyond = np.sqrt(np.maximum(1.0 / np.maximum(values, _LEAST_VARIANCE) - 1.0, 0.0))
+    beyond = np.sqrt(np.maximum(1.0 / np.maximum(values, ROUNDING_OF_PRODUCTS) - 1.0, 0.0))
     return np.asarray((vectors * beyond).T)
 
 

@@ -11,6 +11,7 @@ from numpy.linalg import LinAlgError
 
 from geomid_ros.estimation.objective import Evaluation, with_prior
 from geomid_ros.estimation.solvers import ENDS, GRADIENT, Solution, trust_region
+from geomid_ros.estimation.tolerances import ROUNDS
 from geomid_ros.geometry import compiled, definite
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.geometry.pseudo_inertia import COEFFICIENTS_TO_COORDINATES
@@ -19,7 +20,6 @@ from geomid_ros.types import FloatArray, IntArray
 _STEPS = 40
 _RADIUS = 16.0  # of the first step: as an effect comes or goes, others move as far as it reached
 _LEAST_DECREASE = 1e-3  # of half the score
-_ROUNDS = 8
 _SETTLED = 0.05  # of the logarithm of a standard deviation
 _LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
 
@@ -155,7 +155,7 @@ def fit_scales(
             keep those that are given.
     """
     point = start
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         trusted = objective(scales)
         solution = minimum(trusted, point)
         point, before = solution.point, scales

@@ -65,11 +65,6 @@ class Uncertainty:
         """Standard deviations ``(D,)`` of the prior's error."""
         return np.asarray(np.sqrt(np.diag(self.prior)))
 
-    @property
-    def each_from_data(self) -> FloatArray:
-        """:meth:`from_data` of each coordinate by itself ``(D,)``."""
-        return np.asarray(np.clip(1.0 - np.diag(self.covariance) / np.diag(self.prior), 0.0, 1.0))
-
     def from_data(self, columns: slice) -> float:
         """The share of the prior's variance in these coordinates that the data removed, 0 to 1.
 

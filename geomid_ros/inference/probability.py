@@ -7,21 +7,20 @@ from typing import Any, Generic
 
 import numpy as np
 
+from geomid_ros.estimation.estimate import TOLD
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import JointFit, fit, scattered
 from geomid_ros.inference.hypothesis import Chosen, Hypothesis, Term
 from geomid_ros.inference.selection import Selection
 from geomid_ros.types import FloatArray
 
-_LEAST_SQUARE = 3.0**2
-"""A size within three standard deviations of nothing is no evidence."""
 _ALONG = 0.5  # of what a channel lacks, as a root mean square, may lie along a hypothesis's columns
 
 
 def probability_of_square(square: float) -> float:
     """The largest probability that a size is not nothing, from which it is the root of ``square`` standard deviations
-    away."""
-    return 1.0 / (1.0 + float(np.exp(-0.5 * np.clip(square - _LEAST_SQUARE, -1e3, 1e3))))
+    away; within three of these it is no evidence."""
+    return 1.0 / (1.0 + float(np.exp(-0.5 * np.clip(square - TOLD**2, -1e3, 1e3))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +109,7 @@ class Supports(Generic[Chosen, Term]):
         square = float(values @ np.linalg.solve(self._sized.covariance[np.ix_(places, places)], values))
         wider = 1.0 + self.doubt(candidate) ** 2 * square  # of the covariance's determinant
         size, price = square / wider, narrowed - float(np.log(wider)) + candidate.cost
-        return size - (price if size > _LEAST_SQUARE else max(price, _LEAST_SQUARE))
+        return size - (price if size > TOLD**2 else max(price, TOLD**2))
 
     def doubt(self, candidate: Chosen) -> float:
         """The relative standard deviation of its size that comes from what the model lacks."""
