@@ -43,6 +43,7 @@ class Supports(Generic[Chosen, Term]):
         self._selection = selection
         self._found = found
         self._sized = scattered(selection.design, found)
+        self._lacking = _lacking(selection.design, found)
         self._losses: dict[Chosen, float] = {}
 
     def of(self, candidate: Chosen) -> Support[Chosen]:
@@ -113,7 +114,7 @@ class Supports(Generic[Chosen, Term]):
 
     def doubt(self, candidate: Chosen) -> float:
         """The relative standard deviation of its size that comes from what the model lacks."""
-        return relative_doubt(self._selection.design, self._found, candidate, self._found.changes[candidate])
+        return _doubt(self._selection.design, self._found, self._lacking, candidate, self._found.changes[candidate])
 
 
 def relative_doubt(
@@ -122,12 +123,30 @@ def relative_doubt(
     """The relative standard deviation of ``values (k,)`` of a hypothesis's columns, or of a link's, that comes from
     what their channels lack beside a fit: a part of it may lie along them. Where other recordings have told what is
     lacking, no more than along any of the directions that are left to its change."""
-    powers, left = design.powers(columns, values) / found.squares, 0.0
-    for channel, lack, power, square in zip(
-        design.channels, found.remainders(design), powers, found.squares, strict=True
-    ):
-        share = _ALONG**2 if channel.before is None else 1.0 / max(lack.freedom, 1.0)
-        left += share * lack.power / square if power > 0.0 else 0.0
+    return _doubt(design, found, _lacking(design, found), columns, values)
+
+
+def _lacking(design: Design, found: JointFit[Any, Any]) -> FloatArray:
+    """Of what each channel lacks beside a fit, the part that may lie along any columns: a sum of squares ``(C,)``."""
+    lacks = zip(design.channels, found.remainders(design), strict=True)
+    return np.array(
+        [
+            (_ALONG**2 if channel.before is None else 1.0 / max(lack.freedom, 1.0)) * lack.power
+            for channel, lack in lacks
+        ]
+    )
+
+
+def _doubt(
+    design: Design,
+    found: JointFit[Any, Any],
+    lacking: FloatArray,
+    columns: Hypothesis[Any] | int,
+    values: FloatArray,
+) -> float:
+    """The same, of which the part of each channel's sum of squares that may lie along columns is known."""
+    powers = design.powers(columns, values) / found.squares
+    left = float(np.sum((lacking / found.squares)[powers > 0.0]))
     return float(np.sqrt(left / max(float(np.sum(powers)), 1e-300)))
 
 

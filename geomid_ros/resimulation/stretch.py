@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.model.samples import Samples
+from geomid_ros.signals.spline import spline
 from geomid_ros.types import FloatArray
 
 _SHORTEST = 0.25  # [s] a shorter part is not used
@@ -40,7 +41,4 @@ def interpolated(times: FloatArray, values: FloatArray, at: FloatArray) -> Float
 
     Columns that are not measured throughout are zero.
     """
-    from scipy.interpolate import CubicSpline  # noqa: PLC0415 takes long to load
-
-    spline = CubicSpline(times, np.where(np.all(np.isfinite(values), axis=0), values, 0.0))
-    return np.asarray(spline(at))
+    return spline(times, np.where(np.all(np.isfinite(values), axis=0), values, 0.0), at)
