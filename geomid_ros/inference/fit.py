@@ -97,7 +97,7 @@ class JointFit(Generic[Chosen, Term]):
     def settled(self, design: Design, among: Collection[int] | None = None) -> Design:
         """The design beside the remainder that is most likely at this fit, of all channels unless ``among`` some."""
         named = np.zeros(len(design.channels))
-        for candidate, values in self.changes.items():
+        for candidate, values in self.changes.items() if design.is_told else ():
             named += design.powers(candidate, values) / self.squares
         return design.settled(self.bodies, self.terms, self.point.parameters, named, among)
 

@@ -43,6 +43,7 @@ class Supports(Generic[Chosen, Term]):
         self._selection = selection
         self._found = found
         self._sized = scattered(selection.design, found)
+        self._covariance = self._sized.covariance
         self._lacking = _lacking(selection.design, found)
         self._losses: dict[Chosen, float] = {}
 
@@ -107,7 +108,7 @@ class Supports(Generic[Chosen, Term]):
             values, places = values[:4], places[:4]
         else:
             narrowed = -float(np.linalg.slogdet(found.inverse[np.ix_(places, places)] * found.weights[places])[1])
-        square = float(values @ np.linalg.solve(self._sized.covariance[np.ix_(places, places)], values))
+        square = float(values @ np.linalg.solve(self._covariance[np.ix_(places, places)], values))
         wider = 1.0 + self.doubt(candidate) ** 2 * square  # of the covariance's determinant
         size, price = square / wider, narrowed - float(np.log(wider)) + candidate.cost
         return size - (price if size > TOLD**2 else max(price, TOLD**2))
