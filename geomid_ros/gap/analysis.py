@@ -125,10 +125,9 @@ def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
 
 def _searched(task: _Task, prior: NamesPrior, stage: str) -> Analysis:
     """The names beside which the total model settles, and what speaks for each."""
-    last = _last_round(task, prior, stage)
-    problem = last.problem
-    search, names, supports = _supported(last.search, last.found)
+    last, supports = _supported(_last_round(task, prior, stage))
     task.progress(stage, 1.0)
+    problem, search, names = last.problem, last.search, last.found
     design = search.design
     left = problem.residual(last.columns, names) - problem.remainder(design, names)
     rows = np.where(design.counts > 0.0, design.counts, np.nan)
@@ -145,20 +144,18 @@ def _searched(task: _Task, prior: NamesPrior, stage: str) -> Analysis:
     )
 
 
-def _supported(
-    search: NamesSearch, found: NamesFit
-) -> tuple[NamesSearch, NamesFit, dict[Candidate, Support[Candidate]]]:
-    """The names that are more likely than nothing in their places, beside the remainder that they leave, and what
-    speaks for each. The least likely ones go first, and the search goes on without them."""
-    tried = list(search.hypotheses)
+def _supported(last: _Round) -> tuple[_Round, dict[Candidate, Support[Candidate]]]:
+    """A round with the names that are more likely than nothing in their places, beside the remainder that they leave,
+    and what speaks for each. The least likely ones go first, and the search goes on without them."""
     while True:
-        kept, each = _worth_their_place(search, found)
-        gone = {c.group for c in found.chosen} - {c.group for c in kept.chosen}
+        search = last.search
+        kept, each = _worth_their_place(search, last.found)
+        gone = {c.group for c in last.found.chosen} - {c.group for c in kept.chosen}
         if not gone:
-            return search, found, {candidate: each.of(candidate) for candidate in found.chosen}
-        tried = [c for c in tried if c.group not in gone]
+            return last, {candidate: each.of(candidate) for candidate in kept.chosen}
+        tried = [c for c in search.hypotheses if c.group not in gone]
         search = Selection(kept.settled(search.design), search.prior, tried)
-        found = search.settle(search.fit(kept.chosen, kept))
+        last = replace(last, search=search, found=search.settle(search.fit(kept.chosen, kept)))
 
 
 def _worth_their_place(search: NamesSearch, found: NamesFit) -> tuple[NamesFit, Supports[Candidate, EffectTerm]]:
