@@ -77,14 +77,15 @@ def analyse(
 def standing_remainder(model: MeasurementModel, records: Records, prior: NamesPrior) -> StandingRemainder:
     """What the model that the ``prior`` describes lacks on records, its parameters as they are: at channels that have
     fewer rows than features, that is not known."""
-    given, floor = unfitted(prior), None
+    given = unfitted(prior)
     noise = (Autoregression.white(),) * len(model.channels)
+    problem = LinearisedProblem(model, records, total_model(model, given))
+    columns = problem.columns((), prior.terms)
     for _ in range(_WHITENINGS):
-        problem = LinearisedProblem(model, records, total_model(model, given), floor)
-        columns = problem.columns((), prior.terms)
         design = given.settled(problem.design(columns, noise))
         left = problem.residual(columns, given) - problem.remainder(design, given)
-        floor, noise = _typical_size(left, problem.valid), _noise(left, problem.valid, records)
+        noise = _noise(left, problem.valid, records)
+        problem = problem.with_floor(_typical_size(left, problem.valid))
     lacks = given.remainders(design)
     sizes = [len(lack.coefficients) for lack in lacks]
     told = [size if rows > size else 0 for size, rows in zip(sizes, design.counts, strict=True)]

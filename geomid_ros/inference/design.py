@@ -11,7 +11,7 @@ import numpy as np
 
 from geomid_ros.inference.hypothesis import Hypothesis
 from geomid_ros.inference.remainder import Marginal, Remainder
-from geomid_ros.types import FloatArray, IntArray
+from geomid_ros.types import FloatArray, IntArray, frozen
 
 BLOCKS = 8  # of time, whose scatter shows how far rows are independent
 _LEAST_SIZE = 1e-4  # a mean square of whitened features: those of what hardly occurs are not made large
@@ -142,10 +142,10 @@ class Design:
         """What the remainder adds to minus twice the log likelihood."""
         return sum(each.cost for each in self._marginalised)
 
-    @property
+    @cached_property
     def counts(self) -> FloatArray:
         """Rows of each channel."""
-        return np.array([float(channel.count) for channel in self.channels])
+        return frozen(np.array([float(channel.count) for channel in self.channels]))
 
     def scales(self, terms: Sequence[Any]) -> FloatArray:
         """Of each coefficient: the one with which its column is as large as the target in some channel, and smaller in
@@ -264,8 +264,9 @@ class Design:
         """Of each channel, the products of the columns of candidates, each of which has as many, with those of
         :meth:`gather`."""
         every, found = np.array([self._own_places(candidate) for candidate in alike]), []
+        reached = np.any(every >= 0, axis=2)
         for channel, (each, places) in enumerate(zip(self._marginalised, self.places(bodies, terms), strict=True)):
-            which = np.flatnonzero(np.any(every[:, channel] >= 0, axis=1))
+            which = np.flatnonzero(reached[:, channel])
             mine = every[which, channel]
             crossed, squared = each.products[mine][:, :, places], each.products[mine[:, :, None], mine[:, None]]
             found.append(CandidateProducts(which, crossed, squared))

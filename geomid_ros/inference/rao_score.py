@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Generic
+from typing import Any, Generic, NamedTuple
 
 import numpy as np
 
@@ -18,8 +17,7 @@ _DIRECTIONS_OF_BODY = 4.0  # mass and centre: what is said of its inertia is lit
 _LEAST_LEFT = 1e-3  # of a channel's squares: so much the quadratic model may promise
 
 
-@dataclass(frozen=True)
-class Trial(Generic[Chosen]):
+class Trial(NamedTuple, Generic[Chosen]):
     """A candidate's improvement of a fit by the score test, its cost paid, and its separability: the share of its
     columns that the other parameters, within their prior, cannot imitate."""
 
@@ -72,10 +70,11 @@ class _Test(Generic[Chosen]):
         for channel, weight in zip(own, self._weights, strict=True):
             mixed[channel.which] += weight * channel.crossed
             squared[channel.which] += weight * channel.squared
-        solved = mixed[..., :-1] @ self._covariance
+        flat = mixed.reshape(-1, len(self._vector))  # one product instead of one for each candidate
+        solved = (flat[:, :-1] @ self._covariance).reshape(*trust.shape, -1)
         left = squared - mixed[..., :-1] @ solved.swapaxes(1, 2)
         width = left + trust[:, :, None] * np.eye(trust.shape[1])
-        step, largest = _steps(mixed @ self._vector, squared, left, width)
+        step, largest = _steps((flat @ self._vector).reshape(trust.shape), squared, left, width)
         energy = np.einsum("gk,gkl,gl->g", step, squared, step)
         share = np.einsum("gk,gkl,gl->g", step, left, step)
         gain = self._gain(own, step, -(step[:, None] @ solved)[:, 0])
@@ -106,7 +105,8 @@ class _Test(Generic[Chosen]):
         """What steps of the candidates' coefficients ``(G, k)`` and of all other parameters ``(G, D)`` gain ``(G,)``,
         but for half of what the latter take in their quadratic model."""
         current, weights = self._current, self._weights
-        longer = np.pad(moved, ((0, 0), (0, 1)))
+        longer = np.zeros((len(moved), len(self._vector)))
+        longer[:, :-1] = moved
         slopes = longer @ self._moved.T
         curvatures = np.stack(
             [np.sum((longer[:, at] @ own) * longer[:, at], axis=1) for at, own in self._by_channel], 1
