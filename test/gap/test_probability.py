@@ -84,3 +84,18 @@ def test_what_is_left_may_lie_along_a_name_or_where_it_was_told_in_any_of_its_di
     design: Any = SimpleNamespace(channels=channels, powers=lambda *_: np.array([4.0, 0.0]))
     found: Any = SimpleNamespace(squares=np.array([2.0, 1.0]), remainders=lambda _: lacks)
     assert relative_doubt(design, found, 0, np.ones(1)) == pytest.approx(doubt)
+
+
+def test_each_channel_s_lack_counts_by_the_weight_that_least_squares_give_what_it_says() -> None:
+    """One coefficient at three channels: lack where little is told is little doubt."""
+    rng = np.random.default_rng(5)
+    for _ in range(5):
+        powers, squares, lacks = rng.uniform(0.1, 10.0, (3, 3))
+        channels = [SimpleNamespace(before=None)] * 3
+        design: Any = SimpleNamespace(channels=channels, powers=lambda *_, own=powers: own)
+        lacking = [SimpleNamespace(power=power, freedom=16.0) for power in lacks]
+        found: Any = SimpleNamespace(squares=squares, remainders=lambda _, own=lacking: own)
+        weights = powers / squares / np.sum(powers / squares)
+        of_each = 0.25 * lacks / powers  # relative variance of the size as one channel alone says it
+        expected = np.sqrt(np.sum(weights**2 * of_each))
+        assert relative_doubt(design, found, 0, np.ones(1)) == pytest.approx(expected)
