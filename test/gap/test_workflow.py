@@ -14,7 +14,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.gap import analysis, workflow
 from geomid_ros.gap.judgement import changed_links
-from geomid_ros.gap.result import GapResult
+from geomid_ros.gap.result import GapResult, LinkChange
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.model.effects.stribeck_friction import StribeckFriction
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
@@ -207,6 +207,23 @@ def test_no_link_is_sure_in_whose_place_another_one_may_have_been_changed(monkey
     assert (change.link, change.confidence) == (planted.model().body_names[2], "tentative")
 
 
+def test_no_link_is_sure_of_which_the_size_that_is_written_may_be_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unsure(*given: Any) -> tuple[LinkChange, ...]:
+        links = changed_links.changed_links(*given)
+        return tuple(
+            replace(link, mass=replace(link.mass, std=0.5 * abs(link.mass.value)), moment={}) for link in links
+        )
+
+    inertias = planted.true_inertias(61, 0.2)
+    lighter = inertias * np.array([[1.0], [1.0], [0.7]])
+    (sure,) = found_lighter(inertias, lighter, 61).links
+    assert sure.confidence == "confident"
+    monkeypatch.setattr(workflow, "changed_links", unsure)
+    result = found_lighter(inertias, lighter, 61)
+    assert not result.links
+    np.testing.assert_allclose(result.gap.after, result.gap.before, rtol=0.01)
+
+
 def test_a_gain_of_all_joints_is_no_payload() -> None:
     """Where it is known what the links weigh."""
     inertias = planted.true_inertias(51, 0.2)
@@ -356,7 +373,7 @@ def test_friction_in_proportion_to_the_effort_is_of_that_of_other_friction_too()
     assert abs(size.value - 0.2) < 3.0 * size.std < 0.06
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.015])
+@pytest.mark.parametrize("delay", [0.0, 0.015, -0.06])
 def test_friction_that_follows_reversals_late_is_no_delay(delay: float) -> None:
     """As bristles that bend first: it lags by some 20 ms, what the rigid bodies need does not."""
     inertias = planted.true_inertias(81, 0.05)
