@@ -14,6 +14,7 @@ from geomid_ros.gap.evidence.linearised_problem import Columns, LinearisedProble
 from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
 from geomid_ros.gap.evidence.record import Records, TotalModel
 from geomid_ros.gap.evidence.standing import StandingRemainder
+from geomid_ros.gap.result import SURE
 from geomid_ros.inference.fit import fit, unfitted
 from geomid_ros.inference.probability import Support, Supports
 from geomid_ros.inference.selection import Selection
@@ -153,10 +154,28 @@ def _supported(last: _Round) -> tuple[_Round, dict[Candidate, Support[Candidate]
         kept, each = _worth_their_place(search, last.found)
         gone = {c.group for c in last.found.chosen} - {c.group for c in kept.chosen}
         if not gone:
-            return last, {candidate: each.of(candidate) for candidate in kept.chosen}
+            return last, _beside_unsure(search, kept, {candidate: each.of(candidate) for candidate in kept.chosen})
         tried = [c for c in search.hypotheses if c.group not in gone]
         search = Selection(kept.settled(search.design), search.prior, tried)
         last = replace(last, search=search, found=search.settle(search.fit(kept.chosen, kept)))
+
+
+def _beside_unsure(
+    search: NamesSearch, found: NamesFit, supports: dict[Candidate, Support[Candidate]]
+) -> dict[Candidate, Support[Candidate]]:
+    """The supports with the mean of the probabilities that a sure name has beside those that are not, and without
+    them: these are there with the probability of the likeliest."""
+    unsure = {c: support.probability for c, support in supports.items() if support.probability <= SURE}
+    if not 0 < len(unsure) < len(supports):
+        return supports
+    rest = search.without(found, *unsure)
+    alone = Selection(rest.settled(search.design), search.prior, search.hypotheses)
+    each, share = Supports(alone, alone.fit(rest.chosen, rest)), max(unsure.values())
+    mixed = dict(supports)
+    for name in supports.keys() - unsure.keys():
+        both = share * supports[name].probability + (1.0 - share) * each.of(name).probability
+        mixed[name] = replace(supports[name], probability=both)
+    return mixed
 
 
 def _worth_their_place(search: NamesSearch, found: NamesFit) -> tuple[NamesFit, Supports[Candidate, EffectTerm]]:

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from geomid_ros.gap.candidates import Candidate, EffectTerm
 from geomid_ros.gap.evidence.features import Features
