@@ -125,7 +125,8 @@ def relative_doubt(
     what their channels lack beside a fit: a part of it may lie along them. Where other recordings have told what is
     lacking, no more than along any of the directions that are left to its change.
 
-    Least squares weigh what each channel says by the power that the columns have there.
+    Least squares weigh what each channel says by the power that the columns have there; what channels lack may have
+    one cause.
     """
     return _doubt(design, found, _lacking(design, found), columns, values)
 
@@ -150,8 +151,8 @@ def _doubt(
 ) -> float:
     """The same, of which the part of each channel's sum of squares that may lie along columns is known."""
     powers = design.powers(columns, values) / found.squares
-    left = float(np.sum(lacking / found.squares * powers))
-    return float(np.sqrt(left)) / max(float(np.sum(powers)), 1e-300)
+    left = float(np.sum(np.sqrt(lacking / found.squares * powers)))
+    return left / max(float(np.sum(powers)), 1e-300)
 
 
 def _places(found: JointFit[Chosen, Term], candidate: Chosen) -> list[int]:

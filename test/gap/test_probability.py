@@ -116,5 +116,5 @@ def test_each_channel_s_lack_counts_by_the_weight_that_least_squares_give_what_i
         found: Any = SimpleNamespace(squares=squares, remainders=lambda _, own=lacking: own)
         weights = powers / squares / np.sum(powers / squares)
         of_each = 0.25 * lacks / powers  # relative variance of the size as one channel alone says it
-        expected = np.sqrt(np.sum(weights**2 * of_each))
+        expected = np.sum(weights * np.sqrt(of_each))  # the errors may have one cause
         assert relative_doubt(design, found, 0, np.ones(1)) == pytest.approx(expected)
