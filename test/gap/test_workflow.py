@@ -373,7 +373,7 @@ def test_friction_in_proportion_to_the_effort_is_of_that_of_other_friction_too()
     assert abs(size.value - 0.2) < 3.0 * size.std < 0.06
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.015, -0.06])
+@pytest.mark.parametrize("delay", [0.0, 0.015])
 def test_friction_that_follows_reversals_late_is_no_delay(delay: float) -> None:
     """As bristles that bend first: it lags by some 20 ms, what the rigid bodies need does not."""
     inertias = planted.true_inertias(81, 0.05)
@@ -389,6 +389,23 @@ def test_friction_that_follows_reversals_late_is_no_delay(delay: float) -> None:
     result = find_gap(planted.model(), [planted.recording(efforts, 81)], [planted.recording(efforts, 1081, 15.0)])
     found = [f.parameters["delay"].value for f in result.findings if f.effect == "effort_delay"]
     assert np.allclose(found, [delay] if delay else [], atol=2e-3), found
+
+
+@pytest.mark.parametrize("seed", [81, 83, 84])
+def test_a_long_delay_is_found_beside_what_has_no_name(seed: int) -> None:
+    """What is common to all joints is no part of what each lacks."""
+    robot, delay = planted.rigid(planted.true_inertias(seed, 0.2)), -0.12
+
+    def efforts(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        lacking = np.sin(9.0 * q + 1.0) + np.sin(3.0 * q[:, [1, 2, 0]])
+        whole = robot(q, v, a) + 0.5 * np.tanh(v / 0.02) + 0.1 * lacking
+        times = np.arange(len(q)) / planted.RATE
+        return np.asarray(CubicSpline(times, whole)(times - delay))
+
+    train, unseen = planted.recording(efforts, seed), planted.recording(efforts, seed + 1000, 15.0)
+    result = find_gap(planted.model(), [train], [unseen])
+    (found,) = [f for f in result.sure if f.effect == "effort_delay"]
+    assert found.parameters["delay"].value == pytest.approx(delay, abs=2e-3)
 
 
 def test_a_search_that_does_not_settle_ends_along_what_it_found(monkeypatch: pytest.MonkeyPatch) -> None:
