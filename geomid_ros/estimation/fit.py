@@ -18,14 +18,17 @@ from geomid_ros.estimation.objective import ProductsObjective, ResidualObjective
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.solvers import Solution, trust_region
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
-from geomid_ros.estimation.tolerances import LEAST_GRADIENT, ROUNDS
+from geomid_ros.estimation.tolerances import LEAST_GRADIENT
 from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.types import FloatArray
 
 INDEPENDENT = 2.67
 """Independent rows per period of the filter's cutoff, which leaves nothing above 1.5 times this frequency."""
-_SETTLED = 1e-8  # relative change of standard deviations and spreads
+_ROUNDS = 60
+_BUDGET = 3  # times the solver's steps, of all rounds together: five times what measured robots ask for
+_SETTLED = 1e-7  # relative change of standard deviations and spreads, which falls to about a third in a round
+_SETTLED_WARM = 1e-8  # the same where rounds are extrapolated, so that few more are needed
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -80,7 +83,10 @@ def fit(
         tolerance: largest geodesic distance of the result from the minimum.
         max_steps: of the solver, for each noise and spreads.
     """
-    point, sigmas, spreads, spent = _settled(problem, start, spreads, tolerance, max_steps)
+    within = _SETTLED if start is None else _SETTLED_WARM
+    point, sigmas, spreads, spent = settle(
+        problem, start, spreads, tolerance=tolerance, max_steps=max_steps, within=within
+    )
     rows = problem.rows(sigmas)
     objective = _objective(problem, rows, spreads)
     solution = trust_region(objective, point, _gradient(objective, tolerance), max_steps)
@@ -97,17 +103,29 @@ def fit(
     )
 
 
-def _settled(
-    problem: Problem, start: Point | None, spreads: FloatArray | None, tolerance: float, max_steps: int
+def settle(
+    problem: Problem,
+    start: Point | None,
+    spreads: FloatArray | None,
+    *,
+    tolerance: float,
+    max_steps: int,
+    within: float,
 ) -> tuple[Point, FloatArray, FloatArray, bool]:
     """The parameters, the noise of each group ``(groups,)`` and the spread of each link ``(links,)`` that go together;
-    and whether the budget of steps ended the search for them."""
+    and whether the budget of steps ended the search for them.
+
+    Args:
+        problem, start, spreads, tolerance, max_steps: as of :func:`fit`.
+        within: relative change of noise and spreads in a round with which the search for them ends.
+    """
     point = start or problem.prior_point
     spreads = problem.usual if spreads is None or problem.gamma is not None else spreads
     sigmas = problem.noise(point.parameters) if start is not None else problem.first_noise
-    extrapolation, steps = Extrapolation(), 0
-    most = max_steps if start is None else 1  # near the fixed point one step for each noise is enough
-    for _ in range(ROUNDS):
+    # Near its fixed point the iteration is linear: it can be extrapolated, and one step for each noise is enough.
+    extrapolation, most = (None, max_steps) if start is None else (Extrapolation(), 1)
+    steps = 0
+    for _ in range(_ROUNDS):
         rough = _rough(problem, sigmas, spreads)
         solution = trust_region(rough, point, _gradient(rough, tolerance), most)
         point, steps = solution.point, steps + solution.steps
@@ -116,11 +134,12 @@ def _settled(
         if problem.gamma is None:
             spreads = _spreads(problem, rough, solution)
         ended = np.log(np.concatenate([sigmas, spreads]))
-        if np.all(np.abs(ended - begun) < _SETTLED):
+        if np.all(np.abs(ended - begun) < within):
             break
-        if steps > max_steps:
+        if steps > _BUDGET * max_steps:
             return point, sigmas, spreads, True
-        sigmas, spreads = np.split(np.exp(extrapolation.next(begun, ended)), [len(sigmas)])
+        if extrapolation is not None:
+            sigmas, spreads = np.split(np.exp(extrapolation.next(begun, ended)), [len(sigmas)])
     return point, sigmas, spreads, False
 
 

@@ -151,8 +151,8 @@ def test_without_features_nothing_changes() -> None:
 def test_products_beside_other_variances_go_with_their_design() -> None:
     """A search asks for hundreds: what nobody holds any more must not stay with the design that it was made from."""
     design = Design.of([rows(1)], COLUMNS)
-    own, other = design.target_squares, design.given([10.0 * each for each in design.variances])
-    assert other.target_squares < own  # the larger the remainder, the less is left of the target
+    own, other = design.cost, design.given([10.0 * each for each in design.variances])
+    assert other.cost > own  # the larger the remainder, the more it costs
     products = weakref.ref(other._marginalised[0])
     assert design.given(design.variances)._marginalised[0] is design._marginalised[0]  # what is at hand is taken over
     del other
