@@ -87,7 +87,7 @@ class Subject:
 
     def parts(self, *, alternating: bool = False) -> list[Subject]:
         """The recordings that this is of, or both halves of a single one; or two sets of stretches in turn, which both
-        have something of all of the time, if ``alternating``."""
+        have something of all of the time, if ``alternating``. In each every effort changes."""
         places = np.arange(len(self.samples))
         if alternating:
             which = (STRETCHES * places // len(places)) % 2
@@ -95,7 +95,7 @@ class Subject:
             several = len(np.unique(self.recordings)) > 1
             which = self.recordings if several else 2 * places // len(places)
         parts = [self.part(which == one) for one in np.unique(which)]
-        return [part for part in parts if 2 * len(part.samples) >= FEWEST]
+        return [part for part in parts if 2 * len(part.samples) >= FEWEST and np.all(part.spread > 0.0)]
 
     def with_efforts(self, measured: FloatArray) -> Subject:
         """The same motion with other efforts ``(N, C)``."""
