@@ -150,7 +150,7 @@ def _doubt(
     values: FloatArray,
 ) -> float:
     """The same, of which the part of each channel's sum of squares that may lie along columns is known."""
-    powers = design.powers(columns, values) / found.squares
+    powers = np.maximum(design.powers(columns, values) / found.squares, 0.0)  # rounding may leave less
     left = float(np.sum(np.sqrt(lacking / found.squares * powers)))
     return left / max(float(np.sum(powers)), 1e-300)
 
