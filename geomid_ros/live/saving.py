@@ -214,7 +214,7 @@ class Saving:
         from geomid_ros.session.gap import lacking_in_messages  # noqa: PLC0415 a third of a node's start
 
         try:
-            messages = worker.messages_before_gap()
+            messages = worker.messages()  # an estimate is from all of them, whether a gap is open or not
             remainder = lacking_in_messages(worker.session, self._folder / ESTIMATE, messages)
             with self._one_at_a_time:
                 if remainder is not None and self._saved is estimate:

@@ -94,6 +94,10 @@ class Worker:
         begin = max((gap.since + _TRANSITION for gap in self.solver.detector.gaps if gap.since is not None), default=0)
         return [late for each in self.session.recent.entries() if len(late := each.since(begin))]
 
+    def messages(self) -> list[Accepted]:
+        """The messages that the session remembers."""
+        return self.session.recent.entries()
+
     def messages_before_gap(self) -> list[Accepted]:
         """The messages that the session remembers of the time before the first gap opened that is open; all of them
         if none is."""

@@ -52,7 +52,7 @@ class Rippling:
     @property
     def worker(self) -> Any:
         """As much of one as saving asks."""
-        return SimpleNamespace(session=self.session, messages_before_gap=lambda: self.messages)
+        return SimpleNamespace(session=self.session, messages=lambda: self.messages)
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +127,7 @@ def test_it_is_not_given_to_another_estimate(arm: Rippling, saving: Saving, tmp_
         saving.save_last(arm.session, other, PATIENCE)
         return arm.messages
 
-    saving.begin(SimpleNamespace(session=arm.session, messages_before_gap=save_other), arm.estimate, lambda _: None)
+    saving.begin(SimpleNamespace(session=arm.session, messages=save_other), arm.estimate, lambda _: None)
     assert read_posterior(tmp_path / POSTERIOR).parameters.tolist() == other.posterior.parameters.tolist()
     assert read_remainder(tmp_path / POSTERIOR) is None
 
