@@ -105,7 +105,8 @@ class LinkChange:
     @property
     def told(self) -> float:
         """The square of its deviations from nothing: of the mass, or of what else has changed."""
-        return max((q.value / q.std) ** 2 for q in (self.moment.values() or (self.mass,)))
+        sizes = self.moment.values() or (self.mass,)
+        return max(((q.value / q.std) ** 2 for q in sizes if q.std > 0.0), default=float("inf"))
 
     @property
     def sentence(self) -> str:

@@ -1,16 +1,11 @@
-"""Symmetric positive definite matrices: by Cholesky's decomposition, in half of the time of general methods; and
-tridiagonal ones."""
+"""Symmetric positive definite matrices: by Cholesky's decomposition, in half of the time of general methods."""
 
 from __future__ import annotations
 
 from functools import cache
-from importlib.machinery import PathFinder
-from importlib.util import module_from_spec
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
-import scipy
 from numpy.linalg import LinAlgError
 
 from geomid_ros.types import FloatArray
@@ -18,15 +13,9 @@ from geomid_ros.types import FloatArray
 
 @cache
 def _lapack() -> ModuleType:
-    """LAPACK as scipy wraps it: this one file loads in a tenth of the time and of the memory of scipy.linalg."""
-    spec = PathFinder.find_spec("scipy.linalg._flapack", [str(Path(scipy.__file__).parent / "linalg")])
-    if spec is None or spec.loader is None:  # a scipy that keeps it elsewhere
-        from scipy.linalg import lapack  # noqa: PLC0415
+    from scipy.linalg import lapack  # noqa: PLC0415 what solves nothing need not load it
 
-        return lapack  # type: ignore[no-any-return]
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return lapack  # type: ignore[no-any-return]
 
 
 def solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
@@ -77,12 +66,3 @@ def inverse(matrix: FloatArray) -> FloatArray:
     whole = half + half.T
     np.fill_diagonal(whole, np.diag(half))
     return np.asarray(whole)
-
-
-def solved_tridiagonal(lower: FloatArray, diagonal: FloatArray, upper: FloatArray, right: FloatArray) -> FloatArray:
-    """The x ``(n, k)`` of a matrix with this ``diagonal (n,)`` and those beside it, ``lower`` and ``upper (n - 1,)``,
-    times x = ``right (n, k)``. Raises LinAlgError for a singular matrix."""
-    *_, x, failed = _lapack().dgtsv(lower, diagonal, upper, right)
-    if failed:
-        raise LinAlgError("singular matrix")
-    return np.asarray(x)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.spline import spline
 from geomid_ros.types import FloatArray
 
 _SHORTEST = 0.25  # [s] a shorter part is not used
@@ -41,4 +40,7 @@ def interpolated(times: FloatArray, values: FloatArray, at: FloatArray) -> Float
 
     Columns that are not measured throughout are zero.
     """
-    return spline(times, np.where(np.all(np.isfinite(values), axis=0), values, 0.0), at)
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 takes long to load
+
+    spline = CubicSpline(times, np.where(np.all(np.isfinite(values), axis=0), values, 0.0))
+    return np.asarray(spline(at))

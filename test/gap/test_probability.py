@@ -118,3 +118,11 @@ def test_each_channel_s_lack_counts_by_the_weight_that_least_squares_give_what_i
         of_each = 0.25 * lacks / powers  # relative variance of the size as one channel alone says it
         expected = np.sum(weights * np.sqrt(of_each))  # the errors may have one cause
         assert relative_doubt(design, found, 0, np.ones(1)) == pytest.approx(expected)
+
+
+def test_a_power_that_rounding_leaves_below_zero_is_none() -> None:
+    design: Any = SimpleNamespace(
+        channels=[SimpleNamespace(before=None)] * 2, powers=lambda *_: np.array([1.0, -1e-18])
+    )
+    found: Any = SimpleNamespace(squares=np.ones(2), remainders=lambda _: [SimpleNamespace(power=1.0, freedom=1.0)] * 2)
+    assert relative_doubt(design, found, 0, np.ones(1)) == pytest.approx(0.5)

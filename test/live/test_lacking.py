@@ -11,6 +11,7 @@ import pytest
 from estimation.arms import efforts, motion, shipped, truth
 
 from geomid_ros.errors import InputError
+from geomid_ros.files.models.gap_model import ESTIMATE
 from geomid_ros.files.models.posterior import POSTERIOR, read_posterior, read_remainder
 from geomid_ros.gap.evidence.standing import StandingRemainder
 from geomid_ros.live import saving as module
@@ -21,6 +22,7 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.monitoring.change_detection import ChannelGap
 from geomid_ros.session import gap
 from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.gap import lacking_in_messages
 from geomid_ros.session.recordings import silent
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import JOINT_STATES, Accepted
@@ -117,6 +119,23 @@ def test_it_is_kept_where_the_same_estimate_is_saved_again(arm: Rippling, saving
     (tmp_path / POSTERIOR).unlink()
     saving.save_last(arm.session, arm.estimate, PATIENCE)
     assert read_remainder(tmp_path / POSTERIOR) is not None
+
+
+def test_it_is_of_all_messages_that_the_estimate_is_from_whether_a_gap_is_open_or_not(
+    arm: Rippling, saving: Saving, tmp_path: Path
+) -> None:
+    (whole,) = arm.messages
+    early = [whole.before(int(whole.stamps[len(whole) // 2]))]
+    worker: Any = SimpleNamespace(session=arm.session, messages=lambda: arm.messages, messages_before_gap=lambda: early)
+    saving.begin(worker, arm.estimate, lambda _: None)
+    expected, other = (lacking_in_messages(arm.session, tmp_path / ESTIMATE, each) for each in (arm.messages, early))
+    remainder = read_remainder(tmp_path / POSTERIOR)
+    assert expected is not None
+    assert other is not None
+    assert remainder is not None
+    for place, mean in enumerate(remainder.means):
+        np.testing.assert_allclose(mean, expected.means[place], rtol=1e-9, atol=1e-12)
+    assert not np.allclose(remainder.means[1], other.means[1], rtol=1e-3)
 
 
 def test_it_is_not_given_to_another_estimate(arm: Rippling, saving: Saving, tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from geomid_ros.session.payload import WeighedPayload, weigh
 from geomid_ros.session.recordings import silent
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import JOINT_STATES, Accepted
+from geomid_ros.types import FloatArray
 
 NOISE = 0.05
 MASS, COM = 1.3, np.array([0.02, -0.03, 0.08])
@@ -32,16 +33,21 @@ def session() -> Session:
     return Session(shipped("arm3"), Configuration({"candidates": []}), "arm3.urdf")
 
 
-def recording(seed: int, payload: bool, gain: float = 1.0) -> Samples:
-    """One robot, the same for all seeds, in a motion of its own."""
+def measured(seed: int, payload: bool, seconds: float, gain: float = 1.0) -> tuple[Motion, FloatArray]:
+    """A motion, another for each seed, and the efforts of one robot, the same for all."""
     robot = Robot(shipped("arm3"))
     true = truth(np.random.default_rng(5), robot)
     if payload:
         true.links[-1] += pseudo_inertia.assemble(np.array(MASS), COM, INERTIA)
     rng = np.random.default_rng([seed, payload])
-    moving = motion(rng, len(robot.joints), 20.0)
+    moving = motion(rng, len(robot.joints), seconds)
     clean = gain * efforts(robot, true, moving)
-    return samples(moving, clean + NOISE * rng.normal(size=clean.shape))
+    return moving, clean + NOISE * rng.normal(size=clean.shape)
+
+
+def recording(seed: int, payload: bool, gain: float = 1.0) -> Samples:
+    """Twenty seconds."""
+    return samples(*measured(seed, payload, 20.0, gain))
 
 
 def recording_of_the_last_joint(seed: int) -> Samples:
@@ -181,17 +187,10 @@ def test_gains_are_wrong_each_by_itself_or_all_alike(shifts: list[float], more: 
 
 
 def messages(seed: int, payload: bool) -> list[Accepted]:
-    """A minute of :func:`recording`'s robot, as a node accepts it."""
-    robot = Robot(shipped("arm3"))
-    true = truth(np.random.default_rng(5), robot)
-    if payload:
-        true.links[-1] += pseudo_inertia.assemble(np.array(MASS), COM, INERTIA)
-    rng = np.random.default_rng([seed, payload])
-    moving = motion(rng, len(robot.joints), 60.0)
-    measured = efforts(robot, true, moving)
-    measured += NOISE * rng.normal(size=measured.shape)
-    stamps = 10_000_000 * np.arange(1, len(measured) + 1)
-    return [Accepted(JOINT_STATES, stamps, np.hstack([moving.position, moving.velocity, measured]))]
+    """A minute, as a node accepts it."""
+    moving, effort = measured(seed, payload, 60.0)
+    stamps = 10_000_000 * np.arange(1, len(effort) + 1)
+    return [Accepted(JOINT_STATES, stamps, np.hstack([moving.position, moving.velocity, effort]))]
 
 
 def heard(own: Session, accepted: list[Accepted]) -> Samples:

@@ -14,7 +14,6 @@ from geomid_ros.estimation.estimate import SURE
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.spline import spline
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _HIGHEST_ORDER = 6
@@ -142,9 +141,11 @@ def noise_by_repeats(model: MeasurementModel, records: Records) -> Repeats:
         known &= np.any(values[0] != values[0][0], axis=0)
         if delay is None or not np.any(known):
             continue
+        from scipy.interpolate import CubicSpline  # noqa: PLC0415 of repeats alone, takes long to load
+
         times, others = first.seconds, second.seconds
         both = (times + delay >= others[0]) & (times + delay <= others[-1])
-        again = spline(others, values[1][:, known], times[both] + delay)
+        again = CubicSpline(others, values[1][:, known])(times[both] + delay)
         squares[known] += 0.5 * np.sum((again - values[0][both][:, known]) ** 2, axis=0)
         counts[known] += np.count_nonzero(both)
     independent = len(records.samples) / max(1, sum(len(part) for part in records.dense))

@@ -17,7 +17,6 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.moving import SIGN, SMOOTH_SIGN, moves_one_way
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.kernels import filtered
-from geomid_ros.signals.spline import spline
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 # Between two guesses of how friction changes its sign it is unknown; what happens there lasts so long, either way [s].
@@ -200,14 +199,15 @@ def _unsettled(part: Samples) -> FloatArray:
 
 
 def _advanced(part: Samples, seconds: float) -> Samples:
-    times, later = part.seconds, part.seconds + seconds
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 of delays alone
+
+    times = part.seconds
     effort = np.full(part.effort.shape, np.nan)
     for joint, measured in enumerate(np.isfinite(part.effort).T):
         if np.count_nonzero(measured) > 1:
-            own = times[measured]
-            known = spline(own, part.effort[measured, joint, None], later)[:, 0]
-            unknown = np.interp(later, times, measured.astype(np.float64)) < 1.0
-            effort[:, joint] = np.where(unknown | (later < own[0]) | (later > own[-1]), np.nan, known)
+            known = CubicSpline(times[measured], part.effort[measured, joint], extrapolate=False)(times + seconds)
+            beside_gaps = np.interp(times + seconds, times, measured.astype(np.float64)) < 1.0
+            effort[:, joint] = np.where(beside_gaps, np.nan, known)
     return replace(part, effort=effort)
 
 
