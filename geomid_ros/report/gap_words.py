@@ -104,8 +104,8 @@ def compared(rival: Rival) -> str:
 
 
 def interval(quantity: Quantity) -> str:
-    """Where the true value lies with 95 % probability."""
-    if not math.isfinite(quantity.std):
+    """Where the true value lies with 95 % probability; nowhere else than it is, of a constant."""
+    if not 0.0 < quantity.std < math.inf:
         return NONE
     decimals, half = _decimals(quantity.std, quantity.value), SURE * quantity.std
     return f"{quantity.value - half:.{decimals}f} to {quantity.value + half:.{decimals}f}"
