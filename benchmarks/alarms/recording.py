@@ -15,14 +15,14 @@ from geomid_ros.live.inbox import Received
 from geomid_ros.signals.messages import JOINT_STATES
 from geomid_ros.simulation import Hidden, SimulationOptions
 from geomid_ros.simulation.bag import START, write_bag
-from geomid_ros.simulation.description import JointLimits
+from geomid_ros.simulation.description import UrdfLimits
 from geomid_ros.simulation.effects.measurement import sensed
-from geomid_ros.simulation.motion import FADE_IN, Motion, exciting_motion
+from geomid_ros.simulation.motion import FADE_IN, SetPoints, exciting_motion
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.realistic.loop import RealisticLoop
 from geomid_ros.simulation.realistic.robot import RealisticRobot, build_realistic
 from geomid_ros.simulation.realistic.sensors import published
-from geomid_ros.simulation.recorder import Controller, check_motion, run, slowed, tuned_controller
+from geomid_ros.simulation.recorder import JointController, check_motion, run, slowed, tuned_controller
 from geomid_ros.simulation.recording import sampling
 from geomid_ros.simulation.seeds import RandomStream, generator
 from geomid_ros.types import FloatArray
@@ -89,7 +89,7 @@ def _loop(robot: RealisticRobot, options: SimulationOptions, parts: Sequence[Par
     """Under a controller that knows the nominal model only."""
     nominal = Plant(robot.nominal, robot.nominal.inertias)
     setpoints = _motion(2 * sampling(robot, options).steps + 1, robot.joints, options, parts)
-    controller: Controller = tuned_controller(setpoints, nominal, robot.plant, robot.joints, nominal)
+    controller: JointController = tuned_controller(setpoints, nominal, robot.plant, robot.joints, nominal)
     return _ChangingLoop(robot.plant, slowed(controller, robot.plant, options.step), options.step, robot)
 
 
@@ -113,19 +113,19 @@ def _share(change: Change) -> Callable[[float], float]:
     return share
 
 
-def _motion(count: int, joints: Sequence[JointLimits], options: SimulationOptions, parts: Sequence[Part]) -> Motion:
+def _motion(count: int, joints: Sequence[UrdfLimits], options: SimulationOptions, parts: Sequence[Part]) -> SetPoints:
     """Set-points ``(count, n)`` half a step apart; each part begins and ends at rest in the middle of the ranges."""
     rng = generator(options.recording_seed, RandomStream.MOTION)
     half = np.float64(0.5 * options.step)
     moved = [_part(kind, half * np.arange(round(time / half)), joints, options, rng) for kind, time in parts]
     moved.append(_at_rest(max(count - sum(len(each.position) for each in moved), 0), joints))
     columns = zip(*(vars(each).values() for each in moved), strict=True)
-    return Motion(*(np.concatenate(column)[:count] for column in columns))
+    return SetPoints(*(np.concatenate(column)[:count] for column in columns))
 
 
 def _part(
-    kind: str, times: FloatArray, joints: Sequence[JointLimits], options: SimulationOptions, rng: np.random.Generator
-) -> Motion:
+    kind: str, times: FloatArray, joints: Sequence[UrdfLimits], options: SimulationOptions, rng: np.random.Generator
+) -> SetPoints:
     rest = _at_rest(len(times), joints)
     if kind == REST:
         return rest
@@ -135,13 +135,13 @@ def _part(
     rate = -30.0 * x**2 * (x - 1.0) ** 2 / FADE_IN
     rise = 60.0 * x * (2.0 * x**2 - 3.0 * x + 1.0) / FADE_IN**2
     moved = motion.position - rest.position
-    return Motion(
+    return SetPoints(
         rest.position + fade * moved,
         rate * moved + fade * motion.velocity,
         rise * moved + 2.0 * rate * motion.velocity + fade * motion.acceleration,
     )
 
 
-def _at_rest(count: int, joints: Sequence[JointLimits]) -> Motion:
+def _at_rest(count: int, joints: Sequence[UrdfLimits]) -> SetPoints:
     centre = np.array([joint.centre for joint in joints])
-    return Motion(np.tile(centre, (count, 1)), np.zeros((count, len(joints))), np.zeros((count, len(joints))))
+    return SetPoints(np.tile(centre, (count, 1)), np.zeros((count, len(joints))), np.zeros((count, len(joints))))

@@ -11,7 +11,7 @@ from benchmarks.report import Report
 from geomid_ros.excitation.feasibility import Feasibility
 from geomid_ros.excitation.knowledge import Belief, known_before
 from geomid_ros.excitation.learning import weight_of
-from geomid_ros.excitation.motion import Motion, MotionForm
+from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
 from geomid_ros.excitation.search import Search, expected_error, other_motions, random_feasible
 from geomid_ros.session.excitation import DesignTask
 from geomid_ros.types import FloatArray
@@ -60,16 +60,16 @@ def _weight(own: DesignTask, knowledge: Belief, random: np.random.Generator) -> 
     return weight_of("prediction", knowledge, others)
 
 
-def _designed(own: DesignTask, weight: FloatArray, random: np.random.Generator) -> Motion:
+def _designed(own: DesignTask, weight: FloatArray, random: np.random.Generator) -> ExcitingMotion:
     return Search(own.feasibility, own.form, expected_error(own.feasibility, weight, own.form)).run(random)
 
 
-def _expected(knowledge: Belief, weight: FloatArray, motion: Motion) -> float:
+def _expected(knowledge: Belief, weight: FloatArray, motion: ExcitingMotion) -> float:
     after = knowledge.after(knowledge.information(motion))
     return float(np.sqrt(np.sum(weight * after.posterior.covariance)))
 
 
-def _errors(knowledge: Belief, motions: list[Motion], others: list[Motion], truths: int) -> list[float]:
+def _errors(knowledge: Belief, motions: list[ExcitingMotion], others: list[ExcitingMotion], truths: int) -> list[float]:
     errors = []
     for seed in range(truths):
         random = np.random.default_rng(seed)
@@ -121,14 +121,18 @@ def after_poor_data(report: Report, robots: list[str], seconds: float, truths: i
     report.table(f"Error of predicted efforts after 60 s of pick and place, {truths} truths", headings, rows, caption)
 
 
-def _error_after(knowledge: Belief, recordings: list[Recorded], true: FloatArray, others: list[Motion]) -> float:
+def _error_after(
+    knowledge: Belief, recordings: list[Recorded], true: FloatArray, others: list[ExcitingMotion]
+) -> float:
     return predicted_error(knowledge, identified(knowledge, recordings).parameters, true, others)
 
 
 def _pick_and_place(own: DesignTask, true: FloatArray, random: np.random.Generator) -> _Poor:
     """A minute of the same two small motions to and fro."""
     form = MotionForm(period=6.0, slow_share=0.999, repeats=10)
-    motion = Motion(form, own.feasibility.start, random.standard_normal((form.size, len(own.feasibility.start))))
+    motion = ExcitingMotion(
+        form, own.feasibility.start, random.standard_normal((form.size, len(own.feasibility.start)))
+    )
     keep = np.zeros((form.size, 1))
     keep[form.waves :] = 1.0
     small = motion.scaled(keep)

@@ -13,7 +13,7 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, estimate
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Belief
-from geomid_ros.excitation.motion import Motion
+from geomid_ros.excitation.motion import ExcitingMotion
 from geomid_ros.model.samples import samples_of
 from geomid_ros.session.collision_scene import Surroundings
 from geomid_ros.session.configuration import Configuration
@@ -82,7 +82,7 @@ class Recorded:
     measured: FloatArray
 
 
-def recorded(knowledge: Belief, motion: Motion, true: FloatArray, random: np.random.Generator) -> Recorded:
+def recorded(knowledge: Belief, motion: ExcitingMotion, true: FloatArray, random: np.random.Generator) -> Recorded:
     """A motion that a robot ran, with white noise."""
     count = int(np.ceil(ROWS_PER_SECOND * motion.form.duration))
     times = (np.arange(count) + 0.5) * motion.form.duration / count
@@ -100,7 +100,7 @@ def identified(knowledge: Belief, recordings: list[Recorded]) -> Estimate:
     return estimate(knowledge.model, summary, EstimatorSettings())
 
 
-def predicted_error(knowledge: Belief, parameters: FloatArray, true: FloatArray, others: list[Motion]) -> float:
+def predicted_error(knowledge: Belief, parameters: FloatArray, true: FloatArray, others: list[ExcitingMotion]) -> float:
     """RMS error of the efforts on other motions, in units of the noise."""
     squares = []
     for motion in others:

@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.excite.robots import SPREAD, task, wish
 from benchmarks.report import Report
 from geomid_ros.excitation.knowledge import ROWS_PER_SECOND
-from geomid_ros.excitation.motion import Motion
+from geomid_ros.excitation.motion import ExcitingMotion
 from geomid_ros.excitation.response import Responses
 from geomid_ros.excitation.rivals import DECIDED, DiscriminationCriterion, deciding_motion
 from geomid_ros.excitation.search import random_feasible
@@ -96,11 +96,11 @@ def _outcomes(own: DesignTask, case: Case, folder: Path) -> list[tuple[list[str]
     return found
 
 
-def _repeated(motion: Motion, times: int) -> Motion:
-    return Motion(replace(motion.form, repeats=times), motion.start, motion.coefficients)
+def _repeated(motion: ExcitingMotion, times: int) -> ExcitingMotion:
+    return ExcitingMotion(replace(motion.form, repeats=times), motion.start, motion.coefficients)
 
 
-def _sized(own: DesignTask, case: Case, others: list[Motion], folder: Path) -> DiscriminationCriterion:
+def _sized(own: DesignTask, case: Case, others: list[ExcitingMotion], folder: Path) -> DiscriminationCriterion:
     """The judge of a finding that is so large that random motions leave it open."""
     low, high = -7.0, 7.0  # of the logarithm of its size
     for _ in range(10):
@@ -131,7 +131,9 @@ def _judge(own: DesignTask, case: Case, factor: float, folder: Path) -> Discrimi
     return open_questions(own.feasibility, path)[0]
 
 
-def _score(own: DesignTask, judge: DiscriminationCriterion, case: Case, motion: Motion, true_is_found: bool) -> float:
+def _score(
+    own: DesignTask, judge: DiscriminationCriterion, case: Case, motion: ExcitingMotion, true_is_found: bool
+) -> float:
     """By how much the score of what is true is better: -2 log p with a penalty for each coefficient."""
     random = np.random.default_rng([1, true_is_found])
     model, sigmas = own.knowledge.model.without_effects(), own.knowledge.sigmas
@@ -180,13 +182,13 @@ def _rigid(model: MeasurementModel, inertias: FloatArray, states: FloatArray) ->
     return np.asarray(_rows(model, states) @ inertias)
 
 
-_Truth = Callable[[MeasurementModel, FloatArray, Motion, FloatArray, int, FloatArray, float], FloatArray]
+_Truth = Callable[[MeasurementModel, FloatArray, ExcitingMotion, FloatArray, int, FloatArray, float], FloatArray]
 
 
 def _elastic(
     model: MeasurementModel,
     inertias: FloatArray,
-    motion: Motion,
+    motion: ExcitingMotion,
     times: FloatArray,
     joint: int,
     coefficients: FloatArray,
@@ -207,7 +209,7 @@ def _elastic(
 def _late(
     model: MeasurementModel,
     inertias: FloatArray,
-    motion: Motion,
+    motion: ExcitingMotion,
     times: FloatArray,
     _joint: int,
     coefficients: FloatArray,
@@ -219,7 +221,7 @@ def _late(
 def _carried(
     model: MeasurementModel,
     inertias: FloatArray,
-    motion: Motion,
+    motion: ExcitingMotion,
     times: FloatArray,
     link: int,
     coefficients: FloatArray,
@@ -236,7 +238,7 @@ def _at_joint(formula: Callable[[FloatArray, FloatArray, float], FloatArray]) ->
     def efforts(
         model: MeasurementModel,
         inertias: FloatArray,
-        motion: Motion,
+        motion: ExcitingMotion,
         times: FloatArray,
         joint: int,
         coefficients: FloatArray,

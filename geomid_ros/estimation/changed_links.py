@@ -89,7 +89,7 @@ def changed_links(
         limit: gain from which on a change is believed.
         alike: a link is a rival if its change explains it worse by less than this.
     """
-    problem = _Problem(first, second)
+    problem = _LinkChanges(first, second)
     changed: list[int] = []
     found: list[tuple[float, list[str]]] = []
     while len(changed) < len(names):
@@ -109,7 +109,7 @@ def changed_links(
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
+class _LinkChanges:
     """Least squares in tangent coordinates at the first result: of its links, and of the changes of some. A unit of
     a coordinate is a change by about as much as the body is: so wide is what is known beforehand."""
 

@@ -44,7 +44,7 @@ def suggested_motions(model: MeasurementModel, estimate: Estimate) -> dict[str, 
     found: dict[str, dict[str, list[str]]] = {name: {} for name in left}
     if not any(left.values()):
         return found
-    problem = _Problem(estimate)
+    problem = _KnownLinks(estimate)
     for motion, rows in _tried(model, estimate):
         for link, told in zip(estimate.links, problem.told_with(rows), strict=True):
             now = [quantity for quantity in left[link.name] if quantity in told]
@@ -57,7 +57,7 @@ def suggested_motions(model: MeasurementModel, estimate: Estimate) -> dict[str, 
     return found
 
 
-class _Problem:
+class _KnownLinks:
     """The information of an estimate's data on all links together, and the prior."""
 
     def __init__(self, estimate: Estimate) -> None:

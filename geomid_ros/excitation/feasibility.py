@@ -11,7 +11,7 @@ from geomid_ros.estimation.estimate import SURE
 from geomid_ros.excitation.clearance import Distances, clearances_from, overlap
 from geomid_ros.excitation.knowledge import Belief
 from geomid_ros.excitation.limits import MotionLimits
-from geomid_ros.excitation.motion import Motion
+from geomid_ros.excitation.motion import ExcitingMotion
 from geomid_ros.model.collision import CollisionModel
 from geomid_ros.types import FloatArray
 
@@ -91,7 +91,7 @@ class Feasibility:
         spread = np.sqrt(np.maximum(np.einsum("njd,de,nje->nj", rows, self.knowledge.posterior.covariance, rows), 0.0))
         return np.asarray((np.abs(self.knowledge.efforts(states)) + SURE * spread) / self.limits.effort)
 
-    def largest_scale(self, motion: Motion) -> FloatArray:
+    def largest_scale(self, motion: ExcitingMotion) -> FloatArray:
         """The factors ``(J,)`` that bring each joint of a motion to the first of its limits of position, speed,
         acceleration and jerk."""
         states = motion.at(_times(motion, _FINE))
@@ -106,11 +106,11 @@ class Feasibility:
         worst = np.max(np.nan_to_num(shares, nan=0.0, posinf=np.inf), axis=0)
         return np.where(worst > 0.0, 1.0 / np.where(worst > 0.0, worst, 1.0), 0.0)
 
-    def within_limits(self, motion: Motion) -> Motion:
+    def within_limits(self, motion: ExcitingMotion) -> ExcitingMotion:
         """The motion, each joint shrunk into its own limits."""
         return motion.scaled(np.minimum(1.0, self.largest_scale(motion)))
 
-    def made_feasible(self, motion: Motion, halvings: int = HALVINGS) -> Motion:
+    def made_feasible(self, motion: ExcitingMotion, halvings: int = HALVINGS) -> ExcitingMotion:
         """The motion, each joint shrunk into its own limits, and all of it towards the start until efforts and
         distances hold, too; with more ``halvings`` no more than it must."""
         shrunk = self.within_limits(motion)
@@ -122,17 +122,17 @@ class Feasibility:
             low, high = (middle, high) if self.holds(shrunk.scaled(middle)) else (low, middle)
         return shrunk.scaled(low)
 
-    def holds(self, motion: Motion) -> bool:
+    def holds(self, motion: ExcitingMotion) -> bool:
         """Whether a motion within its joints' limits holds those of efforts and distances, too."""
         times = _times(motion, _EFFORTS)
         if np.max(self._effort_shares(motion.at(times)[:3])) > 1.0 - _RESERVE:
             return False
         return self.collision is None or self._is_clear(motion, self.collision)
 
-    def _is_clear(self, motion: Motion, collision: CollisionModel) -> bool:
+    def _is_clear(self, motion: ExcitingMotion, collision: CollisionModel) -> bool:
         return Distances(motion.at, motion.form.period, collision, self.clearances).settle()
 
-    def margins(self, motion: Motion) -> Margins:
+    def margins(self, motion: ExcitingMotion) -> Margins:
         """How far a feasible motion stays from all limits."""
         states = motion.at(_times(motion, _FINE))
         low, high = self.limits.position.T
@@ -147,7 +147,7 @@ class Feasibility:
             distance=self._least_distances(motion),
         )
 
-    def _least_distances(self, motion: Motion) -> FloatArray:
+    def _least_distances(self, motion: ExcitingMotion) -> FloatArray:
         if self.collision is None:
             return np.zeros(0)
         found = Distances(motion.at, motion.form.period, self.collision, self.clearances)
@@ -155,6 +155,6 @@ class Feasibility:
         return found.bounds()
 
 
-def _times(motion: Motion, rate: float) -> FloatArray:
+def _times(motion: ExcitingMotion, rate: float) -> FloatArray:
     """Instants of a period, at a ``rate`` [Hz]."""
     return np.linspace(0.0, motion.form.period, int(np.ceil(rate * motion.form.period)) + 1)

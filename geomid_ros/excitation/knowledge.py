@@ -15,7 +15,7 @@ from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.estimation.starting_point import usual_spreads
 from geomid_ros.estimation.uncertainty import physical_sensitivity
 from geomid_ros.excitation.limits import MotionLimits
-from geomid_ros.excitation.motion import Motion
+from geomid_ros.excitation.motion import ExcitingMotion
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import ACCELERATION_PER_SPEED, random_states, samples_of
 from geomid_ros.types import FloatArray, frozen
@@ -68,7 +68,7 @@ class Belief:
         """The efforts ``(N, J)`` to expect at ``states (3, N, J)``."""
         return np.asarray((self.rows_of_parameters(states) @ self.posterior.parameters)[:, : states.shape[2]])
 
-    def information(self, motion: Motion) -> FloatArray:
+    def information(self, motion: ExcitingMotion) -> FloatArray:
         """What a motion tells of the tangent coordinates ``(D, D)``."""
         count = int(np.ceil(ROWS_PER_SECOND * motion.form.period))
         times = (np.arange(count) + 0.5) * motion.form.period / count

@@ -10,7 +10,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Belief
-from geomid_ros.excitation.motion import Motion
+from geomid_ros.excitation.motion import ExcitingMotion
 from geomid_ros.model.effects import effect_class
 from geomid_ros.types import FloatArray
 
@@ -19,7 +19,7 @@ _FRICTION = "dynamics/"  # attributes of a URDF that say friction
 _WORTH = 0.02  # a difference that is worth a word
 
 
-def weight_of(aim: str, knowledge: Belief, others: Sequence[Motion]) -> FloatArray:
+def weight_of(aim: str, knowledge: Belief, others: Sequence[ExcitingMotion]) -> FloatArray:
     """The weight ``(D, D)`` W of an aim: the criterion is the trace of W times the covariance of the estimate.
 
     - ``prediction`` (I-optimal): mean squared error of the efforts, in units of the noise, on ``others``;
@@ -113,7 +113,11 @@ class Learning:
 
 
 def expected_learning(
-    knowledge: Belief, weight: FloatArray, motion: Motion, randoms: Sequence[Motion], aim: Belief | None = None
+    knowledge: Belief,
+    weight: FloatArray,
+    motion: ExcitingMotion,
+    randoms: Sequence[ExcitingMotion],
+    aim: Belief | None = None,
 ) -> Learning:
     """Compare a motion with ``randoms`` of its form, of which the middle one counts.
 

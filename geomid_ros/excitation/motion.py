@@ -118,7 +118,7 @@ def _to_and_fro(begin: float, end: float) -> tuple[PPoly, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class ExcitingMotion:
     """A motion of J joints: its ``form``, where it begins and ends ``start (J,)``, and ``coefficients (size, J)``."""
 
     form: MotionForm
@@ -137,6 +137,6 @@ class Motion:
         found[0] += self.start
         return found
 
-    def scaled(self, factor: FloatArray | float) -> Motion:
+    def scaled(self, factor: FloatArray | float) -> ExcitingMotion:
         """The motion shrunk towards its start, by one factor or by one of each joint."""
-        return Motion(self.form, self.start, self.coefficients * factor)
+        return ExcitingMotion(self.form, self.start, self.coefficients * factor)

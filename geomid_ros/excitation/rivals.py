@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 from geomid_ros.excitation.feasibility import Feasibility
 from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Belief
-from geomid_ros.excitation.motion import Motion, MotionForm
+from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
 from geomid_ros.excitation.response import Responses
 from geomid_ros.excitation.search import BENDS, Search, random_motion
 from geomid_ros.model.effects import Effect, Place
@@ -60,7 +60,7 @@ class DiscriminationCriterion:
         self.imitations: dict[tuple[int, int], tuple[int, FloatArray]] = {}
         """The variant and the coefficients of each rival that look like what was found, by dispute and rival."""
 
-    def prepare(self, reference: Motion) -> None:
+    def prepare(self, reference: ExcitingMotion) -> None:
         """Find how large rivals are that look like what was found, in some motion: so that as much is unexplained."""
         rows, own = self._at(reference)
         for place, dispute in enumerate(self.disputes):
@@ -72,7 +72,7 @@ class DiscriminationCriterion:
                 size = np.sqrt(known.unexplained(target) / max(looks, np.finfo(float).tiny))
                 self.imitations[place, index] = best, size * fits[best][1]
 
-    def differences(self, motion: Motion) -> list[list[float]]:
+    def differences(self, motion: ExcitingMotion) -> list[list[float]]:
         """Of each dispute and rival: the least expected difference of -2 log p, whichever of both is true; a name with
         more parameters has to make up for them (BIC)."""
         rows, own = self._at(motion)
@@ -94,7 +94,7 @@ class DiscriminationCriterion:
             found.append(least)
         return found
 
-    def least(self, motion: Motion) -> float:
+    def least(self, motion: ExcitingMotion) -> float:
         """The least of all differences."""
         return min(difference for differences in self.differences(motion) for difference in differences)
 
@@ -106,7 +106,7 @@ class DiscriminationCriterion:
         precision = np.diag(1.0 / np.maximum(sizes**2, np.finfo(float).tiny))
         return _Known(np.column_stack([rows, *columns]), block_diag(self._knowledge.precision, precision))
 
-    def _at(self, motion: Motion) -> tuple[FloatArray, Callable[[Name], list[FloatArray]]]:
+    def _at(self, motion: ExcitingMotion) -> tuple[FloatArray, Callable[[Name], list[FloatArray]]]:
         """Weighted rows ``(n, D)`` of a motion, and the weighted columns ``(n, k)`` of each variant of a name."""
         duration = motion.form.period
         count = int(np.ceil(_RATE * duration))
@@ -158,13 +158,13 @@ def deciding_motion(
     judge: DiscriminationCriterion,
     random: np.random.Generator,
     progress: Callable[[float], None] = lambda _: None,
-) -> Motion:
+) -> ExcitingMotion:
     """A feasible motion after which the least of a judge's differences is large: the best of random ones, and from
     there uphill by random steps."""
     judge.prepare(random_motion(feasibility, form, random).scaled(_REFERENCE))
     costs = Search(feasibility, form, evaluations=BENDS)
 
-    def value(motion: Motion) -> float:
+    def value(motion: ExcitingMotion) -> float:
         difference = judge.least(motion)
         # As the logarithm, and on where there is none.
         gain = np.log(difference) if difference > 1.0 else difference - 1.0
@@ -175,7 +175,9 @@ def deciding_motion(
     for index in range(_STEPS):
         progress(index / _STEPS)
         other = random_motion(feasibility, form, random)
-        tried = feasibility.within_limits(Motion(form, best.start, best.coefficients + step * other.coefficients))
+        tried = feasibility.within_limits(
+            ExcitingMotion(form, best.start, best.coefficients + step * other.coefficients)
+        )
         cost = value(tried)
         better = cost < lowest
         if better:

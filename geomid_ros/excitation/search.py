@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 from geomid_ros.estimation.estimate import SURE
 from geomid_ros.excitation.feasibility import HALVINGS, Feasibility
 from geomid_ros.excitation.knowledge import covariance_of
-from geomid_ros.excitation.motion import Motion, MotionForm
+from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
 from geomid_ros.types import FloatArray
 
 _STEP = 1e-6  # of positions, speeds and accelerations, by which rows are differentiated
@@ -34,9 +34,9 @@ Criterion = Callable[[FloatArray], tuple[float, FloatArray]]
 """Of rows ``(N, C, D)`` in units of the noise: the logarithm of what is to be small, and its derivatives by them."""
 
 
-def random_motion(feasibility: Feasibility, form: MotionForm, random: np.random.Generator) -> Motion:
+def random_motion(feasibility: Feasibility, form: MotionForm, random: np.random.Generator) -> ExcitingMotion:
     """A random motion, each joint's as large as its own limits allow."""
-    motion = Motion(form, feasibility.start, random.standard_normal((form.size, len(feasibility.start))))
+    motion = ExcitingMotion(form, feasibility.start, random.standard_normal((form.size, len(feasibility.start))))
     return motion.scaled(feasibility.largest_scale(motion))
 
 
@@ -56,7 +56,9 @@ def expected_error(feasibility: Feasibility, weight: FloatArray, form: MotionFor
     return criterion
 
 
-def other_motions(feasibility: Feasibility, form: MotionForm, random: np.random.Generator, count: int) -> list[Motion]:
+def other_motions(
+    feasibility: Feasibility, form: MotionForm, random: np.random.Generator, count: int
+) -> list[ExcitingMotion]:
     """So many random motions that the robot can make: in a tight place those within its limits are far larger, and an
     error on them means nothing. They are bent a little before they are shrunk: those that are shrunk alone are far
     smaller than what the robot can make, and a design for them tells little of others."""
@@ -64,7 +66,7 @@ def other_motions(feasibility: Feasibility, form: MotionForm, random: np.random.
     return [search.improved(random_motion(feasibility, form, random)) for _ in range(count)]
 
 
-def random_feasible(feasibility: Feasibility, form: MotionForm, random: np.random.Generator) -> Motion:
+def random_feasible(feasibility: Feasibility, form: MotionForm, random: np.random.Generator) -> ExcitingMotion:
     """A random motion, bent where it comes too close to something, and then made feasible."""
     return Search(feasibility, form, evaluations=BENDS).improved(random_motion(feasibility, form, random))
 
@@ -87,13 +89,13 @@ class Search:
     evaluations: int = _STEPS
     halvings: int = HALVINGS
 
-    def run(self, random: np.random.Generator, progress: Callable[[float], None] = lambda _: None) -> Motion:
+    def run(self, random: np.random.Generator, progress: Callable[[float], None] = lambda _: None) -> ExcitingMotion:
         """A feasible motion that makes the criterion small."""
         begun = [random_motion(self.feasibility, self.form, random) for _ in range(_RANDOM)]
         costs = [self.cost(motion) for motion in begun]
         return self.improved(begun[int(np.argmin(costs))], progress)
 
-    def improved(self, motion: Motion, progress: Callable[[float], None] = lambda _: None) -> Motion:
+    def improved(self, motion: ExcitingMotion, progress: Callable[[float], None] = lambda _: None) -> ExcitingMotion:
         """A feasible motion, downhill from another."""
         units, done = self._units, 0
 
@@ -101,13 +103,15 @@ class Search:
             nonlocal done
             done += 1
             progress(min(done / self.evaluations, 1.0))
-            value, slope = self._value_and_slope(Motion(self.form, motion.start, units * vector.reshape(units.shape)))
+            value, slope = self._value_and_slope(
+                ExcitingMotion(self.form, motion.start, units * vector.reshape(units.shape))
+            )
             return value, (units * slope).ravel()
 
         begin = (motion.coefficients / np.where(units > 0.0, units, 1.0)).ravel()
         options = {"maxfun": self.evaluations, "maxcor": 20}
         found = minimize(at, begin, jac=True, method="L-BFGS-B", options=options)
-        bent = Motion(self.form, motion.start, units * found.x.reshape(units.shape))
+        bent = ExcitingMotion(self.form, motion.start, units * found.x.reshape(units.shape))
         return self.feasibility.made_feasible(bent, self.halvings)
 
     @cached_property
@@ -115,22 +119,22 @@ class Search:
         """Of the coefficients ``(size, J)``: each by itself goes as far as the joint's limits allow."""
         return np.array([self.feasibility.largest_scale(self._unit_motion(place)) for place in range(self.form.size)])
 
-    def _unit_motion(self, place: int) -> Motion:
+    def _unit_motion(self, place: int) -> ExcitingMotion:
         coefficients = np.zeros((self.form.size, len(self.feasibility.start)))
         coefficients[place] = 1.0
-        return Motion(self.form, self.feasibility.start, coefficients)
+        return ExcitingMotion(self.form, self.feasibility.start, coefficients)
 
     @cached_property
     def _basis(self) -> FloatArray:
         count = int(np.ceil(_RATE * self.form.period))
         return self.form.basis((np.arange(count) + 0.5) * self.form.period / count)
 
-    def _states(self, motion: Motion) -> FloatArray:
+    def _states(self, motion: ExcitingMotion) -> FloatArray:
         states = np.array(self._basis @ motion.coefficients)
         states[0] += motion.start
         return states
 
-    def cost(self, motion: Motion) -> float:
+    def cost(self, motion: ExcitingMotion) -> float:
         """What a motion costs: the criterion, and what it comes too close to."""
         states = self._states(motion)
         value = self._of_limits(states)[0] + self._of_distances(states)[0]
@@ -139,7 +143,7 @@ class Search:
             value += self.criterion(rows / self.feasibility.knowledge.sigmas[:, None])[0] + self._of_efforts(rows)[0]
         return value
 
-    def _value_and_slope(self, motion: Motion) -> tuple[float, FloatArray]:
+    def _value_and_slope(self, motion: ExcitingMotion) -> tuple[float, FloatArray]:
         """The same, and its derivatives ``(size, J)`` by the coefficients."""
         states = self._states(motion)
         value, slopes = 0.0, np.zeros_like(states)

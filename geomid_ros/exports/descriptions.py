@@ -70,7 +70,7 @@ class Whole(NamedTuple):
     beside: Mapping[str, str] = MappingProxyType({})
 
 
-class DescribedRobot(NamedTuple):
+class RobotToDescribe(NamedTuple):
     """A robot to describe: its ``urdf`` with the inertias, the ``path`` that its meshes are found from, the ``effects``
     beside, ``gravity (3,)`` where its base stands straight, and what ``read``s it."""
 
@@ -88,7 +88,7 @@ class DescriptionFormat(NamedTuple):
     files: tuple[str, ...]
     note: tuple[str, ...]
     inertial: Callable[[Export], str]
-    whole: Callable[[DescribedRobot, Mapping[str, Path]], Whole]
+    whole: Callable[[RobotToDescribe, Mapping[str, Path]], Whole]
 
     def payload(self, export: Export) -> str:
         """One inertia."""
@@ -109,11 +109,11 @@ def not_said(model: Model, files: tuple[str, ...]) -> list[str]:
     return [f"Not representable here: {'; '.join([*names, *refit])}"] if names else []
 
 
-def _urdf(robot: DescribedRobot, _: Mapping[str, Path]) -> Whole:
+def _urdf(robot: RobotToDescribe, _: Mapping[str, Path]) -> Whole:
     return Whole(with_effects(robot.urdf, robot.effects), [])
 
 
-def _isaac(robot: DescribedRobot, _: Mapping[str, Path]) -> Whole:
+def _isaac(robot: RobotToDescribe, _: Mapping[str, Path]) -> Whole:
     said = joint_attributes(robot.effects, "joint")
     joints = {
         joint: {isaac: float(f"{own[ours]:.6g}") for isaac, ours in _ISAAC_JOINT.items() if ours in own}
@@ -123,15 +123,15 @@ def _isaac(robot: DescribedRobot, _: Mapping[str, Path]) -> Whole:
     return Whole(text, [f"{_ISAAC_FILE}: {json.dumps(joints)}"], {_ISAAC_FILE: json.dumps(joints, indent=2) + "\n"})
 
 
-def _gazebo(robot: DescribedRobot, _: Mapping[str, Path]) -> Whole:
+def _gazebo(robot: RobotToDescribe, _: Mapping[str, Path]) -> Whole:
     return Whole(for_gazebo(with_effects(robot.urdf, robot.effects), robot.effects), [])
 
 
-def _drake(robot: DescribedRobot, _: Mapping[str, Path]) -> Whole:
+def _drake(robot: RobotToDescribe, _: Mapping[str, Path]) -> Whole:
     return Whole(for_drake(with_effects(robot.urdf, robot.effects), robot.effects, str(robot.path)), [])
 
 
-def _mujoco(robot: DescribedRobot, packages: Mapping[str, Path]) -> Whole:
+def _mujoco(robot: RobotToDescribe, packages: Mapping[str, Path]) -> Whole:
     # What only an MJCF needs takes as long to import as all else.
     from geomid_ros.files.models.mjcf import mjcf  # noqa: PLC0415
     from geomid_ros.files.models.mjcf_shapes import mjcf_shapes  # noqa: PLC0415
@@ -144,9 +144,9 @@ def _mujoco(robot: DescribedRobot, packages: Mapping[str, Path]) -> Whole:
     return Whole(text, [*missing[:_MOST_MISSING], *more])
 
 
-def as_described(model: Model) -> DescribedRobot:
+def as_described(model: Model) -> RobotToDescribe:
     """A model as descriptions are made of it."""
-    return DescribedRobot(model.urdf, model.urdf_path, model.effects, model.gravity, lambda: described_robot(model))
+    return RobotToDescribe(model.urdf, model.urdf_path, model.effects, model.gravity, lambda: described_robot(model))
 
 
 def described_robot(model: Model) -> Robot:

@@ -11,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.exports.descriptions import DESCRIPTIONS, DescribedRobot, Whole
+from geomid_ros.exports.descriptions import DESCRIPTIONS, RobotToDescribe, Whole
 from geomid_ros.files.models.effect_forms import unsaid
 from geomid_ros.files.models.estimate_file import model_effects
 from geomid_ros.files.models.handover import WrittenModel
@@ -58,7 +58,7 @@ class HandedOver:
     def _whole(self) -> Whole:
         session = self.session
         urdf = session.with_inertias_of(self.estimate, self.model)
-        robot = DescribedRobot(
+        robot = RobotToDescribe(
             urdf,
             Path(session.robot.source),
             self.model.effects,

@@ -153,7 +153,7 @@ class Trace:
 
 
 @dataclass(frozen=True, eq=False)
-class Gap:
+class GapErrors:
     """Root mean square residual of every channel in units of its noise floor, each ``(channels,)``. ``expected`` is
     what noise and the uncertainty of all that was fitted would leave after the names if the model were right."""
 
@@ -223,7 +223,7 @@ class GapResult:
     units: tuple[str, ...]
     floor: FloatArray
     cutoff: float
-    gap: Gap
+    gap: GapErrors
     moving: FloatArray
     located: tuple[Located, ...]
     ranking: tuple[Ranked, ...]

@@ -34,11 +34,11 @@ _CHOSEN_ANEW = 0.5  # share of what is remembered that is new when effects and t
 Done: TypeAlias = Callable[[Estimate | GeomidError], None]
 
 
-class _Watch:
+class _WatchRequest:
     """Changes are to be looked for."""
 
 
-_Request: TypeAlias = Done | _Watch | None
+_Request: TypeAlias = Done | _WatchRequest | None
 """``Done`` waits for an estimate from scratch; None: the thread is to end."""
 
 
@@ -114,7 +114,7 @@ class Solver:
         """Look for changes, as there are rows enough to judge; with whatever is asked for already they are looked for,
         too."""
         if self._requests.empty():
-            self._requests.put(_Watch())
+            self._requests.put(_WatchRequest())
 
     def reset(self) -> None:
         """Forget all rows, and what was learned from them."""
@@ -174,7 +174,7 @@ class Solver:
                 if self._closing:
                     self._solve_for_the_last_rows(activity)
                 return
-            if isinstance(request, _Watch):
+            if isinstance(request, _WatchRequest):
                 with activity.doing(WATCHING):
                     self._detect_changes()
             elif not self._answered(request, activity):

@@ -45,7 +45,7 @@ class Against:
 
 
 @dataclass(frozen=True, eq=False)
-class Remainder:
+class ChannelResiduals:
     """A channel's residuals ``(N,)`` in ``unit``: ``missing`` without the named effects, and their part ``fitted`` by
     these; ``floor`` is the noise's standard deviation."""
 
@@ -133,7 +133,7 @@ class _Panel:
         return f"<rect y='{top:.0f}' width='{_FINE * self._width}' height='{bottom - top:.0f}' fill='{_FLOOR}'/>"
 
 
-def remainder_picture(remainder: Remainder, against: Against) -> Picture:
+def remainder_picture(remainder: ChannelResiduals, against: Against) -> Picture:
     """What is missing against one variable with what was fitted to it, and below it what is left of it; only the latter
     where nothing was fitted."""
     values, fitted = against.values, remainder.fitted

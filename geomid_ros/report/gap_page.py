@@ -18,8 +18,8 @@ from geomid_ros.model.effects import KnownEffect
 from geomid_ros.report import gap_words
 from geomid_ros.report.gap_figures import (
     Against,
+    ChannelResiduals,
     Picture,
-    Remainder,
     after_pause,
     elapsed,
     overlay_picture,
@@ -157,10 +157,10 @@ def _located(result: GapResult) -> list[Located]:
     return [entry for entry in result.located if gaps.get(entry.channel, 0.0) > _OPEN and math.isfinite(entry.velocity)]
 
 
-def _remainder(page: GapPage, channel: int) -> Remainder:
+def _remainder(page: GapPage, channel: int) -> ChannelResiduals:
     result, trace = page.result, page.result.trace
     rigid = page.rigid[:, channel]
-    return Remainder(
+    return ChannelResiduals(
         result.channels[channel],
         result.units[channel],
         trace.measured[:, channel] - rigid,

@@ -21,7 +21,7 @@ _TIMES = 5  # labels of the axis of time
 
 
 @dataclass(frozen=True, kw_only=True)
-class Trace:
+class ChannelTrace:
     """A channel for a page.
 
     Attributes:
@@ -47,7 +47,7 @@ class Trace:
     lines: dict[str, str]
 
 
-def traces(series: Sequence[Series]) -> list[Trace]:
+def traces(series: Sequence[Series]) -> list[ChannelTrace]:
     """The channels, each in as many points as the page has room for."""
     if not series:
         return []
@@ -56,7 +56,7 @@ def traces(series: Sequence[Series]) -> list[Trace]:
     return [_trace(channel, clock, bins) for channel in series]
 
 
-def _trace(channel: Series, clock: Clock, bins: int) -> Trace:
+def _trace(channel: Series, clock: Clock, bins: int) -> ChannelTrace:
     low, high = limits(channel)
     end = float(clock.seconds[-1])
     kinds = {"measured": channel.measured, "before": channel.nominal, "after": channel.predicted}
@@ -67,7 +67,7 @@ def _trace(channel: Series, clock: Clock, bins: int) -> Trace:
         return line_path(WIDTH * seconds / end, down)
 
     before, after = map(number, channel.rms)
-    return Trace(
+    return ChannelTrace(
         name=channel.name,
         unit=channel.unit,
         before=before,

@@ -14,7 +14,7 @@ from geomid_ros.excitation.feasibility import Feasibility, Margins
 from geomid_ros.excitation.knowledge import Belief, known_before, prior_knowledge
 from geomid_ros.excitation.learning import PREDICTION, Learning, expected_learning, meaning_of, weight_of
 from geomid_ros.excitation.limits import MotionLimits, motion_limits, starts
-from geomid_ros.excitation.motion import Motion, MotionForm
+from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
 from geomid_ros.excitation.rivals import DECIDED, DiscriminationCriterion, deciding_motion
 from geomid_ros.excitation.search import Search, expected_error, other_motions, random_feasible
 from geomid_ros.excitation.trajectory import Trajectory
@@ -123,7 +123,7 @@ class Excitation:
 
     task: DesignTask
     error: str
-    motion: Motion
+    motion: ExcitingMotion
     margins: Margins
     learning: Learning
     decisions: tuple[Decision, ...] = ()
@@ -279,8 +279,8 @@ def design(task: DesignTask, wish: MotionRequest, progress: Callable[[str, float
 def _decisions(
     judge: DiscriminationCriterion,
     labels: Sequence[tuple[str, Sequence[str]]],
-    motion: Motion,
-    randoms: Sequence[Motion],
+    motion: ExcitingMotion,
+    randoms: Sequence[ExcitingMotion],
 ) -> Iterator[Decision]:
     own, others = judge.differences(motion), [judge.differences(random) for random in randoms]
     for place, (found, rivals) in enumerate(labels):

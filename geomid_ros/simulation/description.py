@@ -38,7 +38,7 @@ class LinkInertia:
 
 
 @dataclass(frozen=True)
-class JointLimits:
+class UrdfLimits:
     """A moving joint's range [rad or m], top speed [rad/s or m/s] and top effort [N m or N]."""
 
     name: str
@@ -84,7 +84,7 @@ class Description:
     links: tuple[str, ...]
     root: str
     inertias: tuple[LinkInertia, ...]
-    joints: tuple[JointLimits, ...]
+    joints: tuple[UrdfLimits, ...]
     edges: Mapping[str, Edge]
 
     def moved_by(self, link: str) -> str | None:
@@ -172,7 +172,7 @@ def _turn(axis: int, angle: float) -> FloatArray:
     return turn
 
 
-def _limits(joint: Element) -> JointLimits:
+def _limits(joint: Element) -> UrdfLimits:
     name = _attribute(joint, "name")
     limit = _child(joint, "limit")
     velocity, effort = _number(limit, "velocity"), _number(limit, "effort")
@@ -180,7 +180,7 @@ def _limits(joint: Element) -> JointLimits:
     lower, upper = (-math.pi, math.pi) if endless else (_number(limit, "lower", "0"), _number(limit, "upper", "0"))
     if not (velocity > 0.0 and effort > 0.0 and lower < upper):
         raise InputError(f"joint '{name}' needs limits with velocity > 0, effort > 0 and lower < upper.")
-    return JointLimits(name, lower, upper, velocity, effort)
+    return UrdfLimits(name, lower, upper, velocity, effort)
 
 
 def _kind(joint: Element) -> str:

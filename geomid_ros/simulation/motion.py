@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.simulation.description import JointLimits
+from geomid_ros.simulation.description import UrdfLimits
 from geomid_ros.simulation.options import MOTIONS, SimulationOptions
 from geomid_ros.types import FloatArray
 
@@ -16,7 +16,7 @@ FADE_IN = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class SetPoints:
     """Set-points ``(T, n)`` of n joints at T instants, with their exact first and second derivatives."""
 
     position: FloatArray
@@ -25,29 +25,29 @@ class Motion:
 
 
 def exciting_motion(
-    times: FloatArray, joints: Sequence[JointLimits], options: SimulationOptions, rng: np.random.Generator
-) -> Motion:
+    times: FloatArray, joints: Sequence[UrdfLimits], options: SimulationOptions, rng: np.random.Generator
+) -> SetPoints:
     """A random motion of ``joints`` at ``times (T,)`` [s], each joint as large as its limits and ``options`` allow."""
     shapes = _faded(_fade(times), _SHAPES[options.motion](times, len(joints), options, rng))
     reach = options.motion_range * np.array([joint.half_range for joint in joints])
     speed = options.motion_speed * np.array([joint.velocity for joint in joints])
     scale = np.minimum(reach / np.abs(shapes.position).max(0), speed / np.abs(shapes.velocity).max(0))
     centre = np.array([joint.centre for joint in joints])
-    return Motion(centre + scale * shapes.position, scale * shapes.velocity, scale * shapes.acceleration)
+    return SetPoints(centre + scale * shapes.position, scale * shapes.velocity, scale * shapes.acceleration)
 
 
-def _sines(times: FloatArray, joints: int, options: SimulationOptions, rng: np.random.Generator) -> Motion:
+def _sines(times: FloatArray, joints: int, options: SimulationOptions, rng: np.random.Generator) -> SetPoints:
     frequency = np.arange(1, options.motion_harmonics + 1) / options.motion_period
     return _sum_of_sines(times, np.tile(frequency[:, None], joints), rng)
 
 
-def _aperiodic(times: FloatArray, joints: int, options: SimulationOptions, rng: np.random.Generator) -> Motion:
+def _aperiodic(times: FloatArray, joints: int, options: SimulationOptions, rng: np.random.Generator) -> SetPoints:
     harmonics = options.motion_harmonics
     frequency = rng.uniform(0.7, harmonics, (harmonics, joints)) / options.motion_period
     return _sum_of_sines(times, frequency, rng)
 
 
-def _sum_of_sines(times: FloatArray, frequency: FloatArray, rng: np.random.Generator) -> Motion:
+def _sum_of_sines(times: FloatArray, frequency: FloatArray, rng: np.random.Generator) -> SetPoints:
     """Sines of ``frequency (sines, n)`` [Hz], all about equally fast."""
     omega = 2.0 * np.pi * frequency
     amplitude = rng.standard_normal(omega.shape) / omega
@@ -62,7 +62,7 @@ def _sum_of_sines(times: FloatArray, frequency: FloatArray, rng: np.random.Gener
     return motion
 
 
-def _chirp(times: FloatArray, joints: int, options: SimulationOptions, rng: np.random.Generator) -> Motion:
+def _chirp(times: FloatArray, joints: int, options: SimulationOptions, rng: np.random.Generator) -> SetPoints:
     """Frequencies that rise evenly from that of the slowest sine to that of the fastest, each joint's from another."""
     slow, fast = 1.0 / options.motion_period, options.motion_harmonics / options.motion_period
     start = slow * rng.uniform(0.7, 1.5, joints)
@@ -73,17 +73,17 @@ def _chirp(times: FloatArray, joints: int, options: SimulationOptions, rng: np.r
     return _modulated(angle, omega, 2.0 * np.pi * rise)
 
 
-def _modulated(angle: FloatArray, omega: FloatArray, rise: FloatArray) -> Motion:
+def _modulated(angle: FloatArray, omega: FloatArray, rise: FloatArray) -> SetPoints:
     """``sin(angle) / omega``, of constant speed: its derivatives while omega grows by ``rise`` per second."""
     sine, cosine, share = np.sin(angle), np.cos(angle), rise / omega**2
-    return Motion(
+    return SetPoints(
         sine / omega,
         cosine - share * sine,
         -omega * sine - share * omega * cosine + 2.0 * share**2 * omega * sine,
     )
 
 
-def _points(times: FloatArray, joints: int, options: SimulationOptions, rng: np.random.Generator) -> Motion:
+def _points(times: FloatArray, joints: int, options: SimulationOptions, rng: np.random.Generator) -> SetPoints:
     """Rests at random points; between two of them a quarter of the time each to speed up and down, and a tenth of rest.
 
     Every joint has its own rhythm, else all would rest together.
@@ -113,22 +113,22 @@ def _trapezoid(x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     return position, velocity, rate
 
 
-def _still(samples: int, joints: int) -> Motion:
-    return Motion(*(np.zeros((samples, joints)) for _ in range(3)))
+def _still(samples: int, joints: int) -> SetPoints:
+    return SetPoints(*(np.zeros((samples, joints)) for _ in range(3)))
 
 
-def _fade(times: FloatArray) -> Motion:
+def _fade(times: FloatArray) -> SetPoints:
     """The smooth step ``6 x^5 - 15 x^4 + 10 x^3`` of ``x = t / FADE_IN``, ``(T, 1)``, and its derivatives."""
     x = np.minimum(times[:, None] / FADE_IN, 1.0)
-    return Motion(
+    return SetPoints(
         x**3 * (6.0 * x**2 - 15.0 * x + 10.0),
         30.0 * x**2 * (x - 1.0) ** 2 / FADE_IN,
         60.0 * x * (2.0 * x**2 - 3.0 * x + 1.0) / FADE_IN**2,
     )
 
 
-def _faded(fade: Motion, motion: Motion) -> Motion:
-    return Motion(
+def _faded(fade: SetPoints, motion: SetPoints) -> SetPoints:
+    return SetPoints(
         fade.position * motion.position,
         fade.velocity * motion.position + fade.position * motion.velocity,
         fade.acceleration * motion.position
@@ -137,6 +137,6 @@ def _faded(fade: Motion, motion: Motion) -> Motion:
     )
 
 
-_SHAPES: dict[str, Callable[[FloatArray, int, SimulationOptions, np.random.Generator], Motion]] = dict(
+_SHAPES: dict[str, Callable[[FloatArray, int, SimulationOptions, np.random.Generator], SetPoints]] = dict(
     zip(MOTIONS, (_sines, _aperiodic, _points, _chirp), strict=True)
 )

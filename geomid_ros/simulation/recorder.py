@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.simulation.description import JointLimits
-from geomid_ros.simulation.motion import Motion
+from geomid_ros.simulation.description import UrdfLimits
+from geomid_ros.simulation.motion import SetPoints
 from geomid_ros.simulation.simulator import Simulator
 from geomid_ros.simulation.trace import RunTrace
 from geomid_ros.types import FloatArray, IntArray
@@ -21,10 +21,10 @@ _LOOK = 0.05  # s between the set-points at which that is looked at
 
 
 @dataclass(frozen=True, eq=False)
-class Controller:
+class JointController:
     """Feed-forward by a model's inverse dynamics and PD feedback; set-points ``(2 S + 1, n)`` lie half a step apart."""
 
-    setpoints: Motion
+    setpoints: SetPoints
     feedforward: FloatArray
     stiffness: FloatArray
     damping: FloatArray
@@ -39,8 +39,8 @@ class Controller:
 
 
 def tuned_controller(
-    setpoints: Motion, nominal: Simulator, robot: Simulator, joints: Sequence[JointLimits], tuned_on: Simulator
-) -> Controller:
+    setpoints: SetPoints, nominal: Simulator, robot: Simulator, joints: Sequence[UrdfLimits], tuned_on: Simulator
+) -> JointController:
     """A controller that knows the ``nominal`` model, its gains ``tuned_on`` that or the ``robot``.
 
     They make the loop critically damped where it starts, and a constant effort holds the robot still there.
@@ -51,10 +51,12 @@ def tuned_controller(
     feedforward += robot.inverse_dynamics(start, rest, rest)[robot.driven] - feedforward[0]
     stiffness = _STIFFNESS * np.array([joint.effort for joint in joints])
     inertia = tuned_on.inertia_matrix(tuned_on.at_rest(setpoints.position[0])[0])
-    return Controller(setpoints, feedforward, stiffness, 2.0 * np.sqrt(stiffness * np.diag(inertia)[tuned_on.driven]))
+    return JointController(
+        setpoints, feedforward, stiffness, 2.0 * np.sqrt(stiffness * np.diag(inertia)[tuned_on.driven])
+    )
 
 
-def slowed(controller: Controller, robot: Simulator, step: float) -> Controller:
+def slowed(controller: JointController, robot: Simulator, step: float) -> JointController:
     """The controller with less damping, where the ``robot`` would answer faster than steps of ``step`` [s] can follow.
 
     A joint that moves alone, the others free, feels the inertia ``1 / (M^-1)_jj``: that of a light rotor before a gear
@@ -67,7 +69,7 @@ def slowed(controller: Controller, robot: Simulator, step: float) -> Controller:
 
 
 @dataclass(frozen=True, eq=False)
-class ClosedLoop:
+class ControlLoop:
     """A robot under control, integrated in steps of ``step`` [s] by the classical Runge-Kutta method of order 4.
 
     The controller acts at every stage: an effort held over each step would lead the motion by half a step, and a
@@ -75,7 +77,7 @@ class ClosedLoop:
     """
 
     robot: Simulator
-    controller: Controller
+    controller: JointController
     step: float
 
     @property
@@ -124,7 +126,7 @@ class Sampling:
         return np.arange(self.samples) * self.substeps
 
 
-def run(loop: ClosedLoop, sampling: Sampling, progress: Callable[[float], None] | None = None) -> RunTrace:
+def run(loop: ControlLoop, sampling: Sampling, progress: Callable[[float], None] | None = None) -> RunTrace:
     """Follow the controller's set-points from the first one and record as ``sampling`` specifies."""
     position, velocity = loop.robot.at_rest(loop.controller.setpoints.position[0])
     noted = set(sampling.joints.tolist())
@@ -145,7 +147,7 @@ def run(loop: ClosedLoop, sampling: Sampling, progress: Callable[[float], None] 
 
 
 def _trace(
-    loop: ClosedLoop,
+    loop: ControlLoop,
     sampling: Sampling,
     rows: list[tuple[FloatArray, FloatArray, FloatArray]],
     wrenches: list[FloatArray],
@@ -162,14 +164,14 @@ def _trace(
         effort=np.array(efforts)[at],
         wrench_time=step * (at + sampling.wrench_lag),
         wrench=np.array(wrenches),
-        commands=Motion(*(values[2 * at] for values in vars(setpoints).values())),
+        commands=SetPoints(*(values[2 * at] for values in vars(setpoints).values())),
         feedforward=loop.controller.feedforward[2 * at],
         fine_time=step * np.arange(len(efforts)),
         fine_effort=np.array(efforts),
     )
 
 
-def check_motion(trace: RunTrace, joints: Sequence[JointLimits]) -> None:
+def check_motion(trace: RunTrace, joints: Sequence[UrdfLimits]) -> None:
     """Refuse a run that diverged, lost its set-points or reached the ends of the joints' ranges, whose stops are not
     measured."""
     lower, upper = np.array([(joint.lower, joint.upper) for joint in joints]).T

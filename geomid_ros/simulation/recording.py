@@ -20,7 +20,7 @@ from geomid_ros.simulation.realistic.loop import RealisticLoop
 from geomid_ros.simulation.realistic.robot import RealisticRobot, build_realistic
 from geomid_ros.simulation.realistic.sensors import published
 from geomid_ros.simulation.realistic.truth import realistic_document
-from geomid_ros.simulation.recorder import ClosedLoop, Sampling, check_motion, run, slowed, tuned_controller
+from geomid_ros.simulation.recorder import ControlLoop, Sampling, check_motion, run, slowed, tuned_controller
 from geomid_ros.simulation.robot import Builder, TrueRobot, build_robot
 from geomid_ros.simulation.seeds import RandomStream, generator
 from geomid_ros.simulation.sensors import measured
@@ -78,7 +78,7 @@ def simulate(
     return SimulationResult(bag, truth, gains, len(trace.time))
 
 
-def closed_loop(robot: TrueRobot, options: SimulationOptions) -> ClosedLoop:
+def closed_loop(robot: TrueRobot, options: SimulationOptions) -> ControlLoop:
     """The robot with a controller that knows the nominal model only."""
     half_steps = np.arange(2 * sampling(robot, options).steps + 1, dtype=np.float64)
     numbers = generator(options.recording_seed, RandomStream.MOTION)
@@ -90,11 +90,11 @@ def closed_loop(robot: TrueRobot, options: SimulationOptions) -> ClosedLoop:
     controller = slowed(controller, robot.plant, options.step)
     if isinstance(robot, RealisticRobot):
         return RealisticLoop(robot.plant, controller, options.step, robot)
-    return ClosedLoop(robot.plant, controller, options.step)
+    return ControlLoop(robot.plant, controller, options.step)
 
 
 def record(
-    robot: TrueRobot, loop: ClosedLoop, options: SimulationOptions, progress: Progress | None = None
+    robot: TrueRobot, loop: ControlLoop, options: SimulationOptions, progress: Progress | None = None
 ) -> RunTrace:
     """The true motion at the recorded instants, before sensors."""
     trace = run(loop, sampling(robot, options), progress)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from geomid_ros.simulation.description import Description, JointLimits, LinkInertia, read_description
+from geomid_ros.simulation.description import Description, LinkInertia, UrdfLimits, read_description
 from geomid_ros.simulation.effects.choice import chosen_effects
 from geomid_ros.simulation.effects.effect import TrueEffect
 from geomid_ros.simulation.inertias import perturbed
@@ -27,7 +27,7 @@ class TrueRobot:
     bodies: tuple[LinkInertia, ...]
     effects: tuple[TrueEffect, ...]
     plant: Simulator
-    joints: tuple[JointLimits, ...]
+    joints: tuple[UrdfLimits, ...]
 
 
 Builder = Callable[[Description, Iterable[LinkInertia], Iterable[TrueEffect], str | None], Simulator]

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from geomid_ros.simulation.description import JointLimits
+from geomid_ros.simulation.description import UrdfLimits
 from geomid_ros.simulation.effects.measurement import sensed
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.robot import TrueRobot
@@ -17,7 +17,7 @@ from geomid_ros.simulation.trace import RunTrace
 from geomid_ros.types import FloatArray
 
 
-def noise_levels(joints: Sequence[JointLimits], options: SimulationOptions) -> dict[str, FloatArray]:
+def noise_levels(joints: Sequence[UrdfLimits], options: SimulationOptions) -> dict[str, FloatArray]:
     """Standard deviations of each channel: position, velocity, effort ``(n,)`` and wrench ``(6,)``."""
     each = np.ones(len(joints))
     return {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from geomid_ros.simulation.motion import Motion
+from geomid_ros.simulation.motion import SetPoints
 from geomid_ros.types import FloatArray, IntArray
 
 _PER_JOINT = ("position", "velocity", "acceleration", "effort", "fine_effort", "feedforward")
@@ -31,12 +31,12 @@ class RunTrace:
     effort: FloatArray
     wrench_time: FloatArray
     wrench: FloatArray
-    commands: Motion
+    commands: SetPoints
     feedforward: FloatArray
     fine_time: FloatArray
     fine_effort: FloatArray
 
     def reordered(self, order: IntArray) -> RunTrace:
         """The same samples with the joints in another ``order (n,)``."""
-        commands = Motion(*(values[:, order] for values in vars(self.commands).values()))
+        commands = SetPoints(*(values[:, order] for values in vars(self.commands).values()))
         return replace(self, commands=commands, **{name: getattr(self, name)[:, order] for name in _PER_JOINT})

@@ -17,7 +17,7 @@ from geomid_ros.simulation.effects.effect import TrueEffect
 from geomid_ros.simulation.effects.measurement import sensed
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.plant import Plant
-from geomid_ros.simulation.recorder import Controller
+from geomid_ros.simulation.recorder import JointController
 from geomid_ros.simulation.robot import TrueRobot
 from geomid_ros.simulation.sensors import noise_levels
 from geomid_ros.simulation.trace import RunTrace
@@ -102,7 +102,7 @@ def controller_path(bag: Path) -> Path:
     return bag.with_name(bag.name + ".controller.yaml")
 
 
-def write_gains(path: Path, joints: Sequence[str], controller: Controller) -> None:
+def write_gains(path: Path, joints: Sequence[str], controller: JointController) -> None:
     """Write ``p`` [N m/rad] and ``d`` [N m s/rad] of every joint, as a joint_trajectory_controller's parameters.
 
     The commanded effort is the recorded feed-forward plus ``p`` times the error of position plus ``d`` times that of

@@ -7,7 +7,7 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.feasibility import Feasibility
-from geomid_ros.excitation.motion import Motion
+from geomid_ros.excitation.motion import ExcitingMotion
 from geomid_ros.excitation.search import random_feasible, random_motion
 from geomid_ros.model.samples import samples_of
 from geomid_ros.session.collision_scene import Surroundings
@@ -18,7 +18,7 @@ from .arm import small_task, urdf
 TASK = small_task(MotionRequest(duration=6.0, repeats=1, surroundings=Surroundings(avoid=("box:0.75,0,0.7,0.2,2,2",))))
 
 
-def dense(motion: Motion) -> np.ndarray:
+def dense(motion: ExcitingMotion) -> np.ndarray:
     return motion.at(np.linspace(0.0, motion.form.duration, 6001))[0]
 
 
@@ -54,7 +54,7 @@ def test_what_breaks_a_limit_is_not_held() -> None:
     # Through the box.
     reach = np.zeros((TASK.form.size, 3))
     reach[0, 1] = 1.0
-    towards = Motion(TASK.form, feasibility.start, reach)
+    towards = ExcitingMotion(TASK.form, feasibility.start, reach)
     through = towards.scaled(1.5 / np.max(np.abs(towards.at(np.linspace(0.0, 6.0, 500))[0])))
     assert not feasibility.holds(through)
     assert feasibility.holds(feasibility.made_feasible(through))

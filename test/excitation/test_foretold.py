@@ -9,7 +9,7 @@ import pytest
 
 from geomid_ros.excitation.feasibility import Feasibility
 from geomid_ros.excitation.learning import weight_of
-from geomid_ros.excitation.motion import Motion, MotionForm
+from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
 from geomid_ros.excitation.search import random_feasible, random_motion
 from geomid_ros.session.collision_scene import Surroundings
 from geomid_ros.session.excitation import MotionRequest, design
@@ -35,7 +35,7 @@ def test_in_a_tight_place_the_error_on_feasible_motions_is_foretold() -> None:
     random = np.random.default_rng(8)
     after = task.knowledge.after(task.knowledge.information(found.motion)).posterior.covariance
 
-    def error(make: Callable[[Feasibility, MotionForm, np.random.Generator], Motion]) -> float:
+    def error(make: Callable[[Feasibility, MotionForm, np.random.Generator], ExcitingMotion]) -> float:
         motions = [make(task.feasibility, task.form, random) for _ in range(12)]
         return float(np.sqrt(np.sum(weight_of("prediction", task.knowledge, motions) * after)))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomid_ros.excitation.motion import Motion, MotionForm
+from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
 
 FORMS = [
     MotionForm(period=10.0),
@@ -14,8 +14,8 @@ FORMS = [
 ]
 
 
-def some(form: MotionForm) -> Motion:
-    return Motion(form, np.array([0.3, -1.0]), np.random.default_rng(0).standard_normal((form.size, 2)))
+def some(form: MotionForm) -> ExcitingMotion:
+    return ExcitingMotion(form, np.array([0.3, -1.0]), np.random.default_rng(0).standard_normal((form.size, 2)))
 
 
 @pytest.mark.parametrize("form", FORMS)

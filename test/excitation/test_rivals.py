@@ -11,7 +11,7 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.knowledge import ROWS_PER_SECOND
-from geomid_ros.excitation.motion import Motion
+from geomid_ros.excitation.motion import ExcitingMotion
 from geomid_ros.excitation.response import Responses
 from geomid_ros.excitation.rivals import deciding_motion
 from geomid_ros.excitation.search import Search, random_motion
@@ -151,5 +151,5 @@ def test_a_motion_is_not_changed_by_its_judge(tmp_path: Path) -> None:
     motion = random_motion(TASK.feasibility, TASK.form, np.random.default_rng(4))
     judge.prepare(motion.scaled(0.5))
     assert [len(own) for own in judge.differences(motion)] == [len(rivals) for _, rivals in labels] == [1, 1]
-    still = Motion(motion.form, motion.start, 0.0 * motion.coefficients)
+    still = ExcitingMotion(motion.form, motion.start, 0.0 * motion.coefficients)
     assert judge.least(still) < judge.least(motion)

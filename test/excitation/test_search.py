@@ -7,7 +7,7 @@ import pytest
 from files.recordings import BAGS
 
 from geomid_ros.excitation.learning import weight_of
-from geomid_ros.excitation.motion import Motion
+from geomid_ros.excitation.motion import ExcitingMotion
 from geomid_ros.excitation.search import Search, expected_error, random_feasible, random_motion
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.collision_scene import Surroundings
@@ -29,7 +29,7 @@ def search(aim: str = "prediction", task: DesignTask = TASK) -> Search:
     return Search(task.feasibility, task.form, expected_error(task.feasibility, weight(0, aim, task), task.form))
 
 
-def error(motion: Motion, of: FloatArray) -> float:
+def error(motion: ExcitingMotion, of: FloatArray) -> float:
     after = TASK.knowledge.after(TASK.knowledge.information(motion))
     return float(np.sum(of * after.posterior.covariance))
 
@@ -51,7 +51,7 @@ def test_slopes_are_those_of_the_cost(task: DesignTask) -> None:
         way = np.abs(motion.coefficients) * random.standard_normal(slope.shape)
         step = 1e-6
         ahead, behind = (
-            own.cost(Motion(task.form, motion.start, motion.coefficients + s * way)) for s in (step, -step)
+            own.cost(ExcitingMotion(task.form, motion.start, motion.coefficients + s * way)) for s in (step, -step)
         )
         assert np.isclose((ahead - behind) / (2.0 * step), np.sum(slope * way), rtol=2e-2, atol=1e-2)
 

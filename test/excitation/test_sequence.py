@@ -12,7 +12,7 @@ from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.excitation.feasibility import Feasibility
 from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Belief, known_before
 from geomid_ros.excitation.learning import weight_of
-from geomid_ros.excitation.motion import Motion
+from geomid_ros.excitation.motion import ExcitingMotion
 from geomid_ros.excitation.search import Search, expected_error, random_motion
 from geomid_ros.model.samples import samples_of
 from geomid_ros.types import FloatArray
@@ -24,7 +24,7 @@ WORTH = 0.15
 MOST = 8
 
 
-def designed(knowledge: Belief, random: np.random.Generator) -> tuple[Motion, float]:
+def designed(knowledge: Belief, random: np.random.Generator) -> tuple[ExcitingMotion, float]:
     """A motion from what is known, and by what share it lowers the expected error."""
     before = TASK.feasibility
     feasibility = Feasibility(knowledge, before.limits, before.start, before.collision)
@@ -35,7 +35,7 @@ def designed(knowledge: Belief, random: np.random.Generator) -> tuple[Motion, fl
     return motion, 1.0 - float(np.sqrt(left))
 
 
-def error(parameters: FloatArray, true: FloatArray, motion: Motion) -> float:
+def error(parameters: FloatArray, true: FloatArray, motion: ExcitingMotion) -> float:
     times = np.linspace(0.0, motion.form.period, 200)
     rows = TASK.knowledge.model.rows(samples_of(motion.at(times)[:3])).coefficients
     return float(np.sqrt(np.mean((rows @ (parameters - true) / TASK.knowledge.sigmas) ** 2)))

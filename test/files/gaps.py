@@ -10,7 +10,7 @@ import numpy as np
 
 from geomid_ros.gap.result import (
     Finding,
-    Gap,
+    GapErrors,
     GapResult,
     LinkChange,
     Located,
@@ -68,7 +68,7 @@ def gap_result(case: Case, joints: Sequence[str], *, wrench: bool = False) -> Ga
         units=units,
         floor=np.full(len(channels), FLOOR),
         cutoff=8.0,
-        gap=Gap(
+        gap=GapErrors(
             *(_rms(trace.measured - part) / FLOOR for part in (trace.before, trace.inertias_only, trace.after)),
             np.full(len(channels), 1.02),
         ),

@@ -14,7 +14,7 @@ from geomid_ros.gap.evidence.noise import Autoregression
 from geomid_ros.model.effects import AtJoint, AtSensor, OnLink, OnRobot, Situation
 from geomid_ros.model.effects.effort_gain import EffortGain
 from geomid_ros.model.effects.gravity_tilt import GravityTilt
-from geomid_ros.model.effects.payload import Payload
+from geomid_ros.model.effects.payload import CarriedBody
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.model.effects.wrench_offset import WrenchOffset
 from geomid_ros.model.measurement import MeasurementModel, Rows
@@ -94,7 +94,7 @@ def test_candidates_have_products_in_the_channels_that_they_reach() -> None:
 
 
 def test_a_payload_has_the_columns_of_its_link() -> None:
-    candidate = Candidate(Payload(), OnLink(1, 1), ())
+    candidate = Candidate(CarriedBody(), OnLink(1, 1), ())
     assert DESIGN.reached(candidate) == [0, 1]
     found = DESIGN.own([candidate], [], [FIRST])
     for channel in range(CHANNELS):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.simulation.description import read_description
-from geomid_ros.simulation.motion import FADE_IN, Motion, exciting_motion
+from geomid_ros.simulation.motion import FADE_IN, SetPoints, exciting_motion
 from geomid_ros.simulation.options import MOTIONS, SimulationOptions
 from geomid_ros.simulation.robots import robot_description
 
@@ -17,7 +17,7 @@ OPTIONS = SimulationOptions(motion_period=3.0)
 TIMES = np.linspace(0.0, 9.0, 9001)
 
 
-def motion(options: SimulationOptions = OPTIONS) -> Motion:
+def motion(options: SimulationOptions = OPTIONS) -> SetPoints:
     return exciting_motion(TIMES, JOINTS, options, np.random.default_rng(1))
 
 

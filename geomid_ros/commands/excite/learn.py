@@ -67,7 +67,7 @@ def learn(
     robot, chosen = robot_to_excite(RobotOptions(urdf=urdf, xacro_args=xacro_args, lock=lock, wrench=wrench), model)
     if (out / "round1").exists():
         raise InputError(f"{out / 'round1'} exists already; name another folder with --out")
-    learning = _Learning(robot, chosen, wish_of(options), out, options)
+    learning = _LearningRounds(robot, chosen, wish_of(options), out, options)
     for designed in learning.designs(rounds):
         if learning.found and designed.learning.gain < until:
             click.echo(f"Stopped: {designed.not_worth(until)}")
@@ -88,7 +88,7 @@ def learn(
 
 
 @dataclass
-class _Learning:
+class _LearningRounds:
     """What is known so far of a ``robot``.
 
     Attributes:

@@ -35,7 +35,7 @@ _TOO_MUCH = "its chunks are too large, or overlap too much in time; 'mcap sort' 
 _RESCUE = "'mcap recover' may save it"
 
 
-class _Stretch(NamedTuple):
+class _RecordSpan(NamedTuple):
     """A chunk's record, or messages' records one behind the other: where they begin and end, the first time of
     recording among them, and their channels."""
 
@@ -88,7 +88,7 @@ class McapFile:
         self._channels: dict[int, tuple[str, str]] = {}
         self._counted: Counter[int] = Counter()
         self._last = 0
-        self._stretches: list[_Stretch] = []
+        self._stretches: list[_RecordSpan] = []
         self._known_sets: dict[frozenset[int], frozenset[int]] = {}
         self.cut = ""
         self.checked = True
@@ -144,7 +144,7 @@ class McapFile:
         time, _, channel, data = entry
         return RawMessage(self._channels[channel][0], time, self._channels[channel][1], data)
 
-    def _read(self, stretch: _Stretch) -> Iterator[tuple[int, int, memoryview]]:
+    def _read(self, stretch: _RecordSpan) -> Iterator[tuple[int, int, memoryview]]:
         """Channel, time and bytes of each message in a stretch that was looked at before."""
         try:
             for kind, record in self._contents(stretch.begin, stretch.end, stretch.chunk):
@@ -224,7 +224,7 @@ class McapFile:
         with contextlib.suppress(FaultError):
             self._add(self._examined(begin, self._size, True))
 
-    def _examined(self, begin: int, end: int, chunk: bool) -> _Stretch:
+    def _examined(self, begin: int, end: int, chunk: bool) -> _RecordSpan:
         first, last, counted = math.inf, self._last, Counter[int]()
         try:
             for kind, record in self._contents(begin, end, chunk):
@@ -243,15 +243,15 @@ class McapFile:
         self._last = last
         self._counted += counted
         shared = frozenset(counted)
-        return _Stretch(begin, end, chunk, first, self._known_sets.setdefault(shared, shared))
+        return _RecordSpan(begin, end, chunk, first, self._known_sets.setdefault(shared, shared))
 
-    def _add(self, new: _Stretch) -> None:
+    def _add(self, new: _RecordSpan) -> None:
         """Append a stretch; records outside chunks become one with those before them."""
         old = self._stretches[-1] if self._stretches else None
         if old and not old.chunk and not new.chunk and old.end == new.begin and new.end - old.begin < _PIECE:
             channels = old.channels | new.channels
             channels = self._known_sets.setdefault(channels, channels)
-            self._stretches[-1] = _Stretch(old.begin, new.end, False, min(old.first, new.first), channels)
+            self._stretches[-1] = _RecordSpan(old.begin, new.end, False, min(old.first, new.first), channels)
         elif len(self._stretches) == _MOST_STRETCHES:
             raise FaultError(f"more than {_MOST_STRETCHES} chunks", new.begin)
         else:

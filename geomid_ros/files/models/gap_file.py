@@ -22,7 +22,7 @@ from geomid_ros.files.models.sidecar import EffectEntry, effect_entry, effect_of
 from geomid_ros.files.schema import entry, plain, read_document, structured
 from geomid_ros.gap.result import (
     Finding,
-    Gap,
+    GapErrors,
     GapResult,
     LinkChange,
     Located,
@@ -146,7 +146,7 @@ class GapFile:
             units=tuple(self.units[name] for name in channels),
             floor=floor * effort_gains(self.findings, channels),
             cutoff=self.cutoff,
-            gap=Gap(*(errors[kind] for kind in _KINDS)),
+            gap=GapErrors(*(errors[kind] for kind in _KINDS)),
             moving=errors["moving"],
             located=self.located,
             ranking=self.ranking,

@@ -58,23 +58,23 @@ def population_document(population: Population) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Effect(EffectCoordinate):
+class _EffectOfPopulation(EffectCoordinate):
     value: float
     scale: float = math.nan
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Document:
+class _PopulationDocument:
     robots: int
     links: tuple[LinkEntry, ...]
-    effects: tuple[_Effect, ...]
+    effects: tuple[_EffectOfPopulation, ...]
     covariance: str
 
 
 def read_population(path: Path) -> Population:
     """Read a population. Raises InputError naming the file and what is wrong in it."""
     document = read_document(path, "population", _MOST_BYTES, FORMAT, ("robots", "links", "effects", "covariance"))
-    found = structured(_Document, document, f"{path}:")
+    found = structured(_PopulationDocument, document, f"{path}:")
     inertias, effects = inertias_of(found.links, str(path)), found.effects
     try:
         triangle = unpacked_triangle(found.covariance, _NUMBER, 10 * len(inertias) + len(effects))

@@ -11,7 +11,7 @@ from geomid_ros.gap.candidates import NamesFit
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, root_mean_square, total_model
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.judgement.locate import located
-from geomid_ros.gap.result import Gap, Located, Trace
+from geomid_ros.gap.result import GapErrors, Located, Trace
 from geomid_ros.inference.fit import unfitted
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray
@@ -34,22 +34,22 @@ class HeldOut:
         self._residuals: dict[NamesFit, FloatArray] = {}
 
     @cached_property
-    def gap(self) -> Gap:
+    def gap(self) -> GapErrors:
         """Of all channels, in units of the floor, at the instants that are judged on."""
         names = self._analysis.names
         variance = self._last.variance(self._last.columns(names.chosen, self._prior.terms), names)
         unsure = self._times_floor(np.sqrt(variance))
         fits = (self._untouched, self._analysis.bare, names)
         before, bare, after = (self.times_floor(found) for found in fits)
-        return Gap(before, bare, after, np.sqrt(1.0 + unsure**2))
+        return GapErrors(before, bare, after, np.sqrt(1.0 + unsure**2))
 
     @cached_property
-    def on_all(self) -> Gap:
+    def on_all(self) -> GapErrors:
         """The same at all instants, those at rest and near reversals, too."""
         trace = self.trace
         fits = (trace.before, trace.inertias_only, trace.after)
         before, bare, after = (root_mean_square(trace.measured - each) / self._analysis.floor for each in fits)
-        return Gap(before, bare, after, self.gap.expected)
+        return GapErrors(before, bare, after, self.gap.expected)
 
     @cached_property
     def is_open(self) -> BoolArray:

@@ -7,7 +7,7 @@ from geomid_ros.model.effects.parameters import COM_ENTRIES, ParameterForm
 _URDF, _MJCF = "link/inertial", "body/inertial"
 
 
-class Payload(Effect):
+class CarriedBody(Effect):
     """A body that a link carries; it is fitted as the bodies are, on its own pseudo-inertia."""
 
     name = "payload"

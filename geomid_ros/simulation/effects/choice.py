@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.simulation.description import Description, JointLimits
+from geomid_ros.simulation.description import Description, UrdfLimits
 from geomid_ros.simulation.effects.effect import TrueEffect
 from geomid_ros.simulation.effects.sizes import SIZES, Site
 from geomid_ros.simulation.effects.structure import GEARS
@@ -36,7 +36,7 @@ def chosen_effects(options: SimulationOptions, robot: Description) -> tuple[True
     return tuple(effects)
 
 
-def _everyday(options: SimulationOptions, joint: JointLimits, rng: np.random.Generator) -> Iterable[TrueEffect]:
+def _everyday(options: SimulationOptions, joint: UrdfLimits, rng: np.random.Generator) -> Iterable[TrueEffect]:
     viscous, dry, rotor, offset = rng.uniform(0.5, 1.5, 4).tolist()
     sign = -1.0 if rng.uniform() < 0.5 else 1.0
     slowness = joint.effort / joint.velocity

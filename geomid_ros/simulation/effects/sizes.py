@@ -13,7 +13,7 @@ from inspect import isfunction
 
 import numpy as np
 
-from geomid_ros.simulation.description import JointLimits
+from geomid_ros.simulation.description import UrdfLimits
 
 _ROTOR_TIME = 1e-4  # s; a rotor as light as the integration allows, hardly visible beside the noise
 
@@ -23,8 +23,8 @@ class Site:
     """Where an effect acts: a ``joint``, the ``other`` one if it depends on two, and the effort limit of the robot's
     ``strongest`` joint. ``given`` are the parameters that the user chose."""
 
-    joint: JointLimits
-    other: JointLimits
+    joint: UrdfLimits
+    other: UrdfLimits
     strongest: float
     given: Mapping[str, float]
 

@@ -8,12 +8,12 @@ import numpy as np
 
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.realistic.robot import RealisticRobot
-from geomid_ros.simulation.recorder import ClosedLoop
+from geomid_ros.simulation.recorder import ControlLoop
 from geomid_ros.types import FloatArray
 
 
 @dataclass(eq=False)
-class Memory:
+class LoopState:
     """What a step needs beside positions and velocities: the bristles' ``bend (n,)`` [rad], the ``dry`` friction of
     steady sliding ``(n,)`` at its beginning, and the acceleration one step ``before``."""
 
@@ -23,7 +23,7 @@ class Memory:
 
 
 @dataclass(frozen=True, eq=False)
-class RealisticLoop(ClosedLoop):
+class RealisticLoop(ControlLoop):
     """A realistic robot under control, in steps with one evaluation each.
 
     Rigid bodies advance by the method of Beeman and Schofield, of second order. The bristles follow their own equation
@@ -33,7 +33,7 @@ class RealisticLoop(ClosedLoop):
 
     robot: Plant
     truth: RealisticRobot
-    memory: Memory = field(default_factory=Memory)
+    memory: LoopState = field(default_factory=LoopState)
 
     def acceleration(self, half_step: int, position: FloatArray, velocity: FloatArray) -> FloatArray:
         truth, memory = self.truth, self.memory

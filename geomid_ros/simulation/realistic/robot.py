@@ -9,7 +9,7 @@ from itertools import chain
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.simulation.description import Description, JointLimits, LinkInertia, read_description
+from geomid_ros.simulation.description import Description, LinkInertia, UrdfLimits, read_description
 from geomid_ros.simulation.effects.choice import chosen_effects
 from geomid_ros.simulation.effects.effect import TrueEffect
 from geomid_ros.simulation.effects.forces import FRICTION
@@ -121,7 +121,7 @@ def _scaled(body: LinkInertia, masses: Iterable[TrueEffect]) -> LinkInertia:
     return body
 
 
-def _standing(joints: Sequence[JointLimits], rng: np.random.Generator) -> Iterable[TrueEffect]:
+def _standing(joints: Sequence[UrdfLimits], rng: np.random.Generator) -> Iterable[TrueEffect]:
     for joint in joints:
         size = joint.effort / joint.velocity
         yield TrueEffect("rotor_inertia", joint.name, {"inertia": 2e-3 * rng.uniform(0.5, 1.5) * size})
@@ -131,7 +131,7 @@ def _standing(joints: Sequence[JointLimits], rng: np.random.Generator) -> Iterab
     yield TrueEffect("effort_delay", "", {"delay": rng.uniform(0.0, 1.3e-3)})
 
 
-def _friction(joints: Sequence[JointLimits], rotors: dict[str, float], rng: np.random.Generator) -> LuGre:
+def _friction(joints: Sequence[UrdfLimits], rotors: dict[str, float], rng: np.random.Generator) -> LuGre:
     limit, top, rotor = np.array([(joint.effort, joint.velocity, rotors[joint.name]) for joint in joints]).T
     n = len(joints)
     level = 0.025 * rng.uniform(0.5, 1.5, n) * limit
@@ -147,7 +147,7 @@ def _friction(joints: Sequence[JointLimits], rotors: dict[str, float], rng: np.r
     )
 
 
-def _motors(joints: Sequence[JointLimits], rng: np.random.Generator) -> Motors:
+def _motors(joints: Sequence[UrdfLimits], rng: np.random.Generator) -> Motors:
     limit = np.array([joint.effort for joint in joints])
     n = len(joints)
     return Motors(
@@ -166,7 +166,7 @@ def _warm_up(joints: int, options: SimulationOptions) -> WarmUp:
     return WarmUp(excess * generator(options.recording_seed, RandomStream.REALISTIC, 6).uniform(0.3, 1.0), time)
 
 
-def _sensors(joints: Sequence[JointLimits], options: SimulationOptions, rng: np.random.Generator) -> Sensors:
+def _sensors(joints: Sequence[UrdfLimits], options: SimulationOptions, rng: np.random.Generator) -> Sensors:
     limit = np.array([joint.effort for joint in joints])
     n = len(joints)
     return Sensors(

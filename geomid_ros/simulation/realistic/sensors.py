@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomid_ros.simulation.motion import Motion
+from geomid_ros.simulation.motion import SetPoints
 from geomid_ros.simulation.trace import RunTrace
 from geomid_ros.types import BoolArray, FloatArray
 
@@ -79,5 +79,5 @@ def _stepped(values: FloatArray, step: FloatArray) -> FloatArray:
 
 def _arrived(trace: RunTrace, arrives: BoolArray) -> RunTrace:
     per_message = ("time", "position", "velocity", "acceleration", "effort", "wrench_time", "wrench", "feedforward")
-    commands = Motion(*(values[arrives] for values in vars(trace.commands).values()))
+    commands = SetPoints(*(values[arrives] for values in vars(trace.commands).values()))
     return replace(trace, commands=commands, **{name: getattr(trace, name)[arrives] for name in per_message})
