@@ -33,10 +33,9 @@ from benchmarks.posterior import true_parameters
 from geomid_ros.estimation.estimate import SURE
 from geomid_ros.model.effects import DEFAULT_EFFECTS
 from geomid_ros.simulation.bag import write_bag
-from geomid_ros.simulation.effects.effect import TrueEffect
-from geomid_ros.simulation.hidden import Hidden
+from geomid_ros.simulation.effects.physics import TrueEffect
 from geomid_ros.simulation.motion import exciting_motion
-from geomid_ros.simulation.options import SimulationOptions
+from geomid_ros.simulation.options import Hidden, SimulationOptions
 from geomid_ros.simulation.recording import closed_loop, record
 from geomid_ros.simulation.robot import TrueRobot, build_robot
 from geomid_ros.simulation.robots import robot_description

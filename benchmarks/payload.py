@@ -23,8 +23,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Topics, read_samples
 from geomid_ros.session.session import Session
-from geomid_ros.simulation.hidden import Hidden
-from geomid_ros.simulation.options import SimulationOptions
+from geomid_ros.simulation.options import Hidden, SimulationOptions
 from geomid_ros.simulation.recording import simulate
 from geomid_ros.simulation.robot import build_robot
 from geomid_ros.simulation.robots import robot_description

@@ -10,11 +10,9 @@ from xml.etree import ElementTree
 import numpy as np
 from defusedxml import ElementTree as Reader
 
-from geomid_ros.simulation.compiled import GRAVITY
 from geomid_ros.simulation.description import Description, LinkInertia
-from geomid_ros.simulation.effects.effect import TrueEffect
-from geomid_ros.simulation.effects.model import rotation
-from geomid_ros.simulation.effects.structure import GEARS, payload_inertia, play_name
+from geomid_ros.simulation.effects.physics import GEARS, TrueEffect, payload_inertia, play_name, rotation
+from geomid_ros.simulation.plant import GRAVITY
 from geomid_ros.simulation.simulator import Simulator
 from geomid_ros.types import FloatArray
 

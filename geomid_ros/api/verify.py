@@ -1,9 +1,23 @@
-"""Verification of a model on disk against a recording."""
+"""Verification of a model on disk against a recording, and of what a user requires of it.
+
+A requirement is ``[PLACE.]QUANTITY COMPARISON BOUND`` (``rms<2*floor``, ``joint2.rms<1.5``, ``total.mass<24``), and
+without a place it is one of every place:
+
+- ``rms``, of a channel: RMS of what the model leaves of the recording [N m, N];
+- ``mass``, of a link, or of all links together, ``total``: [kg];
+- ``from_data``, of a link: share of the prior's variance that the data removed, 0 to 1.
+
+A comparison is ``<``, ``<=``, ``>`` or ``>=``. A bound is a number, ``floor``, ``urdf``, or a number times one of them:
+``2*floor``. The floor of an rms is that of the fitted data when the model was identified; ``urdf`` is the same quantity
+of the URDF, with sensors corrected as the model says.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import operator
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Unpack
@@ -12,9 +26,8 @@ import numpy as np
 
 from geomid_ros.api.arguments import PathLike, Paths, Texts, bag_paths, beside, texts
 from geomid_ros.api.options import RobotKeywords, RobotOptions
-from geomid_ros.api.requirements import TOTAL, Outcome, Requirement, Values
 from geomid_ros.checks.verdict import recording_verdict
-from geomid_ros.errors import InputError
+from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.gap import rms_of_model
@@ -65,7 +78,7 @@ def verify(
         validate: rosbag folders, or .mcap and .db3 files.
         urdf: path or text of the robot description that the model was identified from, see
             :class:`~geomid_ros.RobotOptions`.
-        require: requirements, see :mod:`~geomid_ros.api.requirements`.
+        require: requirements, see :mod:`~geomid_ros.api.verify`.
         progress: called with the current stage and its completed share, 0 to 1.
         options: which robot it is and how its recordings are read, see :class:`~geomid_ros.RobotOptions`.
 
@@ -155,3 +168,96 @@ def _values(session: Session, samples: Sequence[Samples], file: EstimateFile) ->
 def _masses(parameters: FloatArray, bodies: Sequence[str]) -> list[float]:
     masses: list[float] = parameters[: 10 * len(bodies) : 10].tolist()
     return masses
+
+
+TOTAL = "total"
+QUANTITIES = {"rms": ("floor", "urdf"), "mass": ("urdf",), "from_data": ()}
+"""The references that a bound of each quantity may be a multiple of."""
+
+_COMPARISONS: dict[str, Callable[[float, float], bool]] = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+}
+_NUMBER = r"\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?"
+_FORM = re.compile(
+    rf"\s*(?:(?P<place>.+)\.)?(?P<quantity>[a-z_]+)\s*(?P<comparison><=|>=|<|>)\s*"
+    rf"(?:(?P<number>{_NUMBER})(?:\s*\*\s*(?P<times>[a-z]+))?|(?P<reference>[a-z]+))\s*"
+)
+_LONGEST = 500  # characters
+_HOW = "expected [PLACE.]QUANTITY<BOUND, e.g. 'rms<2*floor', 'joint2.rms<1.5', 'total.mass<1.1*urdf', 'from_data>=0.1'"
+
+Values = Mapping[str, Mapping[str, float]]
+"""Numbers by place, and there by ``value`` and the references."""
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """That a ``quantity`` at a ``place`` (empty: at all) compares so with ``factor`` times the ``reference``, which is
+    empty for a plain number. ``text`` is what the user wrote."""
+
+    text: str
+    place: str
+    quantity: str
+    comparison: str
+    factor: float
+    reference: str
+
+    @staticmethod
+    def parse(text: str) -> Requirement:
+        """Parse a requirement.
+
+        Raises:
+            InputError: it has another form; the message says what is possible.
+        """
+        match = _FORM.fullmatch(text) if len(text) <= _LONGEST else None
+        if match is None:
+            raise InputError(f"requirement '{text}': {_HOW}")
+        quantity, reference = match["quantity"], match["times"] or match["reference"] or ""
+        if quantity not in QUANTITIES:
+            raise InputError(f"requirement '{text}': {unknown_name('quantity', quantity, QUANTITIES)}")
+        if reference and reference not in QUANTITIES[quantity]:
+            multiples = f" or a multiple of {' or '.join(QUANTITIES[quantity])}" if QUANTITIES[quantity] else ""
+            raise InputError(
+                f"requirement '{text}': {quantity} is compared with a number{multiples}, not with '{reference}'"
+            )
+        factor = float(match["number"] or 1.0)
+        return Requirement(text, match["place"] or "", quantity, match["comparison"], factor, reference)
+
+    def checked(self, values: Mapping[str, Values]) -> Iterator[Outcome]:
+        """Compare.
+
+        Args:
+            values: by quantity, the numbers at every place.
+
+        Raises:
+            InputError: there is no such place.
+        """
+        places = values[self.quantity]
+        if self.place and self.place not in places:
+            raise InputError(f"requirement '{self.text}': {unknown_name('place', self.place, places)}")
+        for place in [self.place] if self.place else _known(places):
+            value = places[place]["value"]
+            bound = self.factor * (places[place][self.reference] if self.reference else 1.0)
+            if math.isnan(bound):
+                raise InputError(f"requirement '{self.text}': the model does not say the {self.reference} of '{place}'")
+            passed = _COMPARISONS[self.comparison](value, bound)  # never what is not measured, NaN
+            yield Outcome(self.text, f"{place}.{self.quantity}", value, f"{self.comparison} {bound:.4g}", passed)
+
+
+def _known(places: Values) -> list[str]:
+    """The places that a requirement without one is of: those with a number, one by one."""
+    return [place for place, numbers in places.items() if place != TOTAL and not math.isnan(numbers["value"])]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Whether what is required is so: the ``requirement``, ``what`` was compared, its ``value``, and with which
+    ``bound``."""
+
+    requirement: str
+    what: str
+    value: float
+    bound: str
+    passed: bool

@@ -18,7 +18,7 @@ from geomid_ros.files.models.joint_frames import joint_frames
 from geomid_ros.files.models.mjcf import with_identified
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.urdf_tree import MOST_BYTES
-from geomid_ros.resimulation.body_frames import BodyFrames, body_frames
+from geomid_ros.resimulation.written_robot import BodyFrames, body_frames
 from geomid_ros.types import FloatArray
 
 _FAR = 1e-3  # [m] and [rad] that the axes of one joint may be apart

@@ -11,10 +11,8 @@ from geomid_ros.files.models.gap_model import ModelFiles
 from geomid_ros.model.effects import Motion
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
-from geomid_ros.resimulation.errors import root_mean_square
-from geomid_ros.resimulation.noise import Noise
-from geomid_ros.resimulation.stretch import Stretch, interpolated, stretches
-from geomid_ros.resimulation.windows import Windows, WindowSimulation
+from geomid_ros.resimulation.errors import Noise, root_mean_square
+from geomid_ros.resimulation.windows import Stretch, Windows, WindowSimulation, interpolated, stretches
 from geomid_ros.resimulation.written_robot import WrittenRobot
 from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import BoolArray, FloatArray

@@ -10,10 +10,8 @@ import numpy as np
 from geomid_ros.files.models.gap_model import ModelFiles
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
-from geomid_ros.resimulation.errors import Errors, root_mean_square
-from geomid_ros.resimulation.noise import Noise
-from geomid_ros.resimulation.stretch import Stretch, stretches
-from geomid_ros.resimulation.windows import Windows, WindowSimulation
+from geomid_ros.resimulation.errors import Errors, Noise, root_mean_square
+from geomid_ros.resimulation.windows import Stretch, Windows, WindowSimulation, stretches
 from geomid_ros.resimulation.written_robot import WrittenRobot
 from geomid_ros.types import BoolArray, FloatArray
 

@@ -1,14 +1,15 @@
-"""Short windows of a recording, simulated forward from measured states under measured efforts."""
+"""Parts of a recording without a pause, and short windows of it, simulated forward from measured states."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from geomid_ros.model.effects import Motion
-from geomid_ros.resimulation.stretch import Stretch, interpolated
+from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.written_robot import Rollout, WrittenRobot
 from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import FloatArray, IntArray
@@ -110,3 +111,39 @@ def driving_efforts(robot: WrittenRobot, stretch: Stretch, instants: FloatArray)
     true = robot.true_effort(interpolated(times, samples.effort, instants + robot.delay))
     motion = (samples.position, samples.velocity, samples.acceleration)
     return robot.driving_effort(true, Motion(*(interpolated(times, values, instants) for values in motion)))
+
+
+_SHORTEST = 0.25  # [s] a shorter part is not used
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Samples at equal distances of ``period`` [s]; ``times (N,)`` [s] from the first sample of all."""
+
+    samples: Samples
+    times: FloatArray
+    period: float
+
+
+def stretches(recordings: Iterable[Samples]) -> list[Stretch]:
+    """The parts of recordings without a pause that are long enough to be simulated."""
+    found: list[Stretch] = []
+    for samples in recordings:
+        period = 1e-9 * float(np.median(np.diff(samples.stamps))) if len(samples) > 1 else 0.0
+        found += [
+            Stretch(part, 1e-9 * (part.stamps - part.stamps[0]), period)
+            for part in samples.stretches()
+            if len(part) * period >= _SHORTEST
+        ]
+    return found
+
+
+def interpolated(times: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
+    """Cubic interpolation of ``values (N, K)`` at ``times (N,)`` to the instants ``at (...)``, ``(..., K)``.
+
+    Columns that are not measured throughout are zero.
+    """
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 takes long to load
+
+    spline = CubicSpline(times, np.where(np.all(np.isfinite(values), axis=0), values, 0.0))
+    return np.asarray(spline(at))

@@ -32,11 +32,10 @@ from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.live.status import Status
 from geomid_ros.live.supervisor import Supervisor
 from geomid_ros.live.worker import Worker
-from geomid_ros.ros.console import Console
+from geomid_ros.ros.console import Console, News
 from geomid_ros.ros.dashboard_process import DashboardProcess
 from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, Diagnostics
 from geomid_ros.ros.inputs import Inputs
-from geomid_ros.ros.news import News
 from geomid_ros.ros.outputs import Outputs, latched
 from geomid_ros.ros.serialized import RosTypes
 from geomid_ros.ros.starting import starting_ros

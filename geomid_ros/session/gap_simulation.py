@@ -17,7 +17,7 @@ from geomid_ros.gap.result import GapResult
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.closed_loop import ClosedLoop, closed_loop
-from geomid_ros.resimulation.noise import Noise
+from geomid_ros.resimulation.errors import Noise
 from geomid_ros.resimulation.resimulate import Resimulated, resimulate
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray

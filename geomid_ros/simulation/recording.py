@@ -11,15 +11,14 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.simulation.bag import write_bag
-from geomid_ros.simulation.effects.effect import TrueEffect
 from geomid_ros.simulation.effects.measurement import sensed
+from geomid_ros.simulation.effects.physics import TrueEffect
 from geomid_ros.simulation.motion import exciting_motion
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.realistic.loop import RealisticLoop
-from geomid_ros.simulation.realistic.robot import RealisticRobot, build_realistic
+from geomid_ros.simulation.realistic.robot import RealisticRobot, build_realistic, realistic_document
 from geomid_ros.simulation.realistic.sensors import published
-from geomid_ros.simulation.realistic.truth import realistic_document
 from geomid_ros.simulation.recorder import ControlLoop, Sampling, check_motion, run, slowed, tuned_controller
 from geomid_ros.simulation.robot import Builder, TrueRobot, build_robot
 from geomid_ros.simulation.seeds import RandomStream, generator

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from geomid_ros.simulation.description import Description, LinkInertia, UrdfLimits, read_description
 from geomid_ros.simulation.effects.choice import chosen_effects
-from geomid_ros.simulation.effects.effect import TrueEffect
+from geomid_ros.simulation.effects.physics import TrueEffect
 from geomid_ros.simulation.inertias import perturbed
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.plant import Plant

@@ -7,9 +7,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from geomid_ros.simulation.effects.effect import TrueEffect
-from geomid_ros.simulation.effects.forces import FORCES, FRICTION, Places
-from geomid_ros.simulation.effects.structure import GEARS, play_name, wound
+from geomid_ros.simulation.effects.physics import FORCES, FRICTION, GEARS, Places, TrueEffect, play_name, wound
 from geomid_ros.types import FloatArray, IntArray
 
 _WINDINGS = 10  # each leaves a few per cent of the last one's error in how far gears are wound up at rest

@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 import yaml
 
-from geomid_ros.simulation.compiled import GRAVITY
 from geomid_ros.simulation.description import LinkInertia
-from geomid_ros.simulation.effects.effect import TrueEffect
 from geomid_ros.simulation.effects.measurement import sensed
+from geomid_ros.simulation.effects.physics import TrueEffect
 from geomid_ros.simulation.options import SimulationOptions
-from geomid_ros.simulation.plant import Plant
+from geomid_ros.simulation.plant import GRAVITY, Plant
 from geomid_ros.simulation.recorder import JointController
 from geomid_ros.simulation.robot import TrueRobot
 from geomid_ros.simulation.sensors import noise_levels

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 import geomid_ros
 from geomid_ros.simulation import SimulationOptions, simulate
-from geomid_ros.simulation.hidden import Hidden
+from geomid_ros.simulation.options import Hidden
 
 ROOT = Path(__file__).parents[2]
 LEVEL = 1.0  # of the friction that is hidden at joint2 [N m]

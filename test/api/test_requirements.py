@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from geomid_ros.api.requirements import Requirement
+from geomid_ros.api.verify import Requirement
 from geomid_ros.errors import InputError
 
 VALUES = {

@@ -18,7 +18,7 @@ from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.robot import Robot
 from geomid_ros.simulation import SimulationOptions, simulate
-from geomid_ros.simulation.hidden import Hidden
+from geomid_ros.simulation.options import Hidden
 
 from .running import done, geomid, refused
 

@@ -17,7 +17,7 @@ from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS
 from geomid_ros.model.robot import Robot
 from geomid_ros.simulation import SimulationOptions, simulate
-from geomid_ros.simulation.hidden import Hidden
+from geomid_ros.simulation.options import Hidden
 
 from .running import NO_CHOICE, WRIST, done, geomid, identify, link, read, refused, undrawn
 

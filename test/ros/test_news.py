@@ -13,8 +13,7 @@ from files.recordings import BAGS
 from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.live.status import Status
 from geomid_ros.ros import console as module
-from geomid_ros.ros.console import AGAIN, Console
-from geomid_ros.ros.news import News
+from geomid_ros.ros.console import AGAIN, Console, News
 from geomid_ros.signals.ledger import Account
 
 from .stage import NO_CHOICE, Stage, description

@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from geomid_ros.simulation import SimulationOptions, simulate
-from geomid_ros.simulation.hidden import Hidden
+from geomid_ros.simulation.options import Hidden
 
 from .observer import latched
 from .spoiling import later

@@ -16,7 +16,7 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.simulation import Hidden, SimulationOptions, simulate
-from geomid_ros.simulation.realistic.friction import LuGre
+from geomid_ros.simulation.realistic.joint import LuGre
 from geomid_ros.simulation.realistic.robot import LINK_MASS, RealisticRobot, build_realistic
 from geomid_ros.simulation.realistic.sensors import kept
 from geomid_ros.simulation.recording import closed_loop, record
@@ -231,7 +231,7 @@ def test_it_is_a_world_apart_from_the_estimator() -> None:
     """Importing all of it loads no other room of the package, and so none of ``model/effects``."""
     script = """
         import sys
-        import geomid_ros.simulation.realistic.loop, geomid_ros.simulation.realistic.truth
+        import geomid_ros.simulation.realistic.loop, geomid_ros.simulation.realistic.robot
         print(sorted({name.split(".")[1] for name in sys.modules if name.startswith("geomid_ros.")}))
         """
     command = [sys.executable, "-c", "\n".join(line.strip() for line in script.splitlines())]

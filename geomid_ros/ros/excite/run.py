@@ -13,8 +13,7 @@ import numpy as np
 from rclpy.node import Node
 
 from geomid_ros.errors import GeomidError, InputError
-from geomid_ros.excitation.running.approach_and_stop import stopping_accelerations, way_by, way_to_rest
-from geomid_ros.excitation.running.approach_path import Passage
+from geomid_ros.excitation.running.approach import Passage, stopping_accelerations, way_by, way_to_rest
 from geomid_ros.excitation.running.limits import RobotLimits, check_motion
 from geomid_ros.excitation.running.watch import JointState, Watch
 from geomid_ros.excitation.trajectory import Trajectory

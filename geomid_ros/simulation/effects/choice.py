@@ -9,11 +9,9 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.simulation.description import Description, UrdfLimits
-from geomid_ros.simulation.effects.effect import TrueEffect
+from geomid_ros.simulation.effects.physics import GEARS, TrueEffect
 from geomid_ros.simulation.effects.sizes import SIZES, Site
-from geomid_ros.simulation.effects.structure import GEARS
-from geomid_ros.simulation.hidden import Hidden
-from geomid_ros.simulation.options import SimulationOptions
+from geomid_ros.simulation.options import Hidden, SimulationOptions
 from geomid_ros.simulation.seeds import RandomStream, generator
 
 WRENCH_TOPIC = "/wrench"

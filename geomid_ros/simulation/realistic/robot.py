@@ -1,29 +1,27 @@
-"""The realistic robot of a seed."""
+"""The realistic robot of a seed, and what is true of it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
+from typing import Any
 
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.simulation.description import Description, LinkInertia, UrdfLimits, read_description
 from geomid_ros.simulation.effects.choice import chosen_effects
-from geomid_ros.simulation.effects.effect import TrueEffect
-from geomid_ros.simulation.effects.forces import FRICTION
-from geomid_ros.simulation.effects.structure import GEARS
-from geomid_ros.simulation.hidden import Hidden
+from geomid_ros.simulation.effects.physics import FRICTION, GEARS, TrueEffect
 from geomid_ros.simulation.inertias import perturbed
-from geomid_ros.simulation.options import SimulationOptions
+from geomid_ros.simulation.options import Hidden, SimulationOptions
 from geomid_ros.simulation.plant import Plant
-from geomid_ros.simulation.realistic.friction import LuGre
-from geomid_ros.simulation.realistic.motor import Motors, WarmUp
+from geomid_ros.simulation.realistic.joint import LuGre, Motors, WarmUp
 from geomid_ros.simulation.realistic.sensors import Sensors
 from geomid_ros.simulation.robot import TrueRobot
 from geomid_ros.simulation.robots import robot_description
 from geomid_ros.simulation.seeds import RandomStream, generator
+from geomid_ros.simulation.truth import effect_document
 from geomid_ros.types import FloatArray
 
 LINK_MASS = "link_mass"
@@ -179,3 +177,26 @@ def _sensors(joints: Sequence[UrdfLimits], options: SimulationOptions, rng: np.r
         lost=rng.uniform(1e-3, 1e-2),
         burst=rng.uniform(1.0, 3.0),
     )
+
+
+def realistic_document(robot: RealisticRobot) -> dict[str, Any]:
+    """Hidden ``effects`` and ``standing`` ones; the numbers of ``friction``, ``motors``, ``warm_up`` and ``sensors``;
+    ``noise``: standard deviations, those of rounding where an encoder makes it.
+
+    Numbers are in the order of the truth's ``joints`` and in the units that the classes of these names describe.
+    """
+    rounding = robot.sensors.encoder / np.sqrt(12.0)
+    noise = {
+        "position": rounding,
+        "velocity": np.sqrt(2.0) * rounding / robot.sensors.window,
+        "effort": robot.sensors.effort_noise,
+        "wrench": robot.sensors.wrench_noise,
+    }
+    parts = {name: vars(getattr(robot, name)) for name in ("friction", "motors", "warm_up", "sensors")}
+    parts["noise"] = noise
+    numbers = {name: {key: np.asarray(value).tolist() for key, value in part.items()} for name, part in parts.items()}
+    effects = {
+        kind: [effect_document(effect) for effect in chosen]
+        for kind, chosen in (("effects", robot.hidden), ("standing", robot.standing))
+    }
+    return {**effects, **numbers}

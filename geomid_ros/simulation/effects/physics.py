@@ -1,0 +1,190 @@
+"""Physical effects, and how each acts: as an effort, as a constant of MuJoCo's model, or as a body or a hinge more."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, TypeAlias, TypeVar
+
+import numpy as np
+
+from geomid_ros.simulation.description import INERTIA_NAMES, LinkInertia
+from geomid_ros.simulation.inertias import set_inertia
+from geomid_ros.types import FloatArray
+
+Parameters: TypeAlias = Mapping[str, float]
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+def by_name(*functions: _Function) -> dict[str, _Function]:
+    """Functions by the effects that they are named after."""
+    return {function.__name__.removeprefix("_"): function for function in functions}
+
+
+@dataclass(frozen=True)
+class TrueEffect:
+    """The effect called ``name`` at ``joint``, with the values of its ``parameters``.
+
+    ``joint`` is empty for the whole robot, and the topic for a wrench sensor. ``link`` carries a payload; ``other`` is
+    the second joint of an effect that depends on two. ``sizes.py`` describes the parameters and their units.
+    """
+
+    name: str
+    joint: str
+    parameters: Parameters
+    link: str = ""
+    other: str = ""
+
+
+@dataclass(frozen=True)
+class Places:
+    """Indices of an effect's ``joint``, of the ``other`` one and of the hinge behind its ``play``, or -1."""
+
+    joint: int
+    other: int
+    play: int
+
+
+Force = Callable[[Parameters, Places, list[float], list[float], FloatArray], None]
+"""Adds to the needed efforts (last), from parameters, places, positions and velocities of all hinges."""
+
+
+def _cogging(
+    parameters: Parameters, at: Places, position: list[float], _velocity: list[float], needed: FloatArray
+) -> None:
+    wave = math.sin(parameters["cycles"] * position[at.joint] + parameters["phase"])
+    needed[at.joint] += parameters["amplitude"] * wave
+
+
+def _cable_force(
+    parameters: Parameters, at: Places, position: list[float], _velocity: list[float], needed: FloatArray
+) -> None:
+    wound = position[at.joint] + parameters["ratio"] * position[at.other] - parameters["start"]
+    tension = parameters["stiffness"] * max(wound, 0.0)
+    needed[at.joint] += tension
+    needed[at.other] += parameters["ratio"] * tension
+
+
+def _joint_coupling(
+    parameters: Parameters, at: Places, _position: list[float], velocity: list[float], needed: FloatArray
+) -> None:
+    needed[at.joint] += parameters["coefficient"] * velocity[at.other]
+
+
+def _backlash(
+    parameters: Parameters, at: Places, position: list[float], velocity: list[float], needed: FloatArray
+) -> None:
+    """The flanks press but never pull; between them the link is free."""
+    turned = position[at.play]
+    pressed = abs(turned) - 0.5 * parameters["gap"]
+    if pressed > 0.0:
+        side = math.copysign(1.0, turned)
+        force = parameters["stiffness"] * pressed + parameters["damping"] * side * velocity[at.play]
+        needed[at.play] += side * max(force, 0.0)
+
+
+FORCES: dict[str, Force] = by_name(_cogging, _cable_force, _joint_coupling, _backlash)
+
+Level = Callable[[Parameters, float, float, float], float]
+"""Magnitude [N m] of dry friction from the parameters, the joint's position, its velocity and its motor's effort.
+
+Within about 0.03 rad/s of standstill, friction is whatever stops the joint."""
+
+
+def _coulomb_friction(parameters: Parameters, _position: float, _velocity: float, _effort: float) -> float:
+    return parameters["level"]
+
+
+def _stribeck_friction(parameters: Parameters, _position: float, velocity: float, _effort: float) -> float:
+    excess = parameters["excess"] * math.exp(-((velocity / parameters["speed"]) ** 2))
+    return parameters["level"] + excess
+
+
+def _load_friction(parameters: Parameters, _position: float, velocity: float, effort: float) -> float:
+    """``c |tau|`` of the effort tau that is passed on: the motor's is ``tau + c |tau| sign(v)``, solved for tau."""
+    passed = abs(effort) / (1.0 + parameters["coefficient"] * math.copysign(1.0, effort * velocity))
+    return parameters["coefficient"] * passed
+
+
+def _position_friction(parameters: Parameters, position: float, _velocity: float, _effort: float) -> float:
+    wave = math.sin(parameters["cycles"] * position + parameters["phase"])
+    return parameters["level"] * (1.0 + parameters["modulation"] * wave)
+
+
+FRICTION: dict[str, Level] = by_name(_coulomb_friction, _stribeck_friction, _load_friction, _position_friction)
+
+
+def _viscous_friction(model: Any, at: Places, parameters: Parameters) -> None:
+    model.dof_damping[at.joint] = parameters["coefficient"]
+
+
+def _rotor_inertia(model: Any, at: Places, parameters: Parameters) -> None:
+    model.dof_armature[at.joint] += parameters["inertia"]
+
+
+def _spring(model: Any, at: Places, parameters: Parameters) -> None:
+    model.jnt_stiffness[at.joint] = parameters["stiffness"]
+    model.qpos_spring[at.joint] = parameters["equilibrium"]
+
+
+def _joint_elasticity(model: Any, at: Places, parameters: Parameters) -> None:
+    model.jnt_stiffness[at.play] = parameters["stiffness"]
+    model.dof_damping[at.play] = parameters["damping"]
+
+
+def _gravity_tilt(model: Any, _: Places, parameters: Parameters) -> None:
+    model.opt.gravity[:] = rotation(parameters["tilt_x"], parameters["tilt_y"]).T @ model.opt.gravity
+
+
+def rotation(x: float, y: float) -> FloatArray:
+    """Rotation matrix ``(3, 3)`` of the rotation vector (x, y, 0) [rad]."""
+    cross = np.array([[0.0, 0.0, y], [0.0, 0.0, -x], [-y, x, 0.0]])
+    angle = np.hypot(x, y)
+    return np.asarray(
+        np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(0.5 * angle / np.pi) ** 2 * cross @ cross
+    )
+
+
+MODEL = by_name(_viscous_friction, _rotor_inertia, _spring, _joint_elasticity, _gravity_tilt)
+
+
+_COM = ("com_x", "com_y", "com_z")
+GEARS = ("joint_elasticity", "backlash")
+"""Effects that put another hinge behind a joint's motor."""
+
+
+def play_name(joint: str) -> str:
+    """Name of the hinge behind a joint's motor; its angle is that of the link less that of the motor."""
+    return joint + "/play"
+
+
+def wound(parameters: Mapping[str, float], effort: float) -> float:
+    """How far [rad] a motor that holds ``effort`` [N m] is ahead of its link, through elasticity or backlash."""
+    return effort / parameters["stiffness"] + math.copysign(0.5 * parameters.get("gap", 0.0), effort)
+
+
+def _payload(mujoco: Any, spec: Any, effect: TrueEffect) -> None:
+    body = spec.body(effect.link).add_body(name=effect.link + "/payload")
+    set_inertia(mujoco, body, payload_inertia(effect))
+
+
+def payload_inertia(effect: TrueEffect) -> LinkInertia:
+    """A payload as a body in the frame of its link."""
+    values = effect.parameters
+    com, inertia = np.array([values[name] for name in _COM]), [[values[name] for name in row] for row in INERTIA_NAMES]
+    return LinkInertia(effect.link, values["mass"], com, np.array(inertia))
+
+
+def _gear(_: Any, spec: Any, effect: TrueEffect) -> None:
+    """A light rotor in front of another hinge on the same axis."""
+    motor = spec.joint(effect.joint)
+    motor.armature = effect.parameters["rotor_inertia"]
+    motor.parent.add_joint(name=play_name(effect.joint), type=motor.type, axis=motor.axis, pos=motor.pos)
+
+
+STRUCTURE: dict[str, Callable[[Any, Any, TrueEffect], None]] = {
+    "payload": _payload,
+    "joint_elasticity": _gear,
+    "backlash": _gear,
+}
