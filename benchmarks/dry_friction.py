@@ -34,13 +34,11 @@ from geomid_ros.estimation.estimate import SURE
 from geomid_ros.model.effects import DEFAULT_EFFECTS
 from geomid_ros.simulation.bag import write_bag
 from geomid_ros.simulation.effects.physics import TrueEffect
-from geomid_ros.simulation.motion import exciting_motion
+from geomid_ros.simulation.motion import RunTrace, exciting_motion
 from geomid_ros.simulation.options import Hidden, SimulationOptions
 from geomid_ros.simulation.recording import closed_loop, record
-from geomid_ros.simulation.robot import TrueRobot, build_robot
+from geomid_ros.simulation.robot import TrueRobot, build_robot, measured
 from geomid_ros.simulation.robots import robot_description
-from geomid_ros.simulation.sensors import measured
-from geomid_ros.simulation.trace import RunTrace
 from geomid_ros.simulation.truth import write_truth
 from geomid_ros.types import FloatArray
 

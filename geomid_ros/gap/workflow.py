@@ -18,11 +18,10 @@ from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, root_m
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.evidence.standing import StandingRemainder
 from geomid_ros.gap.judgement.changed_links import changed_links
-from geomid_ros.gap.judgement.folded import folded
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.judgement.locate import located
 from geomid_ros.gap.judgement.verdict import findings, ranking, unexplained, verdict
-from geomid_ros.gap.judgement.written import written
+from geomid_ros.gap.judgement.written import folded, written
 from geomid_ros.gap.result import GapResult
 from geomid_ros.inference.fit import unfitted
 from geomid_ros.inference.prior import Prior

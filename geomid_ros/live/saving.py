@@ -20,8 +20,7 @@ from geomid_ros.files.checkpoints.checkpoint_folder import CheckpointFolder, Res
 from geomid_ros.files.models.gap_model import ESTIMATE
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.gap.evidence.standing import StandingRemainder
-from geomid_ros.live.activity import Activity
-from geomid_ros.live.daemon import start_daemon, start_later
+from geomid_ros.live.threads import Activity, start_daemon, start_later
 from geomid_ros.live.worker import Worker
 from geomid_ros.session.session import Session
 

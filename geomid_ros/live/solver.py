@@ -15,9 +15,8 @@ import numpy as np
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import WarmStart
-from geomid_ros.live.activity import Activity
-from geomid_ros.live.daemon import start_daemon
 from geomid_ros.live.pace import NEW_SHARE, Pace
+from geomid_ros.live.threads import Activity, start_daemon
 from geomid_ros.monitoring.change_detection import (
     ChangeDetector,
     changed_sensors,

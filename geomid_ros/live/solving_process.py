@@ -14,7 +14,7 @@ from multiprocessing.connection import Connection
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from geomid_ros.errors import GeomidError
-from geomid_ros.live.daemon import end_with_parent
+from geomid_ros.live.threads import end_with_parent
 
 _NICE = 5  # the process that takes messages comes first
 _PATIENCE = 60.0  # [s] for a solve whose caller has given up

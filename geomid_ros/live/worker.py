@@ -11,11 +11,10 @@ from typing import TypeAlias
 import numpy as np
 
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.live.activity import Activity
-from geomid_ros.live.daemon import start_daemon
 from geomid_ros.live.inbox import Inbox, Received, Request, Reset
 from geomid_ros.live.solver import SOLVING, Done, Solver
 from geomid_ros.live.status import Status
+from geomid_ros.live.threads import Activity, start_daemon
 from geomid_ros.model.measurement import Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.session import Session

@@ -12,8 +12,7 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from geomid_ros.report.lines import dots_path, line_path, ticks
-from geomid_ros.report.page import AFTER, BEFORE, MEASURED
+from geomid_ros.report.page import AFTER, BEFORE, MEASURED, dots_path, line_path, ticks
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _FLOOR, _GRID, _FRAME = "#e9edf0", "#eceeef", "#c8cbce"

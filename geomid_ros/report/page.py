@@ -1,4 +1,4 @@
-"""What pages share: the frame that they are written in, and tables of bars."""
+"""What pages share: the frame that they are written in, tables of bars, and what is drawn as SVG."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from geomid_ros.files.disk import write_text
 from geomid_ros.report import gap_words
+from geomid_ros.types import FloatArray, IntArray
 
 _FOLDER = Path(__file__).parent
 _FILTERS = ("compared", "headline", "place", "title", "ratio", "percent", "measured", "measured_angle", "interval")
@@ -107,3 +109,35 @@ class Bars:
             for name, note, values in rows
         ]
         return Bars(bars, ticks, "gap")
+
+
+_ROUND = np.array([1.0, 2.0, 2.5, 5.0, 10.0])
+
+
+def ticks(low: float, high: float, most: int) -> list[float]:
+    """Round numbers at equal distances between two ends, of which they leave ``most`` intervals or fewer."""
+    least = (high - low) / most
+    power = 10.0 ** np.floor(np.log10(least))
+    step = power * _ROUND[np.searchsorted(_ROUND, 0.999 * least / power)]
+    whole = np.arange(np.ceil(low / step), np.floor(high / step) + 1.0)
+    found: list[float] = (step * whole + 0.0).tolist()  # + 0: zero has no sign
+    return found
+
+
+def line_path(x: FloatArray, y: FloatArray) -> str:
+    """The path of a line in whole units that is broken where it is NaN."""
+    breaks = np.flatnonzero(np.isnan(x) | np.isnan(y))
+    runs = np.split(np.column_stack([x, y]), breaks)
+    known = (run[np.all(np.isfinite(run), axis=1)] for run in runs)
+    return "".join("M" + " ".join(map(str, _whole(run).ravel().tolist())) for run in known if len(run))
+
+
+def dots_path(x: FloatArray, y: FloatArray) -> str:
+    """The path of dots in whole units, to be drawn with round ends; none where a value is NaN."""
+    dots = np.column_stack([x, y])
+    places = _whole(dots[np.all(np.isfinite(dots), axis=1)])
+    return "".join(f"m{right} {down}h0" for right, down in np.diff(places, axis=0, prepend=0).tolist())
+
+
+def _whole(values: FloatArray) -> IntArray:
+    return np.rint(values).astype(np.int64)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.report.lines import line_path, ticks
+from geomid_ros.report.page import line_path, ticks
 from geomid_ros.report.series import BINS, Clock, Series, limits, thinned
 from geomid_ros.report.sheet import number
 from geomid_ros.types import FloatArray

@@ -13,9 +13,9 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
-from geomid_ros.live.daemon import start_daemon
 from geomid_ros.live.dashboard_server import Board, serve
 from geomid_ros.live.dashboard_state import Diagnosis, state_of
+from geomid_ros.live.threads import start_daemon
 from geomid_ros.ros.starting import starting_ros
 
 _PAUSE = 0.2  # [s] after which its end is noticed at the latest

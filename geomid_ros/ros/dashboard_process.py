@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from multiprocessing import get_context
 
 from geomid_ros.errors import InputError
-from geomid_ros.live.daemon import end_with_parent
+from geomid_ros.live.threads import end_with_parent
 
 _PATIENCE = 0.5  # [s] for its end
 

@@ -18,8 +18,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 
 from geomid_ros.simulation.effects.choice import WRENCH_TOPIC
+from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.simulation.options import SimulationOptions
-from geomid_ros.simulation.trace import RunTrace
 from geomid_ros.types import FloatArray
 
 if sys.version_info >= (3, 14):

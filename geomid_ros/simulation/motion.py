@@ -1,15 +1,15 @@
-"""Exciting motions, faded in from rest, inside the joints' limits."""
+"""Exciting motions, faded in from rest, inside the joints' limits, and what is recorded of one."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from geomid_ros.simulation.description import UrdfLimits
 from geomid_ros.simulation.options import MOTIONS, SimulationOptions
-from geomid_ros.types import FloatArray
+from geomid_ros.types import FloatArray, IntArray
 
 FADE_IN = 2.0
 """Time [s] from rest to full amplitude; afterwards the motion is periodic."""
@@ -140,3 +140,38 @@ def _faded(fade: SetPoints, motion: SetPoints) -> SetPoints:
 _SHAPES: dict[str, Callable[[FloatArray, int, SimulationOptions, np.random.Generator], SetPoints]] = dict(
     zip(MOTIONS, (_sines, _aperiodic, _points, _chirp), strict=True)
 )
+
+
+_PER_JOINT = ("position", "velocity", "acceleration", "effort", "fine_effort", "feedforward")
+
+
+@dataclass(frozen=True, eq=False)
+class RunTrace:
+    """Samples of n joints at T instants.
+
+    Attributes:
+        time: ``(T,)`` [s].
+        position, velocity, acceleration, effort: ``(T, n)``. Without effects of measurement the effort is what the
+            motors supply, and all four satisfy the equation of motion exactly.
+        wrench_time: Instants ``(T,)`` of the wrench [s].
+        wrench: ``(T, 6)`` in its frame, or ``(T, 0)``.
+        commands, feedforward: The controller's set-points and feed-forward efforts ``(T, n)`` at ``time``.
+        fine_time, fine_effort: Every step of the integration ``(F,)`` [s], and the efforts there ``(F, n)``.
+    """
+
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    effort: FloatArray
+    wrench_time: FloatArray
+    wrench: FloatArray
+    commands: SetPoints
+    feedforward: FloatArray
+    fine_time: FloatArray
+    fine_effort: FloatArray
+
+    def reordered(self, order: IntArray) -> RunTrace:
+        """The same samples with the joints in another ``order (n,)``."""
+        commands = SetPoints(*(values[:, order] for values in vars(self.commands).values()))
+        return replace(self, commands=commands, **{name: getattr(self, name)[:, order] for name in _PER_JOINT})

@@ -9,9 +9,8 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.simulation.description import UrdfLimits
-from geomid_ros.simulation.motion import SetPoints
+from geomid_ros.simulation.motion import RunTrace, SetPoints
 from geomid_ros.simulation.simulator import Simulator
-from geomid_ros.simulation.trace import RunTrace
 from geomid_ros.types import FloatArray, IntArray
 
 _STIFFNESS = 10.0  # effort limits per rad (or m) of position error

@@ -13,17 +13,15 @@ from geomid_ros.errors import InputError
 from geomid_ros.simulation.bag import write_bag
 from geomid_ros.simulation.effects.measurement import sensed
 from geomid_ros.simulation.effects.physics import TrueEffect
-from geomid_ros.simulation.motion import exciting_motion
+from geomid_ros.simulation.motion import RunTrace, exciting_motion
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.realistic.loop import RealisticLoop
 from geomid_ros.simulation.realistic.robot import RealisticRobot, build_realistic, realistic_document
 from geomid_ros.simulation.realistic.sensors import published
 from geomid_ros.simulation.recorder import ControlLoop, Sampling, check_motion, run, slowed, tuned_controller
-from geomid_ros.simulation.robot import Builder, TrueRobot, build_robot
+from geomid_ros.simulation.robot import Builder, TrueRobot, build_robot, measured
 from geomid_ros.simulation.seeds import RandomStream, generator
-from geomid_ros.simulation.sensors import measured
-from geomid_ros.simulation.trace import RunTrace
 from geomid_ros.simulation.truth import contributions, controller_path, truth_path, write_gains, write_truth
 
 Progress = Callable[[float], None]

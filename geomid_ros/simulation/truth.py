@@ -14,12 +14,11 @@ import yaml
 from geomid_ros.simulation.description import LinkInertia
 from geomid_ros.simulation.effects.measurement import sensed
 from geomid_ros.simulation.effects.physics import TrueEffect
+from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.plant import GRAVITY, Plant
 from geomid_ros.simulation.recorder import JointController
-from geomid_ros.simulation.robot import TrueRobot
-from geomid_ros.simulation.sensors import noise_levels
-from geomid_ros.simulation.trace import RunTrace
+from geomid_ros.simulation.robot import TrueRobot, noise_levels
 from geomid_ros.types import FloatArray
 
 

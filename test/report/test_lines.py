@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from geomid_ros.report.lines import ticks
+from geomid_ros.report.page import ticks
 
 
 @pytest.mark.parametrize(("low", "high"), [(-0.4, 1.1), (-1.6, 0.9), (0.0, 4.58), (-300.0, -20.0), (1e-4, 2e-3)])

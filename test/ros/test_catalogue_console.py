@@ -14,9 +14,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from files.recordings import TYPES
 
 from geomid_ros.live import saving, supervisor
-from geomid_ros.live.activity import Activity
 from geomid_ros.live.status import Status
 from geomid_ros.live.supervisor import FORGOTTEN, MOST_RESTARTS, Supervisor
+from geomid_ros.live.threads import Activity
 from geomid_ros.ros import console as module
 from geomid_ros.ros.console import AGAIN, Console
 from geomid_ros.ros.diagnostics import Complaint, Diagnostics

@@ -21,9 +21,9 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live import inbox
 from geomid_ros.live import worker as module
-from geomid_ros.live.activity import Activity
 from geomid_ros.live.inbox import Received
 from geomid_ros.live.status import Status
+from geomid_ros.live.threads import Activity
 from geomid_ros.live.worker import Worker
 from geomid_ros.monitoring.change_detection import BLOCK
 from geomid_ros.ros.diagnostics import Diagnostics

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 
-from geomid_ros.simulation.trace import RunTrace
+from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.types import FloatArray
 
 COMPONENTS = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}

@@ -15,8 +15,8 @@ from scipy.interpolate import CubicSpline
 
 from geomid_ros.simulation import EFFECTS, WRIST_FRAME, Hidden, SimulationOptions
 from geomid_ros.simulation.effects.measurement import sensed
+from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.simulation.robot import build_robot
-from geomid_ros.simulation.trace import RunTrace
 from geomid_ros.types import FloatArray
 
 from .conftest import Run, simulated

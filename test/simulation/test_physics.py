@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from geomid_ros.simulation.effects.measurement import sensed
-from geomid_ros.simulation.motion import FADE_IN
+from geomid_ros.simulation.motion import FADE_IN, RunTrace
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.recording import closed_loop, record
 from geomid_ros.simulation.robot import build_robot
 from geomid_ros.simulation.robots import WRIST_FRAME
-from geomid_ros.simulation.trace import RunTrace
 
 from .conftest import Run, simulated
 

@@ -13,11 +13,11 @@ from geomid_ros.errors import InputError
 from geomid_ros.simulation import SimulationOptions
 from geomid_ros.simulation.effects.measurement import sensed
 from geomid_ros.simulation.inertias import body_of, pseudo_inertia
+from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.realistic.robot import RealisticRobot, build_realistic
 from geomid_ros.simulation.realistic.sensors import published
 from geomid_ros.simulation.recording import closed_loop, record
-from geomid_ros.simulation.trace import RunTrace
 from geomid_ros.types import FloatArray
 
 LEAST, MOST = 3.0, 10.0

@@ -16,8 +16,8 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import numpy as np
 
 from geomid_ros.files.models.effect_forms import is_body, joint_attributes, payload_parameters, turned_gravity
-from geomid_ros.files.models.joint_frames import JointFrame, joint_frames
 from geomid_ros.files.models.mjcf_shapes import Shapes, words
+from geomid_ros.files.models.urdf import JointFrame, joint_frames
 from geomid_ros.files.models.xml_edits import Edit, descendants_of, edited, insertion, with_attributes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import EFFECTS, Hinge, KnownEffect, joints_of, values_of

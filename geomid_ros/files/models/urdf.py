@@ -1,19 +1,27 @@
-"""Reading robot descriptions, and writing identified inertias and effects into them without touching anything else."""
+"""Reading robot descriptions, and writing identified inertias and effects into them without touching anything else.
+
+Where their joints sit, what they turn about and how far.
+"""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
+from xml.etree.ElementTree import Element
 from xml.sax.saxutils import escape, quoteattr
+
+import numpy as np
 
 from geomid_ros.files.disk import read_text
 from geomid_ros.files.models.effect_forms import is_body, joint_attributes, payload_quantities
 from geomid_ros.files.models.xml_edits import Edit, Span, children_of, edited, end_of_tag, insertion, with_attributes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, values_of
-from geomid_ros.model.urdf_tree import MOST_BYTES, read_xml
+from geomid_ros.model.urdf_tree import MOST_BYTES, axes_of, read_numbers, read_xml
 from geomid_ros.types import FloatArray
 
 # Mass [kg], centre of mass (3,) [m] in the link's frame, inertia (3, 3) [kg m^2] about it in the link's axes.
@@ -149,3 +157,58 @@ def for_gazebo(urdf: str, effects: Iterable[KnownEffect]) -> str:
     )
     end = data.rindex(b"</robot")
     return edited(data, [(end, end, added.encode())]).decode()
+
+
+@dataclass(frozen=True, eq=False)
+class JointFrame:
+    """A joint at zero: ``position (3,)`` [m] and ``rotation (3, 3)`` of its child link in the parent's frame, its unit
+    ``axis (3,)`` in the child's, its range [rad or m] and its effort limit [N m or N], infinite where there is none."""
+
+    name: str
+    slides: bool
+    parent: str
+    child: str
+    position: FloatArray
+    rotation: FloatArray
+    axis: FloatArray
+    lower: float
+    upper: float
+    effort: float
+
+
+def joint_frames(urdf: str, source: str) -> tuple[JointFrame, ...]:
+    """The joints of a URDF in its order. Raises InputError naming ``source``."""
+    return tuple(_joint_frame(element, source) for element in read_xml(urdf, source).findall("joint"))
+
+
+def _joint_frame(element: Element, source: str) -> JointFrame:
+    name, kind = element.get("name", ""), element.get("type", "")
+    where = f"{source}: joint '{name}'"
+    position = read_numbers(element, "origin", ("xyz",), [0.0, 0.0, 0.0], where)
+    angles = read_numbers(element, "origin", ("rpy",), [0.0, 0.0, 0.0], where)
+    axis = np.array(read_numbers(element, "axis", ("xyz",), [1.0, 0.0, 0.0], where))
+    lower, upper, effort = -math.inf, math.inf, math.inf
+    if kind in ("revolute", "prismatic"):
+        limit = element.find("limit")
+        lower, upper, effort = (_limit(limit, key, where) for key in ("lower", "upper", "effort"))
+    return JointFrame(
+        name=name,
+        slides=kind == "prismatic",
+        parent=element.find("parent").get("link", ""),  # type: ignore[union-attr]  # the tree was checked
+        child=element.find("child").get("link", ""),  # type: ignore[union-attr]
+        position=np.array(position),
+        rotation=axes_of(angles),
+        axis=axis / np.linalg.norm(axis) if np.any(axis) else axis,
+        lower=lower,
+        upper=upper,
+        effort=effort if effort > 0.0 else math.inf,
+    )
+
+
+def _limit(limit: Element | None, key: str, where: str) -> float:
+    """A number of a joint's <limit>; zero where it is absent, as URDF has it."""
+    if limit is None or limit.get(key) is None:
+        return 0.0
+    parent = Element("joint")
+    parent.append(limit)
+    return read_numbers(parent, "limit", (key,), None, where)[0]

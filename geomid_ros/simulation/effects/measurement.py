@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from geomid_ros.simulation.effects.physics import Parameters, TrueEffect, by_name
-from geomid_ros.simulation.trace import RunTrace
+from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.types import FloatArray
 
 

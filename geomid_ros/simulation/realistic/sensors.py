@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomid_ros.simulation.motion import SetPoints
-from geomid_ros.simulation.trace import RunTrace
+from geomid_ros.simulation.motion import RunTrace, SetPoints
 from geomid_ros.types import BoolArray, FloatArray
 
 

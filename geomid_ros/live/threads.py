@@ -1,10 +1,12 @@
-"""Threads that the end of the process does not wait for: they may compute, or wait for a slow disk."""
+"""Threads that the end of the process does not wait for (they may compute, or wait for a disk), and what one does."""
 
 from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from multiprocessing import parent_process
 from multiprocessing.connection import wait
 from typing import Any
@@ -34,3 +36,25 @@ def end_with_parent() -> None:
             os._exit(0)
 
     start_daemon("parent", watch)
+
+
+class Activity:
+    """One thread calls :meth:`doing`, others ask :attr:`current`."""
+
+    def __init__(self) -> None:
+        self._begun: tuple[str, float] | None = None
+
+    @contextmanager
+    def doing(self, what: str) -> Iterator[None]:
+        """The thread does ``what`` inside."""
+        self._begun = what, time.monotonic()
+        try:
+            yield
+        finally:
+            self._begun = None
+
+    @property
+    def current(self) -> tuple[str, float]:
+        """What the thread does, and the seconds since it began; nothing and 0 while it waits."""
+        begun = self._begun
+        return (begun[0], time.monotonic() - begun[1]) if begun else ("", 0.0)
