@@ -143,11 +143,12 @@ class Gap:
         write_gap_page(Path(path), page, lambda share: progress("drawing", share))
         return Path(path)
 
-    def save(self, folder: PathLike, *, progress: Progress = silent) -> list[Path]:
+    def save(self, folder: PathLike, *, report: bool = True, progress: Progress = silent) -> list[Path]:
         """Write report.html, gap.json, findings.csv, and the model with what was found.
 
         Args:
             folder: created if it does not exist.
+            report: whether to write report.html, which is for people.
             progress: called with the current stage and its completed share, 0 to 1.
 
         Returns:
@@ -157,10 +158,11 @@ class Gap:
             InputError: a file cannot be written.
         """
         with staged(Path(folder)) as stage:
-            files = self._write(stage, progress)
+            page = [self.report(stage / "report.html", progress=progress)] if report else []
+            files = [*page, *self._write(stage)]
         return [Path(folder) / file.name for file in files]
 
-    def _write(self, folder: Path, progress: Progress) -> list[Path]:
+    def _write(self, folder: Path) -> list[Path]:
         files, document = write_found(folder, self.session, self.result), self.document
         write_json(folder / "gap.json", document)
         description = folder / file_name(self.reader)
@@ -171,7 +173,7 @@ class Gap:
             files.append(folder / name)
             write_text(folder / name, text)
         written = [folder / "gap.json", *write_tables(folder, tables(document))]
-        return [self.report(folder / "report.html", progress=progress), *written, *files]
+        return [*written, *files]
 
     def __repr__(self) -> str:
         """Reasons for doubt, the verdict, and a sentence for each finding."""

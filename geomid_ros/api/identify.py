@@ -28,10 +28,8 @@ from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.gap.evidence.standing import StandingRemainder
 from geomid_ros.model.samples import Samples
-from geomid_ros.report.drawing import draw_identification, series_of
 from geomid_ros.report.identification_page import IdentificationPage, write_identification_page
-from geomid_ros.report.series import Series
-from geomid_ros.report.sheet import write_picture
+from geomid_ros.report.series import Series, series_of
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import gap_session, remainder_of
 from geomid_ros.session.locking import read_with_locked
@@ -202,6 +200,8 @@ class Identification:
 
     def plot(self) -> Figure:
         """Draw the bodies before and after, and the channels measured and predicted."""
+        from geomid_ros.report.drawing import draw_identification  # noqa: PLC0415 matplotlib, for pictures alone
+
         return draw_identification(self.session, self.estimate, self.judged, self._series, self._of_what)
 
     @property
@@ -249,13 +249,19 @@ class Identification:
         return Path(path)
 
     def save(
-        self, folder: PathLike, *, progress: Progress = silent, command: str = "geomid_ros.identify"
+        self,
+        folder: PathLike,
+        *,
+        report: bool = True,
+        progress: Progress = silent,
+        command: str = "geomid_ros.identify",
     ) -> list[Path]:
         """Write estimate.json, identified.urdf, effects.yaml, posterior.npz, tables (CSV), identification.png,
         report.html, and the description for :attr:`reader`: all of them, or none.
 
         Args:
             folder: created if it does not exist.
+            report: whether to write identification.png and report.html, which are for people.
             progress: called with the current stage and its completed share, 0 to 1.
             command: the command line, for the report.
 
@@ -267,23 +273,29 @@ class Identification:
         """
         with staged(Path(folder)) as stage:
             files = self._write(stage, progress, command)
+            files += self._write_report(stage, progress, command) if report else []
         return [Path(folder) / file.name for file in files]
 
     def _write(self, folder: Path, progress: Progress, command: str) -> list[Path]:
         texts = {"identified.urdf": self.urdf(), **self.written.files}
         for name, text in texts.items():
             write_text(folder / name, text)
-        sidecar, picture, report = (folder / name for name in ("effects.yaml", "identification.png", "report.html"))
+        sidecar = folder / "effects.yaml"
         write_sidecar(sidecar, self.session.robot.name, self.written.model.effects)
         document = self.document
         write_json(folder / "estimate.json", document | {"origin": asdict(origin(self.session, self.bags, command))})
         posterior = write_posterior(folder / POSTERIOR, self.estimate.posterior, self._remainder(folder, progress))
         csv = write_tables(folder, tables(document))
+        written = [folder / name for name in ("estimate.json", *texts)]
+        return [*written, sidecar, *posterior, *csv]
+
+    def _write_report(self, folder: Path, progress: Progress, command: str) -> list[Path]:
+        from geomid_ros.report.sheet import write_picture  # noqa: PLC0415 as above
+
+        picture = folder / "identification.png"
         progress("drawing", 0.0)
         write_picture(picture, self.plot())
-        self.report(report, command=command)
-        written = [folder / name for name in ("estimate.json", *texts)]
-        return [*written, sidecar, *posterior, *csv, picture, report]
+        return [picture, self.report(folder / "report.html", command=command)]
 
     def _remainder(self, folder: Path, progress: Progress) -> StandingRemainder | None:
         """What the estimate in a folder lacks on the bags, as ``geomid gap --model`` will see it; None, and that is

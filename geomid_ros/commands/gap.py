@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import OUT, reader_option, recording_options, robot_options
+from geomid_ros.commands.options import OUT, reader_option, recording_options, report_option, robot_options
 
 
 @click.command()
@@ -27,8 +27,9 @@ from geomid_ros.commands.options import OUT, reader_option, recording_options, r
 @click.option("--command", help="Topic of the recorded joint set-points (JointState), for a simulation in closed loop.")
 @reader_option
 @click.option("--out", default=Path("geomid_gap"), **OUT)
+@report_option
 @click.option("--json", "as_json", is_flag=True, help="Print gap.json instead of tables.")
-def gap(bags: tuple[Path, ...], out: Path, as_json: bool, **options: Any) -> None:
+def gap(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **options: Any) -> None:
     """Diagnose the gap between simulation and robot.
 
     Compares BAGS (folders, folders of them, or .mcap and .db3 files) with the model of --urdf or --model. Names the
@@ -43,7 +44,7 @@ def gap(bags: tuple[Path, ...], out: Path, as_json: bool, **options: Any) -> Non
 
     with progress_bar() as progress:
         found = geomid_ros.find_gap(bags, progress=progress, **options)
-        files = found.save(out, progress=progress)
+        files = found.save(out, report=report, progress=progress)
     if as_json:
         click.echo(json.dumps(found.document, indent=2))
     else:

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import OUT, Names, reader_option, recording_options, robot_options
+from geomid_ros.commands.options import OUT, Names, reader_option, recording_options, report_option, robot_options
 from geomid_ros.errors import one_line
 
 
@@ -46,8 +46,9 @@ from geomid_ros.errors import one_line
     help="Topic of the recorded joint set-points (JointState), for a closed-loop simulation of the held-out data.",
 )
 @click.option("--out", default=Path("geomid_out"), **OUT)
+@report_option
 @click.option("--json", "as_json", is_flag=True, help="Print estimate.json instead of tables.")
-def identify(bags: tuple[Path, ...], out: Path, as_json: bool, **options: Any) -> None:
+def identify(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **options: Any) -> None:
     """Identify link inertias from rosbags.
 
     Reads BAGS (folders, folders of them, or .mcap and .db3 files) and writes estimate.json, identified.urdf,
@@ -60,7 +61,7 @@ def identify(bags: tuple[Path, ...], out: Path, as_json: bool, **options: Any) -
 
     with progress_bar() as progress:
         found = geomid_ros.identify(bags, progress=progress, **options)
-        files = found.save(out, progress=progress, command=shlex.join(["geomid", *sys.argv[1:]]))
+        files = found.save(out, report=report, progress=progress, command=shlex.join(["geomid", *sys.argv[1:]]))
     if as_json:
         click.echo(files[0].read_text(encoding="utf-8"), nl=False)
     else:

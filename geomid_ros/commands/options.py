@@ -142,6 +142,13 @@ reader_option = click.option(
     "on held-out data.",
 )
 
+report_option = click.option(
+    "--report/--no-report",
+    default=True,
+    show_default=True,
+    help="Write the page and the pictures, which are for people.",
+)
+
 package_option = click.option(
     "--package-path",
     multiple=True,

@@ -59,20 +59,6 @@ def identification_figure(title: str, bodies: Sequence[BodyDrawing], series: Seq
     return figure
 
 
-def series_of(session: Session, estimate: Estimate, batches: Sequence[Samples]) -> list[Series]:
-    """The channels that were measured in some samples, which are in the order of time."""
-    stamps = np.concatenate([samples.stamps for samples in batches])
-    times = (stamps - stamps[0]) * 1e-9
-    both = np.column_stack([session.nominal_parameters, estimate.parameters])
-    pairs = zip(*(session.model.predict(samples, both) for samples in batches), strict=True)
-    measured, predicted = map(np.concatenate, pairs)
-    return [
-        Series(channel.name, channel.unit, times, measured[:, index], *predicted[:, index].T)
-        for index, channel in enumerate(session.model.channels)
-        if np.any(np.isfinite(measured[:, index]))
-    ]
-
-
 def _bodies(session: Session, estimate: Estimate, pose: Samples) -> list[BodyDrawing]:
     robot = session.robot
     frames = robot.link_frames(pose)

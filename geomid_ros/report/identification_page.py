@@ -14,9 +14,8 @@ from geomid_ros.files.models.estimate_file import shares_from_data
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.report import identification_words
 from geomid_ros.report.gap_words import percent
-from geomid_ros.report.page import Bars, Script, write_page
+from geomid_ros.report.page import Bars, Script, number, write_page
 from geomid_ros.report.series import ChannelFit, Series
-from geomid_ros.report.sheet import number
 from geomid_ros.report.trace import traces
 from geomid_ros.signals.ledger import Account
 from geomid_ros.types import FloatArray

@@ -1,4 +1,4 @@
-"""What pages share: the frame that they are written in, tables of bars, and what is drawn as SVG."""
+"""What pages share: the frame that they are written in, tables of bars, numbers, and what is drawn as SVG."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from geomid_ros.files.disk import write_text
 from geomid_ros.report import gap_words
 from geomid_ros.types import FloatArray, IntArray
 
+NONE = "—"
 _FOLDER = Path(__file__).parent
 _FILTERS = ("compared", "headline", "place", "title", "ratio", "percent", "measured", "measured_angle", "interval")
 # Okabe and Ito's colours for the colour-blind; lines differ in their dashes too.
@@ -141,3 +142,16 @@ def dots_path(x: FloatArray, y: FloatArray) -> str:
 
 def _whole(values: FloatArray) -> IntArray:
     return np.rint(values).astype(np.int64)
+
+
+def number(value: float) -> str:
+    """Three digits, with an exponent only where it is shorter."""
+    if not np.isfinite(value):
+        return NONE
+    if value == 0.0:
+        return "0"
+    magnitude = int(np.floor(np.log10(abs(value))))
+    if magnitude < -3 or magnitude > 4:
+        mantissa, exponent = f"{value:.1e}".split("e")
+        return f"{mantissa}e{int(exponent)}"
+    return f"{value:.{max(2 - magnitude, 0)}f}"

@@ -29,7 +29,8 @@ from geomid_ros.report.ellipsoids import (
     stick_ends,
     view_of,
 )
-from geomid_ros.report.sheet import FAINT, INK, NONE, URDF, Place, add_area, add_axes, add_text, number, shortened
+from geomid_ros.report.page import NONE, number
+from geomid_ros.report.sheet import FAINT, INK, URDF, Place, add_area, add_axes, add_text, shortened
 from geomid_ros.types import FloatArray
 
 Color: TypeAlias = tuple[float, float, float]

@@ -8,6 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.model.samples import Samples
+from geomid_ros.session.session import Session
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 BINS = 500
@@ -71,6 +74,20 @@ class Series:
     def ratio(self) -> float:
         """RMS after over RMS before: below 1 is better; NaN where it is undefined."""
         return _ratio(*self.rms)
+
+
+def series_of(session: Session, estimate: Estimate, batches: Sequence[Samples]) -> list[Series]:
+    """The channels that were measured in some samples, which are in the order of time."""
+    stamps = np.concatenate([samples.stamps for samples in batches])
+    times = (stamps - stamps[0]) * 1e-9
+    both = np.column_stack([session.nominal_parameters, estimate.parameters])
+    pairs = zip(*(session.model.predict(samples, both) for samples in batches), strict=True)
+    measured, predicted = map(np.concatenate, pairs)
+    return [
+        Series(channel.name, channel.unit, times, measured[:, index], *predicted[:, index].T)
+        for index, channel in enumerate(session.model.channels)
+        if np.any(np.isfinite(measured[:, index]))
+    ]
 
 
 def _ratio(before: float, after: float) -> float:

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
+from geomid_ros.report.page import number
 from geomid_ros.report.series import Clock, Series, limits, thinned
 from geomid_ros.report.sheet import (
     FAINT,
@@ -19,7 +20,6 @@ from geomid_ros.report.sheet import (
     URDF,
     add_axes,
     add_text,
-    number,
     shortened,
     text_width,
 )

@@ -6,7 +6,6 @@ import io
 from pathlib import Path
 from typing import TypeAlias
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
@@ -24,7 +23,6 @@ SIZE = (17.0, 10.0)  # [inch]
 # Grey is the URDF and colour the identified, in the robot as over time. For the colour-blind: Okabe and Ito's
 # vermilion.
 INK, FAINT, URDF, IDENTIFIED = "#1a1a1a", "#6b7075", "#9a9fa5", "#d55e00"
-NONE = "—"
 _COMPRESSION = 3  # of PNGs: with 6, writing takes half as long again, for files a tenth smaller
 
 
@@ -98,16 +96,3 @@ def _without_middle(text: str, length: int) -> str:
     """A text of which ``length`` characters are left."""
     head = 2 * length // 5
     return f"{text[:head]}…{text[len(text) - length + head :]}"
-
-
-def number(value: float) -> str:
-    """Three digits, with an exponent only where it is shorter."""
-    if not np.isfinite(value):
-        return NONE
-    if value == 0.0:
-        return "0"
-    magnitude = int(np.floor(np.log10(abs(value))))
-    if magnitude < -3 or magnitude > 4:
-        mantissa, exponent = f"{value:.1e}".split("e")
-        return f"{mantissa}e{int(exponent)}"
-    return f"{value:.{max(2 - magnitude, 0)}f}"

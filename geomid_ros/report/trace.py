@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.report.page import line_path, ticks
+from geomid_ros.report.page import line_path, number, ticks
 from geomid_ros.report.series import BINS, Clock, Series, limits, thinned
-from geomid_ros.report.sheet import number
 from geomid_ros.types import FloatArray
 
 WIDTH, HEIGHT = 20_000, 4_000

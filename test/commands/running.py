@@ -46,7 +46,7 @@ def refused(*arguments: str | Path) -> str:
 
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let results be written without pictures, where nobody looks at them: to draw takes longer than all the rest."""
-    monkeypatch.setattr("geomid_ros.api.identify.draw_identification", lambda *_: Figure((1.0, 1.0)))
+    monkeypatch.setattr("geomid_ros.report.drawing.draw_identification", lambda *_: Figure((1.0, 1.0)))
     monkeypatch.setattr("geomid_ros.api.gap.write_gap_page", lambda *_: None)
 
 

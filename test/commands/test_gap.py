@@ -179,7 +179,6 @@ def test_nothing_hidden_is_nothing_found(tmp_path: Path) -> None:
     assert read(tmp_path / "out")["findings"] == []
 
 
-@pytest.mark.usefixtures("without_pictures")
 def test_beside_a_model_a_joint_may_be_without_efforts(tmp_path: Path) -> None:
     def silent(item: Recorded) -> Recorded:
         if item.topic != "/joint_states":
@@ -189,9 +188,10 @@ def test_beside_a_model_a_joint_may_be_without_efforts(tmp_path: Path) -> None:
         )
 
     identified = tmp_path / "identified"
-    done("identify", BAGS / "arm3", "--urdf", URDF, "--out", identified)
+    done("identify", BAGS / "arm3", "--urdf", URDF, "--out", identified, "--no-report")
     arguments = "--urdf", URDF, "--model", identified / "estimate.json", "--out", tmp_path / "out"
-    done("gap", altered(BAGS / "arm3", tmp_path / "bag", silent), *arguments)
+    done("gap", altered(BAGS / "arm3", tmp_path / "bag", silent), *arguments, "--no-report")
+    assert not (tmp_path / "out/report.html").exists()
     judged = {name for name, size in read(tmp_path / "out")["floor"].items() if size is not None}
     assert judged == {"joint1", "joint3"}
     assert not read(tmp_path / "out")["findings"]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -41,6 +43,20 @@ def test_it_writes_what_it_says(run: tuple[str, Path, str]) -> None:
     assert {path.name for path in out.iterdir()} == FILES
     for name in FILES:
         assert str(out / name) in output
+
+
+def test_without_a_report_nothing_is_drawn(tmp_path: Path) -> None:
+    script = (
+        "import sys\n"
+        "from contextlib import suppress\n"
+        "from geomid_ros.commands.root import main\n"
+        "with suppress(SystemExit):\n"
+        "    main()\n"
+        "sys.exit('matplotlib' in sys.modules)"
+    )
+    arguments = identify("arm3", *NO_CHOICE, "--no-report", "--out", tmp_path)
+    subprocess.run([sys.executable, "-c", script, *map(str, arguments)], check=True, stdout=subprocess.DEVNULL)
+    assert {path.name for path in tmp_path.iterdir()} == FILES - DRAWN
 
 
 def test_the_tool_is_found(run: tuple[str, Path, str]) -> None:

@@ -15,7 +15,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from geomid_ros.errors import GeomidError
-from geomid_ros.report import ellipsoids, robot_drawing, sheet
+from geomid_ros.report import ellipsoids, page, robot_drawing, sheet
 from geomid_ros.report.drawing import identification_figure
 from geomid_ros.report.ellipsoids import BodyDrawing, Ellipsoid
 from geomid_ros.report.series import BINS, Clock, Series, limits, thinned
@@ -236,7 +236,7 @@ def test_limits_show_peaks_but_no_outliers() -> None:
     ],
 )
 def test_numbers_are_short(value: float, text: str) -> None:
-    assert sheet.number(value) == text
+    assert page.number(value) == text
 
 
 def test_badges_do_not_overlap() -> None:
