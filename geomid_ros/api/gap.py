@@ -19,7 +19,7 @@ from geomid_ros.exports.model import read_model
 from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.estimate_file import causes_entry
 from geomid_ros.files.models.gap_file import gap_document, page_entries
-from geomid_ros.files.models.handover import DESCRIBED_FOR, URDF
+from geomid_ros.files.models.readers import DESCRIBED_FOR, URDF
 from geomid_ros.files.models.sidecar import effect_entry
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.gap.result import Finding, GapResult, Verdict

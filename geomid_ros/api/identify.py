@@ -22,8 +22,8 @@ from geomid_ros.exports.handover import HandedOver, JudgedFile
 from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.effect_forms import unsaid
 from geomid_ros.files.models.estimate_file import model_effects
-from geomid_ros.files.models.handover import DESCRIBED_FOR, ELEMENTS, READERS, URDF
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
+from geomid_ros.files.models.readers import DESCRIBED_FOR, ELEMENTS, READERS, URDF
 from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.gap.evidence.standing import StandingRemainder

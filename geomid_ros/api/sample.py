@@ -15,7 +15,7 @@ from geomid_ros.exports.posterior_samples import DrawnRobots, described, draw_ro
 from geomid_ros.exports.ranges import ranges_text
 from geomid_ros.exports.torque_spread import TorqueSpread, torque_spread
 from geomid_ros.files.disk import write_text
-from geomid_ros.files.models.handover import DESCRIBED_FOR
+from geomid_ros.files.models.readers import DESCRIBED_FOR
 from geomid_ros.report.torque_picture import torque_picture
 from geomid_ros.session.recordings import Progress, silent
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from geomid_ros.files.models.handover import DESCRIBED_FOR, URDF
+from geomid_ros.files.models.readers import DESCRIBED_FOR, URDF
 
 
 class Output(click.Path):

@@ -11,7 +11,7 @@ import geomid_ros
 from geomid_ros.commands.options import OUT, package_option
 from geomid_ros.errors import one_line
 from geomid_ros.exports.formats import JSON
-from geomid_ros.files.models.handover import DESCRIBED_FOR
+from geomid_ros.files.models.readers import DESCRIBED_FOR
 
 _MOST = 100_000
 _WIDEST = 3.0

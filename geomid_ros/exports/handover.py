@@ -14,8 +14,9 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.exports.descriptions import DESCRIPTIONS, RobotToDescribe, Whole
 from geomid_ros.files.models.effect_forms import unsaid
 from geomid_ros.files.models.estimate_file import model_effects
-from geomid_ros.files.models.handover import ELEMENTS, URDF, WrittenModel
+from geomid_ros.files.models.handover import WrittenModel
 from geomid_ros.files.models.read_back import ReadBack, read_urdf_back
+from geomid_ros.files.models.readers import ELEMENTS, URDF
 from geomid_ros.files.schema import entry
 from geomid_ros.model.effects import effect_class
 from geomid_ros.model.measurement import MeasurementModel

@@ -15,7 +15,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.population import RobotLikelihood
 from geomid_ros.estimation.summary import RowSummary
-from geomid_ros.files.models.handover import READERS
+from geomid_ros.files.models.readers import READERS
 from geomid_ros.fleet.bag_summary import BagSummary, summarise, total
 from geomid_ros.fleet.plan import FleetPlan
 from geomid_ros.fleet.recordings import FleetBag, on_this_disk

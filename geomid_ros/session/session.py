@@ -33,10 +33,11 @@ from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint
 from geomid_ros.files.disk import write_json, write_text
 from geomid_ros.files.models.estimate_file import account_entry, estimate_document, verdict_entry
-from geomid_ros.files.models.handover import ELEMENTS, URDF, WrittenModel, handover_entry, written_model
+from geomid_ros.files.models.handover import WrittenModel, handover_entry, written_model
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.population import population_document, read_population
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
+from geomid_ros.files.models.readers import ELEMENTS, URDF
 from geomid_ros.files.models.urdf import inertia_of, with_effects, with_inertials
 from geomid_ros.model.absent_joints import lockable
 from geomid_ros.model.columns import Columns

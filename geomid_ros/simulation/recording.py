@@ -17,8 +17,9 @@ from geomid_ros.simulation.motion import RunTrace, exciting_motion
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.realistic.loop import RealisticLoop
-from geomid_ros.simulation.realistic.robot import RealisticRobot, build_realistic, realistic_document
+from geomid_ros.simulation.realistic.robot import RealisticRobot, build_realistic
 from geomid_ros.simulation.realistic.sensors import published
+from geomid_ros.simulation.realistic.truth import realistic_document
 from geomid_ros.simulation.recorder import ControlLoop, Sampling, check_motion, run, slowed, tuned_controller
 from geomid_ros.simulation.robot import Builder, TrueRobot, build_robot, measured
 from geomid_ros.simulation.seeds import RandomStream, generator

@@ -16,7 +16,7 @@ import pinocchio as pin
 import pytest
 from files.recordings import BAGS, QUICK
 
-from geomid_ros.files.models.handover import DESCRIBED_FOR
+from geomid_ros.files.models.readers import DESCRIBED_FOR
 from geomid_ros.simulation import Hidden, SimulationOptions, simulate
 
 from .running import WRIST, done, geomid, identify, refused, undrawn

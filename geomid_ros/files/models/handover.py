@@ -1,11 +1,10 @@
-"""Who reads descriptions of robots, and the model that is written for a reader: what its files hold of an estimate."""
+"""The model that is written for a reader: what its files hold of an estimate."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy as np
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.models.effect_forms import combined, continued
 from geomid_ros.files.models.estimate_file import EstimateFile, inertias_of, link_entry
+from geomid_ros.files.models.readers import ELEMENTS
 from geomid_ros.files.models.sidecar import effect_entry
 from geomid_ros.files.models.urdf import inertia_of
 from geomid_ros.model.effects import Effect, KnownEffect, Place, effect_class
@@ -98,25 +98,3 @@ def written_for(file: EstimateFile, reader: str) -> WrittenModel | None:
     where = f"{file.source}: handover for {reader}"
     effects = [each.known(f"{where}: effects[{index}]") for index, each in enumerate(found.effects)]
     return WrittenModel(inertias_of(found.links, where), tuple(effects))
-
-
-URDF, INTO = "urdf", "mjcf_joints"
-ELEMENTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        URDF: ("urdf",),
-        "moveit": ("urdf",),
-        "isaac": ("urdf", "mjcf/joint/armature"),
-        "gazebo": ("urdf", "gazebo"),
-        "drake": ("urdf/link", "drake"),
-        "mujoco": ("mjcf",),
-        "mjcf_joints": ("mjcf/joint", "mjcf/body"),
-    }
-)
-"""By the name of who reads a description of the whole robot, the elements that it takes; see
-:meth:`~geomid_ros.model.effects.ParameterForm.said_by`. Isaac's armature stands in a file beside its URDF; an MJCF of
-the user's own takes what its bodies and joints say (:data:`INTO`)."""
-
-READERS = tuple(reader for reader in ELEMENTS if reader != "moveit")
-"""Those whose files differ."""
-DESCRIBED_FOR = tuple(reader for reader in ELEMENTS if reader != INTO)
-"""Those that a description of a whole robot is written for."""

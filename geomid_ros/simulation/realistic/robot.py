@@ -1,11 +1,10 @@
-"""The realistic robot of a seed, and what is true of it."""
+"""The realistic robot of a seed."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import Any
 
 import numpy as np
 
@@ -21,7 +20,6 @@ from geomid_ros.simulation.realistic.sensors import Sensors
 from geomid_ros.simulation.robot import TrueRobot
 from geomid_ros.simulation.robots import robot_description
 from geomid_ros.simulation.seeds import RandomStream, generator
-from geomid_ros.simulation.truth import effect_document
 from geomid_ros.types import FloatArray
 
 LINK_MASS = "link_mass"
@@ -177,26 +175,3 @@ def _sensors(joints: Sequence[UrdfLimits], options: SimulationOptions, rng: np.r
         lost=rng.uniform(1e-3, 1e-2),
         burst=rng.uniform(1.0, 3.0),
     )
-
-
-def realistic_document(robot: RealisticRobot) -> dict[str, Any]:
-    """Hidden ``effects`` and ``standing`` ones; the numbers of ``friction``, ``motors``, ``warm_up`` and ``sensors``;
-    ``noise``: standard deviations, those of rounding where an encoder makes it.
-
-    Numbers are in the order of the truth's ``joints`` and in the units that the classes of these names describe.
-    """
-    rounding = robot.sensors.encoder / np.sqrt(12.0)
-    noise = {
-        "position": rounding,
-        "velocity": np.sqrt(2.0) * rounding / robot.sensors.window,
-        "effort": robot.sensors.effort_noise,
-        "wrench": robot.sensors.wrench_noise,
-    }
-    parts = {name: vars(getattr(robot, name)) for name in ("friction", "motors", "warm_up", "sensors")}
-    parts["noise"] = noise
-    numbers = {name: {key: np.asarray(value).tolist() for key, value in part.items()} for name, part in parts.items()}
-    effects = {
-        kind: [effect_document(effect) for effect in chosen]
-        for kind, chosen in (("effects", robot.hidden), ("standing", robot.standing))
-    }
-    return {**effects, **numbers}
