@@ -36,8 +36,9 @@ lint: $(VENV)/.test-ready ## Set up, then run ruff and mypy
 	$(BIN)/ruff check
 	$(BIN)/mypy
 
-docs: $(VENV)/.test-ready ## Set up, then write the tables of docs/pages/reference.md from the code
+docs: $(VENV)/.test-ready ## Set up, then write the tables of docs/pages/reference.md and the architecture's picture from the code
 	$(BIN)/python docs/generators/tables.py
+	$(BIN)/python docs/generators/architecture.py
 
 pictures: $(VENV)/.run-ready ## Set up, then draw the moving picture of README.md, and run the notebook anew
 	$(BIN)/python docs/generators/moving_picture.py
