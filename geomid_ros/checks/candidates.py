@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from types import EllipsisType
 
 import numpy as np
 
@@ -21,6 +22,14 @@ GAIN = 0.25
 """The least that a cause gains [nats per instant]."""
 RIVAL = 0.1
 """What explains as much, within this, explains it as well [nats per instant]."""
+REASON = 4.0
+"""No URDF is wrong by more in its masses: a gain beyond it is a unit."""
+TILT = np.radians(25.0)
+"""A base that is not level, and a zero that is off, are hardly off by more."""
+STEP = 1e-4
+"""[rad, m] of derivatives by positions."""
+ROUNDS = 3
+"""Of a fit that is linearised where it leads."""
 _MISFIT = 0.1  # of the gain: a cause that is true explains no channel worse
 
 
@@ -32,42 +41,28 @@ class Judged:
         log: log evidence of the numbers that were measured.
         sigmas: ``(C,)`` of what is left, in standard deviations of the measured channels.
         opposite: ``(C,)`` whether links take the opposite of what the URDF's do then.
-        sizes, deviations: ``(k,)`` what was estimated meanwhile, and how well.
+        estimates, deviations: ``(k,)`` what was estimated meanwhile, and how well.
     """
 
     log: float
     sigmas: FloatArray
     opposite: BoolArray
-    sizes: FloatArray = field(default_factory=lambda: np.zeros(0))
+    estimates: FloatArray = field(default_factory=lambda: np.zeros(0))
     deviations: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @staticmethod
-    def mended(
-        mended: Subject,
-        units: FloatArray,
-        found: Evidence | None = None,
-        volume: float = 0.0,
-        sizes: Sequence[float] = (),
-        deviations: Sequence[float] = (),
-    ) -> Judged:
+    def mended(mended: Subject, units: FloatArray, found: Evidence | None = None, **estimated: FloatArray) -> Judged:
         """What a mended subject is worth.
 
         Args:
             mended: with the candidate undone.
             units: ``(C,)`` what one standard deviation of the measured numbers is in its efforts.
             found: its evidence in these units; that of nothing else wrong unless given.
-            volume: log of the determinant by which the mending of numbers changes volumes, beyond that of ``units``.
-            sizes, deviations: see :class:`Judged`.
+            **estimated: see :class:`Judged`.
         """
         mended = mended.in_units(units)
-        found = mended.evidence() if found is None else found
-        return Judged(
-            log=found.log + volume,
-            sigmas=found.sigmas,
-            opposite=mended.opposite(found),
-            sizes=np.array(sizes),
-            deviations=np.array(deviations),
-        )
+        found = mended.nominal if found is None else found
+        return Judged(log=found.log, sigmas=found.sigmas, opposite=mended.opposite(found), **estimated)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -75,11 +70,12 @@ class Candidate:
     """What may be wrong.
 
     Attributes:
-        undo: judges a subject with the candidate undone.
-        read: the subject as it is read then, by which the candidates of a row are ranked; None if they need not be.
         cause: what is said of it, if need be by what was estimated.
         concerned: the channels that it changes.
-        sources: ``(C,)`` which measured channel each judged one is; None if each is its own.
+        read: the subject as it is read with the candidate undone, by which the candidates of a row are ranked, too.
+        undo: judges a subject with the candidate undone, where reading it otherwise is not all.
+        sizes: ``(C,)`` how many times as large efforts are then.
+        sources: ``(C,)`` which measured channel each judged one is.
         allowed: whether what is known beside the evidence allows it.
         alone: whether it may be named by itself, or only beside another cause.
         settled: whether what is known beside the evidence settles it.
@@ -87,20 +83,28 @@ class Candidate:
         changes: whether it begins during the recording: then alternate stretches of time are its parts.
     """
 
-    undo: Callable[[Subject], Judged]
     cause: Cause | Callable[[Judged], Cause]
     concerned: Sequence[int]
-    sources: IntArray | None = None
+    read: Callable[[Subject], Subject] | None = None
+    undo: Callable[[Subject], Judged] | None = None
+    sizes: FloatArray | float = 1.0
+    sources: IntArray | EllipsisType = ...
     allowed: bool = True
     alone: bool = True
     settled: bool = False
     upright: bool = False
     changes: bool = False
-    read: Callable[[Subject], Subject] | None = None
 
     def resemblance(self, few: Subject) -> float:
         """That of what is read then and the prediction, see :attr:`Subject.resemblance`."""
         return np.inf if self.read is None else self.read(few).resemblance
+
+    def judged(self, subject: Subject) -> Judged:
+        """What a subject is worth with the candidate undone."""
+        if self.undo is not None:
+            return self.undo(subject)
+        read = subject if self.read is None else self.read(subject)
+        return Judged.mended(read, self.sizes * subject.spread[self.sources])
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +119,7 @@ class Tried:
     @staticmethod
     def of(candidate: Candidate, subject: Subject) -> Tried:
         """Judge a candidate."""
-        judged = candidate.undo(subject)
+        judged = candidate.judged(subject)
         cause = candidate.cause
         return Tried(candidate, subject, judged, cause if isinstance(cause, Cause) else cause(judged))
 
@@ -145,18 +149,17 @@ class Tried:
         """Whether it explains no channel worse, and every part of the recording asks for it, in sizes of one sign."""
         if self.candidate.settled:
             return True
-        before, concerned = self.subject.nominal.sigmas, list(self.candidate.concerned)
-        before = before if self.candidate.sources is None else before[self.candidate.sources]
-        worse = np.log(self.judged.sigmas / before)[concerned]
+        before = self.subject.nominal.sigmas[self.candidate.sources]
+        worse = np.log(self.judged.sigmas / before)[list(self.candidate.concerned)]
         if np.sum(worse, where=worse > 0.0) > _MISFIT * self.gain:
             return False
         return all(self._repeats(part) for part in self.subject.parts(alternating=self.candidate.changes))
 
     def _repeats(self, part: Subject) -> bool:
-        judged = self.candidate.undo(part)
-        off = np.abs(judged.sizes - self.judged.sizes)
+        judged = self.candidate.judged(part)
+        off = np.abs(judged.estimates - self.judged.estimates)
         # What noise and friction have in common makes sizes less sure than their deviations say: signs have to agree.
-        allowed = np.maximum(np.abs(self.judged.sizes), SURE * judged.deviations)
+        allowed = np.maximum(np.abs(self.judged.estimates), SURE * judged.deviations)
         return judged.log > part.nominal.log and bool(np.all(off <= allowed))
 
 

@@ -12,12 +12,12 @@ from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.checks.candidates import RIVAL, Candidate, Judged
+from geomid_ros.checks.candidates import REASON, RIVAL, STEP, TILT, Candidate, Judged
 from geomid_ros.checks.causes import BIT_BY_BIT, Cause
-from geomid_ros.checks.evidence import SPREAD, Gain, by_channel
+from geomid_ros.checks.evidence import SPREAD
+from geomid_ros.checks.flexible import Gain, by_channel
 from geomid_ros.checks.instants import FEWEST, elapsed
 from geomid_ros.checks.subject import STRETCHES, Subject, payload_factor
-from geomid_ros.checks.transforms import REASON, STEP, TILT
 from geomid_ros.estimation.estimate import SURE
 from geomid_ros.types import FloatArray
 
@@ -79,7 +79,7 @@ def _judged(subject: Subject, gain: Gain, main: slice) -> Judged:
         log=nominal.log + gain.per_instant * len(subject.samples),
         sigmas=nominal.sigmas * gain.ratios,
         opposite=np.zeros(len(nominal.sigmas), dtype=bool),
-        sizes=gain.coefficients[main],
+        estimates=gain.coefficients[main],
         deviations=gain.deviations[main],
     )
 
@@ -229,7 +229,8 @@ def _switched(whole: Subject, place: float, factor: float) -> Judged:
             mended = subject.with_efforts(subject.measured * gains[:, None])
             volume = len(subject.joints) * float(np.sum(np.log(np.abs(gains))))
             volume += len(gains) * float(np.sum(np.log(subject.spread / mended.spread)))
-            readings.append(Judged.mended(mended, mended.spread, volume=volume))
+            judged = Judged.mended(mended, mended.spread)
+            readings.append(replace(judged, log=judged.log + volume))
     best = max(readings, key=lambda judged: judged.log)
     log = whole.nominal.log + best.log - subject.nominal.log
     return replace(best, log=log, sigmas=np.minimum(best.sigmas, whole.nominal.sigmas))

@@ -7,7 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.checks.evidence import FOLLOWS, LEAST_SIGMA, SPREAD, Evidence, FlexibleFit, Products, evidence
+from geomid_ros.checks.evidence import FOLLOWS, LEAST_SIGMA, SPREAD, Evidence, evidence
+from geomid_ros.checks.flexible import FlexibleFit
 from geomid_ros.checks.instants import FEWEST, Kept
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
@@ -20,10 +21,12 @@ _PAYLOAD = 0.1  # of the whole robot's mass, at each end of a chain: robots carr
 _SIZE = 0.1  # [m] its radius of gyration about a plane through its centre
 _ROUNDING = 1e-10
 _FRICTION = 2.0  # standard deviations of a channel that friction, and a constant, may well explain
+MEASURED = 0.5
+"""The least share of instants at which the effort of a joint that is judged is measured."""
 STRETCHES = 20
 """Of a recording: something may begin with each, and they are alternately in one part and in the other."""
 _OF_MOTION = (
-    "regressor", "predicted", "friction", "basis", "columns", "_unknowns", "tolerated", "gravity_rows", "_bases",
+    "regressor", "predicted", "friction", "basis", "columns", "tolerated", "gravity_rows", "_bases",
 )  # fmt: skip
 
 
@@ -54,23 +57,36 @@ class Subject:
     later: Samples
 
     @staticmethod
-    def of(robot: Robot, kept: Kept, joints: IntArray, gains: FloatArray) -> Subject:
-        """The subject of a robot's own URDF, see :class:`Subject`."""
-        prior = np.array([body.parameters for body in robot.bodies]).ravel()
-        factor = prior_factor(robot)
-        samples = kept.samples
-        shares = np.arange(len(samples)) / max(len(samples), 1)
+    def of(robot: Robot, kept: Kept, gains: FloatArray) -> Subject:
+        """The joints whose efforts are measured and change, by a robot's own URDF.
+
+        Args:
+            robot: under the gravity that is configured.
+            kept: a few instants of the recording.
+            gains: ``(joints,)`` factors that the messages' efforts were multiplied by.
+        """
+        effort = kept.samples.effort
+        changing = [_changes(own) for own in effort.T]
+        joints = np.flatnonzero((np.mean(np.isfinite(effort), axis=0) >= MEASURED) & changing)
+        usable = np.all(np.isfinite(effort[:, joints]), axis=1)
+        samples = kept.samples.select(usable)
         return Subject(
             robot=robot,
             samples=samples,
             joints=joints,
-            gains=gains,
-            prior=prior,
-            factor=factor,
-            shares=shares,
-            recordings=kept.recordings,
-            later=kept.later,
+            gains=gains[joints],
+            prior=np.array([body.parameters for body in robot.bodies]).ravel(),
+            factor=prior_factor(robot),
+            shares=np.arange(len(samples)) / max(len(samples), 1),
+            recordings=kept.recordings[usable],
+            later=kept.later.select(usable),
         )
+
+    @staticmethod
+    def of_all(robot: Robot, samples: Samples) -> Subject:
+        """The same of samples of one recording, as they are."""
+        kept = Kept(samples, samples, np.zeros(len(samples), dtype=np.int64))
+        return Subject.of(robot, kept, np.ones(samples.effort.shape[1]))
 
     def part(self, chosen: AnyArray | slice) -> Subject:
         """The same at some of the instants, chosen by a mask, an index array or a slice."""
@@ -95,7 +111,7 @@ class Subject:
             several = len(np.unique(self.recordings)) > 1
             which = self.recordings if several else 2 * places // len(places)
         parts = [self.part(which == one) for one in np.unique(which)]
-        return [part for part in parts if 2 * len(part.samples) >= FEWEST]
+        return [part for part in parts if 2 * len(part.samples) >= FEWEST and np.all(part.spread > 0.0)]
 
     def with_efforts(self, measured: FloatArray) -> Subject:
         """The same motion with other efforts ``(N, C)``."""
@@ -177,14 +193,8 @@ class Subject:
 
     @cached_property
     def columns(self) -> FloatArray:
-        """What efforts may take beside the prediction ``(N, C, r + 4)``: of the links' errors, of unit variance, and of
-        friction, in standard deviations of the channel."""
-        return np.concatenate([self.regressor @ (self.factor @ self.basis), self.friction], axis=2)
-
-    @cached_property
-    def _unknowns(self) -> FloatArray:
-        by_channel = self.columns.transpose(1, 2, 0)
-        return np.asarray(by_channel @ by_channel.transpose(0, 2, 1))
+        """What the links' errors, of unit variance, add to the efforts ``(N, C, r)``."""
+        return np.asarray(self.regressor @ (self.factor @ self.basis))
 
     @cached_property
     def tolerated(self) -> FloatArray:
@@ -202,7 +212,8 @@ class Subject:
         return FlexibleFit(
             measured=self.measured,
             predicted=self.predicted,
-            columns=self.columns,
+            links=self.columns,
+            friction=self.friction,
             tolerated=self.tolerated,
             position=self.samples.position[:, self.joints],
             velocity=self.samples.velocity[:, self.joints],
@@ -221,22 +232,9 @@ class Subject:
             unknown: ``(N, C)`` what another unknown of unit variance adds to the efforts; it is the last of the links'
                 errors then.
         """
-        columns, unknowns = self.columns, self._unknowns
-        rank = columns.shape[2] - 4
-        if unknown is not None:
-            columns = np.insert(columns, rank, unknown, axis=2)
-            by_channel = columns.transpose(1, 2, 0)
-            unknowns, rank = by_channel @ by_channel.transpose(0, 2, 1), rank + 1
-        scale = 1.0 / self.spread
-        weights = np.concatenate([np.repeat(scale[:, None], rank, 1), np.ones((len(scale), 4))], axis=1)
-        target = (self.measured - self.predicted) * scale
-        products = Products(
-            counts=np.full(len(scale), float(len(target))),
-            unknowns=weights[:, :, None] * unknowns * weights[:, None, :],
-            crossed=weights * np.einsum("nck,nc->ck", columns, target, optimize=True),
-            squares=np.sum(target**2, axis=0),
-        )
-        return evidence(products, self.tolerated, either_sign=either_sign)
+        columns = self.columns if unknown is None else np.dstack([self.columns, unknown])
+        target = (self.measured - self.predicted) / self.spread
+        return evidence(target, columns / self.spread[:, None], self.friction, self.tolerated, either_sign=either_sign)
 
     def links(self, found: Evidence) -> FloatArray:
         """The links' parameters ``(D,)`` that an evidence finds."""
@@ -299,6 +297,12 @@ class Subject:
         crossed, size = np.sum(own * nominal, axis=0), np.maximum(np.sum(nominal**2, axis=0), 1e-30)
         alike = crossed / np.maximum(np.sqrt(size * np.sum(own**2, axis=0)), 1e-30)
         return crossed / size, np.where(np.std(own, axis=0) > FOLLOWS * self.spread, alike, 0.0)
+
+
+def _changes(effort: FloatArray) -> bool:
+    """Whether an effort ``(N,)`` changes at all, where it is known."""
+    known = effort[np.isfinite(effort)]
+    return bool(len(known) and np.ptp(known) > 1e-9 * np.max(np.abs(known)))
 
 
 def gravity_rows(robot: Robot, samples: Samples) -> tuple[FloatArray, FloatArray]:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from geomid_ros.checks.candidates import REASON
 from geomid_ros.checks.causes import Finding
-from geomid_ros.checks.transforms import REASON
 from geomid_ros.checks.unexplained import WORSE
 from geomid_ros.estimation.estimate import SURE, Estimate
 from geomid_ros.estimation.summary import RowSummary

@@ -13,12 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.checks.candidates import GAIN
+from geomid_ros.checks.candidates import GAIN, REASON, ROUNDS, TILT
 from geomid_ros.checks.causes import Cause, Finding, written
 from geomid_ros.checks.evidence import FOLLOWS, LEAST_SIGMA
 from geomid_ros.checks.instants import FEWEST, STEP
 from geomid_ros.checks.subject import prior_factor
-from geomid_ros.checks.transforms import REASON, ROUNDS, TILT
 from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import AXES, WrenchSensor

@@ -325,3 +325,11 @@ def test_efforts_of_any_size_are_judged(robot: Case, size: float) -> None:
     nothing = size * np.random.default_rng(0).normal(size=robot.samples.effort.shape)
     (finding,) = checked(robot.model, replace(robot.samples, effort=nothing)).findings()
     assert finding.cause.kind == "unrelated", "noise is no effort"
+
+
+def test_an_effort_that_is_measured_for_half_of_the_time_is_judged() -> None:
+    """A dead band may leave nothing of it in the other half, which then says nothing of any cause."""
+    of = case("arm7", 1)
+    effort = of.samples.effort.copy()
+    effort[len(effort) // 2 - 20 :, -1] = 0.0
+    assert len(findings(of.model, replace(of.samples, effort=-effort))) > 0
