@@ -13,15 +13,15 @@ from types import EllipsisType
 import numpy as np
 
 from geomid_ros.checks.causes import Cause, Finding
-from geomid_ros.checks.evidence import Evidence
+from geomid_ros.checks.evidence import LEAST_SIGMA, Evidence
+from geomid_ros.checks.instants import FEWEST
 from geomid_ros.checks.subject import Subject
 from geomid_ros.estimation.estimate import SURE
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
-GAIN = 0.25
-"""The least that a cause gains [nats per instant]."""
-RIVAL = 0.1
-"""What explains as much, within this, explains it as well [nats per instant]."""
+PROBABLE = 0.9
+"""The least probability of what is named. A recording is worth as many independent instants as the shortest has that is
+judged."""
 REASON = 4.0
 """No URDF is wrong by more in its masses: a gain beyond it is a unit."""
 TILT = np.radians(25.0)
@@ -30,7 +30,6 @@ STEP = 1e-4
 """[rad, m] of derivatives by positions."""
 ROUNDS = 3
 """Of a fit that is linearised where it leads."""
-_MISFIT = 0.1  # of the gain: a cause that is true explains no channel worse
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -76,7 +75,6 @@ class Candidate:
         undo: judges a subject with the candidate undone, where reading it otherwise is not all.
         sizes: ``(C,)`` how many times as large efforts are then.
         sources: ``(C,)`` which measured channel each judged one is.
-        allowed: whether what is known beside the evidence allows it.
         alone: whether it may be named by itself, or only beside another cause.
         settled: whether what is known beside the evidence settles it.
         upright: whether links must not be of mass below zero then.
@@ -89,7 +87,6 @@ class Candidate:
     undo: Callable[[Subject], Judged] | None = None
     sizes: FloatArray | float = 1.0
     sources: IntArray | EllipsisType = ...
-    allowed: bool = True
     alone: bool = True
     settled: bool = False
     upright: bool = False
@@ -125,10 +122,10 @@ class Tried:
 
     @property
     def allowed(self) -> bool:
-        """Whether what is known beside the evidence allows it."""
+        """Whether no mass is below zero that must not be."""
         opposite = self.judged.opposite[list(self.candidate.concerned)]
         upside_down = self.candidate.upright and 2 * np.count_nonzero(opposite) > len(opposite)
-        return self.candidate.allowed and not upside_down
+        return not upside_down
 
     @property
     def gain(self) -> float:
@@ -136,14 +133,13 @@ class Tried:
         return (self.judged.log - self.subject.nominal.log) / len(self.subject.samples)
 
     @property
-    def is_named(self) -> bool:
-        """Whether all speaks for it."""
-        return self.allowed and (self.candidate.settled or self.gain > GAIN)
-
-    @property
     def name(self) -> tuple[str, tuple[str, ...]]:
         """The cause's kind and places."""
         return self.cause.kind, self.cause.places
+
+    def shares_joints(self, others: Sequence[Tried]) -> bool:
+        """Whether it is about a joint that another is about."""
+        return not set(self.cause.places).isdisjoint(place for other in others for place in other.cause.places)
 
     def repeats(self) -> bool:
         """Whether it explains no channel worse, and every part of the recording asks for it, in sizes of one sign."""
@@ -151,7 +147,7 @@ class Tried:
             return True
         before = self.subject.nominal.sigmas[self.candidate.sources]
         worse = np.log(self.judged.sigmas / before)[list(self.candidate.concerned)]
-        if np.sum(worse, where=worse > 0.0) > _MISFIT * self.gain:
+        if np.sum(worse, where=worse > 0.0) > LEAST_SIGMA * self.gain:
             return False
         return all(self._repeats(part) for part in self.subject.parts(alternating=self.candidate.changes))
 
@@ -163,26 +159,84 @@ class Tried:
         return judged.log > part.nominal.log and bool(np.all(off <= allowed))
 
 
-def decide(tried: Iterable[Tried]) -> tuple[Finding | None, str]:
-    """What is wrong: the best cause if it repeats, or what is settled, with its rivals. It is sure unless several other
-    places explain as much.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Decision:
+    """What is decided of candidates.
 
-    Returns:
-        The finding, and a remark on what is not believed; None and empty if there is none.
+    Attributes:
+        finding: what is wrong; None if nothing is.
+        remark: on what is not believed; empty if there is nothing.
+        sigmas: ``(C,)`` of what is left with the finding undone, in standard deviations of the measured channels.
+        level: what may only be remarked on, if it is probable.
     """
-    named = sorted((one for one in tried if one.is_named), key=lambda one: -one.gain)
-    aside = max((one.gain for one in named if not one.candidate.alone), default=-np.inf)
-    # What explains less than what is not named by itself is explained by that.
-    causes = [one for one in named if one.candidate.alone and (one.candidate.settled or one.gain > aside - RIVAL)]
-    # What explains less than a cause that does not repeat may be explained by the same as that.
-    first = [one for number, one in enumerate(causes) if number == 0 or one.candidate.settled]
-    first.sort(key=lambda one: -len(one.cause.places))  # one cause for all joints before one for each
-    best = next((one for one in first if one.repeats()), None)
+
+    finding: Finding | None
+    remark: str
+    sigmas: FloatArray
+    level: Cause | None
+
+
+def decide(tried: Iterable[Tried], count: int, nominal: Evidence) -> Decision:
+    """What is wrong: the most probable cause that repeats, or what is settled, with its rivals.
+
+    It is sure unless several other places explain as much. Of a joint that a cause which does not repeat is about,
+    nothing else is believed either: it may be explained by the same as that.
+
+    Args:
+        tried: the candidates that are worth judging.
+        count: how many they are chosen from.
+        nominal: the evidence that nothing is wrong.
+    """
+    allowed = sorted((one for one in tried if one.allowed), key=lambda one: -one.gain)
+    known = {one: probabilities([one.gain], count)[0] > PROBABLE for one in allowed}
+    probable = [one for one in allowed if known[one] and one.candidate.alone]
+    doubted = _doubted(probable)
+    beside = [one for one in allowed if not one.candidate.alone or not one.shares_joints(doubted)]
+    likely = _most_probable(beside, count)
+    causes = [one for one in likely if one in probable][:1] + [one for one in allowed if one.candidate.settled]
+    # One cause for all joints before one for each.
+    best = max(causes, key=lambda one: len(one.cause.places), default=None)
+    level = next((one.cause for one in allowed if known[one] and not one.candidate.alone), None)
     if best is None:
-        remark = "in a part of the recording, or at some joints, only: "
-        return None, remark + causes[0].cause.sentence if causes else ""
-    rivals = {one.name: one for one in reversed(named) if one.gain > best.gain - RIVAL and one.name != best.name}
-    elsewhere = {one.cause.places for one in rivals.values() if one.repeats()} - {best.cause.places}
-    if not best.candidate.settled and len(elsewhere) > 1:
-        return Finding(cause=best.cause, sure=False), ""
-    return Finding(cause=best.cause, rivals=tuple(one.cause for one in rivals.values())), ""
+        remark = f"in a part of the recording, or at some joints, only: {doubted[0].cause.sentence}" if doubted else ""
+        return Decision(finding=None, remark=remark, sigmas=nominal.sigmas, level=level)
+    if best not in likely:  # what is settled asks for no evidence, so that nothing may be probable beside it
+        likely = _most_probable([one for one in allowed if one not in doubted], count)
+    rivals = [one for one in likely if one.name != best.name]
+    elsewhere = {one.cause.places for one in rivals if one.repeats()} - {best.cause.places}
+    sure = best.candidate.settled or len(elsewhere) <= 1
+    finding = Finding(cause=best.cause, sure=sure, rivals=tuple(one.cause for one in rivals) if sure else ())
+    return Decision(finding=finding, remark="", sigmas=best.judged.sigmas, level=level)
+
+
+def _doubted(probable: Sequence[Tried]) -> list[Tried]:
+    """The causes that do not repeat, of those that are more probable than the first one that is believed."""
+    doubted: list[Tried] = []
+    for one in probable:
+        if not one.repeats():
+            doubted.append(one)
+        elif not one.shares_joints(doubted):
+            break
+    return doubted
+
+
+def _most_probable(tried: Sequence[Tried], count: int) -> list[Tried]:
+    """The fewest causes, the best of each name, that are together probable among ``count``, the most probable first;
+    none if that nothing is wrong is among these."""
+    ordered = {one.name: one for one in sorted(tried, key=lambda one: one.gain)}.values()
+    shares = probabilities([one.gain for one in ordered], count)
+    order = np.argsort(-shares)
+    fewest = order[: 1 + int(np.searchsorted(np.cumsum(shares[order]), PROBABLE))]
+    return [] if len(ordered) in fewest else [[*ordered][place] for place in fewest]
+
+
+def probabilities(gains: Sequence[float], count: int) -> FloatArray:
+    """Probabilities ``(k + 1,)`` of causes, and as the last one of none, at first as probable as all of them together.
+
+    Args:
+        gains: of log evidence per instant ``(k,)``.
+        count: of the causes that were tried.
+    """
+    logs = np.append(FEWEST * np.array(gains), np.log(count))
+    weights = np.exp(logs - np.max(logs))
+    return np.asarray(weights / np.sum(weights))

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.checks.candidates import Tried, decide
+from geomid_ros.checks.candidates import Decision, Tried, decide
 from geomid_ros.checks.causes import MODEL, Cause, Finding
 from geomid_ros.checks.changes import changes, lags
 from geomid_ros.checks.description import impossible_description
-from geomid_ros.checks.evidence import FOLLOWS, LEAST_SIGMA
+from geomid_ros.checks.evidence import FOLLOWS, HALF, LEAST_SIGMA
 from geomid_ros.checks.instants import FEWEST, Instants, Kept, Stretch
 from geomid_ros.checks.stuck import frozen_position, held_efforts
-from geomid_ros.checks.subject import MEASURED, Subject
+from geomid_ros.checks.subject import Subject
 from geomid_ros.checks.transforms import transforms
 from geomid_ros.checks.unexplained import Residuals, hint
 from geomid_ros.checks.wrenches import WrenchSensorCheck, can_be_judged
@@ -142,7 +142,7 @@ class RecordingCheck:
         if samples is None or not model.layout.efforts:
             return []
         shares = np.mean(np.isfinite(samples.effort), axis=0)
-        return [name for name, share in zip(model.robot.joint_names, shares, strict=True) if share < MEASURED]
+        return [name for name, share in zip(model.robot.joint_names, shares, strict=True) if share < HALF]
 
 
 class EffortCheck:
@@ -157,7 +157,7 @@ class EffortCheck:
         """
         self._subject = Subject.of(model.robot, kept, gains)
         moves = np.std(kept.samples.velocity, axis=0) > STILL
-        constant = moves & (np.mean(np.isfinite(kept.samples.effort), axis=0) >= MEASURED)
+        constant = moves & (np.mean(np.isfinite(kept.samples.effort), axis=0) >= HALF)
         constant[self._subject.joints] = False
         self._constant = [model.robot.joint_names[joint] for joint in np.flatnonzero(constant)]
         self._enough = len(self._subject.samples) >= FEWEST and bool(np.any(moves)) and len(self._subject.joints) > 0
@@ -176,29 +176,24 @@ class EffortCheck:
             return [Finding(cause=plain)]
         self.remarks = [MODEL] if is_model(subject) else []
         held = [Finding(cause=cause) for cause in held_efforts(subject)]
-        finding, level = self._best(subject)
-        if finding is None and level is not None:
-            self.remarks.append(level.sentence)
-            subject = subject.under(np.array(level.settings["gravity"]))
-            finding, _ = self._best(subject)
-        named = [*held, *([] if finding is None else [finding])]
+        decision = self._decided(subject)
+        if decision.finding is None and decision.level is not None:
+            self.remarks.append(decision.level.sentence)
+            subject = subject.under(np.array(decision.level.settings["gravity"]))
+            decision = self._decided(subject)
+        named = held if decision.finding is None else [*held, decision.finding]
         return named or _unexplained(subject)
 
-    def _best(self, subject: Subject) -> tuple[Finding | None, Cause | None]:
-        """What explains efforts better than that they are as they should be; and the same of what may only be remarked
-        on: a base that is not level."""
-        every = (*transforms(subject), *changes(subject), *lags(subject))
-        tried = [Tried.of(candidate, subject) for candidate in every]
-        better = sorted((one for one in tried if one.allowed and one.gain > 0.0), key=lambda one: -one.gain)
-        best = next((one for one in better if one.repeats()), None)
-        sigmas = subject.nominal.sigmas if best is None else best.judged.sigmas
-        if np.all(sigmas > FOLLOWS):
-            return Finding(cause=Cause.of("unrelated", subject.names)), None
-        level = max((o for o in tried if not o.candidate.alone and o.is_named), key=lambda o: o.gain, default=None)
-        finding, remark = decide(tried)
-        if remark and remark not in self.remarks:
-            self.remarks.append(remark)
-        return finding, None if level is None else level.cause
+    def _decided(self, subject: Subject) -> Decision:
+        """What explains efforts better than that they are as they should be."""
+        throughout, count = transforms(subject)
+        others = [*changes(subject), *lags(subject)]
+        tried = [Tried.of(candidate, subject) for candidate in (*throughout, *others)]
+        decision = decide(tried, count + len(others), subject.nominal)
+        if np.all(decision.sigmas > FOLLOWS):
+            return replace(decision, finding=Finding(cause=Cause.of("unrelated", subject.names)), level=None)
+        self.remarks += [decision.remark] if decision.remark and decision.remark not in self.remarks else []
+        return decision
 
 
 def _unexplained(subject: Subject) -> list[Finding]:
@@ -220,4 +215,4 @@ def _unexplained(subject: Subject) -> list[Finding]:
 def is_model(subject: Subject) -> bool:
     """Whether efforts are what the URDF predicts: without friction, without any error."""
     left = np.sqrt(np.mean((subject.measured - subject.predicted) ** 2, axis=0))
-    return bool(np.all(left < 0.5 * LEAST_SIGMA * subject.spread))
+    return bool(np.all(left < HALF * LEAST_SIGMA * subject.spread))

@@ -63,14 +63,13 @@ def _frictions(subject: Subject, _: Subject) -> Iterator[Candidate]:
     friction = np.einsum("nck,ck->nc", subject.friction[:, :, 1:3], found.friction[:, 1:3])
     power = np.mean(friction * subject.samples.velocity[:, subject.joints], axis=0)
     concerned = np.flatnonzero((power < 0.0) & (np.sqrt(np.mean(friction**2, axis=0)) > LEAST_SIGMA)).tolist()
-    if concerned:
+    if concerned and not np.any(subject.opposite(found)):
         cause = Cause.of("friction", [subject.names[joint] for joint in concerned])
 
         def undo(subject: Subject) -> Judged:
             return Judged.mended(subject, subject.spread, subject.evidence(either_sign=True))
 
-        everything_upright = not np.any(subject.opposite(found))
-        yield Candidate(undo=undo, cause=cause, concerned=concerned, allowed=everything_upright)
+        yield Candidate(undo=undo, cause=cause, concerned=concerned)
 
 
 def _magnitudes(subject: Subject, _: Subject) -> Iterator[Candidate]:

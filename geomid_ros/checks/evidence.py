@@ -19,6 +19,8 @@ LEAST_SIGMA = 0.1
 """Of a channel's standard deviation: no model is believed to be better."""
 FOLLOWS = 0.6
 """A channel follows the model if no more than this share of its standard deviation is left."""
+HALF = 0.5
+"""Of a whole: more is most of it."""
 _ROUNDS = 12
 _SETTLED = 1e-3
 SPREAD = 0.7

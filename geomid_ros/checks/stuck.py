@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from geomid_ros.checks.causes import Cause
+from geomid_ros.checks.evidence import HALF, LEAST_SIGMA
 from geomid_ros.checks.instants import FEWEST
 from geomid_ros.checks.subject import Subject
 from geomid_ros.types import BoolArray, FloatArray
 
 _SAME = 1e-6  # of a range: what changes less stays exactly the same
 _FEWEST = 5  # instants in a row, and at the ends of a stretch, where a filter smears the step that follows
-_PART = 0.1  # of a range that something changes by
 
 
 def held_efforts(subject: Subject) -> list[Cause]:
@@ -23,9 +23,9 @@ def held_efforts(subject: Subject) -> list[Cause]:
         begins = np.flatnonzero(np.diff(same.astype(np.int8), prepend=0) == 1)
         ends = np.flatnonzero(np.diff(same.astype(np.int8), append=0) == -1) + 1
         for begin, end in zip(begins, ends, strict=True):
-            others = np.delete(same & (changes > _PART * np.std(effort)), np.arange(begin, end))
+            others = np.delete(same & (changes > LEAST_SIGMA * np.std(effort)), np.arange(begin, end))
             asked = float(np.ptp(rigid[begin : end + 1, channel]))
-            if end - begin >= _FEWEST and np.mean(others) < _PART and asked > np.std(effort):
+            if end - begin >= _FEWEST and np.mean(others) < LEAST_SIGMA and asked > np.std(effort):
                 times = {name: (stamps[at] - stamps[0]) * 1e-9 for name, at in (("begin", begin), ("end", end))}
                 found.append(Cause.of("constant", [subject.names[channel]], said="held", asked=asked, **times))
                 break
@@ -42,10 +42,10 @@ def frozen_position(subject: Subject) -> Cause | None:
     positions, efforts = subject.samples.position, subject.measured
     for joint, position in enumerate(positions.T):
         still = _longest_still(position)
-        if _PART < np.mean(still) < 0.5 and np.count_nonzero(~still) >= FEWEST + 2 * _FEWEST:
-            changes = np.ptp(efforts[still], axis=0) > _PART * np.ptp(efforts, axis=0)
+        if LEAST_SIGMA < np.mean(still) < HALF and np.count_nonzero(~still) >= FEWEST + 2 * _FEWEST:
+            changes = np.ptp(efforts[still], axis=0) > LEAST_SIGMA * np.ptp(efforts, axis=0)
             inside, outside = _left(subject, still)
-            moving = np.ptp(positions[still], axis=0) > _PART * np.ptp(positions, axis=0)
+            moving = np.ptp(positions[still], axis=0) > LEAST_SIGMA * np.ptp(positions, axis=0)
             if np.any(moving) and np.any((inside > outside) & changes):
                 return Cause.of("frozen", [subject.robot.joint_names[joint]], share=np.mean(still))
     return None

@@ -7,22 +7,17 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.checks.evidence import FOLLOWS, LEAST_SIGMA, SPREAD, Evidence, evidence
+from geomid_ros.checks.evidence import FOLLOWS, HALF, LEAST_SIGMA, SPREAD, Evidence, evidence
 from geomid_ros.checks.flexible import FlexibleFit
 from geomid_ros.checks.instants import FEWEST, Kept
-from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
+from geomid_ros.inference.prior import SPREAD_OF_PAYLOADS, usual_payload
 from geomid_ros.model.moving import SIGN, STILL
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
-_PAYLOAD = 0.1  # of the whole robot's mass, at each end of a chain: robots carry what their URDF does not say
-_SIZE = 0.1  # [m] its radius of gyration about a plane through its centre
 _ROUNDING = 1e-10
-_FRICTION = 2.0  # standard deviations of a channel that friction, and a constant, may well explain
-MEASURED = 0.5
-"""The least share of instants at which the effort of a joint that is judged is measured."""
 STRETCHES = 20
 """Of a recording: something may begin with each, and they are alternately in one part and in the other."""
 _OF_MOTION = (
@@ -67,7 +62,7 @@ class Subject:
         """
         effort = kept.samples.effort
         changing = [_changes(own) for own in effort.T]
-        joints = np.flatnonzero((np.mean(np.isfinite(effort), axis=0) >= MEASURED) & changing)
+        joints = np.flatnonzero((np.mean(np.isfinite(effort), axis=0) >= HALF) & changing)
         usable = np.all(np.isfinite(effort[:, joints]), axis=1)
         samples = kept.samples.select(usable)
         return Subject(
@@ -199,7 +194,7 @@ class Subject:
     @cached_property
     def tolerated(self) -> FloatArray:
         """Standard deviations of friction's coefficients, see :func:`evidence` ``(C, 4)``."""
-        return np.asarray(_FRICTION / np.maximum(np.sqrt(np.mean(self.friction**2, axis=0)), 1e-6))
+        return np.asarray(2.0 / np.maximum(np.sqrt(np.mean(self.friction**2, axis=0)), 1e-6))
 
     @cached_property
     def moving(self) -> Subject:
@@ -351,11 +346,8 @@ def prior_factor(robot: Robot) -> FloatArray:
 
 
 def payload_factor(bodies: FloatArray, carrier: int) -> FloatArray:
-    """A factor ``(10, 10)`` of the covariance of what the link ``carrier`` may carry."""
-    mass = _PAYLOAD * float(np.sum(bodies[:, 0]))
-    ball = pseudo_inertia.assemble(
-        np.array(mass), bodies[carrier, 1:4] / bodies[carrier, 0], 2.0 * mass * _SIZE**2 * np.eye(3)
-    )
+    """A factor ``(10, 10)`` of the covariance of what the link ``carrier`` may carry: robots carry what their URDF does
+    not say."""
     manifold = ParameterManifold(1, 0, np.zeros(0))
-    block: FloatArray = manifold.jacobian(manifold.point(ball))[0][0]
-    return block
+    blocks, _ = manifold.jacobian(manifold.point(usual_payload(bodies, carrier)))
+    return np.asarray(SPREAD_OF_PAYLOADS * blocks[0])

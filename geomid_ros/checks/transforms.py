@@ -7,11 +7,9 @@ with that of joints.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
-from geomid_ros.checks.candidates import GAIN, Candidate
+from geomid_ros.checks.candidates import PROBABLE, Candidate, probabilities
 from geomid_ros.checks.efforts import OF_EFFORTS
 from geomid_ros.checks.evidence import LEAST_SIGMA
 from geomid_ros.checks.instants import FEWEST
@@ -22,12 +20,15 @@ _BEST = 3
 _AS_IT_MOVES = (*OF_EFFORTS, positions)  # unless its angles cannot be any
 
 
-def transforms(subject: Subject) -> Iterator[Candidate]:
-    """All candidates that are worth judging on a subject."""
+def transforms(subject: Subject) -> tuple[list[Candidate], int]:
+    """All candidates that are worth judging on a subject, and how many they are chosen from."""
     few = subject.part(slice(None, None, -(-len(subject.samples) // (2 * FEWEST))))
     # Of what is nearly explained no more could be told by reading the motion otherwise.
-    nearly = np.sum(np.log(subject.nominal.sigmas / LEAST_SIGMA)) <= GAIN
-    for row in _AS_IT_MOVES if nearly else (*_AS_IT_MOVES, *OF_MOTION):
+    more = float(np.sum(np.log(subject.nominal.sigmas / LEAST_SIGMA)))
+    rows = (*_AS_IT_MOVES, *OF_MOTION) if probabilities([more], 1)[0] > PROBABLE else _AS_IT_MOVES
+    chosen, count = list[Candidate](), 0
+    for row in rows:
         ranked = sorted(row(subject, few), key=lambda candidate: -candidate.resemblance(few))
-        yield from ranked[:_BEST]
-        yield from (candidate for candidate in ranked[_BEST:] if candidate.settled or candidate.read is None)
+        chosen += [c for place, c in enumerate(ranked) if place < _BEST or c.settled or c.read is None]
+        count += len(ranked)
+    return chosen, count

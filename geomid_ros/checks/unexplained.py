@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.checks.causes import Cause, Finding
-from geomid_ros.checks.evidence import LEAST_SIGMA
+from geomid_ros.checks.evidence import HALF, LEAST_SIGMA
 from geomid_ros.checks.flexible import moving
 from geomid_ros.checks.instants import FEWEST
 from geomid_ros.checks.subject import Subject
@@ -20,8 +20,6 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
-HALF = 0.5
-"""Share of an effort's standard deviation: an identified model leaves less, a cause of what is left explains more."""
 WORSE = 1.05
 """RMS over that of the input's file: less is of no account."""
 _FLOOR = np.finfo(float).tiny

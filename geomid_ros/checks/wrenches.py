@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.checks.candidates import GAIN, REASON, TILT
+from geomid_ros.checks.candidates import PROBABLE, REASON, TILT, probabilities
 from geomid_ros.checks.causes import Cause, Finding, written
 from geomid_ros.checks.evidence import FOLLOWS, evidence
 from geomid_ros.checks.instants import FEWEST, STEP
@@ -23,7 +23,6 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import AXES, WrenchSensor
 from geomid_ros.types import FloatArray
 
-_OTHER_UNIT = 50.0  # times as much, or as little: no tool is
 _FLOOR = np.finfo(float).tiny
 
 
@@ -78,8 +77,9 @@ class WrenchSensorCheck:
         tried = [(self._fit(self._regressor, wrench), nominal, cause) for wrench, cause in self._geometries()]
         tried += self._delayed()
         best, beside, cause = max(tried, key=lambda one: one[0].log - one[1].log)
+        probability, _ = probabilities([best.log - beside.log], len(tried))
         left = nominal.sigmas * best.sigmas / beside.sigmas
-        if best.log - beside.log > 2.0 * GAIN and np.all(left < FOLLOWS):
+        if probability > PROBABLE and np.all(left < FOLLOWS):
             return Finding(cause=cause)
         return self._sign_or_unit(nominal)
 
@@ -91,9 +91,9 @@ class WrenchSensorCheck:
             minus = "a minus before the role" if self._sensor.sign > 0.0 else "no minus before the role"
             what = f"its sign is reversed: write {written(settings)} (on the command line, {minus})"
             return Finding(cause=self._cause(what, settings))
-        if not 1.0 / _OTHER_UNIT < fit.slope < _OTHER_UNIT or fit.slope < 1.0 / REASON:
+        if (unit := _is_unit(fit.slope)) or fit.slope < 1.0 / REASON:
             what = f"its load would weigh {fit.slope:.3g} times as much as in the URDF: check that it is in N and N m"
-            return Finding(cause=self._cause(what), sure=not 1.0 / _OTHER_UNIT < fit.slope < 1.0 / REASON)
+            return Finding(cause=self._cause(what), sure=unit)
         return None
 
     def _cause(self, what: str, settings: dict[str, float] | None = None) -> Cause:
@@ -147,6 +147,11 @@ class WrenchSensorCheck:
         found = evidence(target / sizes, columns / sizes[:, None], none, np.ones((2, 4)))
         taken = (columns @ found.links).reshape(-1, 3, 2)[:, :, 0]
         return _Fit(found.log / len(wrench), found.sigmas, float(np.sum(taken * nominal)) / square)
+
+
+def _is_unit(ratio: float) -> bool:
+    """Whether no tool is so many times as heavy as the URDF's: it is another unit."""
+    return not REASON**-3.0 < ratio < REASON**3.0
 
 
 def _best_delay(times: FloatArray, expected: FloatArray, measured: FloatArray) -> float:
@@ -248,6 +253,6 @@ def _problem(products: FloatArray) -> str:
     if agreement < FOLLOWS and _rotation(products[3:, :3])[1] > follows * scale:
         return "the forces are rotated against those expected from the URDF: check the frame"
     ratio = float(np.sqrt(measured / expected))
-    if agreement > follows and not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT:
+    if agreement > follows and _is_unit(ratio):
         return f"the forces are {ratio:.2g} times those expected from the URDF: check the unit"
     return ""
