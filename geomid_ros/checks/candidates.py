@@ -17,7 +17,7 @@ from geomid_ros.checks.evidence import LEAST_SIGMA, Evidence
 from geomid_ros.checks.instants import FEWEST
 from geomid_ros.checks.subject import Subject
 from geomid_ros.estimation.estimate import SURE
-from geomid_ros.types import BoolArray, FloatArray, IntArray
+from geomid_ros.types import FloatArray, IntArray
 
 PROBABLE = 0.9
 """The least probability of what is named. A recording is worth as many independent instants as the shortest has that is
@@ -39,13 +39,11 @@ class Judged:
     Attributes:
         log: log evidence of the numbers that were measured.
         sigmas: ``(C,)`` of what is left, in standard deviations of the measured channels.
-        opposite: ``(C,)`` whether links take the opposite of what the URDF's do then.
         estimates, deviations: ``(k,)`` what was estimated meanwhile, and how well.
     """
 
     log: float
     sigmas: FloatArray
-    opposite: BoolArray
     estimates: FloatArray = field(default_factory=lambda: np.zeros(0))
     deviations: FloatArray = field(default_factory=lambda: np.zeros(0))
 
@@ -59,9 +57,8 @@ class Judged:
             found: its evidence in these units; that of nothing else wrong unless given.
             **estimated: see :class:`Judged`.
         """
-        mended = mended.in_units(units)
-        found = mended.nominal if found is None else found
-        return Judged(log=found.log, sigmas=found.sigmas, opposite=mended.opposite(found), **estimated)
+        found = mended.in_units(units).nominal if found is None else found
+        return Judged(log=found.log, sigmas=found.sigmas, **estimated)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -77,7 +74,6 @@ class Candidate:
         sources: ``(C,)`` which measured channel each judged one is.
         alone: whether it may be named by itself, or only beside another cause.
         settled: whether what is known beside the evidence settles it.
-        upright: whether links must not be of mass below zero then.
         changes: whether it begins during the recording: then alternate stretches of time are its parts.
     """
 
@@ -89,7 +85,6 @@ class Candidate:
     sources: IntArray | EllipsisType = ...
     alone: bool = True
     settled: bool = False
-    upright: bool = False
     changes: bool = False
 
     def resemblance(self, few: Subject) -> float:
@@ -119,13 +114,6 @@ class Tried:
         judged = candidate.judged(subject)
         cause = candidate.cause
         return Tried(candidate, subject, judged, cause if isinstance(cause, Cause) else cause(judged))
-
-    @property
-    def allowed(self) -> bool:
-        """Whether no mass is below zero that must not be."""
-        opposite = self.judged.opposite[list(self.candidate.concerned)]
-        upside_down = self.candidate.upright and 2 * np.count_nonzero(opposite) > len(opposite)
-        return not upside_down
 
     @property
     def gain(self) -> float:
@@ -187,21 +175,21 @@ def decide(tried: Iterable[Tried], count: int, nominal: Evidence) -> Decision:
         count: how many they are chosen from.
         nominal: the evidence that nothing is wrong.
     """
-    allowed = sorted((one for one in tried if one.allowed), key=lambda one: -one.gain)
-    known = {one: probabilities([one.gain], count)[0] > PROBABLE for one in allowed}
-    probable = [one for one in allowed if known[one] and one.candidate.alone]
+    ordered = sorted(tried, key=lambda one: -one.gain)
+    known = {one: probabilities([one.gain], count)[0] > PROBABLE for one in ordered}
+    probable = [one for one in ordered if known[one] and one.candidate.alone]
     doubted = _doubted(probable)
-    beside = [one for one in allowed if not one.candidate.alone or not one.shares_joints(doubted)]
+    beside = [one for one in ordered if not one.candidate.alone or not one.shares_joints(doubted)]
     likely = _most_probable(beside, count)
-    causes = [one for one in likely if one in probable][:1] + [one for one in allowed if one.candidate.settled]
+    causes = [one for one in likely if one in probable][:1] + [one for one in ordered if one.candidate.settled]
     # One cause for all joints before one for each.
     best = max(causes, key=lambda one: len(one.cause.places), default=None)
-    level = next((one.cause for one in allowed if known[one] and not one.candidate.alone), None)
+    level = next((one.cause for one in ordered if known[one] and not one.candidate.alone), None)
     if best is None:
         remark = f"in a part of the recording, or at some joints, only: {doubted[0].cause.sentence}" if doubted else ""
         return Decision(finding=None, remark=remark, sigmas=nominal.sigmas, level=level)
     if best not in likely:  # what is settled asks for no evidence, so that nothing may be probable beside it
-        likely = _most_probable([one for one in allowed if one not in doubted], count)
+        likely = _most_probable([one for one in ordered if one not in doubted], count)
     rivals = [one for one in likely if one.name != best.name]
     elsewhere = {one.cause.places for one in rivals if one.repeats()} - {best.cause.places}
     sure = best.candidate.settled or len(elsewhere) <= 1

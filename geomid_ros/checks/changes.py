@@ -17,7 +17,8 @@ from geomid_ros.checks.causes import BIT_BY_BIT, Cause
 from geomid_ros.checks.evidence import HALF, SPREAD
 from geomid_ros.checks.flexible import Gain, by_channel
 from geomid_ros.checks.instants import FEWEST, elapsed
-from geomid_ros.checks.subject import STRETCHES, Subject, payload_factor
+from geomid_ros.checks.rows import payload_factor
+from geomid_ros.checks.subject import STRETCHES, Subject
 from geomid_ros.estimation.estimate import SURE
 from geomid_ros.types import BoolArray, FloatArray
 
@@ -76,7 +77,6 @@ def _judged(subject: Subject, gain: Gain, main: slice) -> Judged:
     return Judged(
         log=nominal.log + gain.per_instant * len(subject.samples),
         sigmas=nominal.sigmas * gain.ratios,
-        opposite=np.zeros(len(nominal.sigmas), dtype=bool),
         estimates=gain.coefficients[main],
         deviations=gain.deviations[main],
     )

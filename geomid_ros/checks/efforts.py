@@ -30,10 +30,10 @@ def _signs(subject: Subject, _: Subject) -> Iterator[Candidate]:
     for joints in [every, *([joint] for joint in every if len(every) > 1)]:
         names, whole = [subject.names[joint] for joint in joints], len(joints) == len(every)
         cause = Cause.of("sign", names, gain_settings(names, -subject.gains[list(joints)], whole), every=whole)
-        yield _linear(np.diag(np.where(np.isin(every, joints), -1.0, 1.0)), cause, joints, upright=True)
+        yield _linear(np.diag(np.where(np.isin(every, joints), -1.0, 1.0)), cause, joints)
 
 
-def _linear(matrix: FloatArray, cause: Cause, concerned: Sequence[int], *, upright: bool = False) -> Candidate:
+def _linear(matrix: FloatArray, cause: Cause, concerned: Sequence[int]) -> Candidate:
     """Efforts times a ``matrix (C, C)`` are those of this robot."""
     channels, sizes = np.arange(len(matrix)), np.abs(matrix)
     sources = np.where(sizes[channels, channels] > 0.0, channels, np.argmax(sizes, axis=1))
@@ -43,7 +43,6 @@ def _linear(matrix: FloatArray, cause: Cause, concerned: Sequence[int], *, uprig
         concerned=concerned,
         sizes=sizes[channels, sources],
         sources=sources,
-        upright=upright,
     )
 
 

@@ -83,7 +83,7 @@ def _in_unit(
     right = "m and m/s" if unit in UNITS["N"] else "rad and rad/s"
     cause = Cause.of("position", names, positions=said, unit=unit, right=right)
     every = range(len(subject.joints))
-    return _of_motion(lambda samples: _scaled(samples, scales), cause, every, settled=settled)
+    return _of_motion(lambda samples: _moved(samples, np.diag(scales)), cause, every, settled=settled)
 
 
 def _of_motion(
@@ -105,25 +105,32 @@ def _of_motion(
     )
 
 
-def _scaled(samples: Samples, scales: FloatArray, rate: float = 1.0) -> Samples:
-    """Positions times scales ``(joints,)``, by a clock that runs ``rate`` times as fast."""
+def _moved(samples: Samples, matrix: FloatArray, zero: FloatArray | float = 0.0, rate: float = 1.0) -> Samples:
+    """Positions times a ``matrix (joints, joints)``, from another ``zero (joints,)``, by a clock ``rate`` times as
+    fast."""
+    velocity, effects = rate * samples.velocity @ matrix.T, samples.effects.copy()
+    if SIGN in samples.entries.columns.place:
+        signs = [samples.entries.at(SIGN, joint) for joint in range(len(matrix))]
+        alone = np.count_nonzero(matrix, axis=1) == 1
+        effects[:, signs] = np.where(alone, np.sign(np.diag(matrix)) * effects[:, signs], np.sign(velocity))
     return replace(
         samples,
-        position=scales * samples.position,
-        velocity=rate * scales * samples.velocity,
-        acceleration=rate**2 * scales * samples.acceleration,
+        position=samples.position @ matrix.T + zero,
+        velocity=velocity,
+        acceleration=rate**2 * samples.acceleration @ matrix.T,
+        effects=effects,
     )
 
 
 def _times(subject: Subject, _: Subject) -> Iterator[Candidate]:
     """Stamps run too fast or too slow: where inertia does not fit gravity, and there is gravity in the efforts."""
-    ones, every = np.ones(len(subject.robot.joints)), range(len(subject.joints))
+    same, every = np.eye(len(subject.robot.joints)), range(len(subject.joints))
     for rate in TIMES:
         said = f"{1.0 / rate:g} times as slow" if rate < 1.0 else f"{rate:g} times as fast"
         cause = Cause.of("time", subject.names, rate=said, period=f"{1.0 / rate:g} times")
 
         def undo(subject: Subject, rate: float = rate) -> Judged:
-            judged = Judged.mended(subject.with_samples(_scaled(subject.samples, ones, rate)), subject.spread)
+            judged = Judged.mended(subject.with_samples(_moved(subject.samples, same, rate=rate)), subject.spread)
             without = max(Judged.mended(read(subject), subject.spread).log for read in (weightless, compensated))
             return replace(judged, log=judged.log - max(without - subject.nominal.log, 0.0))
 
@@ -163,42 +170,16 @@ def _best_start(few: Subject, joint: int, sign: float) -> float:
 def _absolute(subject: Subject, joint: int, other: int, share: float) -> Candidate:
     names = subject.robot.joint_names
     cause = Cause.of("absolute", [names[joint], names[other]], sign="minus" if share > 0.0 else "plus")
-
-    def read(samples: Samples) -> Samples:
-        moved = {name: getattr(samples, name).copy() for name in ("position", "velocity", "acceleration")}
-        for name, values in moved.items():
-            values[:, joint] -= share * getattr(samples, name)[:, other]
-        return _with_sign(replace(samples, **moved), joint)
-
-    return _of_motion(read, cause, range(len(subject.joints)))
-
-
-def _with_sign(samples: Samples, joint: int) -> Samples:
-    """Samples whose column of dry friction is that of a joint's velocity."""
-    if SIGN not in samples.entries.columns.place:
-        return samples
-    effects = samples.effects.copy()
-    effects[:, samples.entries.at(SIGN, joint)] = np.sign(samples.velocity[:, joint])
-    return replace(samples, effects=effects)
-
-
-def _turned_axis(samples: Samples, joint: int, *, effort: bool) -> Samples:
-    """The motion of a joint the other way round, with its effort if that is asked for."""
-    moved = {name: getattr(samples, name).copy() for name in ("position", "velocity", "acceleration", "effort")}
-    for name, values in moved.items():
-        if effort or name != "effort":
-            values[:, joint] *= -1.0
-    effects = samples.effects.copy()
-    if SIGN in samples.entries.columns.place:
-        effects[:, samples.entries.at(SIGN, joint)] *= -1.0
-    return replace(samples, **moved, effects=effects)
+    matrix = np.eye(len(names))
+    matrix[joint, other] = -share
+    return _of_motion(lambda samples: _moved(samples, matrix), cause, range(len(subject.joints)))
 
 
 def _half_axis(subject: Subject, joint: int) -> Candidate:
     """Position and speed of a joint have the opposite sign, its effort has not."""
     cause = Cause.of("axis", [subject.robot.joint_names[joint]], reversed="position and velocity", zero="")
-    every = range(len(subject.joints))
-    return _of_motion(lambda samples: _turned_axis(samples, joint, effort=False), cause, every)
+    signs = np.where(np.arange(len(subject.robot.joints)) == joint, -1.0, 1.0)
+    return _of_motion(lambda samples: _moved(samples, np.diag(signs)), cause, range(len(subject.joints)))
 
 
 def _zero(subject: Subject, joint: int, sign: float, start: float) -> Candidate:
@@ -241,10 +222,9 @@ def _zero(subject: Subject, joint: int, sign: float, start: float) -> Candidate:
 
 def _recounted(samples: Samples, joint: int, sign: float, zero: float) -> Samples:
     """Samples of which a joint counts from another zero [rad], the other way round if ``sign`` is below zero."""
-    turned = samples if sign > 0.0 else _turned_axis(samples, joint, effort=True)
-    position = turned.position.copy()
-    position[:, joint] += zero
-    return replace(turned, position=position)
+    at = np.arange(samples.position.shape[1]) == joint
+    signs = np.where(at, sign, 1.0)
+    return replace(_moved(samples, np.diag(signs), zero * at), effort=signs * samples.effort)
 
 
 OF_MOTION = (_times, _names, _zeros, _axes)
