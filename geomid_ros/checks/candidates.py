@@ -17,6 +17,7 @@ from geomid_ros.checks.evidence import LEAST_SIGMA, Evidence
 from geomid_ros.checks.instants import FEWEST
 from geomid_ros.checks.subject import Subject
 from geomid_ros.estimation.estimate import SURE
+from geomid_ros.inference.probability import shares
 from geomid_ros.types import FloatArray, IntArray
 
 PROBABLE = 0.9
@@ -212,9 +213,9 @@ def _most_probable(tried: Sequence[Tried], count: int) -> list[Tried]:
     """The fewest causes, the best of each name, that are together probable among ``count``, the most probable first;
     none if that nothing is wrong is among these."""
     ordered = {one.name: one for one in sorted(tried, key=lambda one: one.gain)}.values()
-    shares = probabilities([one.gain for one in ordered], count)
-    order = np.argsort(-shares)
-    fewest = order[: 1 + int(np.searchsorted(np.cumsum(shares[order]), PROBABLE))]
+    probability = probabilities([one.gain for one in ordered], count)
+    order = np.argsort(-probability)
+    fewest = order[: 1 + int(np.searchsorted(np.cumsum(probability[order]), PROBABLE))]
     return [] if len(ordered) in fewest else [[*ordered][place] for place in fewest]
 
 
@@ -225,6 +226,4 @@ def probabilities(gains: Sequence[float], count: int) -> FloatArray:
         gains: of log evidence per instant ``(k,)``.
         count: of the causes that were tried.
     """
-    logs = np.append(FEWEST * np.array(gains), np.log(count))
-    weights = np.exp(logs - np.max(logs))
-    return np.asarray(weights / np.sum(weights))
+    return shares(-2.0 * np.append(FEWEST * np.array(gains), np.log(count)))
