@@ -23,6 +23,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import AXES, WrenchSensor
 from geomid_ros.types import FloatArray
 
+_OTHER_UNIT = 50.0  # times as much, or as little: no tool is
 _FLOOR = np.finfo(float).tiny
 
 
@@ -151,7 +152,7 @@ class WrenchSensorCheck:
 
 def _is_unit(ratio: float) -> bool:
     """Whether no tool is so many times as heavy as the URDF's: it is another unit."""
-    return not REASON**-3.0 < ratio < REASON**3.0
+    return not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT
 
 
 def _best_delay(times: FloatArray, expected: FloatArray, measured: FloatArray) -> float:
