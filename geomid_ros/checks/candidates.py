@@ -73,7 +73,7 @@ class Candidate:
         undo: judges a subject with the candidate undone, where reading it otherwise is not all.
         sizes: ``(C,)`` how many times as large efforts are then.
         sources: ``(C,)`` which measured channel each judged one is.
-        alone: whether it may be named by itself, or only beside another cause.
+        alone: whether it may be named; otherwise it only explains what others would be named for.
         settled: whether what is known beside the evidence settles it.
         changes: whether it begins during the recording: then alternate stretches of time are its parts.
     """
@@ -185,13 +185,13 @@ def decide(tried: Iterable[Tried], count: int, nominal: Evidence) -> Decision:
     causes = [one for one in likely if one in probable][:1] + [one for one in ordered if one.candidate.settled]
     # One cause for all joints before one for each.
     best = max(causes, key=lambda one: len(one.cause.places), default=None)
-    level = next((one.cause for one in ordered if known[one] and not one.candidate.alone), None)
+    level = next((one.cause for one in ordered if known[one] and one.cause.settings and not one.candidate.alone), None)
     if best is None:
         remark = f"in a part of the recording, or at some joints, only: {doubted[0].cause.sentence}" if doubted else ""
         return Decision(finding=None, remark=remark, sigmas=nominal.sigmas, level=level)
     if best not in likely:  # what is settled asks for no evidence, so that nothing may be probable beside it
         likely = _most_probable([one for one in ordered if one not in doubted], count)
-    rivals = [one for one in likely if one.name != best.name]
+    rivals = [one for one in likely if one.name != best.name and one.cause.sentence]
     elsewhere = {one.cause.places for one in rivals if one.repeats()} - {best.cause.places}
     sure = best.candidate.settled or len(elsewhere) <= 1
     finding = Finding(cause=best.cause, sure=sure, rivals=tuple(one.cause for one in rivals) if sure else ())

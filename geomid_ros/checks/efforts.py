@@ -56,6 +56,21 @@ def _orders(subject: Subject, _: Subject) -> Iterator[Candidate]:
             yield _linear(matrix, Cause.of("order", [subject.names[joint] for joint in pair]), pair)
 
 
+def _couplings(subject: Subject, _: Subject) -> Iterator[Candidate]:
+    """One joint's motor carries the effort of another, too, in either direction.
+
+    That is not named, but explains what would be taken for a sign or a gain: then the joint is said not to be
+    explained, with a hint at it.
+    """
+    for pairs in exchanges(subject.names):
+        for joint, other in (*pairs, *(pair[::-1] for pair in pairs)) if len(pairs) == 1 else ():
+            for sign in (1.0, -1.0):
+                matrix = np.eye(len(subject.joints))
+                matrix[joint, other] = sign
+                cause = Cause(kind="coupled", sentence="", places=(subject.names[joint],))
+                yield replace(_linear(matrix, cause, [joint]), alone=False)
+
+
 def _frictions(subject: Subject, _: Subject) -> Iterator[Candidate]:
     """Weights and inertias are in the efforts as they should be, but friction drives joints."""
     found = subject.evidence(either_sign=True)
@@ -228,5 +243,5 @@ def _mirrored(name: str) -> str:
     return _SIDE.sub(lambda found: _SIDES[found.group().lower()], name)
 
 
-OF_EFFORTS = (_signs, _frictions, _magnitudes, _orders, _gains, _gravities)
+OF_EFFORTS = (_signs, _frictions, _magnitudes, _orders, _couplings, _gains, _gravities)
 """Rows of candidates: each yields those that undo one kind of transform."""

@@ -12,7 +12,7 @@ import pytest
 from benchmarks.corruption.__main__ import identified, judged
 from benchmarks.corruption.faults import FAULTS
 from benchmarks.corruption.recording import SOURCES, Recording
-from checks.test_efforts import case
+from checks.test_efforts import case, findings
 from geomid_ros.api.identify import Identification
 from geomid_ros.checks.subject import Subject
 from geomid_ros.checks.unexplained import HALF, Residuals, deviations, hint
@@ -90,6 +90,15 @@ def test_what_is_planted_beside_links_and_friction_is_the_hint(name: str) -> Non
         measured[:, 1] += effort
         recorded = replace(own, effort=measured).select(slice(None, None, len(own) // INSTANTS + 1))
         assert said in hint(Subject.of_all(of.model.robot, recorded), names[1])
+
+
+@pytest.mark.parametrize(("joint", "other", "share"), [(1, 0, -1.0), (1, 2, 1.0), (2, 1, -1.0)])
+def test_a_coupling_is_taken_for_no_other_cause(joint: int, other: int, share: float) -> None:
+    of = case("arm3", 1)
+    effort = of.samples.effort.copy()
+    effort[:, joint] += share * effort[:, other]
+    found = findings(of.model, replace(of.samples, effort=effort))
+    assert {finding.cause.kind for finding in found} <= {"unexplained"}
 
 
 def test_deviations_of_what_is_known() -> None:
