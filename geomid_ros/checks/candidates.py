@@ -189,8 +189,8 @@ def decide(tried: Iterable[Tried], count: int, nominal: Evidence) -> Decision:
     if best is None:
         remark = f"in a part of the recording, or at some joints, only: {doubted[0].cause.sentence}" if doubted else ""
         return Decision(finding=None, remark=remark, sigmas=nominal.sigmas, level=level)
-    if best not in likely:  # what is settled asks for no evidence, so that nothing may be probable beside it
-        likely = _most_probable([one for one in ordered if one not in doubted], count)
+    if best not in likely:  # what is settled asks for no evidence: whatever has some is its rival
+        likely = [*{one.name: one for one in reversed(probable)}.values()]
     rivals = [one for one in likely if one.name != best.name and one.cause.sentence]
     elsewhere = {one.cause.places for one in rivals if one.repeats()} - {best.cause.places}
     sure = best.candidate.settled or len(elsewhere) <= 1
