@@ -97,7 +97,7 @@ class Subject:
 
     def parts(self, *, alternating: bool = False) -> list[Subject]:
         """The recordings that this is of, or both halves of a single one; or two sets of stretches in turn, which both
-        have something of all of the time, if ``alternating``."""
+        have something of all of the time, if ``alternating``. In each every effort changes."""
         places = np.arange(len(self.samples))
         if alternating:
             which = (STRETCHES * places // len(places)) % 2

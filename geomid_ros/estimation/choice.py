@@ -19,27 +19,25 @@ from functools import cached_property
 
 import numpy as np
 
+from geomid_ros.estimation.estimate import TOLD
 from geomid_ros.estimation.link_spreads import cost_of_spreads, likely_spreads
-from geomid_ros.estimation.objective import Evaluation
 from geomid_ros.estimation.problem import Problem
-from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, minimum
+from geomid_ros.estimation.profile_objective import (
+    Profile,
+    ProfileFit,
+    ProfileObjective,
+    StraightManifold,
+    fit_scales,
+)
+from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.effects import joints_of
 from geomid_ros.model.measurement import Coefficient, Mechanism
 from geomid_ros.types import FloatArray, IntArray
 
-_TIMES = 3.0
-"""Standard deviations that an effect is different from nothing."""
 _VISIBLE = 0.04
 """Share of a channel's remaining squares that an effect explains at least."""
-_RARE = 6.0
-"""Twice the logarithm of how many times rarer an effect of two joints is than one of each."""
-_PARALLEL = 1e-6  # a column that is so nearly a combination of others says nothing
-_LOOSE = 1.5  # times the usual spread: a link beyond it has left its prior
-_FREE = 1e-6  # weight of a coefficient's prior
-_ROUNDS, _SETTLED = 8, 0.03
-_LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
 
 
 def choose(problem: Problem, earlier: IntArray | None = None) -> IntArray:
@@ -78,7 +76,7 @@ def _shaped(fit: _Fit, joints: Collection[int]) -> _Fit:
         if len(shapes) > 1:
             rest = np.setdiff1d(fit.every, shapes)
             sets = [np.sort(np.append(rest, shape)) for shape in shapes]
-            fits = [rows.fit(columns, fit, spreads=fit.spreads) for columns in sets]
+            fits = [rows.fit(columns, fit, spreads=fit.fit.scales) for columns in sets]
             fit = min(fits, key=lambda shaped: shaped.score)
     return rows.fit(fit.every, fit)
 
@@ -86,19 +84,19 @@ def _shaped(fit: _Fit, joints: Collection[int]) -> _Fit:
 def _without_unbelieved(fit: _Fit) -> _Fit:
     """The fit without the optional effects that are not believed, the least one first."""
     while len(fit.chosen):
-        beyond = np.max([each.squares_of(fit.chosen) for each in (fit, fit.firm)], axis=0) - fit.rows.bounds(fit.chosen)
-        if np.min(beyond) > 0.0 and fit.possible:
+        squares = np.max([each.squares_of(fit.chosen) for each in (fit, fit.firm)], axis=0)
+        if np.min(squares) > TOLD**2 and fit.possible:
             break
-        fit = fit.rows.fit(np.setdiff1d(fit.every, fit.chosen[np.argmin(beyond)]), fit)
+        fit = fit.rows.fit(np.setdiff1d(fit.every, fit.chosen[np.argmin(squares)]), fit)
     return fit
 
 
 def _best(chosen: _Fit, left: IntArray) -> tuple[int, _Fit | None]:
     """The column that improves a fit most, and the fit with it; None if none improves it visibly."""
-    starts = list(dict.fromkeys((chosen, chosen.firm)))
+    starts = (chosen, chosen.firm)
     gains = np.max([start.gains(left) for start in starts], axis=0)
     column = int(left[np.argmax(gains)])
-    if np.max(gains) < max(_VISIBLE * float(np.max(chosen.rows.counts)), chosen.rows.bounds([column])[0]):
+    if np.max(gains) < max(_VISIBLE * float(np.max(chosen.rows.counts)), TOLD**2):
         return column, None
     columns = np.sort(np.append(chosen.every, column))
     return column, min((chosen.rows.fit(columns, start) for start in starts), key=lambda fit: fit.score)
@@ -165,11 +163,6 @@ class _Rows:
         there = {self.mechanism(column) for column in columns if column >= self.first} | {*refused}
         return np.array([column for column in self.optional if self.mechanism(column) not in there], dtype=np.int64)
 
-    def bounds(self, columns: IntArray | list[int]) -> FloatArray:
-        """Squares, in units of the variance, above which coefficients are believed."""
-        pairs = [len(joints_of(self.coefficient(column).place)) > 1 for column in columns]
-        return np.asarray(_TIMES**2 + _RARE * np.array(pairs))
-
     def positive(self, column: int) -> bool:
         """Whether a coefficient cannot be negative."""
         return self.coefficient(column).positive
@@ -181,36 +174,15 @@ class _Rows:
         return form.above < value < form.below and (value > 0.0 or not coefficient.positive)
 
     @cached_property
-    def products(self) -> list[tuple[IntArray, FloatArray]]:
-        """Of each channel: which columns it has, the last of which is the target, and of each fold these by each other,
-        ``(folds, n, n)``; only the share of them that is independent counts."""
-        channels, independent = self.problem.model.channels, self.problem.independent
-        return [
-            (np.append(channel.columns, self.size), independent * np.array([p.factor.T @ p.factor for p in parts]))
-            for channel, parts in zip(channels, self.problem.summary.parts(), strict=False)
-        ]
-
-    @cached_property
-    def all_products(self) -> FloatArray:
-        """Of each channel: all columns and the target by each other, of all folds, ``(channels, D + 1, D + 1)``."""
-        whole = np.zeros((len(self.products), self.size + 1, self.size + 1))
-        for own, (places, products) in zip(whole, self.products, strict=True):
-            own[places[:, None], places] = np.sum(products, axis=0)
-        return whole
+    def products(self) -> FloatArray:
+        """Of each channel: all columns and the target by each other, ``(channels, D + 1, D + 1)``; only the share of
+        the rows that is independent counts."""
+        return np.asarray(self.problem.independent * self.problem.products[: len(self.problem.model.channels)])
 
     @cached_property
     def counts(self) -> FloatArray:
         """Independent rows of each channel."""
         return self.problem.independent * self.problem.counts[: len(self.problem.model.channels)]
-
-    @cached_property
-    def scales(self) -> FloatArray:
-        """Of each coefficient: the one with which its column is as large as a channel that it reaches."""
-        squares = np.diagonal(self.all_products, axis1=1, axis2=2)
-        own, target = squares[:, self.first : -1], squares[:, -1:]
-        size = np.where(own > 0.0, target / np.where(own > 0.0, own, 1.0), np.inf)
-        best = np.sqrt(np.min(size, axis=0, initial=np.inf))
-        return np.where(np.isfinite(best) & (best > 0.0), best, 1.0)
 
     def fit(self, columns: IntArray, start: _Fit | None = None, *, spreads: FloatArray | None = None) -> _Fit:
         """Fit these parameters, from an earlier fit where one is given; with ``spreads (links,)`` of the links, unless
@@ -231,56 +203,41 @@ class _Rows:
 
     def _fit(self, columns: IntArray, start: _Fit | None, given: FloatArray | None) -> _Fit:
         """The same, in which every coefficient may be negative."""
-        scales = self.scales[columns[columns >= self.first] - self.first]
-        manifold = StraightManifold(self.first // 10, 0, scales)
-        inertias = self.problem.prior[: self.first]
-        prior = manifold.point(np.concatenate([inertias, np.zeros(len(scales))]))
-        spreads = self.problem.usual
-        point = prior
+        problem, usual = self.problem, self.problem.usual
+        manifold = StraightManifold(len(usual), 0, problem.scales[columns[columns >= self.first] - self.first])
+        links = manifold.inertial
+        prior = manifold.point(np.append(problem.prior[links], np.zeros(len(manifold.scales))))
+        point, spreads = prior, usual
         if start is not None:
             before = np.zeros(self.size)
-            before[start.columns] = start.point.parameters
-            point, spreads = manifold.point(before[columns]), start.spreads
-        spreads = spreads if given is None else given
+            before[start.columns] = start.fit.point.parameters
+            point, spreads = manifold.point(before[columns]), start.fit.scales
         own = np.append(columns, self.size)
         # In the order of its axes, in which such an index leaves nothing: else it is multiplied five times as slowly.
-        products = np.ascontiguousarray(self.all_products[:, own[:, None], own])
-        least = _LEAST_SHARE * products[:, -1, -1] + np.finfo(float).tiny
-        weighed = self.problem.known
-        known = weighed.rows[:, columns]
-        known_rows = np.column_stack([known, known @ prior.parameters - weighed.targets])
-        profile = Profile(manifold, products, self.counts, least, prior)
+        products = np.ascontiguousarray(self.products[:, own[:, None], own])
+        known = problem.known.rows[:, columns]
+        known_rows = np.column_stack([known, known @ prior.parameters - problem.known.targets])
+        profile = Profile(manifold, products, self.counts, prior)
 
         def objective(spreads: FloatArray) -> ProfileObjective:
-            weights = np.full(manifold.dimension, _FREE)
-            weights[manifold.inertial] = np.repeat(spreads, 10) ** -2.0
+            weights = np.append(np.repeat(spreads, 10) ** -2.0, np.full(len(manifold.scales), ROUNDING))
             return ProfileObjective(profile, weights, known_rows)
 
-        for _ in range(_ROUNDS):
-            trusted = objective(spreads)
-            solution = minimum(trusted, point)
-            point = solution.point
-            if given is not None:
-                break
-            earlier = spreads
-            hessian = solution.evaluation.information + np.diag(trusted.weights)
-            unsure = np.diag(definite.inverse(hessian))[manifold.inertial]
-            spreads = likely_spreads(manifold.log(prior, point)[manifold.inertial], unsure, self.problem.usual)
-            if np.all(np.abs(np.log(spreads / earlier)) < _SETTLED):
-                break
-        return _Fit(self, columns, point, objective(spreads), spreads)
+        def likely(point: Point, whitener: FloatArray) -> FloatArray:
+            unsure = np.sum(whitener[:, links] ** 2, axis=0)
+            return likely_spreads(manifold.log(prior, point)[links], unsure, usual)
+
+        found = fit_scales(objective, point, spreads if given is None else given, likely if given is None else None)
+        return _Fit(self, columns, found)
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """Where a fit of the ``columns`` of ``rows`` ended: at a ``point``, with the links' ``spreads``; coefficients of
-    other columns are held at ``zero``."""
+    """A ``fit`` of the ``columns`` of ``rows``; coefficients of other columns are held at ``zero``."""
 
     rows: _Rows
     columns: IntArray
-    point: Point
-    objective: ProfileObjective
-    spreads: FloatArray
+    fit: ProfileFit
     zero: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @property
@@ -291,7 +248,7 @@ class _Fit:
     @property
     def negative(self) -> IntArray:
         """The columns of coefficients that are negative, and cannot be."""
-        negative = self.point.parameters < 0.0
+        negative = self.fit.point.parameters < 0.0
         return np.array([c for c in self.columns[negative] if c >= self.rows.first and self.rows.positive(c)])
 
     @property
@@ -301,27 +258,17 @@ class _Fit:
 
     @cached_property
     def firm(self) -> _Fit:
-        """The fit of the same parameters with links that keep the usual spread; this one, if they do here."""
-        usual = self.rows.problem.usual
-        return self.rows.fit(self.every, spreads=usual) if np.any(self.spreads > _LOOSE * usual) else self
-
-    @cached_property
-    def evaluation(self) -> Evaluation:
-        """The objective there."""
-        return self.objective.evaluate(self.point)
-
-    @cached_property
-    def hessian(self) -> FloatArray:
-        """Information ``(D, D)`` of the rows and of the prior, in tangent coordinates."""
-        return self.evaluation.information + np.diag(self.objective.weights)
+        """The fit of the same parameters with links that keep the usual spread."""
+        return self.rows.fit(self.every, spreads=self.rows.problem.usual)
 
     @cached_property
     def score(self) -> float:
         """Minus twice the logarithm of the marginal likelihood."""
-        links = self.objective.manifold.inertial
-        _, volume = np.linalg.slogdet(self.hessian[links, links])
-        width = 20.0 * float(np.sum(np.log(self.spreads))) + cost_of_spreads(self.spreads, self.rows.problem.usual)
-        return 2.0 * self.evaluation.value + float(volume) + width
+        links = self.fit.objective.manifold.inertial
+        _, volume = np.linalg.slogdet(self.fit.hessian[links, links])
+        spreads = self.fit.scales
+        width = 20.0 * float(np.sum(np.log(spreads))) + cost_of_spreads(spreads, self.rows.problem.usual)
+        return 2.0 * self.fit.evaluation.value + float(volume) + width
 
     @cached_property
     def weights(self) -> FloatArray:
@@ -332,7 +279,7 @@ class _Fit:
     def possible(self) -> bool:
         """Whether all optional coefficients are in their ranges."""
         every = np.zeros(self.rows.size)
-        every[self.columns] = self.point.parameters
+        every[self.columns] = self.fit.point.parameters
         return all(map(self.rows.allows, self.chosen.tolist(), every[self.chosen].tolist()))
 
     @cached_property
@@ -343,7 +290,7 @@ class _Fit:
     @cached_property
     def left(self) -> FloatArray:
         """Sum of squares of each channel."""
-        return self.objective.profile.squares(self.point)
+        return self.fit.objective.profile.squares(self.fit.point)
 
     def is_visible_beside(self, smaller: _Fit) -> bool:
         """Whether it leaves clearly less of some channel, links as they were fitted or such as stay near the prior."""
@@ -354,25 +301,29 @@ class _Fit:
     def _vector(self) -> FloatArray:
         """All parameters and minus one ``(n + 1,)``: the residual is what the columns with the target leave of it."""
         vector = np.zeros(self.rows.size + 1)
-        vector[self.columns], vector[-1] = self.point.parameters, -1.0
+        vector[self.columns], vector[-1] = self.fit.point.parameters, -1.0
         return vector
 
     @property
     def _slopes(self) -> FloatArray:
         """Half the derivative of the squares of each fold that has rows by each of its coefficients ``(folds, k)``."""
-        slopes = np.zeros((self.rows.problem.summary.folds, self.rows.size + 1))
-        for weight, (places, products) in zip(self.weights, self.rows.products, strict=True):
-            slopes[:, places] += weight * (products @ self._vector[places])
+        problem = self.rows.problem
+        slopes = np.zeros((problem.summary.folds, self.rows.size + 1))
+        for channel, weight, parts in zip(problem.model.channels, self.weights, problem.summary.parts(), strict=False):
+            own = np.append(channel.columns, self.rows.size)
+            residuals = [part.factor @ self._vector[own] for part in parts]
+            slopes[:, own] += weight * np.array([r @ part.factor for r, part in zip(residuals, parts, strict=True)])
+        slopes *= problem.independent
         return slopes[np.any(slopes, axis=1)][:, self.columns]
 
     def squares_of(self, columns: IntArray) -> FloatArray:
         """Squares of some of its coefficients in units of their variances."""
-        inverse, manifold = definite.inverse(self.hessian), self.objective.manifold
-        slopes = manifold.whiten(self.point, self._slopes)
+        inverse, manifold = definite.inverse(self.fit.hessian), self.fit.objective.manifold
+        slopes = manifold.whiten(self.fit.point, self._slopes)
         real = self.columns >= self.rows.first
         variances = np.diag(inverse)[real]
         inflation = self._inflation(self.columns[real], (slopes @ inverse)[:, real], variances)
-        values = manifold.log(self.objective.profile.prior, self.point)[real]
+        values = manifold.log(self.fit.objective.profile.prior, self.fit.point)[real]
         squares = np.zeros(self.rows.size)
         squares[self.columns[real]] = values**2 / (inflation * variances)
         return np.asarray(squares[columns])
@@ -380,16 +331,16 @@ class _Fit:
     def gains(self, columns: IntArray) -> FloatArray:
         """By how much each of other ``columns`` would improve twice the log likelihood, by the score test; zero for a
         coefficient that would be negative and cannot be."""
-        manifold = self.objective.manifold
-        whitener = manifold.whiten(self.point, np.eye(len(self.columns)))
-        products = np.tensordot(self.weights, self.rows.all_products[:, columns], axes=1)
+        manifold = self.fit.objective.manifold
+        whitener = manifold.whiten(self.fit.point, np.eye(len(self.columns)))
+        products = np.tensordot(self.weights, self.rows.products[:, columns], axes=1)
         shared = products[:, self.columns].T
-        projected = whitener @ definite.inverse(self.hessian) @ whitener.T @ shared
+        projected = whitener @ definite.inverse(self.fit.hessian) @ whitener.T @ shared
         squares = products[np.arange(len(columns)), columns]
         left = squares - np.sum(shared * projected, axis=0)
         values = -products @ self._vector
         positive = np.array([self.rows.positive(column) for column in columns])
-        possible = (left > _PARALLEL * squares) & ~(positive & (values < 0.0))
+        possible = (left > ROUNDING * squares) & ~(positive & (values < 0.0))
         return np.asarray(np.where(possible, values**2 / np.where(possible, left, 1.0), 0.0))
 
     def _inflation(self, columns: IntArray, parts: FloatArray, variances: FloatArray) -> FloatArray:

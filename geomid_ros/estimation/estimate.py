@@ -17,7 +17,8 @@ QUANTITIES = ("mass", "com x", "com y", "com z", "Ixx", "Ixy", "Iyy", "Ixz", "Iy
 """Names of a link's ten quantities, in the order of :func:`geomid_ros.geometry.pseudo_inertia.quantities_of`."""
 UNITS = ("kg", *("m", "m", "m"), *("kg m^2", "kg m^2", "kg m^2"), *("kg m^2", "kg m^2", "kg m^2"))
 """Units of these."""
-_TOLD = 3.0  # standard deviations
+TOLD = 3.0
+"""Standard deviations from nothing at which a quantity, or an effect, is told."""
 SURE = 1.96
 """Standard deviations to either side that hold 95 %."""
 _LARGEST_LOG = 50.0  # of a factor: nothing is known then
@@ -78,7 +79,7 @@ class LinkEstimate:
 
 def is_told(value: float, deviation: float) -> bool:
     """Whether a quantity is known to a third of itself."""
-    return bool(abs(value) > _TOLD * deviation)
+    return bool(abs(value) > TOLD * deviation)
 
 
 def interval_of_positive(value: float, deviation: float) -> tuple[float, float]:

@@ -1,11 +1,10 @@
 """What an estimate says of links, effects and weighed masses, from where a fit ended and how sure that is.
 
-In all functions ``point`` is where it ended, on the ``manifold`` of the ``model``, and ``found`` its uncertainty.
+In all functions ``point`` is where the fit of the ``problem`` ended, and ``found`` its uncertainty.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from itertools import compress
 
 import numpy as np
@@ -16,26 +15,16 @@ from geomid_ros.estimation.identified import identified
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.geometry import pseudo_inertia, spd
-from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.weighed_masses import WeighedRows
-from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
+from geomid_ros.types import BoolArray, FloatArray, frozen
 
 
 def links(
-    model: MeasurementModel,
-    manifold: ParameterManifold,
-    prior: Point,
-    point: Point,
-    found: uncertainty.Uncertainty,
-    *,
-    usual: FloatArray,
-    outliers: BoolArray,
+    problem: Problem, point: Point, found: uncertainty.Uncertainty, outliers: BoolArray
 ) -> tuple[LinkEstimate, ...]:
-    """The links: what is known of each, beside the prior.
-
-    ``usual``: spreads of the links' priors ``(links,)``; ``outliers``: the links that left them ``(links,)``.
-    """
+    """The links: what is known of each, beside the prior; ``outliers``: those that left it ``(links,)``."""
+    model, manifold, prior = problem.model, problem.manifold, problem.prior_point
     parameters = pseudo_inertia.to_parameters(point.pseudo_inertias)
     sensitivity = sensitivity_of_numbers(point)
     distances = spd.distance(prior.pseudo_inertias, point.pseudo_inertias)
@@ -44,7 +33,7 @@ def links(
     for index, name in enumerate(model.body_names):
         block = manifold.link(index)
         std, of_prior = (deviations_of(sensitivity[index], c[block, block]) for c in (found.covariance, found.prior))
-        of_usual = usual[index] * np.linalg.norm(sensitivity[index], axis=1)
+        of_usual = problem.usual[index] * np.linalg.norm(sensitivity[index], axis=1)
         of_prior = np.minimum(of_prior, of_usual)
         known = identified(parameters[index], std, of_prior)
         values = pseudo_inertia.quantities_of(parameters[index])
@@ -124,18 +113,10 @@ def effect_coordinates(model: MeasurementModel) -> tuple[EffectCoordinate, ...]:
     )
 
 
-def effect_columns(names: Iterable[str], first: int) -> dict[str, IntArray]:
-    """The columns of each effect at all of its places, by its name, where those of all ``names`` begin at ``first``."""
-    every = np.array(list(names))
-    return {name: first + np.flatnonzero(every == name) for name in dict.fromkeys(every.tolist())}
-
-
-def weighed(
-    known: WeighedRows, manifold: ParameterManifold, point: Point, found: uncertainty.Uncertainty
-) -> tuple[WeighedEstimate, ...]:
+def weighed(problem: Problem, point: Point, found: uncertainty.Uncertainty) -> tuple[WeighedEstimate, ...]:
     """The masses that were weighed, as they came out."""
-    rows = known.weighed
-    normals = manifold.whiten(point, rows.rows)
+    rows = problem.known.weighed
+    normals = problem.manifold.whiten(point, rows.rows)
     stds = np.sqrt(np.einsum("ki,ij,kj->k", normals, found.covariance, normals))
     # In units of the given standard deviation, and without what is not identified of it.
     errors = rows.rows @ point.parameters - rows.targets

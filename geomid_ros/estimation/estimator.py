@@ -20,6 +20,7 @@ from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.estimation.paper_estimator import OBJECTIVES
 from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.population_prior import PopulationPrior, fit_with_population, unlike_population
+from geomid_ros.estimation.posterior import effect_columns
 from geomid_ros.estimation.problem import Problem, subproblem
 from geomid_ros.estimation.solvers import SOLVERS
 from geomid_ros.estimation.summary import RowSummary
@@ -248,9 +249,7 @@ def _estimate(
         gamma=fitted.gamma,
         rows_accepted=summary.rows,
         rows_set_aside=set_aside,
-        links=estimate_parts.links(
-            model, manifold, prior_point, solution.point, found, usual=problem.usual, outliers=_outliers(fitted)
-        ),
+        links=estimate_parts.links(problem, solution.point, found, _outliers(fitted)),
         effects=estimate_parts.effects(problem, solution.point, found),
         parameters=frozen(parameters),
         channels=tuple(channel.name for channel in model.channels),
@@ -264,7 +263,7 @@ def _estimate(
         posterior=estimate_parts.posterior(problem, solution.point, found),
         rows=frozen(independent * fitted.rows[0]),
         targets=frozen(independent * fitted.rows[1]),
-        known=estimate_parts.weighed(known, manifold, solution.point, found),
+        known=estimate_parts.weighed(problem, solution.point, found),
         warnings=(*_run_away(model, fitted, solution.point), *([_SPENT] if fitted.spent else []), *unlike),
     )
 
@@ -325,10 +324,8 @@ def _fold_at(manifold: ParameterManifold, point: Point, products: FloatArray) ->
     return uncertainty.Fold(manifold.whiten(point, slope[None])[0], manifold.whiten(point, half.T))
 
 
-def _information_at(manifold: ParameterManifold, point: Point, rows: FloatArray) -> FloatArray | None:
-    """Of rows ``(N, D)`` of standard deviation 1; None of none."""
-    if not len(rows):
-        return None
+def _information_at(manifold: ParameterManifold, point: Point, rows: FloatArray) -> FloatArray:
+    """Of rows ``(N, D)`` of standard deviation 1."""
     normals = manifold.whiten(point, rows)
     return np.asarray(normals.T @ normals)
 
@@ -336,6 +333,6 @@ def _information_at(manifold: ParameterManifold, point: Point, rows: FloatArray)
 def _parameter_groups(problem: Problem) -> list[uncertainty.ParameterGroup]:
     """The links' coordinates, and each effect's at all joints."""
     first, usual = problem.manifold.inertial.stop, problem.prior_spreads
-    effects = estimate_parts.effect_columns((c.effect.name for c in problem.model.coefficients), first)
+    effects = effect_columns((c.effect.name for c in problem.model.coefficients), first)
     groups = (np.arange(first), *effects.values())
     return [uncertainty.ParameterGroup(columns, float(usual[columns[0]])) for columns in groups]

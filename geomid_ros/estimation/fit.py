@@ -18,6 +18,7 @@ from geomid_ros.estimation.objective import ProductsObjective, ResidualObjective
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.solvers import Solution, trust_region
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
+from geomid_ros.estimation.tolerances import LEAST_GRADIENT
 from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.types import FloatArray
@@ -28,7 +29,6 @@ _ROUNDS = 60
 _BUDGET = 3  # times the solver's steps, of all rounds together: five times what measured robots ask for
 _SETTLED = 1e-7  # relative change of standard deviations and spreads, which falls to about a third in a round
 _SETTLED_WARM = 1e-8  # the same where rounds are extrapolated, so that few more are needed
-_LEAST_GRADIENT = 1e-14  # relative to the sum of the weights; rounding allows no less
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -171,7 +171,7 @@ def _every_spread(problem: Problem, spreads: FloatArray) -> FloatArray:
 def _gradient(objective: ResidualObjective | ProductsObjective, tolerance: float) -> float:
     """The prior bounds the curvature from below: a gradient of ``tolerance`` times its weight is at most that far
     off."""
-    return max(tolerance * min(float(np.min(objective.prior_weights)) / objective.scale, 1.0), _LEAST_GRADIENT)
+    return max(tolerance * min(float(np.min(objective.prior_weights)) / objective.scale, 1.0), LEAST_GRADIENT)
 
 
 def _objective(problem: Problem, measured: tuple[FloatArray, FloatArray], spreads: FloatArray) -> ResidualObjective:

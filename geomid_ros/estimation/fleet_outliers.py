@@ -8,12 +8,11 @@ half, they do not move it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from geomid_ros.estimation.population import FEWEST, SHARED, Population, PopulationFit, RobotLikelihood, common, linear
-from geomid_ros.estimation.posterior import manifold_of
 from geomid_ros.estimation.tolerances import LARGEST_STEP, LEAST_DEVIATION, ROUNDS, SETTLED
 from geomid_ros.types import FloatArray, IntArray
 
@@ -62,7 +61,7 @@ def population_and_members(robots: Sequence[RobotLikelihood]) -> tuple[Populatio
 def _most_alike(robots: Sequence[RobotLikelihood]) -> tuple[int, ...]:
     """The half of the robots whose estimates are nearest to the medians."""
     first = robots[0]
-    manifold = manifold_of(first.links, first.effects, np.ones(len(first.scales)))
+    manifold = replace(first.manifold, scales=np.ones(len(first.scales)))
     base = manifold.point(first.prior)
     places = np.array([manifold.log(base, manifold.point(robot.parameters)) for robot in robots])
     off = places - np.median(places, axis=0)

@@ -12,19 +12,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.channel_summary import triangular
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.estimate_parts import effect_columns
-from geomid_ros.estimation.posterior import EffectCoordinate, manifold_of
+from geomid_ros.estimation.posterior import EffectCoordinate, RobotParameters, effect_columns
 from geomid_ros.estimation.starting_point import usual_spreads
 from geomid_ros.estimation.tolerances import LARGEST_STEP, LEAST_DEVIATION, ROUNDS, SETTLED
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.types import FloatArray, IntArray, frozen
+from geomid_ros.types import FloatArray, frozen
 
 FEWEST = 3
 """Of fewer robots nothing is said of all."""
@@ -33,49 +31,7 @@ SHARED = 10.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _OfType:
-    """Parameters of a robot of a type.
-
-    Attributes:
-        links: names of the moving links.
-        effects: the effects' coefficients, the positive ones first.
-        parameters: an estimate ``(D,)`` of links and effects.
-        scales: of the real coefficients.
-    """
-
-    links: tuple[str, ...]
-    effects: tuple[EffectCoordinate, ...]
-    parameters: FloatArray
-    scales: FloatArray
-
-    @cached_property
-    def manifold(self) -> ParameterManifold:
-        """Where the parameters live."""
-        return manifold_of(self.links, self.effects, self.scales)
-
-    @cached_property
-    def point(self) -> Point:
-        """The estimate."""
-        return self.manifold.point(self.parameters)
-
-    @cached_property
-    def blocks(self) -> dict[str, IntArray]:
-        """The coordinates of every link, and of every effect at all joints, by name."""
-        links = {name: np.arange(10 * index, 10 * index + 10) for index, name in enumerate(self.links)}
-        return links | effect_columns((effect.name for effect in self.effects), 10 * len(self.links))
-
-    def _columns(self, links: Sequence[str], effects: Sequence[EffectCoordinate]) -> list[int]:
-        first = 10 * len(self.links)
-        of_links = (10 * self.links.index(name) + k for name in links for k in range(10))
-        return [*of_links, *(first + self.effects.index(effect) for effect in effects)]
-
-    def _scales(self, effects: Sequence[EffectCoordinate]) -> FloatArray:
-        scales = dict(zip([effect for effect in self.effects if not effect.positive], self.scales, strict=True))
-        return np.array([scales[effect] for effect in effects if not effect.positive])
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class RobotLikelihood(_OfType):
+class RobotLikelihood(RobotParameters):
     """What one robot's data say of its parameters, without any prior.
 
     Attributes:
@@ -97,7 +53,7 @@ class RobotLikelihood(_OfType):
 
     def of_effects(self, effects: Sequence[EffectCoordinate]) -> RobotLikelihood:
         """What is said of the links and these effects alone, whatever the others are."""
-        kept = self._columns(self.links, effects)
+        kept = self.columns(self.links, effects)
         others = np.setdiff1d(np.arange(len(self.parameters)), kept)
         stacked = np.column_stack([self.rows, self.targets])[:, [*others, *kept, -1]]
         left = triangular(stacked)[len(others) :, len(others) :]
@@ -108,12 +64,12 @@ class RobotLikelihood(_OfType):
             targets=left[:, -1],
             parameters=self.parameters[kept],
             prior=self.prior[kept],
-            scales=self._scales(effects),
+            scales=self.scales_of(effects),
         )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Population(_OfType):
+class Population(RobotParameters):
     """What is known of a robot of a type before its data: ``exp(parameters, N(0, covariance))`` on the manifold, where
     ``parameters`` are the Karcher mean.
 
@@ -128,14 +84,14 @@ class Population(_OfType):
 
     def part(self, links: Sequence[str], effects: Sequence[EffectCoordinate]) -> Population:
         """What is known of some of the links and effects, in the order in which they are given."""
-        kept = self._columns(links, effects)
+        kept = self.columns(links, effects)
         return replace(
             self,
             links=tuple(links),
             effects=tuple(effects),
             parameters=self.parameters[kept],
             covariance=self.covariance[np.ix_(kept, kept)],
-            scales=self._scales(effects),
+            scales=self.scales_of(effects),
         )
 
 
@@ -172,7 +128,7 @@ class PopulationFit:
         first = robots[0]
         self._robots = robots
         scales = np.median([robot.scales for robot in robots], axis=0)
-        self._manifold = manifold = manifold_of(first.links, first.effects, scales)
+        self._manifold = manifold = replace(first.manifold, scales=scales)
         starts = np.array([robot.prior for robot in robots])
         starts[:, manifold.inertial] = first.prior[manifold.inertial]
         self._prior = manifold.point(np.median(starts, axis=0))

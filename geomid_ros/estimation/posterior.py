@@ -1,21 +1,22 @@
-"""The joint posterior of links and effects: a Gaussian in tangent coordinates at the estimate."""
+"""Parameters of links and effects by their names; their joint posterior: a Gaussian in tangent coordinates at the
+estimate."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from geomid_ros.estimation.tolerances import ROUNDING_OF_PRODUCTS
 from geomid_ros.geometry import spd, symmetric
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.types import BoolArray, FloatArray, frozen
+from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
 _LEAST = 0.05  # of what the estimate has
 _REMEMBERED = 0.01  # of a chain's beginning, as a share of the variance
 _MOST_STEPS = 1000
-_LEAST_VARIANCE = 1e-12  # in units of the prior's
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,9 +31,10 @@ class EffectCoordinate:
     positive: bool
 
 
-def manifold_of(links: Sequence[str], effects: Sequence[EffectCoordinate], scales: FloatArray) -> ParameterManifold:
-    """Where the parameters of links and effects live; ``scales``: of the real coefficients."""
-    return ParameterManifold(len(links), sum(effect.positive for effect in effects), scales)
+def effect_columns(names: Iterable[str], first: int) -> dict[str, IntArray]:
+    """The columns of each effect at all of its places, by its name, where those of all ``names`` begin at ``first``."""
+    every = np.array(list(names))
+    return {name: first + np.flatnonzero(every == name) for name in dict.fromkeys(every.tolist())}
 
 
 def beyond_prior(covariance: FloatArray, spreads: FloatArray) -> FloatArray:
@@ -42,12 +44,56 @@ def beyond_prior(covariance: FloatArray, spreads: FloatArray) -> FloatArray:
         ``(D, D)``, a factor F of the information ``F^T F`` on the coordinates in units of the spreads.
     """
     values, vectors = np.linalg.eigh(covariance / np.outer(spreads, spreads))
-    beyond = np.sqrt(np.maximum(1.0 / np.maximum(values, _LEAST_VARIANCE) - 1.0, 0.0))
+    beyond = np.sqrt(np.maximum(1.0 / np.maximum(values, ROUNDING_OF_PRODUCTS) - 1.0, 0.0))
     return np.asarray((vectors * beyond).T)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Posterior:
+class RobotParameters:
+    """Parameters of links and effects, by their names.
+
+    Attributes:
+        links: Names of the moving links.
+        effects: The effects' coefficients, the positive ones first.
+        parameters: An estimate ``(D,)``: ten per link in pinocchio's order, then the effects' coefficients.
+        scales: Of the real coefficients.
+    """
+
+    links: tuple[str, ...]
+    effects: tuple[EffectCoordinate, ...]
+    parameters: FloatArray
+    scales: FloatArray
+
+    @cached_property
+    def manifold(self) -> ParameterManifold:
+        """Where the parameters live."""
+        return ParameterManifold(len(self.links), sum(effect.positive for effect in self.effects), self.scales)
+
+    @cached_property
+    def point(self) -> Point:
+        """The estimate."""
+        return self.manifold.point(self.parameters)
+
+    @cached_property
+    def blocks(self) -> dict[str, IntArray]:
+        """The coordinates of every link, and of every effect at all joints, by name."""
+        links = {name: np.arange(10 * index, 10 * index + 10) for index, name in enumerate(self.links)}
+        return links | effect_columns((effect.name for effect in self.effects), 10 * len(self.links))
+
+    def columns(self, links: Sequence[str], effects: Sequence[EffectCoordinate]) -> list[int]:
+        """Where some of the links and effects stand."""
+        first = 10 * len(self.links)
+        of_links = (10 * self.links.index(name) + k for name in links for k in range(10))
+        return [*of_links, *(first + self.effects.index(effect) for effect in effects)]
+
+    def scales_of(self, effects: Sequence[EffectCoordinate]) -> FloatArray:
+        """The scales of those among some of the effects that are real."""
+        scales = dict(zip([effect for effect in self.effects if not effect.positive], self.scales, strict=True))
+        return frozen([scales[effect] for effect in effects if not effect.positive])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Posterior(RobotParameters):
     """What is known of all parameters together: ``N(0, covariance)``, given that such a robot can exist.
 
     Its coordinates ``x (D,)`` are those of the tangent space at the estimate (:mod:`geomid_ros.geometry.manifold`), in
@@ -65,34 +111,16 @@ class Posterior:
     other directions are open.
 
     Attributes:
-        links: Names of the moving links.
-        merged: The links that are fixed to each of these and counted in.
-        effects: The effects' coefficients, the positive ones first.
-        parameters: The estimate ``(D,)``: ten per link in pinocchio's order, then the effects' coefficients.
+        merged: The links that are fixed to each of the links and counted in.
         covariance: ``(D, D)`` of the tangent coordinates.
-        scales: Of the real coefficients.
         prior: Parameters ``(D,)`` of the prior that the estimate began with.
         prior_spreads: Standard deviations ``(D,)`` of the prior's error, in tangent coordinates.
     """
 
-    links: tuple[str, ...]
     merged: tuple[tuple[str, ...], ...]
-    effects: tuple[EffectCoordinate, ...]
-    parameters: FloatArray
     covariance: FloatArray
-    scales: FloatArray
     prior: FloatArray
     prior_spreads: FloatArray
-
-    @cached_property
-    def manifold(self) -> ParameterManifold:
-        """Where the parameters live."""
-        return manifold_of(self.links, self.effects, self.scales)
-
-    @cached_property
-    def point(self) -> Point:
-        """The estimate."""
-        return self.manifold.point(self.parameters)
 
     @cached_property
     def jacobian(self) -> FloatArray:

@@ -24,7 +24,7 @@ from geomid_ros.types import FloatArray, IntArray
 
 # Of a problem: what does not depend on what is known beside the rows.
 _OF_ROWS = (
-    *("usual", "manifold", "_scales", "prior_spreads", "prior", "prior_point"),
+    *("usual", "manifold", "scales", "prior_spreads", "prior", "prior_point"),
     *("products", "row_weights", "counts", "least_sigmas"),
 )
 
@@ -69,10 +69,11 @@ class Problem:
     @cached_property
     def manifold(self) -> ParameterManifold:
         """Where the parameters live."""
-        return self.model.manifold(self._scales[self.model.positives :])
+        return self.model.manifold(self.scales[self.model.positives :])
 
     @cached_property
-    def _scales(self) -> FloatArray:
+    def scales(self) -> FloatArray:
+        """The scale of each coefficient ``(coefficients,)``, see :func:`scales_of_coefficients`."""
         return scales_of_coefficients(self.model, self.summary)
 
     def usual_errors(self, point: Point) -> FloatArray:
@@ -83,7 +84,7 @@ class Problem:
         as positive ones are.
         """
         positive, real = np.split(self.prior_spreads[self.manifold.inertial.stop :], [self.model.positives])
-        least = USUAL_SPREAD_OF_REALS * self._scales[: self.model.positives] / point.positives
+        least = USUAL_SPREAD_OF_REALS * self.scales[: self.model.positives] / point.positives
         fitted = np.abs(self.prior_point.reals) / self.manifold.scales if self.given is None else 0.0
         return np.concatenate([np.maximum(positive, least), np.maximum(real, fitted)])
 

@@ -1,7 +1,8 @@
-"""What the joint fit minimises for channels of unknown noise, and the steps in which it does so."""
+"""The joint fit for channels of unknown noise: what it minimises, the steps in which it does so, and its evidence."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,7 +11,8 @@ from numpy.linalg import LinAlgError
 
 from geomid_ros.estimation.objective import Evaluation, with_prior
 from geomid_ros.estimation.solvers import ENDS, GRADIENT, Solution, trust_region
-from geomid_ros.geometry import compiled
+from geomid_ros.estimation.tolerances import ROUNDS
+from geomid_ros.geometry import compiled, definite
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.geometry.pseudo_inertia import COEFFICIENTS_TO_COORDINATES
 from geomid_ros.types import FloatArray, IntArray
@@ -18,6 +20,8 @@ from geomid_ros.types import FloatArray, IntArray
 _STEPS = 40
 _RADIUS = 16.0  # of the first step: as an effect comes or goes, others move as far as it reached
 _LEAST_DECREASE = 1e-3  # of half the score
+_SETTLED = 0.05  # of the logarithm of a standard deviation
+_LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,14 +35,18 @@ class StraightManifold(ParameterManifold):
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Channels of unknown noise: ``products (C, D + 1, D + 1)`` of all columns and the target, ``counts (C,)`` of rows,
-    the ``least (C,)`` that a sum of squares may be; and the ``prior``."""
+    """Channels of unknown noise: ``products (C, D + 1, D + 1)`` of all columns and the target, ``counts (C,)`` of rows;
+    and the ``prior``."""
 
     manifold: ParameterManifold
     products: FloatArray
     counts: FloatArray
-    least: FloatArray
     prior: Point
+
+    @cached_property
+    def least(self) -> FloatArray:
+        """What a sum of squares is at least ``(C,)``."""
+        return np.asarray(_LEAST_SHARE * self.products[:, -1, -1] + np.finfo(float).tiny)
 
     def squares(self, point: Point) -> FloatArray:
         """Sums of squares ``(C,)`` of the channels at ``point``, at least ``least (C,)``."""
@@ -105,6 +113,58 @@ class ProfileObjective:
             value, slope = value + 0.5 * float(off @ off), slope + off @ self.known[:, :-1]
             products += self.known_products
         return with_prior(self.manifold, point, profile.prior, self.weights, (value, slope, products))
+
+
+@dataclass(frozen=True, eq=False)
+class ProfileFit:
+    """Where a fit ended, with the ``scales`` of the prior that go with it."""
+
+    objective: ProfileObjective
+    point: Point
+    scales: FloatArray
+
+    @cached_property
+    def evaluation(self) -> Evaluation:
+        """The objective there."""
+        return self.objective.evaluate(self.point)
+
+    @cached_property
+    def hessian(self) -> FloatArray:
+        """Information ``(D, D)`` of the rows and of the prior, in tangent coordinates."""
+        return np.asarray(self.evaluation.information + np.diag(self.objective.weights))
+
+    @cached_property
+    def score(self) -> float:
+        """Minus twice the logarithm of the marginal likelihood in Laplace's approximation, for these scales."""
+        _, volume = np.linalg.slogdet(self.hessian)
+        return 2.0 * self.evaluation.value + float(volume) - float(np.sum(np.log(self.objective.weights)))
+
+
+def fit_scales(
+    objective: Callable[[FloatArray], ProfileObjective],
+    start: Point,
+    scales: FloatArray,
+    likely: Callable[[Point, FloatArray], FloatArray] | None,
+) -> ProfileFit:
+    """The minimum for those ``scales (n,)`` of the prior that are most likely, by MacKay's fixed point.
+
+    Args:
+        objective: for given scales.
+        start, scales: where to begin.
+        likely: the scales to go on with, from the minimum and the whitener ``(D, D)`` of the Hessian there; None to
+            keep those that are given.
+    """
+    point = start
+    for _ in range(ROUNDS):
+        trusted = objective(scales)
+        solution = minimum(trusted, point)
+        point, before = solution.point, scales
+        if likely is None:
+            break
+        scales = likely(point, definite.whitener(solution.evaluation.information + np.diag(trusted.weights)))
+        if np.all(np.abs(np.log(scales / before)) < _SETTLED):
+            break
+    return ProfileFit(objective(scales), point, scales)
 
 
 def minimum(objective: ProfileObjective, start: Point) -> Solution:

@@ -115,28 +115,12 @@ class RowSummary:
 
         By ``elapsed`` [s] all earlier rows grow older. ``unsettled (channels,)`` says which rows are.
         """
-        self._complete = False
-        self._time += elapsed
-        self.weight *= float(np.exp(-elapsed / self._forgetting_time))
-        fold = self._fold()
-        self._instants += 1
-        groups = np.arange(len(self.channels)) + len(self.channels) * np.asarray(unsettled)
-        for channel in np.flatnonzero(usable(coefficients, targets)):
-            self.rows += 1
-            self.weight += 1.0
-            index = groups[channel]
-            waiting = self._waiting[fold][index]
-            row = coefficients[channel, self.channels[channel].columns]
-            waiting.append((row, float(targets[channel]), self._time))
-            # Channels that have as many rows wait differently long: few instants cost more than one QR.
-            if len(waiting) >= self._CHUNK + index:
-                self._absorb(fold, int(index))
+        groups = np.broadcast_to(unsettled, targets.shape)
+        self.add_all(coefficients[None], targets[None], np.array([elapsed]), groups[None])
 
     def add_all(self, coefficients: FloatArray, targets: FloatArray, elapsed: FloatArray, unsettled: BoolArray) -> None:
-        """Add the rows of N instants, as :meth:`add` does one by one, in a fraction of the time.
-
-        ``coefficients (N, channels, D)``, ``targets`` and ``unsettled (N, channels)``, ``elapsed (N,)``.
-        """
+        """Add the rows of N instants: ``coefficients (N, channels, D)``, ``targets`` and ``unsettled (N, channels)``,
+        ``elapsed (N,)``."""
         self._complete = False
         taken = usable(coefficients, targets)
         self.rows += int(np.count_nonzero(taken))
@@ -151,10 +135,13 @@ class RowSummary:
             for index, group in enumerate(self.groups):
                 second, channel = divmod(index, len(self.channels))
                 own = taken[begin:end, channel] & (unsettled[begin:end, channel] == bool(second))
+                if not np.any(own):
+                    continue
                 chosen = begin + np.flatnonzero(own)
                 rows = coefficients[chosen[:, None], channel, group.columns]
                 waiting = self._waiting[fold][index]
                 waiting += zip(rows, targets[chosen, channel].tolist(), times[chosen].tolist(), strict=True)
+                # Channels that have as many rows wait differently long: few instants cost more than one QR.
                 while len(waiting) >= self._CHUNK + index:
                     self._absorb(fold, index, self._CHUNK + index)
             self._instants += end - begin
@@ -201,28 +188,28 @@ class RowSummary:
         """Weights that rows added at ``times`` have at another."""
         return np.exp((np.asarray(times) - now) / self._forgetting_time)
 
-    def parts(self, folds: Sequence[int] | None = None) -> list[list[ChannelSummary]]:
-        """Per group the summaries of the chosen folds (all unless given), everything added so far included."""
-        chosen = range(self.folds) if folds is None else folds
+    def parts(self) -> list[list[ChannelSummary]]:
+        """Per group the summaries of all folds, everything added so far included."""
         if not self._complete:
-            for fold in chosen:
+            for fold in range(self.folds):
                 for index in range(len(self.groups)):
                     self._absorb(fold, index)
-            self._complete = folds is None
-        return [[self._summaries[fold][index] for fold in chosen] for index in range(len(self.groups))]
+            self._complete = True
+        return [[fold[index] for fold in self._summaries] for index in range(len(self.groups))]
 
     def factors(self, folds: Sequence[int] | None = None) -> tuple[FloatArray, ...]:
         """Per group one factor of all rows of the chosen folds (all unless given), everything added so far included."""
-        parts = self.parts(folds)
+        parts = self.parts()
         if folds is not None:
-            return tuple(map(joined, parts))
+            return tuple(joined([own[fold] for fold in folds]) for own in parts)
         if self._factors is None:
             self._factors = tuple(map(joined, parts))
         return self._factors
 
     def counts(self, folds: Sequence[int] | None = None) -> FloatArray:
         """Sums of the weights of each group's rows in the chosen folds (all unless given)."""
-        return np.array([sum(part.count for part in parts) for parts in self.parts(folds)])
+        chosen = range(self.folds) if folds is None else folds
+        return np.array([sum(own[fold].count for fold in chosen) for own in self.parts()])
 
     def with_columns(self, channels: Sequence[Channel], chosen: IntArray) -> RowSummary:
         """A copy in which only the ``chosen`` of the D parameters are left; ``channels`` are those of what is left."""
@@ -303,10 +290,8 @@ class RowSummary:
             products[:, own[:, None], own] += np.array([part.factor.T @ part.factor for part in parts]) / sigma**2
         return products[np.any(products, axis=(1, 2))]
 
-    def compressed(
-        self, sigmas: FloatArray, dimension: int, folds: Sequence[int] | None = None
-    ) -> tuple[FloatArray, FloatArray]:
-        """Rows ``(<= D, D)`` and targets of standard deviation 1 with the least-squares content of the chosen folds.
+    def compressed(self, sigmas: FloatArray, dimension: int) -> tuple[FloatArray, FloatArray]:
+        """Rows ``(<= D, D)`` and targets of standard deviation 1 with the least-squares content of all rows.
 
         The last row of the factor, in which no parameter appears, is left out: it is the part of the residual that no
         parameter can change.
@@ -314,12 +299,11 @@ class RowSummary:
         Args:
             sigmas: Standard deviations ``(groups,)``, or ``(channels,)`` for those of both groups.
             dimension: D.
-            folds: All unless given.
         """
         # First by group: most have few columns, and many small decompositions stop no other thread for long.
         stacked = [np.zeros((0, dimension + 1))]
         scales = np.resize(sigmas, len(self.groups))
-        for group, sigma, factor in zip(self.groups, scales, self.factors(folds), strict=True):
+        for group, sigma, factor in zip(self.groups, scales, self.factors(), strict=True):
             widened = np.zeros((len(factor), dimension + 1))
             widened[:, group.columns] = factor[:, :-1] / sigma
             widened[:, -1] = factor[:, -1] / sigma

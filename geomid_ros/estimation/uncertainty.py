@@ -65,11 +65,6 @@ class Uncertainty:
         """Standard deviations ``(D,)`` of the prior's error."""
         return np.asarray(np.sqrt(np.diag(self.prior)))
 
-    @property
-    def each_from_data(self) -> FloatArray:
-        """:meth:`from_data` of each coordinate by itself ``(D,)``."""
-        return np.asarray(np.clip(1.0 - np.diag(self.covariance) / np.diag(self.prior), 0.0, 1.0))
-
     def from_data(self, columns: slice) -> float:
         """The share of the prior's variance in these coordinates that the data removed, 0 to 1.
 
@@ -90,8 +85,8 @@ def estimate_uncertainty(
     groups: Sequence[ParameterGroup],
     *,
     least_inflation: float = 1.0,
-    assumed_spreads: FloatArray | None = None,
-    expected: FloatArray | None = None,
+    assumed_spreads: FloatArray | float = 0.0,
+    expected: FloatArray | float = 0.0,
 ) -> Uncertainty:
     """Uncertainty of a regularised estimate.
 
@@ -117,11 +112,9 @@ def estimate_uncertainty(
     factors = np.max(each, axis=0)
     share = 1.0 / float(np.mean(factors))
     independent = Fold(share * measured.gradient + known.gradient, share * measured.information + known.information)
-    spreads = prior_spreads(independent, from_prior, groups)
-    if assumed_spreads is not None:
-        spreads = np.maximum(spreads, assumed_spreads)
+    spreads = np.maximum(prior_spreads(independent, from_prior, groups), assumed_spreads)
     covariance = error_covariance(measured.information, known.information, trust, weights, factors, spreads)
-    prior = np.diag(spreads**2) if expected is None else _inverse(expected, spreads**-2.0)
+    prior = _inverse(np.zeros_like(covariance) + expected, spreads**-2.0)
     inverse = _inverse(measured.information + trust * known.information, weights)
     by_rows = np.maximum(1.0 / np.diag(inverse) - weights, 0.0) / factors
     return Uncertainty(covariance, prior, share, by_rows)

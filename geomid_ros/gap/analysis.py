@@ -14,6 +14,7 @@ from geomid_ros.gap.evidence.linearised_problem import Columns, LinearisedProble
 from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
 from geomid_ros.gap.evidence.record import Records, TotalModel
 from geomid_ros.gap.evidence.standing import StandingRemainder
+from geomid_ros.gap.result import SURE
 from geomid_ros.inference.fit import fit, unfitted
 from geomid_ros.inference.probability import Support, Supports
 from geomid_ros.inference.selection import Selection
@@ -77,14 +78,15 @@ def analyse(
 def standing_remainder(model: MeasurementModel, records: Records, prior: NamesPrior) -> StandingRemainder:
     """What the model that the ``prior`` describes lacks on records, its parameters as they are: at channels that have
     fewer rows than features, that is not known."""
-    given, floor = unfitted(prior), None
+    given = unfitted(prior)
     noise = (Autoregression.white(),) * len(model.channels)
+    problem = LinearisedProblem(model, records, total_model(model, given))
+    columns = problem.columns((), prior.terms)
     for _ in range(_WHITENINGS):
-        problem = LinearisedProblem(model, records, total_model(model, given), floor)
-        columns = problem.columns((), prior.terms)
         design = given.settled(problem.design(columns, noise))
         left = problem.residual(columns, given) - problem.remainder(design, given)
-        floor, noise = _typical_size(left, problem.valid), _noise(left, problem.valid, records)
+        noise = _noise(left, problem.valid, records)
+        problem = problem.with_floor(_typical_size(left, problem.valid))
     lacks = given.remainders(design)
     sizes = [len(lack.coefficients) for lack in lacks]
     told = [size if rows > size else 0 for size, rows in zip(sizes, design.counts, strict=True)]
@@ -125,10 +127,9 @@ def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
 
 def _searched(task: _Task, prior: NamesPrior, stage: str) -> Analysis:
     """The names beside which the total model settles, and what speaks for each."""
-    last = _last_round(task, prior, stage)
-    problem = last.problem
-    search, names, supports = _supported(last.search, last.found)
+    last, supports = _supported(_last_round(task, prior, stage))
     task.progress(stage, 1.0)
+    problem, search, names = last.problem, last.search, last.found
     design = search.design
     left = problem.residual(last.columns, names) - problem.remainder(design, names)
     rows = np.where(design.counts > 0.0, design.counts, np.nan)
@@ -145,20 +146,36 @@ def _searched(task: _Task, prior: NamesPrior, stage: str) -> Analysis:
     )
 
 
-def _supported(
-    search: NamesSearch, found: NamesFit
-) -> tuple[NamesSearch, NamesFit, dict[Candidate, Support[Candidate]]]:
-    """The names that are more likely than nothing in their places, beside the remainder that they leave, and what
-    speaks for each. The least likely ones go first, and the search goes on without them."""
-    tried = list(search.hypotheses)
+def _supported(last: _Round) -> tuple[_Round, dict[Candidate, Support[Candidate]]]:
+    """A round with the names that are more likely than nothing in their places, beside the remainder that they leave,
+    and what speaks for each. The least likely ones go first, and the search goes on without them."""
     while True:
-        kept, each = _worth_their_place(search, found)
-        gone = {c.group for c in found.chosen} - {c.group for c in kept.chosen}
+        search = last.search
+        kept, each = _worth_their_place(search, last.found)
+        gone = {c.group for c in last.found.chosen} - {c.group for c in kept.chosen}
         if not gone:
-            return search, found, {candidate: each.of(candidate) for candidate in found.chosen}
-        tried = [c for c in tried if c.group not in gone]
+            return last, _beside_unsure(search, kept, {candidate: each.of(candidate) for candidate in kept.chosen})
+        tried = [c for c in search.hypotheses if c.group not in gone]
         search = Selection(kept.settled(search.design), search.prior, tried)
-        found = search.settle(search.fit(kept.chosen, kept))
+        last = replace(last, search=search, found=search.settle(search.fit(kept.chosen, kept)))
+
+
+def _beside_unsure(
+    search: NamesSearch, found: NamesFit, supports: dict[Candidate, Support[Candidate]]
+) -> dict[Candidate, Support[Candidate]]:
+    """The supports with the mean of the probabilities that a sure name has beside those that are not, and without
+    them: these are there with the probability of the likeliest."""
+    unsure = {c: support.probability for c, support in supports.items() if support.probability <= SURE}
+    if not 0 < len(unsure) < len(supports):
+        return supports
+    rest = search.without(found, *unsure)
+    alone = Selection(rest.settled(search.design), search.prior, search.hypotheses)
+    each, share = Supports(alone, alone.fit(rest.chosen, rest)), max(unsure.values())
+    mixed = dict(supports)
+    for name in supports.keys() - unsure.keys():
+        both = share * supports[name].probability + (1.0 - share) * each.of(name).probability
+        mixed[name] = replace(supports[name], probability=both)
+    return mixed
 
 
 def _worth_their_place(search: NamesSearch, found: NamesFit) -> tuple[NamesFit, Supports[Candidate, EffectTerm]]:

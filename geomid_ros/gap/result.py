@@ -103,6 +103,12 @@ class LinkChange:
         return confidence_of(self.probability)
 
     @property
+    def told(self) -> float:
+        """The square of its deviations from nothing: of the mass, or of what else has changed."""
+        sizes = self.moment.values() or (self.mass,)
+        return max(((q.value / q.std) ** 2 for q in sizes if q.std > 0.0), default=float("inf"))
+
+    @property
     def sentence(self) -> str:
         """In words, with the 95 % interval."""
         if self.moment:

@@ -11,7 +11,7 @@ import numpy as np
 
 from geomid_ros.inference.hypothesis import Hypothesis
 from geomid_ros.inference.remainder import Marginal, Remainder
-from geomid_ros.types import FloatArray, IntArray
+from geomid_ros.types import FloatArray, IntArray, frozen
 
 BLOCKS = 8  # of time, whose scatter shows how far rows are independent
 _LEAST_SIZE = 1e-4  # a mean square of whitened features: those of what hardly occurs are not made large
@@ -89,9 +89,10 @@ class Lack:
 
 @dataclass(frozen=True, eq=False)
 class CandidateProducts:
-    """Products of the k columns of each of G candidates: ``crossed`` with the n columns of a fit and its target
-    ``(G, C, k, n + 1)``, ``squared`` with each other ``(G, C, k, k)``; zero where a column does not reach a channel."""
+    """Products in one channel of the k columns of those candidates that reach it, ``which (g,)``: ``crossed`` with the
+    n columns of a fit and its target ``(g, k, n + 1)``, ``squared`` with each other ``(g, k, k)``."""
 
+    which: IntArray
     crossed: FloatArray
     squared: FloatArray
 
@@ -116,8 +117,9 @@ class Design:
         return Design(tuple(channels), dimension, tuple(channel.remainder.usual for channel in channels))
 
     def given(self, variances: Sequence[FloatArray]) -> Design:
-        """The same beside a remainder of these ``variances``, of each channel's blocks."""
-        return replace(self, variances=tuple(variances))
+        """The same beside a remainder of these ``variances``, of each channel's blocks: products are taken over, and
+        those that are new go with it."""
+        return replace(self, variances=tuple(variances), _products=self._products.copy())
 
     @cached_property
     def _marginalised(self) -> list[Marginal]:
@@ -131,19 +133,19 @@ class Design:
         return found
 
     @property
+    def is_told(self) -> bool:
+        """Whether other recordings tell what a channel lacks."""
+        return any(channel.before is not None for channel in self.channels)
+
+    @property
     def cost(self) -> float:
         """What the remainder adds to minus twice the log likelihood."""
         return sum(each.cost for each in self._marginalised)
 
-    @property
+    @cached_property
     def counts(self) -> FloatArray:
         """Rows of each channel."""
-        return np.array([float(channel.count) for channel in self.channels])
-
-    @property
-    def target_squares(self) -> FloatArray:
-        """Sum of squares of each channel's target."""
-        return np.array([each.products[-2, -2] for each in self._marginalised])
+        return frozen(np.array([float(channel.count) for channel in self.channels]))
 
     def scales(self, terms: Sequence[Any]) -> FloatArray:
         """Of each coefficient: the one with which its column is as large as the target in some channel, and smaller in
@@ -171,9 +173,11 @@ class Design:
         and the target's."""
         places = self.places(bodies, terms)
         found, first = np.empty((*places.shape, places.shape[1])), self.dimension
-        for each, own, into in zip(self._marginalised, places, found, strict=True):
-            rows = each.products[own]
-            into[:, :first], into[:, first:] = rows[:, :first], rows[:, own[first:]]
+        for each, own, into in zip(self._marginalised, places[:, first:], found, strict=True):
+            into[:first, :first] = each.products[:first, :first]
+            into[first:, :first] = each.products[own, :first]
+            into[:first, first:] = into[first:, :first].T
+            into[first:, first:] = each.products[own[:, None], own]
         return found
 
     def settled(
@@ -186,14 +190,15 @@ class Design:
     ) -> Design:
         """Beside the remainder that is most likely for these ``parameters (D,)`` of the columns of :meth:`gather`, and
         what is ``named (C,)`` in each channel, see :meth:`Remainder.settled`; of all channels unless ``among`` some."""
-        left, variances = self._residuals(bodies, terms, parameters), list(self.variances)
-        for place in range(len(left)) if among is None else among:
-            variances[place] = self.channels[place].remainder.settled(*left[place], float(named[place]))
+        among, variances = range(len(self.channels)) if among is None else list(among), list(self.variances)
+        left = self._residuals(bodies, terms, parameters, among)
+        for place, own in zip(among, left, strict=True):
+            variances[place] = self.channels[place].remainder.settled(*own, float(named[place]))
         return self.given(variances)
 
     def remainders(self, bodies: Sequence[int], terms: Sequence[Any], parameters: FloatArray) -> list[Lack]:
         """What each channel's remainder is, beside these ``parameters (D,)``."""
-        left = self._residuals(bodies, terms, parameters)
+        left = self._residuals(bodies, terms, parameters, range(len(self.channels)))
         found = []
         for channel, (vector, square), marginal in zip(self.channels, left, self._marginalised, strict=True):
             squared, whitener = channel.remainder.squared, marginal.whitener
@@ -216,11 +221,11 @@ class Design:
         return np.array([float(values @ c.products[np.ix_(place, place)] @ values) for c, place in own])
 
     def _residuals(
-        self, bodies: Sequence[int], terms: Sequence[Any], parameters: FloatArray
+        self, bodies: Sequence[int], terms: Sequence[Any], parameters: FloatArray, among: Sequence[int]
     ) -> list[tuple[FloatArray, float]]:
-        """Of each channel, the residual as a sum of its columns ``(K,)``, and its sum of squares."""
-        vector, found = np.append(parameters, -1.0), []
-        for channel, own in zip(self.channels, self.places(bodies, terms), strict=True):
+        """Of channels, the residual as a sum of its columns ``(K,)``, and its sum of squares."""
+        vector, places, found = np.append(parameters, -1.0), self.places(bodies, terms), []
+        for channel, own in ((self.channels[place], places[place]) for place in among):
             whole = np.zeros(len(channel.products))
             np.add.at(whole, own, vector)
             whole[-1] = 0.0
@@ -230,10 +235,13 @@ class Design:
     def places(self, bodies: Sequence[int], terms: Sequence[Any]) -> IntArray:
         """In each channel ``(C, n)``, of the inertial columns, those of each link of ``bodies``, the terms' and the
         target's."""
-        again = [10 * body + k for body in bodies for k in range(10)]
-        inertial = np.tile([*range(self.dimension), *again], (len(self.channels), 1))
-        own = [self._places_of_term(term) for term in terms]
-        return np.column_stack([inertial, *own, np.full(len(self.channels), -2)])
+        own = [place for body in bodies for place in self._places_of_link(body).T]
+        own += [self._places_of_term(term) for term in terms]
+        found = np.full((len(self.channels), self.dimension + len(own) + 1), -2)
+        found[:, : self.dimension] = np.arange(self.dimension)
+        if own:
+            found[:, self.dimension : -1] = np.array(own).T
+        return found
 
     def _places_of_term(self, term: Any) -> IntArray:
         """In each channel ``(C,)``; that of the zero row where it is absent."""
@@ -250,17 +258,19 @@ class Design:
             self._known_reach[candidate] = own
         return self._known_reach[candidate]
 
-    def own(self, alike: Sequence[Hypothesis[Any]], bodies: Sequence[int], terms: Sequence[Any]) -> CandidateProducts:
-        """Products of the columns of candidates, each of which has as many, with those of :meth:`gather`."""
-        every = np.array([self._own_places(candidate) for candidate in alike])
-        places = self.places(bodies, terms)
-        crossed = np.empty((*every.shape, places.shape[1]))
-        squared = np.empty((*every.shape, every.shape[2]))
-        for channel, each in enumerate(self._marginalised):
-            mine = every[:, channel]
-            crossed[:, channel] = each.products[mine][:, :, places[channel]]
-            squared[:, channel] = each.products[mine[:, :, None], mine[:, None]]
-        return CandidateProducts(crossed, squared)
+    def own(
+        self, alike: Sequence[Hypothesis[Any]], bodies: Sequence[int], terms: Sequence[Any]
+    ) -> list[CandidateProducts]:
+        """Of each channel, the products of the columns of candidates, each of which has as many, with those of
+        :meth:`gather`."""
+        every, found = np.array([self._own_places(candidate) for candidate in alike]), []
+        reached = np.any(every >= 0, axis=2)
+        for channel, (each, places) in enumerate(zip(self._marginalised, self.places(bodies, terms), strict=True)):
+            which = np.flatnonzero(reached[:, channel])
+            mine = every[which, channel]
+            crossed, squared = each.products[mine][:, :, places], each.products[mine[:, :, None], mine[:, None]]
+            found.append(CandidateProducts(which, crossed, squared))
+        return found
 
     def _own_places(self, candidate: Hypothesis[Any]) -> IntArray:
         """Places of a candidate's columns in each channel ``(C, k)``."""

@@ -16,7 +16,7 @@ from typing import Any, Generic
 import numpy as np
 
 from geomid_ros.estimation.link_spreads import cost_of_spreads, likely_spreads
-from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, minimum
+from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, fit_scales
 from geomid_ros.geometry import definite, pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.inference import prior as priors
@@ -24,9 +24,6 @@ from geomid_ros.inference.design import BLOCKS, USUAL_SHARE, Design, Lack
 from geomid_ros.inference.hypothesis import Chosen, Term
 from geomid_ros.inference.prior import Prior
 from geomid_ros.types import FloatArray
-
-_LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
-_ROUNDS = 8
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -100,7 +97,7 @@ class JointFit(Generic[Chosen, Term]):
     def settled(self, design: Design, among: Collection[int] | None = None) -> Design:
         """The design beside the remainder that is most likely at this fit, of all channels unless ``among`` some."""
         named = np.zeros(len(design.channels))
-        for candidate, values in self.changes.items():
+        for candidate, values in self.changes.items() if design.is_told else ():
             named += design.powers(candidate, values) / self.squares
         return design.settled(self.bodies, self.terms, self.point.parameters, named, among)
 
@@ -191,41 +188,30 @@ def _free_fit(
     weights[places] = (scales[: len(held)][held] / prior.spreads[held]) ** 2
     rows = priors.known_rows(prior.known, manifold.dimension)
     zero = _zero_rows(driven, manifold, known)
-    counts, least = design.counts, _LEAST_SHARE * design.target_squares + 1e-300
     afresh = start is None or set(bodies) != set(start.bodies)
     fixed = spread is not None
     inflation = 1.0 if fixed or start is None else start.inflation
     spreads = np.full(first // 10, prior.link_spreads if spread is None else spread)
     if start is not None and not (fixed or afresh):
         spreads = start.spreads
-    profile = Profile(manifold, products, counts, least, known)
+    profile = Profile(manifold, products, design.counts, known)
     point = _first_point(manifold, known, None if afresh else start, bodies, terms)
 
-    def objective(spreads: FloatArray, inflation: float) -> ProfileObjective:
-        trusted = np.append(np.repeat(spreads, 10) ** -2.0, weights[first:])
-        return ProfileObjective(profile, trusted, np.concatenate([rows / np.sqrt(inflation), zero]))
+    def objective(wide: FloatArray) -> ProfileObjective:
+        trusted = np.append(np.repeat(wide[:-1], 10) ** -2.0, weights[first:])
+        return ProfileObjective(profile, trusted, np.concatenate([rows / np.sqrt(wide[-1]), zero]))
 
-    if afresh and bodies:
-        point = priors.centred_payloads(objective(spreads, inflation), point, len(bodies))
-    for _ in range(_ROUNDS):
-        trusted = objective(spreads, inflation)
-        solution = minimum(trusted, point)
-        point = solution.point
-        if fixed:
-            break
-        whitener = definite.whitener(solution.evaluation.information + np.diag(trusted.weights))
-        before = np.append(spreads, inflation)
+    def likely(point: Point, whitener: FloatArray) -> FloatArray:
         unsure = np.sum(whitener[:, :first] ** 2, axis=0)
         spreads = likely_spreads(manifold.log(known, point)[:first], unsure, prior.link_spreads, prior.certainty)
-        inflation = priors.inflation_of(rows, manifold, point, known, whitener)
-        if np.all(np.abs(np.log(np.append(spreads, inflation) / before)) < 0.05):
-            break
-    trusted = objective(spreads, inflation)
-    found = trusted.evaluate(point)
-    hessian = found.information + np.diag(trusted.weights)
-    _, volume = np.linalg.slogdet(hessian)
-    score = 2.0 * found.value + float(volume) - float(np.sum(np.log(trusted.weights))) + design.cost
-    score += cost_of_spreads(spreads, prior.link_spreads, prior.certainty)
+        return np.append(spreads, priors.inflation_of(rows, manifold, point, known, whitener))
+
+    begin = np.append(spreads, inflation)
+    if afresh and bodies:
+        point = priors.centred_payloads(objective(begin), point, len(bodies))
+    found = fit_scales(objective, point, begin, None if fixed else likely)
+    spreads, inflation, point = found.scales[:-1], float(found.scales[-1]), found.point
+    score = found.score + design.cost + cost_of_spreads(spreads, prior.link_spreads, prior.certainty)
     score += priors.cost_of_inflation(rows, inflation) + prior.cost
     score += sum(c.cost for c in chosen)
     places = {term: place for place, term in enumerate(terms)}
@@ -243,8 +229,8 @@ def _free_fit(
         manifold=manifold,
         score=score,
         squares=profile.squares(point),
-        information=hessian,
-        weights=trusted.weights,
+        information=found.hessian,
+        weights=found.objective.weights,
         spreads=spreads,
         inflation=inflation,
         changes=changes,

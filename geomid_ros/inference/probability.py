@@ -8,14 +8,13 @@ from typing import Any, Generic
 
 import numpy as np
 
+from geomid_ros.estimation.estimate import TOLD
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import JointFit, fit, scattered
 from geomid_ros.inference.hypothesis import Chosen, Hypothesis, Term
 from geomid_ros.inference.selection import Selection
 from geomid_ros.types import FloatArray
 
-_LEAST_SQUARE = 3.0**2
-"""A size within three standard deviations of nothing is no evidence."""
 _ALONG = 0.5  # of what a channel lacks, as a root mean square, may lie along a hypothesis's columns
 
 
@@ -28,8 +27,8 @@ def shares(scores: Sequence[float] | FloatArray) -> FloatArray:
 
 def probability_of_square(square: float) -> float:
     """The largest probability that a size is not nothing, from which it is the root of ``square`` standard deviations
-    away."""
-    return 1.0 / (1.0 + float(np.exp(-0.5 * np.clip(square - _LEAST_SQUARE, -1e3, 1e3))))
+    away; within three of these it is no evidence."""
+    return 1.0 / (1.0 + float(np.exp(-0.5 * np.clip(square - TOLD**2, -1e3, 1e3))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +51,8 @@ class Supports(Generic[Chosen, Term]):
         self._selection = selection
         self._found = found
         self._sized = scattered(selection.design, found)
+        self._covariance = self._sized.covariance
+        self._lacking = _lacking(selection.design, found)
         self._losses: dict[Chosen, float] = {}
 
     def of(self, candidate: Chosen) -> Support[Chosen]:
@@ -114,14 +115,14 @@ class Supports(Generic[Chosen, Term]):
             values, places = values[:4], places[:4]
         else:
             narrowed = -float(np.linalg.slogdet(found.inverse[np.ix_(places, places)] * found.weights[places])[1])
-        square = float(values @ np.linalg.solve(self._sized.covariance[np.ix_(places, places)], values))
+        square = float(values @ np.linalg.solve(self._covariance[np.ix_(places, places)], values))
         wider = 1.0 + self.doubt(candidate) ** 2 * square  # of the covariance's determinant
         size, price = square / wider, narrowed - float(np.log(wider)) + candidate.cost
-        return size - (price if size > _LEAST_SQUARE else max(price, _LEAST_SQUARE))
+        return size - (price if size > TOLD**2 else max(price, TOLD**2))
 
     def doubt(self, candidate: Chosen) -> float:
         """The relative standard deviation of its size that comes from what the model lacks."""
-        return relative_doubt(self._selection.design, self._found, candidate, self._found.changes[candidate])
+        return _doubt(self._selection.design, self._found, self._lacking, candidate, self._found.changes[candidate])
 
 
 def relative_doubt(
@@ -129,14 +130,36 @@ def relative_doubt(
 ) -> float:
     """The relative standard deviation of ``values (k,)`` of a hypothesis's columns, or of a link's, that comes from
     what their channels lack beside a fit: a part of it may lie along them. Where other recordings have told what is
-    lacking, no more than along any of the directions that are left to its change."""
-    powers, left = design.powers(columns, values) / found.squares, 0.0
-    for channel, lack, power, square in zip(
-        design.channels, found.remainders(design), powers, found.squares, strict=True
-    ):
-        share = _ALONG**2 if channel.before is None else 1.0 / max(lack.freedom, 1.0)
-        left += share * lack.power / square if power > 0.0 else 0.0
-    return float(np.sqrt(left / max(float(np.sum(powers)), 1e-300)))
+    lacking, no more than along any of the directions that are left to its change.
+
+    Least squares weigh what each channel says by the power that the columns have there; what channels lack may have
+    one cause.
+    """
+    return _doubt(design, found, _lacking(design, found), columns, values)
+
+
+def _lacking(design: Design, found: JointFit[Any, Any]) -> FloatArray:
+    """Of what each channel lacks beside a fit, the part that may lie along any columns: a sum of squares ``(C,)``."""
+    lacks = zip(design.channels, found.remainders(design), strict=True)
+    return np.array(
+        [
+            (_ALONG**2 if channel.before is None else 1.0 / max(lack.freedom, 1.0)) * lack.power
+            for channel, lack in lacks
+        ]
+    )
+
+
+def _doubt(
+    design: Design,
+    found: JointFit[Any, Any],
+    lacking: FloatArray,
+    columns: Hypothesis[Any] | int,
+    values: FloatArray,
+) -> float:
+    """The same, of which the part of each channel's sum of squares that may lie along columns is known."""
+    powers = np.maximum(design.powers(columns, values) / found.squares, 0.0)  # rounding may leave less
+    left = float(np.sum(np.sqrt(lacking / found.squares * powers)))
+    return left / max(float(np.sum(powers)), 1e-300)
 
 
 def _places(found: JointFit[Chosen, Term], candidate: Chosen) -> list[int]:

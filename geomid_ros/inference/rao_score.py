@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Generic
+from typing import Any, Generic, NamedTuple
 
 import numpy as np
 
@@ -18,8 +17,7 @@ _DIRECTIONS_OF_BODY = 4.0  # mass and centre: what is said of its inertia is lit
 _LEAST_LEFT = 1e-3  # of a channel's squares: so much the quadratic model may promise
 
 
-@dataclass(frozen=True)
-class Trial(Generic[Chosen]):
+class Trial(NamedTuple, Generic[Chosen]):
     """A candidate's improvement of a fit by the score test, its cost paid, and its separability: the share of its
     columns that the other parameters, within their prior, cannot imitate."""
 
@@ -56,28 +54,31 @@ class _Test(Generic[Chosen]):
         self._counts = design.counts
         self._weights = self._counts / current.squares
         self._vector = np.append(current.point.parameters, -1.0)
-        self._products = design.gather(current.bodies, current.terms)
-        self._moved = self._products @ self._vector
-        reached = [np.flatnonzero(np.diag(products)) for products in self._products]
-        self._by_channel = [(at, own[np.ix_(at, at)]) for at, own in zip(reached, self._products, strict=True)]
+        self._covariance = current.covariance
+        products = design.gather(current.bodies, current.terms)
+        self._moved = products @ self._vector
+        reached = [np.flatnonzero(np.diag(own)) for own in products]
+        self._by_channel = [(at, own[np.ix_(at, at)]) for at, own in zip(reached, products, strict=True)]
         self._values = dict(zip(current.terms, current.point.reals.tolist(), strict=True))
 
     def of(self, alike: Sequence[Chosen]) -> dict[Chosen, Trial[Chosen]]:
         """The score tests of candidates with equally many columns."""
         own = self._design.own(alike, self._current.bodies, self._current.terms)
-        jacobian = self._current.jacobian
-        mixed = np.tensordot(own.crossed[..., :-1], self._weights, (1, 0)) @ jacobian
-        solved = mixed @ self._current.inverse.T
-        squared = np.tensordot(own.squared, self._weights, (1, 0))
         trust = self._trust(alike)
-        left = squared - mixed @ solved.swapaxes(1, 2)
+        mixed = np.zeros((*trust.shape, len(self._vector)))
+        squared = np.zeros((*trust.shape, trust.shape[1]))
+        for channel, weight in zip(own, self._weights, strict=True):
+            mixed[channel.which] += weight * channel.crossed
+            squared[channel.which] += weight * channel.squared
+        flat = mixed.reshape(-1, len(self._vector))  # one product instead of one for each candidate
+        solved = (flat[:, :-1] @ self._covariance).reshape(*trust.shape, -1)
+        left = squared - mixed[..., :-1] @ solved.swapaxes(1, 2)
         width = left + trust[:, :, None] * np.eye(trust.shape[1])
-        slope = np.tensordot(own.crossed @ self._vector, self._weights, (1, 0))
-        step, largest = _steps(slope, squared, left, width)
-        tangent = -(step[:, None] @ solved)[:, 0]
-        gain = self._gain(own, step, tangent)
+        step, largest = _steps((flat @ self._vector).reshape(trust.shape), squared, left, width)
         energy = np.einsum("gk,gkl,gl->g", step, squared, step)
         share = np.einsum("gk,gkl,gl->g", step, left, step)
+        gain = self._gain(own, step, -(step[:, None] @ solved)[:, 0])
+        gain -= energy - share  # what the others' own step takes
         separability = np.divide(share, energy, out=np.zeros_like(energy), where=energy > 0.0)
         separability[largest <= _LEAST_EIGENVALUE] = 0.0
         impossible = self._is_impossible(alike, step)
@@ -100,22 +101,25 @@ class _Test(Generic[Chosen]):
             return np.full(len(alike), _DIRECTIONS_OF_BODY * np.log(np.max(self._counts)))
         return np.asarray(np.linalg.slogdet(width)[1] - np.sum(np.log(trust), axis=1))
 
-    def _gain(self, own: CandidateProducts, step: FloatArray, tangent: FloatArray) -> FloatArray:
-        """What steps of the candidates' coefficients ``(G, k)`` and of all others ``(G, D)`` gain ``(G,)``."""
+    def _gain(self, own: Sequence[CandidateProducts], step: FloatArray, moved: FloatArray) -> FloatArray:
+        """What steps of the candidates' coefficients ``(G, k)`` and of all other parameters ``(G, D)`` gain ``(G,)``,
+        but for half of what the latter take in their quadratic model."""
         current, weights = self._current, self._weights
-        longer = np.pad(tangent @ current.jacobian.T, ((0, 0), (0, 1)))
+        longer = np.zeros((len(moved), len(self._vector)))
+        longer[:, :-1] = moved
         slopes = longer @ self._moved.T
         curvatures = np.stack(
             [np.sum((longer[:, at] @ own) * longer[:, at], axis=1) for at, own in self._by_channel], 1
         )
         squares = current.squares + 2.0 * slopes + curvatures
-        crossed = np.einsum("gckn,gn->gck", own.crossed, self._vector + longer)
-        squares += 2.0 * np.einsum("gck,gk->gc", crossed, step)
-        squares += np.einsum("gck,gk->gc", np.einsum("gckl,gl->gck", own.squared, step), step)
+        for place, channel in enumerate(own):
+            steps, vectors = step[channel.which], self._vector + longer[channel.which]
+            along = 2.0 * np.einsum("gkn,gn->gk", channel.crossed, vectors)
+            along += np.einsum("gkl,gl->gk", channel.squared, steps)
+            squares[channel.which, place] += np.sum(along * steps, axis=1)
         gain = np.log(current.squares / np.maximum(squares, _LEAST_LEFT * current.squares)) @ self._counts
         # At the minimum the prior's slope is the opposite of the data's.
-        gain += 2.0 * slopes @ weights
-        gain -= np.einsum("gd,gd->g", tangent @ current.information, tangent) - curvatures @ weights
+        gain += 2.0 * slopes @ weights + curvatures @ weights
         return np.asarray(gain)
 
     def _is_impossible(self, alike: Sequence[Chosen], step: FloatArray) -> BoolArray:

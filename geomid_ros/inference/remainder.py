@@ -9,6 +9,7 @@ likelihood ``N log S`` over s stays exact (Kennedy and O'Hagan, "Bayesian calibr
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -99,11 +100,19 @@ class Remainder:
         if not len(self.block) or not square > 0.0:
             return self.usual
         residual = self.crossed @ vector
-        found = [self._from(start * np.ones(len(self.usual)), residual, square) for start in _STARTS]
+        found = [self._from(*start, residual, square) for start in self._starts]
         return min(found, key=lambda own: own[0])[1]
 
-    def _from(self, variances: FloatArray, residual: FloatArray, square: float) -> tuple[float, FloatArray]:
-        sizes, whitener = np.bincount(self.block).astype(np.float64), self.whitener(variances)
+    @cached_property
+    def _starts(self) -> list[tuple[FloatArray, FloatArray]]:
+        """Variances to begin with, and their whiteners."""
+        starts = [start * np.ones(len(self.usual)) for start in _STARTS]
+        return [(variances, self.whitener(variances)) for variances in starts]
+
+    def _from(
+        self, variances: FloatArray, whitener: FloatArray, residual: FloatArray, square: float
+    ) -> tuple[float, FloatArray]:
+        sizes = np.bincount(self.block).astype(np.float64)
         for _ in range(_ROUNDS):
             before, white = variances, whitener @ residual
             noise = max(square - float(white @ white), 1e-9 * square) / self.count

@@ -12,9 +12,9 @@ from geomid_ros.checks.causes import Finding
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.models.estimate_file import causes_entry
 from geomid_ros.files.models.gap_file import gap_document
+from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.gap.result import GapResult
 from geomid_ros.report.gap_words import verdict_sentence
-from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Progress
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import Accepted
@@ -48,7 +48,11 @@ class FoundGap:
 
 
 def look_for_gap(
-    session: Session, before: Estimate | None, messages: Sequence[Accepted], progress: Progress
+    session: Session,
+    before: Estimate | None,
+    earlier: Sequence[Accepted],
+    messages: Sequence[Accepted],
+    progress: Progress,
 ) -> FoundGap:
     """Look for a gap in messages that the pipeline of a live session has accepted.
 
@@ -56,6 +60,7 @@ def look_for_gap(
         session: of the node.
         before: what it had identified before a gap opened, to which the robot is compared; None to compare it with the
             robot description and the configured model.
+        earlier: messages that it is from: what it lacked there is no change.
         messages: what to look at.
         progress: called with what is being done.
 
@@ -63,18 +68,17 @@ def look_for_gap(
         InputError: too little was measured.
     """
     # A third of a node's start, which few ever need.
-    from geomid_ros.session.gap import find_in_messages, gap_session  # noqa: PLC0415
+    from geomid_ros.session.gap import find_in_messages, gap_session, lacking_in_messages  # noqa: PLC0415
 
+    configuration, compared = session.configuration, ""
     with TemporaryDirectory(prefix="geomid_") as folder:
-        own = gap_session(session.urdf, _configuration(session, before, Path(folder)), "robot_description")
-    result = find_in_messages(own, messages, progress)
-    compared = "" if before is None else f"{COMPARED}, of {before.rows_accepted} rows"
-    return FoundGap(result, own.findings, own.warnings(), session.notes, compared)
-
-
-def _configuration(session: Session, before: Estimate | None, folder: Path) -> Configuration:
-    """That of the node, with what it had identified ``before`` as the model, which is saved in a ``folder``."""
-    if before is None:
-        return session.configuration
-    model, *_ = session.save(folder, before)
-    return session.configuration.with_values({"model": str(model)})
+        if before is not None:
+            model, *_ = session.save(Path(folder), before)
+            remainder = lacking_in_messages(session, model, earlier, progress)
+            write_posterior(model.with_name(POSTERIOR), before.posterior, remainder)
+            configuration = configuration.with_values({"model": str(model), "prior": ""})
+            compared = f"{COMPARED}, of {before.rows_accepted} rows"
+        own = gap_session(session.urdf, configuration, "robot_description")
+        result = find_in_messages(own, messages, progress)
+    notes = [*session.notes, *own.settled] if before is None else session.notes
+    return FoundGap(result, own.findings, own.warnings(), notes, compared)

@@ -17,6 +17,9 @@ from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint
 from geomid_ros.files.checkpoints.checkpoint_folder import CheckpointFolder, Restored
+from geomid_ros.files.models.gap_model import ESTIMATE
+from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
+from geomid_ros.gap.evidence.standing import StandingRemainder
 from geomid_ros.live.activity import Activity
 from geomid_ros.live.daemon import start_daemon, start_later
 from geomid_ros.live.worker import Worker
@@ -179,6 +182,8 @@ class Saving:
         self._folder = Path(folder or ".").resolve()
         self._activity = Activity()
         self._problem = ""
+        self._saved: Estimate | None = None
+        self._lacking: tuple[Estimate, StandingRemainder] | None = None  # the last that was found, and by what
         self._one_at_a_time = threading.Lock()
 
     @property
@@ -188,15 +193,38 @@ class Saving:
         slow = f"saving takes {seconds:.0f} s so far: {self._folder} is slow" if seconds > _LONG else ""
         return tuple(filter(None, (self._problem, slow)))
 
-    def begin(self, session: Session, result: Estimate | GeomidError, done: Callable[[Answer], None]) -> None:
-        """Save in a thread.
+    def begin(self, worker: Worker, result: Estimate | GeomidError, done: Callable[[Answer], None]) -> None:
+        """Save in a thread; what the estimate lacks, which takes longer to find, after the answer.
 
         Args:
-            session: whose estimate it is.
+            worker: whose estimate it is.
             result: the estimate, or why there is none.
             done: is called in the thread with whether that succeeded, and a sentence.
         """
-        start_daemon("saving", lambda: done(self._save(session, result)))
+        start_daemon("saving", self._save_whole, worker, result, done)
+
+    def _save_whole(self, worker: Worker, result: Estimate | GeomidError, done: Callable[[Answer], None]) -> None:
+        answer = self._save(worker.session, result)
+        done(answer)
+        if isinstance(result, Estimate) and answer[0] and self._lacking_of(result) is None:
+            self._save_lacking(worker, result)
+
+    def _save_lacking(self, worker: Worker, estimate: Estimate) -> None:
+        """Add to what was saved what the estimate lacks in what is remembered, unless another was saved meanwhile."""
+        from geomid_ros.session.gap import lacking_in_messages  # noqa: PLC0415 a third of a node's start
+
+        try:
+            messages = worker.messages()  # an estimate is from all of them, whether a gap is open or not
+            remainder = lacking_in_messages(worker.session, self._folder / ESTIMATE, messages)
+            with self._one_at_a_time:
+                if remainder is not None and self._saved is estimate:
+                    self._lacking = estimate, remainder
+                    write_posterior(self._folder / POSTERIOR, estimate.posterior, remainder)
+        except Exception as error:  # noqa: BLE001 as below
+            self._problem = f"what the estimate lacks could not be saved: {error}"
+
+    def _lacking_of(self, estimate: Estimate) -> StandingRemainder | None:
+        return self._lacking[1] if self._lacking is not None and self._lacking[0] is estimate else None
 
     def begin_when_solved(self, worker: Worker, done: Callable[[Answer], None]) -> None:
         """Save an estimate from all data so far, in threads; the last one, if that takes long to solve.
@@ -205,8 +233,8 @@ class Saving:
             worker: whose estimate it is.
             done: is called once, within five seconds, with whether that succeeded, and a sentence.
         """
-        answer, session = _OneAnswer(done), worker.session
-        worker.final_estimate(lambda result: self.begin(session, result, answer))
+        answer = _OneAnswer(done)
+        worker.final_estimate(lambda result: self.begin(worker, result, answer))
 
         def save_last() -> None:
             last = worker.estimate
@@ -216,7 +244,7 @@ class Saving:
                 answer((False, f"{NOT_YET}: the first one takes more than {_LATE:g} s; ask again later"))
                 return
             late = f"; it is of {last.rows_accepted} rows; one of all rows takes more than {_LATE:g} s, {FOLLOWS}"
-            self.begin(session, last, lambda saved: answer((saved[0], saved[1] + late)))
+            self.begin(worker, last, lambda saved: answer((saved[0], saved[1] + late)))
 
         start_later(_LATE, save_last)
         start_later(_LATEST, lambda: answer((False, f"{SLOW}: {self._folder} is slow")))
@@ -233,6 +261,9 @@ class Saving:
         with self._one_at_a_time, self._activity.doing("saving"):
             try:
                 files = session.save(self._folder, result)
+                if (remainder := self._lacking_of(result)) is not None:
+                    write_posterior(self._folder / POSTERIOR, result.posterior, remainder)
+                self._saved = result
             except Exception as error:  # noqa: BLE001 the caller must have an answer
                 self._problem = f"the estimate could not be saved: {error}"
                 return False, str(error)

@@ -94,6 +94,17 @@ class Worker:
         begin = max((gap.since + _TRANSITION for gap in self.solver.detector.gaps if gap.since is not None), default=0)
         return [late for each in self.session.recent.entries() if len(late := each.since(begin))]
 
+    def messages(self) -> list[Accepted]:
+        """The messages that the session remembers."""
+        return self.session.recent.entries()
+
+    def messages_before_gap(self) -> list[Accepted]:
+        """The messages that the session remembers of the time before the first gap opened that is open; all of them
+        if none is."""
+        opened = [gap.since for gap in self.solver.detector.gaps if gap.since is not None]
+        entries = self.session.recent.entries()
+        return [early for each in entries if len(early := each.before(min(opened)))] if opened else entries
+
     @property
     def estimate_before_gap(self) -> Estimate | None:
         """What was identified before the first gap opened that is open; None if there is none, or it is too long

@@ -41,10 +41,10 @@ _MOST_WAITING = 50_000_000  # bytes
 _FEWEST = 10  # rows for each parameter, which are not independent, and then blocks, before there is a floor
 _MOST_BLOCKS = 60
 _REMEMBERED = 20  # stretches of so many blocks, a minute or so each; and suspect blocks
-_RISE = 2.25  # of the variance: a gap of 1.5 times the floor is what the test looks for; and of the leverage
-_FEWEST_BAD = 3  # blocks that an alarm takes: a push or a bump is no gap, and correlated energies are no more than that
-_SUSPICION = -float(np.log(FALSE_ALARMS)) / _FEWEST_BAD  # the most evidence of one block
-_ALARM = _FEWEST_BAD * _SUSPICION
+_RISE = 2.25  # times the floor: the gap that the test looks for; and times the usual leverage: another motion
+_FEWEST_BAD = 3  # blocks that an alarm takes, and its end: a push or a bump is no gap
+_ALARM = -float(np.log(FALSE_ALARMS))
+_SUSPICION = _ALARM / _FEWEST_BAD  # the most evidence of one block
 _LEAST = 1e-4  # of what is measured, or of what a motion shows: below, rounding and the filter's ripple count
 
 
@@ -129,12 +129,12 @@ class _Normal(NamedTuple):
 
 
 class _Cusum:
-    """A one-sided cumulative sum test (Page 1954) of one channel: has the energy of its blocks risen by ``_RISE``?
+    """A one-sided cumulative sum test (Page 1954) of one channel: have the errors of its blocks risen by ``_RISE``?
 
     A block's energy per row is taken to be Gamma-distributed, with the mean of the blocks before and a shape by their
-    long-run variance, which allows for noise that is correlated or differs between parts of the motion. Where that
-    holds, the mean time between false alarms is at least ``1 / FALSE_ALARMS`` blocks (Lorden 1971). A block counts for
-    no more than a share of the alarm, which makes them rarer.
+    variance, which allows for noise that is correlated or differs between parts of the motion. Where that holds, the
+    mean time between false alarms is at least ``1 / FALSE_ALARMS`` blocks (Lorden 1971). A block counts for no more
+    than a share of the alarm, which makes them rarer. An alarm ends as it began: by as much evidence for the contrary.
     """
 
     def __init__(self, channel: Channel, forgetting_time: float) -> None:
@@ -240,11 +240,11 @@ class _Cusum:
             return
         self._ratios.append(energy / level)
         highest = level * (1.0 + SURE / np.sqrt(shape * len(self._energies)))
-        rise = shape * (energy / highest * (1.0 - 1.0 / _RISE) - np.log(_RISE))
+        rise = shape * (energy / highest * (1.0 - 1.0 / _RISE**2) - 2.0 * np.log(_RISE))
         if not self._open and self._evidence == 0.0:
             self._first, self._since = first, stamp
         self._evidence = max(0.0, self._evidence + min(-rise if self._open else rise, _SUSPICION))
-        if self._evidence >= (_SUSPICION if self._open else _ALARM):
+        if self._evidence >= _ALARM:
             self._open, self._evidence = not self._open, 0.0
 
     @property
@@ -261,12 +261,7 @@ class _Cusum:
 
     def _shape(self, level: float) -> float:
         """The Gamma distribution's shape, rather too small, as few energies tell their variance only roughly."""
-        errors = np.array(self._energies) - np.mean(self._energies)
-        count = len(errors)
-        covariance = [float(errors[lag:] @ errors[: count - lag]) / count for lag in range(_FEWEST_BAD + 1)]
-        fading = 1.0 - np.arange(1, _FEWEST_BAD + 1) / (_FEWEST_BAD + 1)
-        long_run = covariance[0] + 2.0 * float(fading @ covariance[1:])
-        variance = max(long_run, covariance[0]) * (1.0 + 4.0 / np.sqrt(count))
+        variance = float(np.var(self._energies)) * (1.0 + 4.0 / np.sqrt(len(self._energies)))
         independent = 0.5 * BLOCK  # of rows that are
         return min(level**2 / variance, independent) if variance > 0.0 else independent
 

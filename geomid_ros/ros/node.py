@@ -245,7 +245,8 @@ class GeomidNode(Node):
         messages = worker.recent_messages()
         if not messages:
             return False, NO_DATA
-        self._search.start(partial(look_for_gap, worker.session, worker.estimate_before_gap, messages))
+        before = worker.estimate_before_gap, worker.messages_before_gap()
+        self._search.start(partial(look_for_gap, worker.session, *before, messages))
         return True, "search started; the result is published on ~/gap"
 
     async def _save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -165,6 +165,33 @@ def find_in_messages(session: Session, messages: Sequence[Accepted], progress: P
     Raises:
         InputError: too little was measured.
     """
+    cutoff, samples = _samples_of(session, messages, progress)
+    session.check.add(samples)
+    session.judge()
+    ((train, held_out),) = divided([samples], HELD_OUT)
+    return find(session, Recordings(cutoff=cutoff, train=[train], held_out=[held_out]), progress)
+
+
+def lacking_in_messages(
+    session: Session, model: Path, messages: Sequence[Accepted], progress: Progress = silent
+) -> StandingRemainder | None:
+    """What an estimate that a session has saved as ``model``, an ``estimate.json``, lacks in messages that it is from;
+    None if they tell too little.
+
+    Raises:
+        InputError: the files cannot be read.
+    """
+    configuration = session.configuration.with_values({"model": str(model), "prior": ""})
+    saved = gap_session(session.urdf, configuration, "robot_description")
+    try:
+        cutoff, samples = _samples_of(saved, messages, progress)
+        return lacking(saved.model, [samples], cutoff, saved.prior, saved.loaded.beside_coefficients)
+    except (InputError, np.linalg.LinAlgError):  # what was found is worth having without it
+        return None
+
+
+def _samples_of(session: Session, messages: Sequence[Accepted], progress: Progress) -> tuple[float, Samples]:
+    """The cutoff [Hz] and the samples of messages that another pipeline has accepted."""
     joint_stamps = [stamp for each in messages if each.topic == JOINT_STATES for stamp in each.stamps.tolist()]
     cutoff = gap_cutoff(session, rate(joint_stamps[:MESSAGES_FOR_RATE]))
     pipeline = gap_pipeline(session, cutoff)
@@ -177,10 +204,7 @@ def find_in_messages(session: Session, messages: Sequence[Accepted], progress: P
             f"too short: no usable samples in {sum(map(len, messages))} messages, which are fewer than the filter's "
             "window takes or their topics do not overlap; half a minute of motion is needed"
         )
-    session.check.add(samples)
-    session.judge()
-    ((train, held_out),) = divided([samples], HELD_OUT)
-    return find(session, Recordings(cutoff=cutoff, train=[train], held_out=[held_out]), progress)
+    return cutoff, samples
 
 
 @dataclass(frozen=True)

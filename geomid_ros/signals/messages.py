@@ -120,6 +120,11 @@ class Accepted:
         """Those with this stamp [ns] or a later one."""
         return self.after(int(np.searchsorted(self.stamps, stamp)))
 
+    def before(self, stamp: int) -> Accepted:
+        """Those with an earlier stamp [ns]."""
+        count = int(np.searchsorted(self.stamps, stamp))
+        return Accepted(self.topic, self.stamps[:count], self.values[:count])
+
     def after(self, count: int) -> Accepted:
         """Those after the first ``count``."""
         return Accepted(self.topic, self.stamps[count:], self.values[count:])

@@ -327,7 +327,7 @@ def test_efforts_of_any_size_are_judged(robot: Case, size: float) -> None:
     assert finding.cause.kind == "unrelated", "noise is no effort"
 
 
-def test_an_effort_that_is_measured_for_half_of_the_time_is_judged() -> None:
+def test_an_effort_that_changes_for_half_of_the_time_is_judged() -> None:
     """A dead band may leave nothing of it in the other half, which then says nothing of any cause."""
     of = case("arm7", 1)
     effort = of.samples.effort.copy()

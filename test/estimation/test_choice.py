@@ -275,14 +275,15 @@ def test_the_marginal_likelihood_rises_with_a_planted_effect_and_falls_with_othe
 def test_spreads_of_links_are_their_distances_from_the_prior_and_what_is_unsure_of_them() -> None:
     """As in the fit that follows, roughly; the covariance by its principal directions."""
     case = planted("arm3", 1, "")
-    fitted = choice._Rows(problem(case)).fit(columns(case))
+    rows = choice._Rows(problem(case))
+    fitted = rows.fit(columns(case)).fit
     manifold, prior = fitted.objective.manifold, fitted.objective.profile.prior
     values, vectors = np.linalg.eigh(fitted.hessian)
     links = manifold.inertial
     squares = manifold.log(prior, fitted.point)[links] ** 2 + np.sum(vectors**2 / values, axis=1)[links]
-    usual = fitted.rows.problem.usual
+    usual = rows.problem.usual
     expected = np.sqrt((np.sum(squares.reshape(-1, 10), axis=1) + CERTAINTY * usual**2) / (10.0 + CERTAINTY))
-    np.testing.assert_allclose(fitted.spreads, expected, rtol=0.02)
+    np.testing.assert_allclose(fitted.scales, expected, rtol=0.02)
 
 
 @pytest.mark.parametrize("effect", ["load_friction", "saturating_friction", "spring"])

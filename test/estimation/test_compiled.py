@@ -43,7 +43,7 @@ def sparse(rng: np.random.Generator, manifold: ParameterManifold, point: Point, 
         columns = np.column_stack([rows, rows @ point.parameters * (1.0 + 0.1 * rng.normal(size=len(rows)))])
         products[channel] = columns.T @ columns
     prior = bodies.point(rng, manifold)
-    return Profile(manifold, products, 100.0 + np.arange(channels), np.full(channels, 1e-9), prior)
+    return Profile(manifold, products, 100.0 + np.arange(channels), prior)
 
 
 def without(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -55,9 +55,10 @@ def content(found: RowSummary, x: FloatArray, folds: list[int] | None = None) ->
 
 def by_group(found: RowSummary, x: FloatArray, folds: list[int] | None = None) -> FloatArray:
     """``|Ax - b|^2`` of each channel's settled rows and of its unsettled ones ``(2, channels)``."""
+    chosen = range(found.folds) if folds is None else folds
     errors = [
-        sum(np.sum((part.factor @ np.append(x[channel.columns], -1.0)) ** 2) for part in parts)
-        for channel, parts in zip(found.groups, found.parts(folds), strict=True)
+        sum(np.sum((parts[fold].factor @ np.append(x[channel.columns], -1.0)) ** 2) for fold in chosen)
+        for channel, parts in zip(found.groups, found.parts(), strict=True)
     ]
     return np.reshape(errors, (2, -1))
 
@@ -101,7 +102,7 @@ def test_looking_in_between_changes_nothing(seed: int, forgetting_time: float) -
     for row, target in zip(coefficients, targets, strict=True):
         busy.add(row, target, 1.0)
         if rng.random() < 0.1:
-            busy.parts(rng.choice(4, size=2, replace=False))
+            busy.counts(rng.choice(4, size=2, replace=False))
         if rng.random() < 0.1:
             busy.rms(x)
         if rng.random() < 0.1:

@@ -152,8 +152,9 @@ def test_what_belongs_to_the_prior_is_not_from_data() -> None:
 def test_white_noise_through_the_low_pass_counts_as_its_bandwidth(cutoff: float, period: float) -> None:
     """The variance of a mean of filtered noise, by that of as many independent numbers of the same variance."""
     kernel = derivative_kernels(cutoff, period)[0]
-    summary = RowSummary(arm("arm3", 2).model.channels)
-    summary.add(np.zeros((0, 0)), np.zeros(0), elapsed=period)
+    model = arm("arm3", 2).model
+    summary = RowSummary(model.channels)
+    summary.add(np.zeros((3, model.dimension)), np.full(3, np.nan), elapsed=period)
     assert least_inflation(summary, cutoff) == pytest.approx(np.sum(kernel) ** 2 / np.sum(kernel**2), rel=0.01)
     assert least_inflation(summary, np.inf) == 1.0
 

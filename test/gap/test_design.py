@@ -69,7 +69,6 @@ def test_products_are_those_of_the_whitened_columns() -> None:
         columns = stacked(channel, bodies, terms)
         np.testing.assert_allclose(products, columns.T @ columns, atol=1e-10)
         assert DESIGN.counts[channel] == len(columns)
-        assert DESIGN.target_squares[channel] == pytest.approx(float(columns[:, -1] @ columns[:, -1]))
 
 
 def test_crossed_products_are_those_with_a_candidate_s_columns() -> None:
@@ -78,19 +77,20 @@ def test_crossed_products_are_those_with_a_candidate_s_columns() -> None:
     assert DESIGN.reached(candidate) == [0, 1]
     for channel in range(CHANNELS):
         mine = stacked(channel, [], [BOTH, SECOND])[:, 10 * LINKS : -1]
-        np.testing.assert_allclose(found.crossed[0, channel], mine.T @ stacked(channel, [1], [FIRST]), atol=1e-10)
-        np.testing.assert_allclose(found.squared[0, channel], mine.T @ mine, atol=1e-10)
+        np.testing.assert_allclose(found[channel].crossed[0], mine.T @ stacked(channel, [1], [FIRST]), atol=1e-10)
+        np.testing.assert_allclose(found[channel].squared[0], mine.T @ mine, atol=1e-10)
 
 
-def test_products_of_a_candidate_are_zero_in_channels_that_it_does_not_reach() -> None:
+def test_candidates_have_products_in_the_channels_that_they_reach() -> None:
     both = Candidate(ViscousFriction(), AtJoint(0), (BOTH,))
     candidate = Candidate(ViscousFriction(), AtJoint(2), (SECOND,))
     assert DESIGN.reached(candidate) == [1]
-    found = DESIGN.own([both, candidate], [], [])
-    assert (found.crossed.shape, found.squared.shape) == ((2, CHANNELS, 1, 10 * LINKS + 1), (2, CHANNELS, 1, 1))
-    mine = white(1, COLUMNS[SECOND][1])
-    np.testing.assert_allclose(found.squared[1, :, 0, 0], [0.0, mine @ mine])
-    assert not np.any(found.crossed[1, 0])
+    first, second = DESIGN.own([both, candidate], [], [])
+    assert (first.which.tolist(), second.which.tolist()) == ([0], [0, 1])
+    assert (second.crossed.shape, second.squared.shape) == ((2, 1, 10 * LINKS + 1), (2, 1, 1))
+    for column, own in zip((BOTH, SECOND), second.squared[:, 0, 0].tolist(), strict=True):
+        mine = white(1, COLUMNS[column][1])
+        assert own == pytest.approx(mine @ mine)
 
 
 def test_a_payload_has_the_columns_of_its_link() -> None:
@@ -99,8 +99,8 @@ def test_a_payload_has_the_columns_of_its_link() -> None:
     found = DESIGN.own([candidate], [], [FIRST])
     for channel in range(CHANNELS):
         mine = stacked(channel, [], [])[:, 10:20]
-        np.testing.assert_allclose(found.crossed[0, channel], mine.T @ stacked(channel, [], [FIRST]), atol=1e-10)
-        np.testing.assert_allclose(found.squared[0, channel], mine.T @ mine, atol=1e-10)
+        np.testing.assert_allclose(found[channel].crossed[0], mine.T @ stacked(channel, [], [FIRST]), atol=1e-10)
+        np.testing.assert_allclose(found[channel].squared[0], mine.T @ mine, atol=1e-10)
 
 
 class TestColumns:

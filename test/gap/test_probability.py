@@ -1,11 +1,13 @@
 """How often names are true that are stated with a probability, on designs of random columns."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from geomid_ros.gap import analysis
 from geomid_ros.inference.probability import Support, Supports, relative_doubt
 from geomid_ros.inference.selection import Selection
 
@@ -73,6 +75,23 @@ def test_what_every_joint_may_have_is_likely_from_three_standard_deviations_on_a
     assert max(within) < 0.5 + 1e-9
 
 
+def test_a_name_is_no_surer_than_one_that_is_unsure_without_which_it_would_be_nothing() -> None:
+    """Two nearly equal columns with opposite sizes need each other; a third needs neither."""
+    recording = Recording(3, CANDIDATES, {ROTOR.terms[0]: VISCOUS.terms[0]})
+    design = recording.design({VISCOUS.terms[0]: 1.0, ROTOR.terms[0]: -1.0, OFFSET.terms[0]: 0.3})
+    search = Selection(design, PRIOR, CANDIDATES)
+    found = search.fit([VISCOUS, ROTOR, OFFSET])
+    each = Supports(search, found)
+    supports = {c: each.of(c) for c in found.chosen}
+    assert min(support.probability for support in supports.values()) > 0.95
+    assert analysis._beside_unsure(search, found, supports) == supports
+    supports[ROTOR] = replace(supports[ROTOR], probability=0.6)
+    mixed = {c: support.probability for c, support in analysis._beside_unsure(search, found, supports).items()}
+    assert mixed[ROTOR] == 0.6
+    assert mixed[VISCOUS] == pytest.approx(0.6, abs=0.05)
+    assert mixed[OFFSET] > 0.99
+
+
 @pytest.mark.parametrize(("before", "doubt"), [(None, 0.5), (np.eye(1), 0.25)], ids=["nothing known", "known before"])
 def test_what_is_left_may_lie_along_a_name_or_where_it_was_told_in_any_of_its_directions(
     before: Any, doubt: float
@@ -84,3 +103,26 @@ def test_what_is_left_may_lie_along_a_name_or_where_it_was_told_in_any_of_its_di
     design: Any = SimpleNamespace(channels=channels, powers=lambda *_: np.array([4.0, 0.0]))
     found: Any = SimpleNamespace(squares=np.array([2.0, 1.0]), remainders=lambda _: lacks)
     assert relative_doubt(design, found, 0, np.ones(1)) == pytest.approx(doubt)
+
+
+def test_each_channel_s_lack_counts_by_the_weight_that_least_squares_give_what_it_says() -> None:
+    """One coefficient at three channels: lack where little is told is little doubt."""
+    rng = np.random.default_rng(5)
+    for _ in range(5):
+        powers, squares, lacks = rng.uniform(0.1, 10.0, (3, 3))
+        channels = [SimpleNamespace(before=None)] * 3
+        design: Any = SimpleNamespace(channels=channels, powers=lambda *_, own=powers: own)
+        lacking = [SimpleNamespace(power=power, freedom=16.0) for power in lacks]
+        found: Any = SimpleNamespace(squares=squares, remainders=lambda _, own=lacking: own)
+        weights = powers / squares / np.sum(powers / squares)
+        of_each = 0.25 * lacks / powers  # relative variance of the size as one channel alone says it
+        expected = np.sum(weights * np.sqrt(of_each))  # the errors may have one cause
+        assert relative_doubt(design, found, 0, np.ones(1)) == pytest.approx(expected)
+
+
+def test_a_power_that_rounding_leaves_below_zero_is_none() -> None:
+    design: Any = SimpleNamespace(
+        channels=[SimpleNamespace(before=None)] * 2, powers=lambda *_: np.array([1.0, -1e-18])
+    )
+    found: Any = SimpleNamespace(squares=np.ones(2), remainders=lambda _: [SimpleNamespace(power=1.0, freedom=1.0)] * 2)
+    assert relative_doubt(design, found, 0, np.ones(1)) == pytest.approx(0.5)

@@ -48,7 +48,6 @@ def objective(counts: float = 1.0) -> ProfileObjective:
         manifold,
         design.gather([], [TERM, OFFSET.terms[0]]),
         counts * design.counts,
-        np.full(CHANNELS, 1e-9),
         manifold.point(np.append(LINK, [0.1, 0.0])),
     )
     return ProfileObjective(profile, np.append(np.full(10, 3.0), [1.0, 5.0]), known)
@@ -97,11 +96,16 @@ def test_the_information_is_that_of_gaussian_rows() -> None:
 
 
 def test_no_sum_of_squares_is_less_than_the_least() -> None:
-    own = replace(objective().profile, least=np.array([1e9, 1e-9]))
+    """A ten-billionth of the target's, in a channel that the parameters explain exactly."""
+    own = objective().profile
     start = own.manifold.point(np.append(LINK, [0.2, -0.1]))
-    first, second = own.squares(start)
-    assert first == 1e9
-    assert second == objective().profile.squares(start)[1]
+    rows = np.random.default_rng(3).normal(size=(30, own.manifold.dimension))
+    columns = np.column_stack([rows, rows @ start.parameters])
+    exact = own.products.copy()
+    exact[0] = columns.T @ columns
+    first, second = replace(own, products=exact).squares(start)
+    assert first == pytest.approx(1e-10 * exact[0, -1, -1], rel=1e-9)
+    assert second == own.squares(start)[1]
 
 
 def test_a_minimum_is_near_enough_where_no_step_promises_much() -> None:

@@ -14,7 +14,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.gap import analysis, workflow
 from geomid_ros.gap.judgement import changed_links
-from geomid_ros.gap.result import GapResult
+from geomid_ros.gap.result import GapResult, LinkChange
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.model.effects.stribeck_friction import StribeckFriction
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
@@ -207,6 +207,23 @@ def test_no_link_is_sure_in_whose_place_another_one_may_have_been_changed(monkey
     assert (change.link, change.confidence) == (planted.model().body_names[2], "tentative")
 
 
+def test_no_link_is_sure_of_which_the_size_that_is_written_may_be_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unsure(*given: Any) -> tuple[LinkChange, ...]:
+        links = changed_links.changed_links(*given)
+        return tuple(
+            replace(link, mass=replace(link.mass, std=0.5 * abs(link.mass.value)), moment={}) for link in links
+        )
+
+    inertias = planted.true_inertias(61, 0.2)
+    lighter = inertias * np.array([[1.0], [1.0], [0.7]])
+    (sure,) = found_lighter(inertias, lighter, 61).links
+    assert sure.confidence == "confident"
+    monkeypatch.setattr(workflow, "changed_links", unsure)
+    result = found_lighter(inertias, lighter, 61)
+    assert not result.links
+    np.testing.assert_allclose(result.gap.after, result.gap.before, rtol=0.01)
+
+
 def test_a_gain_of_all_joints_is_no_payload() -> None:
     """Where it is known what the links weigh."""
     inertias = planted.true_inertias(51, 0.2)
@@ -372,6 +389,23 @@ def test_friction_that_follows_reversals_late_is_no_delay(delay: float) -> None:
     result = find_gap(planted.model(), [planted.recording(efforts, 81)], [planted.recording(efforts, 1081, 15.0)])
     found = [f.parameters["delay"].value for f in result.findings if f.effect == "effort_delay"]
     assert np.allclose(found, [delay] if delay else [], atol=2e-3), found
+
+
+@pytest.mark.parametrize("seed", [81, 83, 84])
+def test_a_long_delay_is_found_beside_what_has_no_name(seed: int) -> None:
+    """What is common to all joints is no part of what each lacks."""
+    robot, delay = planted.rigid(planted.true_inertias(seed, 0.2)), -0.12
+
+    def efforts(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        lacking = np.sin(9.0 * q + 1.0) + np.sin(3.0 * q[:, [1, 2, 0]])
+        whole = robot(q, v, a) + 0.5 * np.tanh(v / 0.02) + 0.1 * lacking
+        times = np.arange(len(q)) / planted.RATE
+        return np.asarray(CubicSpline(times, whole)(times - delay))
+
+    train, unseen = planted.recording(efforts, seed), planted.recording(efforts, seed + 1000, 15.0)
+    result = find_gap(planted.model(), [train], [unseen])
+    (found,) = [f for f in result.sure if f.effect == "effort_delay"]
+    assert found.parameters["delay"].value == pytest.approx(delay, abs=2e-3)
 
 
 def test_a_search_that_does_not_settle_ends_along_what_it_found(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,10 +1,12 @@
 """A remainder that is integrated out, against the Gaussian likelihood of the rows themselves."""
 
+import weakref
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from geomid_ros.inference.design import ChannelRows
+from geomid_ros.inference.design import ChannelRows, Design
 from geomid_ros.inference.remainder import USUAL, Remainder
 from geomid_ros.types import FloatArray
 
@@ -144,3 +146,14 @@ def test_without_features_nothing_changes() -> None:
     np.testing.assert_array_equal(marginal.products, bare.products)
     assert marginal.cost == 0.0
     assert bare.remainder.settled(np.ones(COLUMNS + 2), 1.0, 0.0).shape == (0,)
+
+
+def test_products_beside_other_variances_go_with_their_design() -> None:
+    """A search asks for hundreds: what nobody holds any more must not stay with the design that it was made from."""
+    design = Design.of([rows(1)], COLUMNS)
+    own, other = design.cost, design.given([10.0 * each for each in design.variances])
+    assert other.cost > own  # the larger the remainder, the more it costs
+    products = weakref.ref(other._marginalised[0])
+    assert design.given(design.variances)._marginalised[0] is design._marginalised[0]  # what is at hand is taken over
+    del other
+    assert products() is None

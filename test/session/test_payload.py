@@ -13,12 +13,16 @@ from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.estimation.identified import sizes
 from geomid_ros.exports.weighed_payload import weigh_at
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.live.gap_search import look_for_gap
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.session import payload
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.payload import WeighedPayload, weigh
+from geomid_ros.session.recordings import silent
 from geomid_ros.session.session import Session
+from geomid_ros.signals.messages import JOINT_STATES, Accepted
+from geomid_ros.types import FloatArray
 
 NOISE = 0.05
 MASS, COM = 1.3, np.array([0.02, -0.03, 0.08])
@@ -29,16 +33,21 @@ def session() -> Session:
     return Session(shipped("arm3"), Configuration({"candidates": []}), "arm3.urdf")
 
 
-def recording(seed: int, payload: bool, gain: float = 1.0) -> Samples:
-    """One robot, the same for all seeds, in a motion of its own."""
+def measured(seed: int, payload: bool, seconds: float, gain: float = 1.0) -> tuple[Motion, FloatArray]:
+    """A motion, another for each seed, and the efforts of one robot, the same for all."""
     robot = Robot(shipped("arm3"))
     true = truth(np.random.default_rng(5), robot)
     if payload:
         true.links[-1] += pseudo_inertia.assemble(np.array(MASS), COM, INERTIA)
     rng = np.random.default_rng([seed, payload])
-    moving = motion(rng, len(robot.joints), 20.0)
+    moving = motion(rng, len(robot.joints), seconds)
     clean = gain * efforts(robot, true, moving)
-    return samples(moving, clean + NOISE * rng.normal(size=clean.shape))
+    return moving, clean + NOISE * rng.normal(size=clean.shape)
+
+
+def recording(seed: int, payload: bool, gain: float = 1.0) -> Samples:
+    """Twenty seconds."""
+    return samples(*measured(seed, payload, 20.0, gain))
 
 
 def recording_of_the_last_joint(seed: int) -> Samples:
@@ -175,3 +184,32 @@ def test_gains_are_wrong_each_by_itself_or_all_alike(shifts: list[float], more: 
     """Whichever matters more."""
     found = payload._with_shifts(np.array([0.5]), np.reshape(shifts, (-1, 1)))
     assert found[0] == pytest.approx(np.hypot(0.5, more))
+
+
+def messages(seed: int, payload: bool) -> list[Accepted]:
+    """A minute, as a node accepts it."""
+    moving, effort = measured(seed, payload, 60.0)
+    stamps = 10_000_000 * np.arange(1, len(effort) + 1)
+    return [Accepted(JOINT_STATES, stamps, np.hstack([moving.position, moving.velocity, effort]))]
+
+
+def heard(own: Session, accepted: list[Accepted]) -> Samples:
+    pipeline = own.new_pipeline()
+    for each in accepted:
+        pipeline.push_accepted(each)
+    found = pipeline.collect()
+    assert found is not None
+    return found
+
+
+def test_gap_says_the_same_of_it() -> None:
+    """Within the deviations of both, which share the noise of the loaded recording."""
+    own, empty, loaded = session(), messages(0, False), messages(0, True)
+    own.identifier.add(heard(own, empty))
+    estimate = own.identifier.solve()
+    found = weigh(session(), estimate.posterior, [heard(own, loaded)], own.model.body_names[-1], 0.0)
+    (changed,) = look_for_gap(own, estimate, empty, loaded, silent).result.links  # the last link is what carries it
+    assert changed.confidence == "confident"
+    assert abs(changed.mass.value - found.mass) < 2.0 * np.hypot(changed.mass.std, found.std[0])
+    for said, moment, std in zip(changed.moment.values(), found.moment, found.moment_std, strict=True):
+        assert abs(said.value - moment) < 2.0 * np.hypot(said.std, std)

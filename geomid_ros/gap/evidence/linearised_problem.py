@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from functools import cached_property
 
 import numpy as np
@@ -53,11 +54,18 @@ class LinearisedProblem:
     ) -> None:
         self.total = total
         self._standing = standing
-        self._floor = np.full(len(model.channels), np.inf) if floor is None else floor
+        self.floor = np.full(len(model.channels), np.inf) if floor is None else floor
         self.records = records.advanced(total.lag)
         gravity = total.gravity
         self.model = model.with_gravity(gravity) if np.any(gravity != model.robot.gravity) else model
         self._scales = total.scales(len(model.channels))
+
+    def with_floor(self, floor: FloatArray) -> LinearisedProblem:
+        """The same, with the noise ``floor (C,)`` by which instants are valid."""
+        problem = copy(self)
+        problem.floor = floor
+        vars(problem).pop("valid", None)
+        return problem
 
     @cached_property
     def situation(self) -> Situation:
@@ -87,7 +95,7 @@ class LinearisedProblem:
         own = np.einsum("njj->nj", by_acceleration[:, :joints])
         shares = by_acceleration / np.maximum(own, 1e-12)[:, None]
         uncertain = np.max(shares * (self._dry_friction * self.records.unsettled)[:, None], axis=2)
-        return np.asarray(valid & (uncertain < _FRICTION_ERROR * self._floor))
+        return np.asarray(valid & (uncertain < _FRICTION_ERROR * self.floor))
 
     @cached_property
     def _dry_friction(self) -> FloatArray:

@@ -15,9 +15,10 @@ from geomid_ros.gap.evidence.record import Records, TotalModel
 from geomid_ros.gap.judgement import naming
 from geomid_ros.gap.judgement.changed_links import with_given_spreads
 from geomid_ros.gap.judgement.verdict import beside_remainder, probability_by_size
-from geomid_ros.gap.result import Finding, LinkChange
+from geomid_ros.gap.result import LIKELY, Finding, LinkChange
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import fit, scattered
+from geomid_ros.inference.probability import probability_of_square
 from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, KnownEffect, Quantity, effect_class
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
@@ -30,8 +31,8 @@ _ORDINARY = tuple(cls() for name, cls in EFFECTS.items() if name in DEFAULT_EFFE
 
 @dataclass(frozen=True, eq=False)
 class Written:
-    """The ``found`` fit; ``findings`` and ``links`` with the sizes that it has, without the names in whose place there
-    is rather nothing; and, where nothing was known of joints before, their ``ordinary`` effects, which need no name."""
+    """The ``found`` fit; ``findings`` and ``links`` with the sizes that it has, without those in whose place there is
+    rather nothing; and, where nothing was known of joints before, their ``ordinary`` effects, which need no name."""
 
     found: NamesFit
     findings: tuple[Finding, ...]
@@ -59,13 +60,17 @@ def written(
     sized = list(_findings_as_written(model, analysis, found, findings))
     pairs = zip(findings, sized, strict=True)
     kept = [(c, before if before.confidence == after.confidence else after) for (c, before), after in pairs]
-    if kept != list(findings):  # what is no longer sure must not be in the file, on whose other sizes it bears
-        return written(model, records, analysis, kept, links)
+    sized_links = [_as_written(link, model, analysis, found) for link in links]
+    pairs_of_links = zip(links, sized_links, strict=True)
+    kept_links = [before if before.confidence == after.confidence else after for before, after in pairs_of_links]
+    if (kept, kept_links) != (list(findings), list(links)):
+        # What is no longer sure must not be in the file, on whose other sizes it bears.
+        return written(model, records, analysis, kept, kept_links)
     ordinary = [c for c in found.chosen if c not in sure]
     return Written(
         found,
         tuple(finding for finding in sized if finding.is_likely),
-        tuple(_as_written(link, model, analysis, found) for link in links),
+        tuple(link for link in sized_links if link.probability >= LIKELY),
         tuple(_known(model, found, candidate) for candidate in ordinary),
     )
 
@@ -212,17 +217,19 @@ def _said_again(finding: Finding) -> Finding:
 
 
 def _as_written(link: LinkChange, model: MeasurementModel, analysis: Analysis, found: NamesFit) -> LinkChange:
-    """A changed link with the size that was fitted; one that is not sure keeps that which it seemed to have."""
+    """A changed link with the size that was fitted, and no surer than that is told; one that is not sure keeps that
+    which it seemed to have."""
     if link.confidence != "confident":
         return link
     place = model.body_names.index(link.link)
     change: FloatArray = found.inertias[place] - analysis.search.prior.inertias.reshape(-1, 10)[place]
     moment = zip(link.moment.items(), change[1:4].tolist(), strict=False)
-    return replace(
+    sized = replace(
         link,
         mass=_moved(link.mass, float(change[0])),
         moment={axis: _moved(quantity, value) for (axis, quantity), value in moment},
     )
+    return replace(sized, probability=min(link.probability, probability_of_square(sized.told)))
 
 
 def _moved(quantity: Quantity, value: float) -> Quantity:

@@ -22,7 +22,6 @@ class EffortDelay(SituationEffect):
     place = "robot"
     far = (2e-3,)
     absorbed = True
-    usual = (0.01,)  # [s]
     largest = 0.2  # [s]
     corrected_in_samples = True
 

@@ -1,0 +1,163 @@
+"""What an estimate of a live session leaves unexplained is kept beside it, and is no change."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from estimation.arms import efforts, motion, shipped, truth
+
+from geomid_ros.errors import InputError
+from geomid_ros.files.models.gap_model import ESTIMATE
+from geomid_ros.files.models.posterior import POSTERIOR, read_posterior, read_remainder
+from geomid_ros.gap.evidence.standing import StandingRemainder
+from geomid_ros.live import saving as module
+from geomid_ros.live.gap_search import look_for_gap
+from geomid_ros.live.saving import Saving
+from geomid_ros.live.worker import Worker
+from geomid_ros.model.robot import Robot
+from geomid_ros.monitoring.change_detection import ChannelGap
+from geomid_ros.session import gap
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.gap import lacking_in_messages
+from geomid_ros.session.recordings import silent
+from geomid_ros.session.session import Session
+from geomid_ros.signals.messages import JOINT_STATES, Accepted
+from geomid_ros.signals.recent import Recent
+
+NOISE, RIPPLE, WAVES = 0.02, 0.5, 14.0  # [N m], [N m] and per radian, at joint2
+PATIENCE = 600.0  # [s]
+
+
+class Rippling:
+    """A small arm whose second gear ripples, which nothing in its model has a name for."""
+
+    def __init__(self) -> None:
+        self.session = Session(shipped("arm3"), Configuration({"candidates": []}), "arm3.urdf")
+        robot, rng = Robot(shipped("arm3")), np.random.default_rng(5)
+        moving = motion(rng, len(robot.joints), 60.0)
+        measured = efforts(robot, truth(rng, robot), moving)
+        measured[:, 1] += RIPPLE * np.sin(WAVES * moving.position[:, 1])
+        measured += NOISE * rng.normal(size=measured.shape)
+        stamps = 10_000_000 * np.arange(1, len(measured) + 1)
+        self.messages = [Accepted(JOINT_STATES, stamps, np.hstack([moving.position, moving.velocity, measured]))]
+        pipeline = self.session.new_pipeline()
+        pipeline.push_accepted(self.messages[0])
+        samples = pipeline.collect()
+        assert samples is not None
+        self.session.identifier.add(samples)
+        self.estimate = self.session.identifier.solve()
+
+    @property
+    def worker(self) -> Any:
+        """As much of one as saving asks."""
+        return SimpleNamespace(session=self.session, messages=lambda: self.messages)
+
+
+@pytest.fixture(scope="module")
+def arm() -> Rippling:
+    return Rippling()
+
+
+class Done:
+    """A thread that has ended."""
+
+    def __init__(self, _: str, act: Any, *arguments: Any) -> None:
+        act(*arguments)
+
+    def join(self, _: float) -> None:
+        """At once."""
+
+
+@pytest.fixture
+def saving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Saving:
+    """In no thread."""
+    monkeypatch.setattr(module, "start_daemon", Done)
+    return Saving(str(tmp_path))
+
+
+@pytest.mark.parametrize("remembered", [True, False])
+def test_a_search_is_told_what_the_estimate_lacked(
+    arm: Rippling, monkeypatch: pytest.MonkeyPatch, remembered: bool
+) -> None:
+    """The second gear ripples, the others do not."""
+    told: list[StandingRemainder | None] = []
+
+    def search(*_: object, standing: StandingRemainder | None, **__: object) -> None:
+        told.append(standing)
+        raise InputError("not searched")
+
+    monkeypatch.setattr(gap, "find_gap", search)
+    with pytest.raises(InputError, match="not searched"):
+        look_for_gap(arm.session, arm.estimate, arm.messages if remembered else [], arm.messages, silent)
+    (standing,) = told
+    assert (standing is not None) == remembered
+    if standing is not None:
+        first, second, third = (float(np.linalg.norm(mean)) for mean in standing.means)
+        assert second > 5.0 * max(first, third)
+
+
+def test_it_is_saved_after_the_answer(arm: Rippling, saving: Saving, tmp_path: Path) -> None:
+    answers: list[Any] = []
+
+    def answered(answer: Any) -> None:
+        answers.append((answer[0], read_remainder(tmp_path / POSTERIOR)))
+
+    saving.begin(arm.worker, arm.estimate, answered)
+    assert answers == [(True, None)]
+    found = read_remainder(tmp_path / POSTERIOR)
+    assert found is not None
+    assert found.channels == ("joint1", "joint2", "joint3")
+
+
+def test_it_is_kept_where_the_same_estimate_is_saved_again(arm: Rippling, saving: Saving, tmp_path: Path) -> None:
+    """As at the end of a node that has heard nothing since."""
+    saving.begin(arm.worker, arm.estimate, lambda _: None)
+    (tmp_path / POSTERIOR).unlink()
+    saving.save_last(arm.session, arm.estimate, PATIENCE)
+    assert read_remainder(tmp_path / POSTERIOR) is not None
+
+
+def test_it_is_of_all_messages_that_the_estimate_is_from_whether_a_gap_is_open_or_not(
+    arm: Rippling, saving: Saving, tmp_path: Path
+) -> None:
+    (whole,) = arm.messages
+    early = [whole.before(int(whole.stamps[len(whole) // 2]))]
+    worker: Any = SimpleNamespace(session=arm.session, messages=lambda: arm.messages, messages_before_gap=lambda: early)
+    saving.begin(worker, arm.estimate, lambda _: None)
+    expected, other = (lacking_in_messages(arm.session, tmp_path / ESTIMATE, each) for each in (arm.messages, early))
+    remainder = read_remainder(tmp_path / POSTERIOR)
+    assert expected is not None
+    assert other is not None
+    assert remainder is not None
+    for place, mean in enumerate(remainder.means):
+        np.testing.assert_allclose(mean, expected.means[place], rtol=1e-9, atol=1e-12)
+    assert not np.allclose(remainder.means[1], other.means[1], rtol=1e-3)
+
+
+def test_it_is_not_given_to_another_estimate(arm: Rippling, saving: Saving, tmp_path: Path) -> None:
+    """That was saved meanwhile."""
+    other = arm.session.identifier.solve()
+
+    def save_other() -> list[Accepted]:
+        saving.save_last(arm.session, other, PATIENCE)
+        return arm.messages
+
+    saving.begin(SimpleNamespace(session=arm.session, messages=save_other), arm.estimate, lambda _: None)
+    assert read_posterior(tmp_path / POSTERIOR).parameters.tolist() == other.posterior.parameters.tolist()
+    assert read_remainder(tmp_path / POSTERIOR) is None
+
+
+@pytest.mark.parametrize(("opened", "count"), [((None, 700), 69), ((700, 400), 39), ((None, None), 100)])
+def test_messages_before_a_gap(opened: tuple[int | None, int | None], count: int) -> None:
+    """That opened first; all of them without one."""
+    recent = Recent(1.0)
+    recent(Accepted(JOINT_STATES, 10 * np.arange(1, 101), np.zeros((100, 9))))
+    gaps = tuple(ChannelGap(f"joint{place}", 3.0, since) for place, since in enumerate(opened))
+    own: Any = SimpleNamespace(
+        session=SimpleNamespace(recent=recent), solver=SimpleNamespace(detector=SimpleNamespace(gaps=gaps))
+    )
+    assert [len(each) for each in Worker.messages_before_gap(own)] == [count]
