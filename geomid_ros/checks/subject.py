@@ -218,17 +218,22 @@ class Subject:
         """The evidence that everything is as it should be."""
         return self.evidence()
 
-    def evidence(self, *, either_sign: bool = False, unknown: FloatArray | None = None) -> Evidence:
+    def evidence(
+        self, *, either_sign: bool = False, unknown: FloatArray | None = None, friction: bool = True
+    ) -> Evidence:
         """The evidence of the efforts.
 
         Args:
             either_sign: whether friction may be of either sign.
+            friction: whether there is any; a constant there may be in any case.
             unknown: ``(N, C)`` what another unknown of unit variance adds to the efforts; it is the last of the links'
                 errors then.
         """
         columns = self.columns if unknown is None else np.dstack([self.columns, unknown])
         target = (self.measured - self.predicted) / self.spread
-        return evidence(target, columns / self.spread[:, None], self.friction, self.tolerated, either_sign=either_sign)
+        columns = columns / self.spread[:, None]
+        rubbing = self.friction if friction else self.friction * np.array([1.0, 0.0, 0.0, 0.0])
+        return evidence(target, columns, rubbing, self.tolerated, either_sign=either_sign)
 
     def links(self, found: Evidence) -> FloatArray:
         """The links' parameters ``(D,)`` that an evidence finds."""

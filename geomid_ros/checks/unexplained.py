@@ -38,7 +38,7 @@ class Residuals:
         efforts: ``(N, C)`` as measured.
         residuals: ``(N, C)`` what is left of them, NaN where that is not judged.
         before: ``(C,)`` RMS of what the input's file leaves, NaN where that is not known.
-        hint: says what to look at, by a joint's name.
+        hint: says what to look at, by a joint's name and the share of its effort's variation that is left.
     """
 
     names: Sequence[str]
@@ -46,7 +46,7 @@ class Residuals:
     efforts: FloatArray
     residuals: FloatArray
     before: FloatArray
-    hint: Callable[[str], str]
+    hint: Callable[[str, float], str]
 
     @property
     def variation(self) -> FloatArray:
@@ -72,17 +72,20 @@ class Residuals:
             f"{variation[j]:.3g} {units[j]} are left)"
             for j in worst
         )
-        sentence = f"joint {said}; {self.hint(self.names[worst[0]])}"
+        sentence = f"joint {said}; {self.hint(self.names[worst[0]], float(share[worst[0]]))}"
         return Finding(cause=Cause(kind="unexplained", sentence=sentence, places=tuple(self.names[j] for j in worst)))
 
 
-def hint(subject: Subject, joint: str) -> str:
-    """What to look at, by what explains most of a joint's effort beside links and friction, if that leaves half of what
-    others leave."""
+def hint(subject: Subject, joint: str, share: float) -> str:
+    """What to look at: friction, if beside links it explains half of what a model leaves of a joint's effort, a
+    ``share`` of its variation; or what explains most of it beside both, if that leaves half of what others leave."""
     if joint not in subject.names:
         return _ELSE
     channel = subject.names.index(joint)
     before, left = subject.nominal.sigmas[channel], dict[str, float]()
+    without = subject.evidence(friction=False).sigmas[channel]
+    if before**2 < HALF * min(share, without) ** 2:
+        return _of_speed(joint)
     for said, columns in _hints(subject, channel):
         unknown = np.zeros((*subject.measured.shape, columns.shape[1]))
         unknown[:, channel] = columns * subject.spread[channel] / np.maximum(np.std(columns, axis=0), _FLOOR)
@@ -99,14 +102,15 @@ def _hints(subject: Subject, channel: int) -> Iterator[tuple[str, FloatArray]]:
         f"what is left follows the position of '{name}': check its axis, sign and zero in the URDF, or a spring",
         np.column_stack([place, place**2, place**3]),
     )
-    yield (
-        f"what is left follows the speed of '{name}': check the sign of its position, and its friction (--effects)",
-        np.column_stack([speed, np.sign(speed)]),
-    )
+    yield _of_speed(name), np.column_stack([speed, np.sign(speed)])
     for other, effort in enumerate(subject.measured.T):
         if other != channel:
             coupled = f"what is left follows the effort of '{subject.names[other]}': check a coupling of the two gears"
             yield f"{coupled}, and the axes and signs of both positions", effort[:, None]
+
+
+def _of_speed(joint: str) -> str:
+    return f"what is left follows the speed of '{joint}': check the sign of its position, and its friction (--effects)"
 
 
 def unexplained(
@@ -135,7 +139,7 @@ def unexplained(
         efforts=effort,
         residuals=residuals[:, :, 0],
         before=rms(residuals[:, :, 1]),
-        hint=lambda joint: _ELSE if recorded is None else hint(Subject.of_all(model.robot, recorded), joint),
+        hint=lambda *of: _ELSE if recorded is None else hint(Subject.of_all(model.robot, recorded), *of),
     )
     variation = found.variation
     if recorded is not None:

@@ -34,7 +34,7 @@ def residuals(shares: FloatArray, before: FloatArray | None = None, units: tuple
         efforts=efforts,
         residuals=left,
         before=np.full(3, np.inf) if before is None else before,
-        hint=lambda joint: f"look at {joint}",
+        hint=lambda joint, share: f"look at {joint}, {share:.2f}",
     )
 
 
@@ -69,7 +69,7 @@ def test_the_sentence_says_how_much_is_left_and_where_to_look() -> None:
     found = residuals(np.array([0.1, 0.8, 0.1]))
     finding = found.finding(found.variation)
     assert finding is not None
-    assert finding.sentence == "joint 'elbow' is not explained: 20 % (4 of 5 N m are left); look at elbow"
+    assert finding.sentence == "joint 'elbow' is not explained: 20 % (4 of 5 N m are left); look at elbow, 0.80"
 
 
 @pytest.mark.parametrize("name", ["arm3", "arm7"])
@@ -89,7 +89,22 @@ def test_what_is_planted_beside_links_and_friction_is_the_hint(name: str) -> Non
         measured = own.effort.copy()
         measured[:, 1] += effort
         recorded = replace(own, effort=measured).select(slice(None, None, len(own) // INSTANTS + 1))
-        assert said in hint(Subject.of_all(of.model.robot, recorded), names[1])
+        subject = Subject.of_all(of.model.robot, recorded)
+        assert said in hint(subject, names[1], float(subject.nominal.sigmas[1]))
+
+
+@pytest.mark.parametrize("name", ["arm3", "arm7"])
+def test_what_a_model_without_friction_leaves_is_the_friction_s(name: str) -> None:
+    """Not what one leaves that has it, nor what is left of a coupling."""
+    of = case(name, 1)
+    samples = of.samples.select(slice(None, None, len(of.samples) // INSTANTS + 1))
+    subject = Subject.of_all(of.model.robot, samples)
+    spread, joint = 3.0 * subject.spread[1], subject.names[1]
+    efforts = subject.measured + np.eye(len(subject.joints))[1] * spread * np.sign(samples.velocity[:, [1]])
+    coupled = subject.measured + np.outer(4.0 * subject.measured[:, 2], np.eye(len(subject.joints))[1])
+    rubbed, of_another = subject.with_efforts(efforts), subject.with_efforts(coupled)
+    for of_efforts, share, said in ((rubbed, 0.9, True), (rubbed, 0.11, False), (of_another, 0.9, False)):
+        assert ("friction (--effects)" in hint(of_efforts, joint, share)) == said
 
 
 @pytest.mark.parametrize(("joint", "other", "share"), [(1, 0, -1.0), (1, 2, 1.0), (2, 1, -1.0)])
