@@ -160,7 +160,7 @@ class EffortCheck:
         constant = moves & (np.mean(np.isfinite(kept.samples.effort), axis=0) >= HALF)
         constant[self._subject.joints] = False
         self._constant = [model.robot.joint_names[joint] for joint in np.flatnonzero(constant)]
-        self._enough = len(self._subject.samples) >= FEWEST and bool(np.any(moves)) and len(self._subject.joints) > 0
+        self._enough = np.count_nonzero(self._subject.is_moving) >= FEWEST
         self.remarks: list[str] = []
         """What to know of efforts that may be right, once they have been judged."""
 

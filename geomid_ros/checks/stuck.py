@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from geomid_ros.checks.causes import Cause
-from geomid_ros.checks.evidence import HALF, LEAST_SIGMA
+from geomid_ros.checks.evidence import LEAST_SIGMA
 from geomid_ros.checks.instants import FEWEST
 from geomid_ros.checks.subject import Subject
+from geomid_ros.estimation.estimate import SURE
 from geomid_ros.types import BoolArray, FloatArray
 
 _SAME = 1e-6  # of a range: what changes less stays exactly the same
@@ -33,7 +34,7 @@ def held_efforts(subject: Subject) -> list[Cause]:
 
 
 def frozen_position(subject: Subject) -> Cause | None:
-    """A joint whose position stands exactly still for long, while others move and efforts are not those of that pose.
+    """A joint whose position is exactly the same for a while, while others move and efforts are not those of that pose.
 
     The links are fitted to the other instants, and predict these. Where a joint really stands still, its brake holds it
     without any effort or its effort may be off by dry friction, and no other effort is off. A robot that stands still
@@ -41,24 +42,16 @@ def frozen_position(subject: Subject) -> Cause | None:
     """
     positions, efforts = subject.samples.position, subject.measured
     for joint, position in enumerate(positions.T):
-        still = _longest_still(position)
-        if LEAST_SIGMA < np.mean(still) < HALF and np.count_nonzero(~still) >= FEWEST + 2 * _FEWEST:
+        same = np.abs(np.diff(position)) <= _SAME * np.ptp(position)
+        still = np.append(False, same) & np.append(same, False) & subject.is_moving  # filters smear the ends
+        if np.count_nonzero(still) >= _FEWEST and np.count_nonzero(~still) >= FEWEST + 2 * _FEWEST:
             changes = np.ptp(efforts[still], axis=0) > LEAST_SIGMA * np.ptp(efforts, axis=0)
             inside, outside = _left(subject, still)
+            surely = np.sqrt(1.0 + SURE * np.sqrt(2.0 / np.count_nonzero(still)))  # of the mean of so many squares
             moving = np.ptp(positions[still], axis=0) > LEAST_SIGMA * np.ptp(positions, axis=0)
-            if np.any(moving) and np.any((inside > outside) & changes):
+            if np.any(moving) and np.any((inside > surely * outside) & changes):
                 return Cause.of("frozen", [subject.robot.joint_names[joint]], share=np.mean(still))
     return None
-
-
-def _longest_still(position: FloatArray) -> BoolArray:
-    """The instants ``(N,)`` of the longest stretch without any motion, less its ends, which filters smear."""
-    moves = np.flatnonzero(np.abs(np.diff(position)) > _SAME * np.ptp(position))
-    ends = np.concatenate([[-1], moves, [len(position) - 1]])
-    longest = int(np.argmax(np.diff(ends)))
-    still = np.zeros(len(position), dtype=bool)
-    still[ends[longest] + 2 : ends[longest + 1]] = True
-    return still
 
 
 def _left(subject: Subject, still: BoolArray) -> tuple[FloatArray, FloatArray]:

@@ -96,14 +96,15 @@ class Subject:
         return part
 
     def parts(self, *, alternating: bool = False) -> list[Subject]:
-        """The recordings that this is of, or both halves of a single one; or two sets of stretches in turn, which both
-        have something of all of the time, if ``alternating``. In each every effort changes."""
-        places = np.arange(len(self.samples))
+        """The recordings that this is of, or both halves of the motion of a single one; or two sets of stretches in
+        turn, which both have something of all of the motion, if ``alternating``. In each every effort changes."""
+        moved = np.cumsum(self.is_moving)
+        total = moved[-1] + 1
         if alternating:
-            which = (STRETCHES * places // len(places)) % 2
+            which = (STRETCHES * moved // total) % 2
         else:
             several = len(np.unique(self.recordings)) > 1
-            which = self.recordings if several else 2 * places // len(places)
+            which = self.recordings if several else 2 * moved // total
         parts = [self.part(which == one) for one in np.unique(which)]
         return [part for part in parts if 2 * len(part.samples) >= FEWEST and np.all(part.spread > 0.0)]
 
@@ -152,6 +153,18 @@ class Subject:
         """Their standard deviations ``(C,)``."""
         return np.asarray(np.std(self.measured, axis=0))
 
+    @property
+    def counts(self) -> BoolArray:
+        """Whether efforts vary by a good part of what the largest of their unit does ``(C,)``: those of a wrist are
+        often mostly friction and noise."""
+        units = np.array(self.units)
+        return np.array(
+            [
+                own > LEAST_SIGMA * np.max(self.spread[units == unit])
+                for own, unit in zip(self.spread, units, strict=True)
+            ]
+        )
+
     @cached_property
     def regressor(self) -> FloatArray:
         """Rows ``(N, C, D)`` of the efforts over the links' parameters."""
@@ -198,7 +211,12 @@ class Subject:
     @cached_property
     def moving(self) -> Subject:
         """The same at the instants at which a joint moves."""
-        return self.part(np.any(np.abs(self.samples.velocity[:, self.joints]) > STILL, axis=1))
+        return self.part(self.is_moving)
+
+    @property
+    def is_moving(self) -> BoolArray:
+        """The instants ``(N,)`` at which a joint moves."""
+        return np.asarray(np.any(np.abs(self.samples.velocity[:, self.joints]) > STILL, axis=1))
 
     @cached_property
     def flexible(self) -> FlexibleFit:
