@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import EllipsisType
 
 import numpy as np
@@ -130,14 +131,22 @@ class Tried:
         """Whether it is about a joint that another is about."""
         return not set(self.cause.places).isdisjoint(place for other in others for place in other.cause.places)
 
-    def repeats(self) -> bool:
-        """Whether it explains no channel worse, and every part of the recording asks for it, in sizes of one sign."""
+    @property
+    def believed(self) -> bool:
+        """Whether it repeats and explains no channel worse, or is settled."""
         if self.candidate.settled:
             return True
-        before = self.subject.nominal.sigmas[self.candidate.sources]
-        worse = np.log(self.judged.sigmas / before)[list(self.candidate.concerned)]
-        if np.sum(worse, where=worse > 0.0) > LEAST_SIGMA * self.gain:
-            return False
+        better = self.better[list(self.candidate.concerned)]
+        return -float(np.sum(better, where=better < 0.0)) <= LEAST_SIGMA * self.gain and self.repeats
+
+    @property
+    def better(self) -> FloatArray:
+        """By how much it explains each channel better, per instant [nats] ``(C,)``."""
+        return np.asarray(np.log(self.subject.nominal.sigmas[self.candidate.sources] / self.judged.sigmas))
+
+    @cached_property
+    def repeats(self) -> bool:
+        """Whether every part of the recording asks for it, in sizes of one sign."""
         return all(self._repeats(part) for part in self.subject.parts(alternating=self.candidate.changes))
 
     def _repeats(self, part: Subject) -> bool:
@@ -154,13 +163,15 @@ class Decision:
 
     Attributes:
         finding: what is wrong; None if nothing is.
-        remark: on what is not believed; empty if there is nothing.
+        doubted: causes that are probable, but not believed, the most probable first.
+        count: of the causes that were tried.
         sigmas: ``(C,)`` of what is left with the finding undone, in standard deviations of the measured channels.
         level: what may only be remarked on, if it is probable.
     """
 
     finding: Finding | None
-    remark: str
+    doubted: Sequence[Tried]
+    count: int
     sigmas: FloatArray
     level: Cause | None
 
@@ -187,36 +198,52 @@ def decide(tried: Iterable[Tried], count: int, nominal: Evidence) -> Decision:
     best = max(causes, key=lambda one: len(one.cause.places), default=None)
     level = next((one.cause for one in ordered if known[one] and one.cause.settings and not one.candidate.alone), None)
     if best is None:
-        remark = f"in a part of the recording, or at some joints, only: {doubted[0].cause.sentence}" if doubted else ""
-        return Decision(finding=None, remark=remark, sigmas=nominal.sigmas, level=level)
+        return Decision(finding=None, doubted=doubted, count=count, sigmas=nominal.sigmas, level=level)
     if best not in likely:  # what is settled asks for no evidence: whatever has some is its rival
         likely = [*{one.name: one for one in reversed(probable)}.values()]
-    rivals = [one for one in likely if one.name != best.name and one.cause.sentence]
-    elsewhere = {one.cause.places for one in rivals if one.repeats()} - {best.cause.places}
+    rivals = [one for one in likely if one.name != best.name]
+    elsewhere = {one.cause.places for one in rivals if one.believed} - {best.cause.places}
     sure = best.candidate.settled or len(elsewhere) <= 1
     finding = Finding(cause=best.cause, sure=sure, rivals=tuple(one.cause for one in rivals) if sure else ())
-    return Decision(finding=finding, remark="", sigmas=best.judged.sigmas, level=level)
+    return Decision(finding=finding, doubted=(), count=count, sigmas=best.judged.sigmas, level=level)
+
+
+def contradicted(doubted: Iterable[Tried], count: int) -> Finding | None:
+    """That something is wrong, if a cause that repeats is probable by the joints alone whose efforts count on this
+    robot, though it explains others worse: whatever it is, that the recording is right does not explain these.
+
+    Args:
+        doubted: causes that are not believed, and such as are only hidden by these, which say nothing.
+        count: how many they are chosen from.
+    """
+    for one in doubted:
+        counts = (one.better > 0.0) & one.subject.counts
+        told = probabilities([float(np.sum(one.better[counts]))], count)[0] > PROBABLE
+        if told and one.repeats and not one.believed:
+            names = [one.subject.names[channel] for channel in np.flatnonzero(counts)]
+            return Finding(cause=Cause.of("unexplained", names, nearest=one.cause.sentence))
+    return None
 
 
 def _doubted(probable: Sequence[Tried]) -> list[Tried]:
-    """The causes that do not repeat, of those that are more probable than the first one that is believed."""
+    """The causes that are not believed, or are about the same joints as a more probable one of these, of those that are
+    more probable than the first one that is believed."""
     doubted: list[Tried] = []
     for one in probable:
-        if not one.repeats():
-            doubted.append(one)
-        elif not one.shares_joints(doubted):
+        if one.believed and not one.shares_joints(doubted):
             break
+        doubted.append(one)
     return doubted
 
 
 def _most_probable(tried: Sequence[Tried], count: int) -> list[Tried]:
     """The fewest causes, the best of each name, that are together probable among ``count``, the most probable first;
-    none if that nothing is wrong is among these."""
-    ordered = {one.name: one for one in sorted(tried, key=lambda one: one.gain)}.values()
+    none if it may be that nothing is wrong."""
+    ordered = [*{one.name: one for one in sorted(tried, key=lambda one: one.gain)}.values()]
     probability = probabilities([one.gain for one in ordered], count)
-    order = np.argsort(-probability)
+    order = np.argsort(-probability[:-1])
     fewest = order[: 1 + int(np.searchsorted(np.cumsum(probability[order]), PROBABLE))]
-    return [] if len(ordered) in fewest else [[*ordered][place] for place in fewest]
+    return [ordered[place] for place in fewest] if probability[-1] < 1.0 - PROBABLE else []
 
 
 def probabilities(gains: Sequence[float], count: int) -> FloatArray:

@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.checks.candidates import Decision, Tried, decide
+from geomid_ros.checks.candidates import Decision, Tried, contradicted, decide
 from geomid_ros.checks.causes import MODEL, Cause, Finding
 from geomid_ros.checks.changes import changes, lags
 from geomid_ros.checks.description import impossible_description
@@ -182,7 +182,7 @@ class EffortCheck:
             subject = subject.under(np.array(decision.level.settings["gravity"]))
             decision = self._decided(subject)
         named = held if decision.finding is None else [*held, decision.finding]
-        return named or _unexplained(subject)
+        return named or _unexplained(subject) or self._doubts(decision)
 
     def _decided(self, subject: Subject) -> Decision:
         """What explains efforts better than that they are as they should be."""
@@ -192,8 +192,15 @@ class EffortCheck:
         decision = decide(tried, count + len(others), subject.nominal)
         if np.all(decision.sigmas > FOLLOWS):
             return replace(decision, finding=Finding(cause=Cause.of("unrelated", subject.names)), level=None)
-        self.remarks += [decision.remark] if decision.remark and decision.remark not in self.remarks else []
         return decision
+
+    def _doubts(self, decision: Decision) -> list[Finding]:
+        """What is wrong, whatever it is; else what may be is remarked on."""
+        found = contradicted(decision.doubted, decision.count)
+        if found is None and decision.doubted:
+            said = decision.doubted[0].cause.sentence
+            self.remarks.append(f"in a part of the recording, or at some joints, only: {said}")
+        return [] if found is None else [found]
 
 
 def _unexplained(subject: Subject) -> list[Finding]:
