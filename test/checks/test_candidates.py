@@ -109,3 +109,12 @@ def test_of_a_joint_that_a_doubted_cause_is_about_nothing_is_named() -> None:
     alone = decide([doubted, both, third], COUNT, of.nominal).finding
     assert alone is not None
     assert alone.cause.places == (of.names[4],)
+
+
+def test_what_is_only_hidden_is_no_sign_that_something_is_wrong() -> None:
+    """It is no better than what hides it, which says nothing of the robot."""
+    of = subject()
+    small, hidden = tried(of, [0.0, -0.3, *[0.0] * 4, 2.0], [6]), tried(of, [0.0, 1.0, *[0.0] * 5], [1, 6])
+    decision = decide([small, hidden], COUNT, of.nominal)
+    assert decision.finding is None
+    assert contradicted(decision.doubted, COUNT) is None
