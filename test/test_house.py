@@ -28,7 +28,7 @@ FLOORS = {
     "estimation": 2,
     "inference": 3,
     "monitoring": 3,
-    "checks": 3,
+    "checks": 4,
     "gap": 4,
     "excitation": 3,
     "files": 5,

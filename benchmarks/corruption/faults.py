@@ -18,7 +18,7 @@ from geomid_ros.types import FloatArray, IntArray
 OTHERS = (ARM3, *SOURCES.values())
 """Recordings of other robots."""
 Plant: TypeAlias = Callable[[Recording, Any], Recording]
-"""Plants a fault of a size in a recording."""
+"""Plants a fault of a size in a recording; returns the recording itself where that changes nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -353,7 +353,7 @@ def _other_lengths(recording: Recording, what: str) -> Recording:
     if "joints" in what:
         urdf = re.sub(r'(<joint\b(?:(?!</joint>).)*?<origin[^>]*xyz=")([^"]+)', scaled, urdf, flags=re.DOTALL)
     if "inertials" in what:
-        urdf = re.sub(r'(<inertial>\s*<origin[^>]*xyz=")([^"]+)', scaled, urdf)
+        urdf = re.sub(r'(<inertial>(?:(?!</inertial>).)*?<origin[^>]*xyz=")([^"]+)', scaled, urdf, flags=re.DOTALL)
     return replace(recording, urdf=urdf)
 
 
@@ -465,7 +465,7 @@ def _other_robot(recording: Recording, by: int) -> Recording:
     values = [urdf[begin:end] for begin, end in spans]
     for (begin, end), other in reversed([*zip(spans, [*values[by:], *values[:by]], strict=True)]):
         urdf = urdf[:begin] + other + urdf[end:]
-    return replace(recording, urdf=urdf)
+    return recording if urdf == recording.urdf else replace(recording, urdf=urdf)
 
 
 FAULTS = [

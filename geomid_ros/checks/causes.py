@@ -16,6 +16,8 @@ _SENTENCES = {
     "sign": f"{{efforts}} reversed: with {{settings}} {_FOLLOW}",
     "order": f"the efforts of joints {{both}} are swapped: swapped back {_FOLLOW}; correct their order in the driver, "
     "or the names in the URDF",
+    "coupled": f"the effort of joint {{joints}} seems to contain that of '{{other}}': without it {_FOLLOW}. Check a "
+    "coupling of the two gears, and the axes and signs of both positions",
     "names": "the names of joints {pairs} are swapped: swapped back positions and efforts would be those of this "
     "robot; correct the names in the driver, or in the URDF",
     "gain": f"{{efforts}} about {{ratio}} of what this robot needs in N m{{unit}}: with about {{settings}} {_FOLLOW} "
@@ -52,6 +54,8 @@ _SENTENCES = {
     "late": "efforts are not synchronous with the motion: {sizes}; check whether the driver filters, holds or polls "
     "them, or positions are set-points. Record both as measured, with the stamp of the measurement ('geomid gap' "
     "identifies a pure delay)",
+    "unexplained": "something is wrong with the efforts or the motion of {joints}, and no single cause that is known "
+    "explains all joints: check that the recording and the URDF are of the same robot. What comes nearest: {nearest}",
     "unrelated": "the efforts follow neither the gravity nor the motion of this robot: check whether they are "
     "external or compensated efforts, or the URDF is of another robot",
     "constant": "the effort of {joints} never changes though the joint moves: it is not measured",

@@ -12,18 +12,17 @@ from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.checks.candidates import RIVAL, Candidate, Judged
+from geomid_ros.checks.candidates import REASON, STEP, TILT, Candidate, Judged
 from geomid_ros.checks.causes import BIT_BY_BIT, Cause
-from geomid_ros.checks.evidence import SPREAD, Gain, by_channel
+from geomid_ros.checks.evidence import HALF, SPREAD
+from geomid_ros.checks.flexible import Gain, by_channel
 from geomid_ros.checks.instants import FEWEST, elapsed
-from geomid_ros.checks.subject import STRETCHES, Subject, payload_factor
-from geomid_ros.checks.transforms import REASON, STEP, TILT
+from geomid_ros.checks.rows import payload_factor
+from geomid_ros.checks.subject import STRETCHES, Subject
 from geomid_ros.estimation.estimate import SURE
-from geomid_ros.types import FloatArray
+from geomid_ros.types import BoolArray, FloatArray
 
-PLACES = np.arange(1, STRETCHES) / STRETCHES
-"""Shares of the instants, from which on something may be another."""
-_MAIN = 0.5  # of the largest change: the joints that it is about; of what each explains: all have it in common
+_PLACES = np.linspace(0.0, 1.0, STRETCHES, endpoint=False)[1:]  # from which on something may be another
 _LEAST_LAG, _MOST_LAG = 0.03, 0.3  # [s] less hardly matters behind the filter; where more fits, it is no lag
 
 Columns: TypeAlias = Callable[[Subject], FloatArray]
@@ -49,13 +48,13 @@ def changes(subject: Subject) -> Iterator[Candidate]:
     fit = subject.flexible
     for kind in _kinds(subject):
         always = kind.columns(subject)
-        tried = [fit.promise(_later(subject, place, kind.first) * always) for place in PLACES]
-        place, promise = float(PLACES[int(np.argmax(tried))]), max(tried)
+        tried = [fit.promise(_later(subject, place, kind.first) * always) for place in _PLACES]
+        place, promise = float(_PLACES[int(np.argmax(tried))]), max(tried)
         when = f"{'until' if kind.first else 'from'} about {elapsed(subject.samples.stamps, place):.0f} s"
         when += "" if kind.first else " on"
         if kind.grows and (growing := fit.promise(_share(subject) * always)) > promise:
             place, when, promise = np.nan, BIT_BY_BIT, growing
-        if promise < RIVAL:
+        if promise <= 0.0:
             continue
         gain = fit.gain(_begun(subject, kind, place))
         said = kind.said(gain, when)
@@ -78,8 +77,7 @@ def _judged(subject: Subject, gain: Gain, main: slice) -> Judged:
     return Judged(
         log=nominal.log + gain.per_instant * len(subject.samples),
         sigmas=nominal.sigmas * gain.ratios,
-        opposite=np.zeros(len(nominal.sigmas), dtype=bool),
-        sizes=gain.coefficients[main],
+        estimates=gain.coefficients[main],
         deviations=gain.deviations[main],
     )
 
@@ -177,17 +175,17 @@ def _by_position(subject: Subject) -> FloatArray:
 
 def _main(sizes: FloatArray) -> list[int]:
     """The channels whose size is not small beside the largest."""
-    return [*np.flatnonzero(np.abs(sizes) >= _MAIN * float(np.max(np.abs(sizes))))]
+    return [*np.flatnonzero(np.abs(sizes) >= HALF * float(np.max(np.abs(sizes))))]
 
 
 def switches(subject: Subject) -> Iterator[Candidate]:
     """Efforts of all joints that are in another unit, or have the other sign, from some instant on."""
-    both = [(place, factor) for place in PLACES[1::2] for factor in _factors(subject.moving, place)]
+    both = [(place, factor) for place in _PLACES[1::2] for factor in _factors(subject.moving, place)]
     if len(subject.moving.samples) < FEWEST or not both:
         return
     tried = {(place, factor): _switched(subject, place, factor).log for place, factor in both}
     place, factor = max(tried, key=lambda one: tried[one])
-    near = [(place + by, factor) for by in (-PLACES[0], PLACES[0])]
+    near = [(place + by, factor) for by in (-_PLACES[0], _PLACES[0])]
     tried |= {each: _switched(subject, *each).log for each in near}
     place, factor = max(tried, key=lambda one: tried[one])
     what = "the opposite sign" if factor == -1.0 else f"{factor:.2g} times the earlier value"
@@ -197,7 +195,6 @@ def switches(subject: Subject) -> Iterator[Candidate]:
         undo=lambda of: _switched(of, place, factor),
         cause=cause,
         concerned=range(len(subject.joints)),
-        allowed=not 1.0 / REASON <= factor <= REASON,
         changes=True,
     )
 
@@ -229,7 +226,8 @@ def _switched(whole: Subject, place: float, factor: float) -> Judged:
             mended = subject.with_efforts(subject.measured * gains[:, None])
             volume = len(subject.joints) * float(np.sum(np.log(np.abs(gains))))
             volume += len(gains) * float(np.sum(np.log(subject.spread / mended.spread)))
-            readings.append(Judged.mended(mended, mended.spread, volume=volume))
+            judged = Judged.mended(mended, mended.spread)
+            readings.append(replace(judged, log=judged.log + volume))
     best = max(readings, key=lambda judged: judged.log)
     log = whole.nominal.log + best.log - subject.nominal.log
     return replace(best, log=log, sigmas=np.minimum(best.sigmas, whole.nominal.sigmas))
@@ -242,21 +240,21 @@ def lags(subject: Subject) -> Iterator[Candidate]:
     about at once, and what is left unexplained there looks like a lag. So it is fitted beside the curves of friction.
     """
     count = len(subject.joints)
-    common = subject.flexible.gain(_rates(subject))
+    common, each = (subject.flexible.gain(columns) for columns in (_rates(subject), by_channel(_rates(subject))))
     lag = _MOST_LAG * float(common.coefficients[0])
-    if _LEAST_LAG < abs(lag) < _MOST_LAG:
+    if _matters(common)[0] and abs(lag) < _MOST_LAG:
         yield _late(subject, [*range(count)], np.full(count, lag), _rates)
-    if count == 1:
-        return
-    gain = subject.flexible.gain(by_channel(_rates(subject)))
-    lags = _MOST_LAG * gain.coefficients
-    told = np.abs(gain.coefficients) > SURE * gain.deviations
     # Where more fits it is no lag, so it may be none elsewhere.
-    if common.per_instant > _MAIN * gain.per_instant or np.any(told & (np.abs(lags) >= _MOST_LAG)):
-        return
-    main = [*np.flatnonzero(told & (np.abs(lags) > _LEAST_LAG))]
-    if main:
-        yield _late(subject, main, lags[main], lambda of: by_channel(_rates(of))[:, :, main])
+    told = np.abs(each.coefficients) > np.maximum(SURE * each.deviations, 1.0)
+    main = [*np.flatnonzero(_matters(each))]
+    if main and count > 1 and common.per_instant <= HALF * each.per_instant and not np.any(told):
+        lags = _MOST_LAG * each.coefficients[main]
+        yield _late(subject, main, lags, lambda of: by_channel(_rates(of))[:, :, main])
+
+
+def _matters(gain: Gain) -> BoolArray:
+    """Whether lags are surely large enough ``(k,)``."""
+    return np.asarray(_MOST_LAG * (np.abs(gain.coefficients) - SURE * gain.deviations) > _LEAST_LAG)
 
 
 def _late(subject: Subject, main: list[int], lags: FloatArray, columns: Columns) -> Candidate:

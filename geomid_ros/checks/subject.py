@@ -7,23 +7,20 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.checks.evidence import FOLLOWS, LEAST_SIGMA, SPREAD, Evidence, FlexibleFit, Products, evidence
+from geomid_ros.checks.evidence import FOLLOWS, HALF, LEAST_SIGMA, Evidence, evidence
+from geomid_ros.checks.flexible import FlexibleFit
 from geomid_ros.checks.instants import FEWEST, Kept
-from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.geometry.manifold import ParameterManifold
-from geomid_ros.model.moving import SIGN, STILL
+from geomid_ros.checks.rows import effort_rows, friction_columns, gravity_rows, prior_factor
+from geomid_ros.model.moving import STILL
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
-_PAYLOAD = 0.1  # of the whole robot's mass, at each end of a chain: robots carry what their URDF does not say
-_SIZE = 0.1  # [m] its radius of gyration about a plane through its centre
 _ROUNDING = 1e-10
-_FRICTION = 2.0  # standard deviations of a channel that friction, and a constant, may well explain
 STRETCHES = 20
 """Of a recording: something may begin with each, and they are alternately in one part and in the other."""
 _OF_MOTION = (
-    "regressor", "predicted", "friction", "basis", "columns", "_unknowns", "tolerated", "gravity_rows", "_bases",
+    "regressor", "predicted", "friction", "basis", "columns", "tolerated", "gravity_rows", "_bases",
 )  # fmt: skip
 
 
@@ -54,23 +51,36 @@ class Subject:
     later: Samples
 
     @staticmethod
-    def of(robot: Robot, kept: Kept, joints: IntArray, gains: FloatArray) -> Subject:
-        """The subject of a robot's own URDF, see :class:`Subject`."""
-        prior = np.array([body.parameters for body in robot.bodies]).ravel()
-        factor = prior_factor(robot)
-        samples = kept.samples
-        shares = np.arange(len(samples)) / max(len(samples), 1)
+    def of(robot: Robot, kept: Kept, gains: FloatArray) -> Subject:
+        """The joints whose efforts are measured and change, by a robot's own URDF.
+
+        Args:
+            robot: under the gravity that is configured.
+            kept: a few instants of the recording.
+            gains: ``(joints,)`` factors that the messages' efforts were multiplied by.
+        """
+        effort = kept.samples.effort
+        changing = [_changes(own) for own in effort.T]
+        joints = np.flatnonzero((np.mean(np.isfinite(effort), axis=0) >= HALF) & changing)
+        usable = np.all(np.isfinite(effort[:, joints]), axis=1)
+        samples = kept.samples.select(usable)
         return Subject(
             robot=robot,
             samples=samples,
             joints=joints,
-            gains=gains,
-            prior=prior,
-            factor=factor,
-            shares=shares,
-            recordings=kept.recordings,
-            later=kept.later,
+            gains=gains[joints],
+            prior=np.array([body.parameters for body in robot.bodies]).ravel(),
+            factor=prior_factor(robot),
+            shares=np.arange(len(samples)) / max(len(samples), 1),
+            recordings=kept.recordings[usable],
+            later=kept.later.select(usable),
         )
+
+    @staticmethod
+    def of_all(robot: Robot, samples: Samples) -> Subject:
+        """The same of samples of one recording, as they are."""
+        kept = Kept(samples, samples, np.zeros(len(samples), dtype=np.int64))
+        return Subject.of(robot, kept, np.ones(samples.effort.shape[1]))
 
     def part(self, chosen: AnyArray | slice) -> Subject:
         """The same at some of the instants, chosen by a mask, an index array or a slice."""
@@ -86,14 +96,15 @@ class Subject:
         return part
 
     def parts(self, *, alternating: bool = False) -> list[Subject]:
-        """The recordings that this is of, or both halves of a single one; or two sets of stretches in turn, which both
-        have something of all of the time, if ``alternating``. In each every effort changes."""
-        places = np.arange(len(self.samples))
+        """The recordings that this is of, or both halves of the motion of a single one; or two sets of stretches in
+        turn, which both have something of all of the motion, if ``alternating``. In each every effort changes."""
+        moved = np.cumsum(self.is_moving)
+        total = moved[-1] + 1
         if alternating:
-            which = (STRETCHES * places // len(places)) % 2
+            which = (STRETCHES * moved // total) % 2
         else:
             several = len(np.unique(self.recordings)) > 1
-            which = self.recordings if several else 2 * places // len(places)
+            which = self.recordings if several else 2 * moved // total
         parts = [self.part(which == one) for one in np.unique(which)]
         return [part for part in parts if 2 * len(part.samples) >= FEWEST and np.all(part.spread > 0.0)]
 
@@ -142,6 +153,18 @@ class Subject:
         """Their standard deviations ``(C,)``."""
         return np.asarray(np.std(self.measured, axis=0))
 
+    @property
+    def counts(self) -> BoolArray:
+        """Whether efforts vary by a good part of what the largest of their unit does ``(C,)``: those of a wrist are
+        often mostly friction and noise."""
+        units = np.array(self.units)
+        return np.array(
+            [
+                own > LEAST_SIGMA * np.max(self.spread[units == unit])
+                for own, unit in zip(self.spread, units, strict=True)
+            ]
+        )
+
     @cached_property
     def regressor(self) -> FloatArray:
         """Rows ``(N, C, D)`` of the efforts over the links' parameters."""
@@ -177,24 +200,23 @@ class Subject:
 
     @cached_property
     def columns(self) -> FloatArray:
-        """What efforts may take beside the prediction ``(N, C, r + 4)``: of the links' errors, of unit variance, and of
-        friction, in standard deviations of the channel."""
-        return np.concatenate([self.regressor @ (self.factor @ self.basis), self.friction], axis=2)
-
-    @cached_property
-    def _unknowns(self) -> FloatArray:
-        by_channel = self.columns.transpose(1, 2, 0)
-        return np.asarray(by_channel @ by_channel.transpose(0, 2, 1))
+        """What the links' errors, of unit variance, add to the efforts ``(N, C, r)``."""
+        return np.asarray(self.regressor @ (self.factor @ self.basis))
 
     @cached_property
     def tolerated(self) -> FloatArray:
         """Standard deviations of friction's coefficients, see :func:`evidence` ``(C, 4)``."""
-        return np.asarray(_FRICTION / np.maximum(np.sqrt(np.mean(self.friction**2, axis=0)), 1e-6))
+        return np.asarray(2.0 / np.maximum(np.sqrt(np.mean(self.friction**2, axis=0)), 1e-6))
 
     @cached_property
     def moving(self) -> Subject:
         """The same at the instants at which a joint moves."""
-        return self.part(np.any(np.abs(self.samples.velocity[:, self.joints]) > STILL, axis=1))
+        return self.part(self.is_moving)
+
+    @property
+    def is_moving(self) -> BoolArray:
+        """The instants ``(N,)`` at which a joint moves."""
+        return np.asarray(np.any(np.abs(self.samples.velocity[:, self.joints]) > STILL, axis=1))
 
     @cached_property
     def flexible(self) -> FlexibleFit:
@@ -202,7 +224,8 @@ class Subject:
         return FlexibleFit(
             measured=self.measured,
             predicted=self.predicted,
-            columns=self.columns,
+            links=self.columns,
+            friction=self.friction,
             tolerated=self.tolerated,
             position=self.samples.position[:, self.joints],
             velocity=self.samples.velocity[:, self.joints],
@@ -213,30 +236,22 @@ class Subject:
         """The evidence that everything is as it should be."""
         return self.evidence()
 
-    def evidence(self, *, either_sign: bool = False, unknown: FloatArray | None = None) -> Evidence:
+    def evidence(
+        self, *, either_sign: bool = False, unknown: FloatArray | None = None, friction: bool = True
+    ) -> Evidence:
         """The evidence of the efforts.
 
         Args:
             either_sign: whether friction may be of either sign.
+            friction: whether there is any; a constant there may be in any case.
             unknown: ``(N, C)`` what another unknown of unit variance adds to the efforts; it is the last of the links'
                 errors then.
         """
-        columns, unknowns = self.columns, self._unknowns
-        rank = columns.shape[2] - 4
-        if unknown is not None:
-            columns = np.insert(columns, rank, unknown, axis=2)
-            by_channel = columns.transpose(1, 2, 0)
-            unknowns, rank = by_channel @ by_channel.transpose(0, 2, 1), rank + 1
-        scale = 1.0 / self.spread
-        weights = np.concatenate([np.repeat(scale[:, None], rank, 1), np.ones((len(scale), 4))], axis=1)
-        target = (self.measured - self.predicted) * scale
-        products = Products(
-            counts=np.full(len(scale), float(len(target))),
-            unknowns=weights[:, :, None] * unknowns * weights[:, None, :],
-            crossed=weights * np.einsum("nck,nc->ck", columns, target, optimize=True),
-            squares=np.sum(target**2, axis=0),
-        )
-        return evidence(products, self.tolerated, either_sign=either_sign)
+        columns = self.columns if unknown is None else np.dstack([self.columns, unknown])
+        target = (self.measured - self.predicted) / self.spread
+        columns = columns / self.spread[:, None]
+        rubbing = self.friction if friction else self.friction * np.array([1.0, 0.0, 0.0, 0.0])
+        return evidence(target, columns, rubbing, self.tolerated, either_sign=either_sign)
 
     def links(self, found: Evidence) -> FloatArray:
         """The links' parameters ``(D,)`` that an evidence finds."""
@@ -301,57 +316,7 @@ class Subject:
         return crossed / size, np.where(np.std(own, axis=0) > FOLLOWS * self.spread, alike, 0.0)
 
 
-def gravity_rows(robot: Robot, samples: Samples) -> tuple[FloatArray, FloatArray]:
-    """The rows of efforts over all links' parameters: without gravity ``(N, joints, D)``, and per unit of gravity along
-    each axis of the base ``(3, N, joints, D)``."""
-    at_rest = replace(
-        samples,
-        velocity=np.zeros_like(samples.velocity),
-        acceleration=np.zeros_like(samples.acceleration),
-        base_velocity=np.zeros_like(samples.base_velocity),
-        base_acceleration=np.zeros_like(samples.base_acceleration),
-    )
-    by_gravity = np.array([effort_rows(robot, at_rest, axis) for axis in np.eye(3)])
-    return effort_rows(robot, samples, np.zeros(3)), by_gravity
-
-
-def effort_rows(robot: Robot, samples: Samples, gravity: FloatArray) -> FloatArray:
-    """The rows ``(N, joints, D)`` of efforts over all links' parameters."""
-    robot = robot.with_gravity(gravity)
-    rows = robot.joint_effort_rows(*robot.configuration(samples))
-    return rows.reshape(len(samples), len(robot.joints), -1)
-
-
-def friction_columns(samples: Samples) -> FloatArray:
-    """What may be added at each joint ``(N, joints, 4)``: a constant, and per positive unit viscous friction, dry
-    friction and rotor inertia."""
-    columns = [np.ones(samples.velocity.shape), samples.velocity, samples.column(SIGN), samples.acceleration]
-    return np.stack(columns, axis=2)
-
-
-def prior_factor(robot: Robot) -> FloatArray:
-    """A factor ``(D, D)`` of the covariance of what the URDF may be wrong by: every link's shape and mass, and a
-    payload at each end of a chain."""
-    bodies = np.array([body.parameters for body in robot.bodies])
-    manifold = ParameterManifold(len(bodies), 0, np.zeros(0))
-    blocks, _ = manifold.jacobian(manifold.point(bodies.ravel()))
-    factor = np.zeros((bodies.size, bodies.size))
-    for index, body in enumerate(robot.bodies):
-        covariance = (SPREAD * blocks[index]) @ (SPREAD * blocks[index]).T
-        if len(robot.subtree(body.name)) == 1:
-            payload = payload_factor(bodies, index)
-            covariance += payload @ payload.T
-        values, vectors = np.linalg.eigh(covariance)
-        factor[10 * index : 10 * index + 10, 10 * index : 10 * index + 10] = vectors * np.sqrt(np.maximum(values, 0.0))
-    return factor
-
-
-def payload_factor(bodies: FloatArray, carrier: int) -> FloatArray:
-    """A factor ``(10, 10)`` of the covariance of what the link ``carrier`` may carry."""
-    mass = _PAYLOAD * float(np.sum(bodies[:, 0]))
-    ball = pseudo_inertia.assemble(
-        np.array(mass), bodies[carrier, 1:4] / bodies[carrier, 0], 2.0 * mass * _SIZE**2 * np.eye(3)
-    )
-    manifold = ParameterManifold(1, 0, np.zeros(0))
-    block: FloatArray = manifold.jacobian(manifold.point(ball))[0][0]
-    return block
+def _changes(effort: FloatArray) -> bool:
+    """Whether an effort ``(N,)`` changes at all, where it is known."""
+    known = effort[np.isfinite(effort)]
+    return bool(len(known) and np.ptp(known) > 1e-9 * np.max(np.abs(known)))

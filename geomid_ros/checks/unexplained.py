@@ -6,22 +6,23 @@ left is told where it is large beside the largest variation of an effort of this
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from geomid_ros.checks.causes import Cause, Finding
-from geomid_ros.checks.evidence import LEAST_SIGMA, moving
+from geomid_ros.checks.evidence import HALF, LEAST_SIGMA
+from geomid_ros.checks.flexible import moving
 from geomid_ros.checks.instants import FEWEST
+from geomid_ros.checks.subject import Subject
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
-HALF = 0.5
-"""Share of an effort's standard deviation: an identified model leaves less, a cause of what is left explains more."""
 WORSE = 1.05
 """RMS over that of the input's file: less is of no account."""
+_FLOOR = np.finfo(float).tiny
 _ELSE = (
     "check the axis and the sign of the position in the URDF, a coupling of its gear with that of another joint, and "
     "that all of the recording is of this robot"
@@ -34,18 +35,18 @@ class Residuals:
 
     Attributes:
         names, units: of the joints' efforts.
-        positions, speeds, efforts: ``(N, C)`` as measured.
+        efforts: ``(N, C)`` as measured.
         residuals: ``(N, C)`` what is left of them, NaN where that is not judged.
         before: ``(C,)`` RMS of what the input's file leaves, NaN where that is not known.
+        hint: says what to look at, by a joint's name and the share of its effort's variation that is left.
     """
 
     names: Sequence[str]
     units: Sequence[str]
-    positions: FloatArray
-    speeds: FloatArray
     efforts: FloatArray
     residuals: FloatArray
     before: FloatArray
+    hint: Callable[[str, float], str]
 
     @property
     def variation(self) -> FloatArray:
@@ -71,30 +72,45 @@ class Residuals:
             f"{variation[j]:.3g} {units[j]} are left)"
             for j in worst
         )
-        sentence = f"joint {said}; {self._hint(worst[0])}"
+        sentence = f"joint {said}; {self.hint(self.names[worst[0]], float(share[worst[0]]))}"
         return Finding(cause=Cause(kind="unexplained", sentence=sentence, places=tuple(self.names[j] for j in worst)))
 
-    def _hint(self, joint: int) -> str:
-        """What to look at, by what the residual of a joint follows most, if that leaves half of what others leave."""
-        left = {hint: 1.0 - _explained(self.residuals[:, joint], columns) for hint, columns in self._hints(joint)}
-        best, *others = sorted(left, key=lambda hint: left[hint])
-        return best if left[best] < HALF * min([1.0, *(left[hint] for hint in others)]) else _ELSE
 
-    def _hints(self, joint: int) -> Iterator[tuple[str, FloatArray]]:
-        """What may be wrong, with what the residual would follow then ``(N, k)``."""
-        name, places, speeds = self.names[joint], self.positions[:, [joint]], self.speeds[:, [joint]]
-        yield (
-            f"what is left follows the position of '{name}': check its axis, sign and zero in the URDF, or a spring",
-            np.concatenate([places, places**2, places**3], axis=1),
-        )
-        yield (
-            f"what is left follows the speed of '{name}': check the sign of its position, and its friction (--effects)",
-            np.concatenate([speeds, np.sign(speeds)], axis=1),
-        )
-        for other in range(len(self.names)):
-            if other != joint:
-                hint = f"what is left follows the effort of '{self.names[other]}': check a coupling of the two gears"
-                yield f"{hint}, and the axes and signs of both positions", self.efforts[:, [other]]
+def hint(subject: Subject, joint: str, share: float) -> str:
+    """What to look at: friction, if beside links it explains half of what a model leaves of a joint's effort, a
+    ``share`` of its variation; or what explains most of it beside both, if that leaves half of what others leave."""
+    if joint not in subject.names:
+        return _ELSE
+    channel = subject.names.index(joint)
+    before, left = subject.nominal.sigmas[channel], dict[str, float]()
+    without = subject.evidence(friction=False).sigmas[channel]
+    if before**2 < HALF * min(share, without) ** 2:
+        return _of_speed(joint)
+    for said, columns in _hints(subject, channel):
+        unknown = np.zeros((*subject.measured.shape, columns.shape[1]))
+        unknown[:, channel] = columns * subject.spread[channel] / np.maximum(np.std(columns, axis=0), _FLOOR)
+        left[said] = (subject.evidence(unknown=unknown).sigmas[channel] / before) ** 2
+    best, *others = sorted(left, key=lambda said: left[said])
+    return best if left[best] < HALF * min([1.0, *(left[said] for said in others)]) else _ELSE
+
+
+def _hints(subject: Subject, channel: int) -> Iterator[tuple[str, FloatArray]]:
+    """What may be wrong, with what the effort would follow then ``(N, k)``."""
+    name, joint = subject.names[channel], subject.joints[channel]
+    place, speed = subject.samples.position[:, joint], subject.samples.velocity[:, joint]
+    yield (
+        f"what is left follows the position of '{name}': check its axis, sign and zero in the URDF, or a spring",
+        np.column_stack([place, place**2, place**3]),
+    )
+    yield _of_speed(name), np.column_stack([speed, np.sign(speed)])
+    for other, effort in enumerate(subject.measured.T):
+        if other != channel:
+            coupled = f"what is left follows the effort of '{subject.names[other]}': check a coupling of the two gears"
+            yield f"{coupled}, and the axes and signs of both positions", effort[:, None]
+
+
+def _of_speed(joint: str) -> str:
+    return f"what is left follows the speed of '{joint}': check the sign of its position, and its friction (--effects)"
 
 
 def unexplained(
@@ -115,16 +131,15 @@ def unexplained(
     both = np.column_stack([parameters, model.nominal_parameters])
     pairs = [model.predict(samples, both) for samples in judged]
     residuals = np.concatenate([(measured[:, :, None] - predicted)[:, efforts] for measured, predicted in pairs])
-    samples = Samples.concatenate([each.with_columns([]) for each in judged])
-    residuals = np.where(moving(samples.velocity)[:, :, None], residuals, np.nan)
+    velocity, effort = (np.concatenate([getattr(each, name) for each in judged]) for name in ("velocity", "effort"))
+    residuals = np.where(moving(velocity)[:, :, None], residuals, np.nan)
     found = Residuals(
         names=model.robot.joint_names,
         units=[model.channels[channel].unit for channel in efforts],
-        positions=samples.position,
-        speeds=samples.velocity,
-        efforts=samples.effort,
+        efforts=effort,
         residuals=residuals[:, :, 0],
         before=rms(residuals[:, :, 1]),
+        hint=lambda *of: _ELSE if recorded is None else hint(Subject.of_all(model.robot, recorded), *of),
     )
     variation = found.variation
     if recorded is not None:
@@ -145,15 +160,3 @@ def deviations(efforts: FloatArray) -> FloatArray:
     counts = np.maximum(np.count_nonzero(known, axis=0), 1)
     centred = np.where(known, efforts - np.sum(np.where(known, efforts, 0.0), axis=0) / counts, 0.0)
     return np.asarray(np.sqrt(np.sum(centred**2, axis=0) / counts))
-
-
-def _explained(residuals: FloatArray, columns: FloatArray) -> float:
-    """The share of the variance of residuals ``(N,)`` that columns ``(N, k)`` and a constant explain."""
-    known = np.isfinite(residuals) & np.all(np.isfinite(columns), axis=1)
-    target = residuals[known] - np.mean(residuals[known]) if np.any(known) else np.zeros(0)
-    size = float(target @ target)
-    if not size > 0.0:
-        return 0.0
-    centred = columns[known] - np.mean(columns[known], axis=0)
-    basis, _ = np.linalg.qr(centred)
-    return float(np.sum((basis.T @ target) ** 2)) / size

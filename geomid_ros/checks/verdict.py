@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from geomid_ros.checks.candidates import REASON
 from geomid_ros.checks.causes import Finding
-from geomid_ros.checks.transforms import REASON
 from geomid_ros.checks.unexplained import WORSE
 from geomid_ros.estimation.estimate import SURE, Estimate
 from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.inference.design import BLOCKS
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import AnyArray, FloatArray
@@ -22,8 +23,6 @@ STATUS = {USABLE: 0, NOT_CONVERGED: 3, DOUBTFUL: 4}
 
 HEAVIER = 2.0
 """No URDF is wrong by more in the mass of the whole robot."""
-_BLOCK = 1_000_000_000  # [ns] errors so far apart are independent
-_FEWEST_BLOCKS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,7 +149,7 @@ def worse_channels(model: MeasurementModel, batches: Sequence[Samples], paramete
     both = np.column_stack([parameters, model.nominal_parameters])
     pairs = [model.predict(samples, both) for samples in batches]
     errors = np.concatenate([(predicted - measured[:, :, None]) ** 2 for measured, predicted in pairs])
-    blocks = np.unique(np.concatenate([samples.stamps for samples in batches]) // _BLOCK, return_inverse=True)[1]
+    blocks = BLOCKS * np.arange(len(errors)) // len(errors)
     means = [_means(error, blocks) for error in np.moveaxis(errors, 2, 0)]
     return _worse(model, *means)
 
@@ -168,7 +167,7 @@ def _worse(model: MeasurementModel, own: FloatArray, nominal: FloatArray) -> lis
     for channel, after, before in zip(model.channels, own.T, nominal.T, strict=True):
         known = np.isfinite(after) & np.isfinite(before)
         rise = after[known] - before[known]
-        if len(rise) < _FEWEST_BLOCKS or not np.mean(after[known]) > WORSE**2 * np.mean(before[known]):
+        if len(rise) < BLOCKS // 2 or not np.mean(after[known]) > WORSE**2 * np.mean(before[known]):
             continue
         if np.mean(rise) > SURE * np.std(rise, ddof=1) / np.sqrt(len(rise)):
             worse.append(channel.name)

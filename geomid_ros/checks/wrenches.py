@@ -13,12 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.checks.candidates import GAIN
+from geomid_ros.checks.candidates import PROBABLE, REASON, TILT, probabilities
 from geomid_ros.checks.causes import Cause, Finding, written
-from geomid_ros.checks.evidence import FOLLOWS, LEAST_SIGMA
+from geomid_ros.checks.evidence import FOLLOWS, evidence
 from geomid_ros.checks.instants import FEWEST, STEP
-from geomid_ros.checks.subject import prior_factor
-from geomid_ros.checks.transforms import REASON, ROUNDS, TILT
+from geomid_ros.checks.rows import prior_factor
 from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import AXES, WrenchSensor
@@ -30,13 +29,12 @@ _FLOOR = np.finfo(float).tiny
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """What links of any mass leave of force and torque, as shares, and the slope of what they take over the URDF's."""
+    """What links of any mass make of a wrench: log evidence per instant, ``sigmas (2,)`` of what is left of force and
+    torque, as shares, and the slope of the forces that they take over the URDF's."""
 
+    log: float
     sigmas: FloatArray
     slope: float
-
-    def score(self, instants: int) -> float:
-        return -3.0 * instants * float(np.sum(np.log(self.sigmas)))
 
 
 class WrenchSensorCheck:
@@ -74,14 +72,15 @@ class WrenchSensorCheck:
 
     def finding(self) -> Finding | None:
         """What is wrong with the sensor; None if nothing is, or nothing can be told."""
-        count = len(self._wrench)
-        if count < FEWEST or not np.all(np.std(self._wrench, axis=0) > 0.0):
+        if len(self._wrench) < FEWEST or not np.all(np.std(self._wrench, axis=0) > 0.0):
             return None
         nominal = self._fit(self._regressor, self._wrench)
-        tried = [(self._fit(self._regressor, wrench), cause) for wrench, cause in self._geometries()]
-        tried += list(self._delayed())
-        best, cause = max(tried, key=lambda one: one[0].score(count))
-        if best.score(count) - nominal.score(count) > 2.0 * GAIN * count and np.all(best.sigmas < FOLLOWS):
+        tried = [(self._fit(self._regressor, wrench), nominal, cause) for wrench, cause in self._geometries()]
+        tried += self._delayed()
+        best, beside, cause = max(tried, key=lambda one: one[0].log - one[1].log)
+        probability, _ = probabilities([best.log - beside.log], len(tried))
+        left = nominal.sigmas * best.sigmas / beside.sigmas
+        if probability > PROBABLE and np.all(left < FOLLOWS):
             return Finding(cause=cause)
         return self._sign_or_unit(nominal)
 
@@ -93,9 +92,9 @@ class WrenchSensorCheck:
             minus = "a minus before the role" if self._sensor.sign > 0.0 else "no minus before the role"
             what = f"its sign is reversed: write {written(settings)} (on the command line, {minus})"
             return Finding(cause=self._cause(what, settings))
-        if not 1.0 / _OTHER_UNIT < fit.slope < _OTHER_UNIT or fit.slope < 1.0 / REASON:
+        if (unit := _is_unit(fit.slope)) or fit.slope < 1.0 / REASON:
             what = f"its load would weigh {fit.slope:.3g} times as much as in the URDF: check that it is in N and N m"
-            return Finding(cause=self._cause(what), sure=not 1.0 / _OTHER_UNIT < fit.slope < 1.0 / REASON)
+            return Finding(cause=self._cause(what), sure=unit)
         return None
 
     def _cause(self, what: str, settings: dict[str, float] | None = None) -> Cause:
@@ -119,8 +118,8 @@ class WrenchSensorCheck:
             scaled = self._wrench * np.array([1.0] * 3 + [factor] * 3)
             yield scaled, self._cause(f"its torques are in {unit}, its forces in N; they must be in N and N m")
 
-    def _delayed(self) -> Iterator[tuple[_Fit, Cause]]:
-        """The wrench of other times, where forces of the URDF's links are most alike."""
+    def _delayed(self) -> Iterator[tuple[_Fit, _Fit, Cause]]:
+        """The wrench of other times, where forces of the URDF's links are most alike; both on the dense stretch."""
         dense = self._dense
         times = dense.seconds
         if len(dense) < FEWEST:
@@ -128,38 +127,32 @@ class WrenchSensorCheck:
         rows = self._bare.rows(dense)
         regressor, wrench = rows.coefficients[:, self._channels], rows.targets[:, self._channels]
         delay = _best_delay(times, (regressor @ self._prior)[:, :3], wrench[:, :3])
-        now = self._fit(regressor, wrench)
         inside = (times + delay >= times[0]) & (times + delay <= times[-1])
         then = np.array([np.interp(times[inside] + delay, times, column) for column in wrench.T]).T
-        fit = self._fit(regressor[inside], then)
-        # Both on the dense stretch; the gain is what counts.
-        nominal = self._fit(self._regressor, self._wrench)
         what = f"its messages are {abs(delay):.2f} s {'late' if delay > 0.0 else 'early'} against the joints'"
-        yield _Fit(nominal.sigmas * fit.sigmas / now.sigmas, fit.slope), self._cause(f"{what}: correct their stamps")
+        cause = self._cause(f"{what}: correct their stamps")
+        yield self._fit(regressor[inside], then), self._fit(regressor, wrench), cause
 
     def _fit(self, regressor: FloatArray, wrench: FloatArray) -> _Fit:
         """Fit links of any mass, and a constant for each axis."""
-        count = len(wrench)
-        regressor = regressor - np.mean(regressor, axis=0)
-        target = wrench - np.mean(wrench, axis=0)
-        parts = [slice(0, 3), slice(3, 6)]
-        nominal = regressor @ self._prior
-        heavier = np.sqrt(np.sum(target[:, :3] ** 2) / max(float(np.sum(nominal[:, :3] ** 2)), _FLOOR))
-        columns = regressor @ (max(float(heavier), 1.0) * self._factor)
-        sizes = np.array([max(float(np.sqrt(np.mean(target[:, p] ** 2))), _FLOOR) for p in parts])
-        grams = [np.tensordot(columns[:, p], columns[:, p], ((0, 1), (0, 1))) for p in parts]
-        crossed = [np.tensordot(columns[:, p], target[:, p], ((0, 1), (0, 1))) for p in parts]
-        sigmas = np.full(2, 0.5)
-        for _ in range(ROUNDS):
-            weights = (sigmas * sizes) ** -2.0
-            matrix = np.eye(columns.shape[2]) + sum(w * g for w, g in zip(weights, grams, strict=True))
-            links = np.linalg.solve(matrix, sum(w * c for w, c in zip(weights, crossed, strict=True)))
-            left = target - columns @ links
-            rms = np.array([np.sqrt(np.sum(left[:, p] ** 2) / (3 * count)) for p in parts])
-            sigmas = np.maximum(rms / sizes, LEAST_SIGMA)
-        own, usual = (columns @ links)[:, :3], nominal[:, :3]
-        slope = float(np.sum(own * usual) / max(float(np.sum(usual**2)), _FLOOR))
-        return _Fit(sigmas, slope)
+        regressor, wrench = regressor - np.mean(regressor, axis=0), wrench - np.mean(wrench, axis=0)
+        nominal = (regressor @ self._prior)[:, :3]
+        square = max(float(np.sum(nominal**2)), _FLOOR)
+        heavier = max(float(np.sqrt(np.sum(wrench[:, :3] ** 2) / square)), 1.0)
+        # Of a channel's three axes each is an instant.
+        target = wrench.reshape(-1, 2, 3).swapaxes(1, 2).reshape(-1, 2)
+        by_axis = (regressor @ (heavier * self._factor)).reshape(len(wrench), 2, 3, -1).swapaxes(1, 2)
+        columns = by_axis.reshape(len(target), 2, -1)
+        sizes = np.maximum(np.sqrt(np.mean(target**2, axis=0)), _FLOOR)
+        none = np.zeros((len(target), 2, 4))
+        found = evidence(target / sizes, columns / sizes[:, None], none, np.ones((2, 4)))
+        taken = (columns @ found.links).reshape(-1, 3, 2)[:, :, 0]
+        return _Fit(found.log / len(wrench), found.sigmas, float(np.sum(taken * nominal)) / square)
+
+
+def _is_unit(ratio: float) -> bool:
+    """Whether no tool is so many times as heavy as the URDF's: it is another unit."""
+    return not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT
 
 
 def _best_delay(times: FloatArray, expected: FloatArray, measured: FloatArray) -> float:
@@ -261,6 +254,6 @@ def _problem(products: FloatArray) -> str:
     if agreement < FOLLOWS and _rotation(products[3:, :3])[1] > follows * scale:
         return "the forces are rotated against those expected from the URDF: check the frame"
     ratio = float(np.sqrt(measured / expected))
-    if agreement > follows and not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT:
+    if agreement > follows and _is_unit(ratio):
         return f"the forces are {ratio:.2g} times those expected from the URDF: check the unit"
     return ""

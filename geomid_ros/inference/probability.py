@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Generic
 
@@ -15,6 +16,13 @@ from geomid_ros.inference.selection import Selection
 from geomid_ros.types import FloatArray
 
 _ALONG = 0.5  # of what a channel lacks, as a root mean square, may lie along a hypothesis's columns
+
+
+def shares(scores: Sequence[float] | FloatArray) -> FloatArray:
+    """Probabilities ``(k,)`` of hypotheses of which one is true, by their ``scores (k,)``: minus twice the logarithm of
+    each one's evidence, its cost included."""
+    weights = np.exp(-0.5 * (np.asarray(scores) - np.min(scores)))
+    return np.asarray(weights / np.sum(weights))
 
 
 def probability_of_square(square: float) -> float:
@@ -59,9 +67,8 @@ class Supports(Generic[Chosen, Term]):
         rivals = self._rivals(self._selection.without(self._found, candidate), candidate)
         kept = max(worth, 0.0) / loss if loss > 0.0 else 1.0
         against = [worth, *(kept * worse for _, worse in rivals)]
-        odds = float(np.sum(np.exp(-0.5 * np.clip(against, -1e3, 1e3))))
         ordered = tuple(sorted(rivals, key=lambda rival: rival[1]))
-        return Support(loss, worth, self.doubt(candidate), ordered, 1.0 / (1.0 + odds))
+        return Support(loss, worth, self.doubt(candidate), ordered, float(shares([0.0, *against])[0]))
 
     def worth(self, candidate: Chosen) -> float:
         """By how much the score is worse without it, where rows depend on each other."""

@@ -233,7 +233,8 @@ class Session:
             worse = worse_channels(self.model, judged, estimate.parameters) if judged else worse_on_rows(estimate)
         recorded = self.recorded
         samples = () if isinstance(judged, RowSummary) else judged
-        findings = self.findings or self._unexplained(estimate, samples)
+        named = any(finding.cause.kind != "unexplained" for finding in self.findings)
+        findings = self.findings if named else self._unexplained(estimate, samples) or self.findings
         peculiar = [*peculiarities(recorded.accounts), *self.remarks]
         peculiar += [] if held_out is None else unlike(estimate, held_out)
         impossible = tuple(impossible_links(self.urdf, self._source, self._suspects(estimate)))

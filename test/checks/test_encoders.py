@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from estimation.arms import Case
+from estimation.arms import Case, Motion, efforts, motion, samples
 
 from checks.test_efforts import ROBOTS, case, findings, named
+from geomid_ros.checks.subject import Subject
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
@@ -72,3 +73,51 @@ def test_a_position_that_stands_still_is_named(robot: Case) -> None:
     frozen[middle, 1] = frozen[middle.start, 1]
     cause = named(robot.model, replace(own, position=frozen))
     assert (cause.kind, cause.places) == ("frozen", (robot.model.robot.joint_names[1],))
+
+
+def test_a_position_that_stops_at_an_end_again_and_again_is_named() -> None:
+    """Each stop is short; a joint that stops with its effort is none."""
+    seven = case("arm7", 1)
+    own, position = seven.samples, seven.samples.position.copy()
+    position[:, 2] = np.minimum(position[:, 2], np.quantile(position[:, 2], 0.8))
+    cause = named(seven.model, replace(own, position=position))
+    assert (cause.kind, cause.places) == ("frozen", (seven.model.robot.joint_names[2],))
+
+
+def test_a_robot_that_stands_still_in_one_half_is_judged_by_what_moves() -> None:
+    """Both parts that have to ask for a cause have as much of the motion."""
+    seven = case("arm7", 1)
+    own = seven.samples
+    still = own.select(np.zeros(2 * len(own), dtype=np.int64))
+    still = replace(
+        still,
+        stamps=own.stamps[0] - (own.stamps[1] - own.stamps[0]) * np.arange(len(still), 0, -1),
+        velocity=np.zeros_like(still.velocity),
+        acceleration=np.zeros_like(still.acceleration),
+        effort=still.effort + 1e-3 * np.random.default_rng(0).normal(size=still.effort.shape),
+    )
+    recorded = Samples.concatenate([still, own])
+    subject = Subject.of_all(seven.model.robot, recorded)
+    halves = [np.count_nonzero(part.is_moving) for part in subject.parts()]
+    assert halves[0] == pytest.approx(halves[1], abs=1.0)
+    assert len(subject.parts()[0].samples) > 2 * len(own)
+    assert findings(seven.model, recorded) == ()
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("name", ["arm3", "arm7"])
+def test_a_joint_that_rests_again_and_again_while_others_move_is_sound(name: str, seed: int) -> None:
+    """Its effort, and those of the others, are those of that pose."""
+    of, rng = case(name, 1), np.random.default_rng(seed)
+    moving = motion(rng, len(of.model.robot.joints), 20.0)
+    joint = seed % len(of.model.robot.joints)
+    moves = np.clip(2.0 * np.sin(2.0 * np.pi * np.arange(len(moving)) / 500.0 + seed), 0.0, 1.0)
+    velocity = moving.velocity.copy()
+    velocity[:, joint] *= moves
+    position, acceleration = moving.position.copy(), moving.acceleration.copy()
+    position[:, joint] = position[0, joint] + np.cumsum(velocity[:, joint]) / 100.0
+    acceleration[:, joint] = np.gradient(velocity[:, joint]) * 100.0
+    stopping = Motion(position, velocity, acceleration)
+    effort = efforts(of.model.robot, of.true, stopping)
+    own = samples(stopping, effort + 0.05 * rng.normal(size=effort.shape))
+    assert findings(of.model, own) == ()

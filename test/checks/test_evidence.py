@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
-from geomid_ros.checks.evidence import Evidence, Products, evidence
+from geomid_ros.checks.evidence import Evidence, evidence
 from geomid_ros.types import FloatArray
 
 INSTANTS, CHANNELS, LINKS = 40, 2, 3
@@ -22,17 +22,20 @@ def drawn(seed: int, friction: FloatArray) -> tuple[FloatArray, FloatArray]:
     return columns, columns @ unknowns + 0.3 * rng.normal(size=(CHANNELS, INSTANTS))
 
 
-def products(columns: FloatArray, targets: FloatArray) -> Products:
-    return Products(
-        counts=np.full(CHANNELS, float(INSTANTS)),
-        unknowns=columns.transpose(0, 2, 1) @ columns,
-        crossed=np.einsum("cni,cn->ci", columns, targets),
-        squares=np.sum(targets**2, axis=1),
-    )
-
-
 def found(columns: FloatArray, targets: FloatArray, tolerated: FloatArray) -> Evidence:
-    return evidence(products(columns, targets), tolerated)
+    by_instant = columns.transpose(1, 0, 2)
+    return evidence(targets.T, by_instant[:, :, :LINKS], by_instant[:, :, LINKS:], tolerated)
+
+
+def test_instants_that_do_not_count_are_as_if_they_were_not_there() -> None:
+    tolerated = np.full((CHANNELS, 4), 2.0)
+    columns, targets = drawn(0, np.array([-1.0, 2.0, 1.5, 1.0]))
+    by_instant, counted = columns.transpose(1, 0, 2), np.ones((INSTANTS, CHANNELS))
+    counted[30:] = 0.0
+    some = evidence(targets.T, by_instant[:, :, :LINKS], by_instant[:, :, LINKS:], tolerated, counted=counted)
+    fewer = found(columns[:, :30], targets[:, :30], tolerated)
+    assert some.log == pytest.approx(fewer.log)
+    assert some.links == pytest.approx(fewer.links)
 
 
 def test_it_is_the_density_of_all_targets_together() -> None:

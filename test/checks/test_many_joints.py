@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from estimation.arms import motion, samples
 
-from geomid_ros.checks import evidence, subject
+from geomid_ros.checks import flexible, subject
 from geomid_ros.checks.check import EffortCheck
 from geomid_ros.checks.instants import FEWEST, Kept
 from geomid_ros.model.measurement import MeasurementModel
@@ -50,7 +50,7 @@ def fits(monkeypatch: pytest.MonkeyPatch, joints: int) -> tuple[int, list[tuple[
         return one
 
     with monkeypatch.context() as patch:
-        for module in (subject, evidence):
+        for module in (subject, flexible):
             patch.setattr(module, "evidence", counted(module.evidence))
         kept = Kept(measured, measured, np.zeros(len(measured), dtype=np.int64))
         found = EffortCheck(MeasurementModel(robot, ()), kept, np.ones(joints)).findings()

@@ -78,6 +78,13 @@ def test_a_gain_of_the_wrong_sign(name: str) -> None:
     assert finding.cause.settings == {"effort_gain": 1.0}
 
 
+def test_a_wrist_that_fits_nothing_hides_no_sign_of_another_joint() -> None:
+    urdf, bag, settings = SOUND["lwr4 1"]
+    (finding,) = findings(urdf, bag, settings | {"joint.lwr_0_joint.effort_gain": -1.0})
+    assert finding.sure
+    assert (finding.cause.kind, finding.cause.places) == ("sign", ("lwr_0_joint",))
+
+
 def test_joints_of_another_name_are_refused() -> None:
     with pytest.raises(InputError, match="panda_joint1"):
         findings("panda_unisa_rosbag2/panda_nohand.urdf", "panda_unisa_rosbag2/panda_exciting_trajectory", {})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,30 +12,29 @@ import pytest
 from benchmarks.corruption.__main__ import identified, judged
 from benchmarks.corruption.faults import FAULTS
 from benchmarks.corruption.recording import SOURCES, Recording
+from checks.test_efforts import case, findings
 from geomid_ros.api.identify import Identification
-from geomid_ros.checks.unexplained import HALF, Residuals, deviations
+from geomid_ros.checks.subject import Subject
+from geomid_ros.checks.unexplained import HALF, Residuals, deviations, hint
 from geomid_ros.types import FloatArray
 
 NAMES = ("shoulder", "elbow", "wrist")
-TIMES = np.linspace(0.0, 20.0, 400)
+INSTANTS = 400
 PLANT = {fault.name: fault.plant for fault in FAULTS}
 
 
 def residuals(shares: FloatArray, before: FloatArray | None = None, units: tuple[str, ...] = ("N m",) * 3) -> Residuals:
     """Of efforts of standard deviations 10, 5 and 0.1 these shares are left."""
-    position = np.sin(np.outer(TIMES, [1.0, 1.7, 2.3]))
-    efforts = np.random.default_rng(0).normal(size=position.shape)
+    efforts, left = (np.random.default_rng(seed).normal(size=(INSTANTS, 3)) for seed in (0, 1))
     efforts *= np.array([10.0, 5.0, 0.1]) / np.std(efforts, axis=0)
-    left = np.random.default_rng(1).normal(size=position.shape)
     left *= shares * np.array([10.0, 5.0, 0.1]) / np.sqrt(np.mean(left**2, axis=0))
     return Residuals(
         names=NAMES,
         units=units,
-        positions=position,
-        speeds=np.cos(np.outer(TIMES, [1.0, 1.7, 2.3])),
         efforts=efforts,
         residuals=left,
         before=np.full(3, np.inf) if before is None else before,
+        hint=lambda joint, share: f"look at {joint}, {share:.2f}",
     )
 
 
@@ -69,16 +69,52 @@ def test_the_sentence_says_how_much_is_left_and_where_to_look() -> None:
     found = residuals(np.array([0.1, 0.8, 0.1]))
     finding = found.finding(found.variation)
     assert finding is not None
-    assert "joint 'elbow' is not explained: 20 % (4 of 5 N m are left); check the axis" in finding.sentence
-    for column, hint in (
-        (found.efforts[:, 0], "the effort of 'shoulder': check a coupling"),
-        (found.positions[:, 1] * 5.0, "the position of 'elbow': check its axis"),
-        (np.sign(found.speeds[:, 1]) * 4.0, "the speed of 'elbow': check the sign"),
-    ):
-        found.residuals[:, 1] = column
-        finding = found.finding(found.variation)
-        assert finding is not None
-        assert hint in finding.sentence
+    assert finding.sentence == "joint 'elbow' is not explained: 20 % (4 of 5 N m are left); look at elbow, 0.80"
+
+
+@pytest.mark.parametrize("name", ["arm3", "arm7"])
+def test_what_is_planted_beside_links_and_friction_is_the_hint(name: str) -> None:
+    """A coupling with another joint, a spring, and friction that drives; noise is nothing of these."""
+    of = case(name, 1)
+    names, own = of.model.robot.joint_names, of.samples
+    size = 3.0 * np.std(own.effort[:, 1])
+    planted = {
+        f"the effort of '{names[2]}': check a coupling": 4.0 * own.effort[:, 2],
+        f"the position of '{names[1]}': check its axis": size * own.position[:, 1] ** 3,
+        f"the speed of '{names[1]}': check the sign": -size * np.sign(own.velocity[:, 1]),
+        "check the axis and the sign of the position in the URDF": size
+        * np.random.default_rng(0).normal(size=len(own)),
+    }
+    for said, effort in planted.items():
+        measured = own.effort.copy()
+        measured[:, 1] += effort
+        recorded = replace(own, effort=measured).select(slice(None, None, len(own) // INSTANTS + 1))
+        subject = Subject.of_all(of.model.robot, recorded)
+        assert said in hint(subject, names[1], float(subject.nominal.sigmas[1]))
+
+
+@pytest.mark.parametrize("name", ["arm3", "arm7"])
+def test_what_a_model_without_friction_leaves_is_the_friction_s(name: str) -> None:
+    """Not what one leaves that has it, nor what is left of a coupling."""
+    of = case(name, 1)
+    samples = of.samples.select(slice(None, None, len(of.samples) // INSTANTS + 1))
+    subject = Subject.of_all(of.model.robot, samples)
+    spread, joint = 3.0 * subject.spread[1], subject.names[1]
+    efforts = subject.measured + np.eye(len(subject.joints))[1] * spread * np.sign(samples.velocity[:, [1]])
+    coupled = subject.measured + np.outer(4.0 * subject.measured[:, 2], np.eye(len(subject.joints))[1])
+    rubbed, of_another = subject.with_efforts(efforts), subject.with_efforts(coupled)
+    for of_efforts, share, said in ((rubbed, 0.9, True), (rubbed, 0.11, False), (of_another, 0.9, False)):
+        assert ("friction (--effects)" in hint(of_efforts, joint, share)) == said
+
+
+@pytest.mark.parametrize(("joint", "other", "share"), [(1, 0, -1.0), (1, 2, 1.0), (2, 1, -1.0)])
+def test_a_coupling_is_taken_for_no_other_cause(joint: int, other: int, share: float) -> None:
+    of = case("arm3", 1)
+    effort = of.samples.effort.copy()
+    effort[:, joint] += share * effort[:, other]
+    found = findings(of.model, replace(of.samples, effort=effort))
+    assert [(f.cause.kind, f.cause.places) for f in found] == [("coupled", (of.model.robot.joint_names[joint],))]
+    assert f"'{of.model.robot.joint_names[other]}'" in found[0].sentence
 
 
 def test_deviations_of_what_is_known() -> None:
@@ -99,15 +135,14 @@ SHIPPED = [
     ("position turned round", 2),
 ]
 MEASURED = [
-    ("ur10", "axis of the URDF", 2, "'elbow_joint' is not explained"),
+    ("ur10", "axis of the URDF", 2, "that of 'elbow_joint': without it"),
     ("ur10", "two robots", 1, ""),
-    ("ur10", "parallel drive", 1, "what is left follows the effort of 'elbow_joint'"),
+    ("ur10", "parallel drive", 1, "'shoulder_lift_joint' seems to contain that of 'elbow_joint'"),
     ("ur10", "position turned round", 1, "joint 'shoulder_lift_joint' seems to turn opposite"),
     ("airbot", "axis of the URDF", 1, "'joint2' is not explained"),
     ("airbot", "position turned round", 2, "joint 'joint3' seems to turn opposite"),
     ("med7", "position turned round", 1, "joint 'A2' seems to turn opposite"),
-    # Its speed and two other efforts follow what is left about as well as the effort that was planted: none is named.
-    ("lwr4", "parallel drive", 2, "check the axis and the sign of the position in the URDF, a coupling of its gear"),
+    ("lwr4", "parallel drive", 2, "'lwr_2_joint' seems to contain that of 'lwr_3_joint'"),
     ("lwr4", "position turned round", 3, "joint 'lwr_3_joint' seems to turn opposite"),
 ]
 
@@ -117,10 +152,10 @@ def test_faults_of_the_shipped_recording_are_doubted(fault: str, size: int, tmp_
     assert result("arm7", fault, size, tmp_path).verdict.status == 4
 
 
-def test_what_no_links_explain_is_told_before_anything_is_solved(tmp_path: Path) -> None:
+def test_a_coupling_is_told_before_anything_is_solved(tmp_path: Path) -> None:
     planted = PLANT["parallel drive"](Recording.read(SOURCES["arm7"]), 2)
     (finding,) = judged(planted, planted.write(tmp_path / "bag")).findings
-    assert finding.cause.kind == "unexplained"
+    assert finding.cause.kind == "coupled"
     assert finding.cause.places == ("joint3",)
 
 

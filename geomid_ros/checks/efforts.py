@@ -1,0 +1,243 @@
+"""Transforms of efforts that may have happened throughout: sign, order, unit, friction, and gravity in them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import combinations, pairwise
+
+import numpy as np
+
+from geomid_ros.checks.candidates import REASON, ROUNDS, TILT, Candidate, Judged
+from geomid_ros.checks.causes import Cause, gain_settings, gravity_settings
+from geomid_ros.checks.evidence import FOLLOWS, LEAST_SIGMA
+from geomid_ros.checks.subject import Subject
+from geomid_ros.model.robot import GRAVITY
+from geomid_ros.types import FloatArray
+
+STANDARD_GRAVITY = float(np.linalg.norm(GRAVITY))
+"""[m/s^2]"""
+_PAIRS = 8  # joints of which all pairs are tried; of more, neighbours
+_NEARLY = 0.02  # of instants, and of the largest effort: what a filter leaves beyond zero
+_SIDES = {"left": "right", "right": "left", "l": "r", "r": "l"}
+_SIDE = re.compile(r"(?<![a-z])(left|right|l|r)(?![a-z])", re.IGNORECASE)
+
+
+def _signs(subject: Subject, _: Subject) -> Iterator[Candidate]:
+    """The efforts of all joints are reversed, or of one."""
+    every = range(len(subject.joints))
+    for joints in [every, *([joint] for joint in every if len(every) > 1)]:
+        names, whole = [subject.names[joint] for joint in joints], len(joints) == len(every)
+        cause = Cause.of("sign", names, gain_settings(names, -subject.gains[list(joints)], whole), every=whole)
+        yield _linear(np.diag(np.where(np.isin(every, joints), -1.0, 1.0)), cause, joints)
+
+
+def _linear(matrix: FloatArray, cause: Cause, concerned: Sequence[int]) -> Candidate:
+    """Efforts times a ``matrix (C, C)`` are those of this robot."""
+    channels, sizes = np.arange(len(matrix)), np.abs(matrix)
+    sources = np.where(sizes[channels, channels] > 0.0, channels, np.argmax(sizes, axis=1))
+    return Candidate(
+        read=lambda subject: subject.with_efforts(subject.measured @ matrix.T),
+        cause=cause,
+        concerned=concerned,
+        sizes=sizes[channels, sources],
+        sources=sources,
+    )
+
+
+def _orders(subject: Subject, _: Subject) -> Iterator[Candidate]:
+    """The efforts of two joints are exchanged."""
+    for pairs in exchanges(subject.names):
+        if len(pairs) == 1:
+            pair = list(pairs[0])
+            matrix = np.eye(len(subject.joints))
+            matrix[pair] = matrix[pair[::-1]]
+            yield _linear(matrix, Cause.of("order", [subject.names[joint] for joint in pair]), pair)
+
+
+def _couplings(subject: Subject, _: Subject) -> Iterator[Candidate]:
+    """One joint's motor carries the effort of another, too, in either direction."""
+    for pairs in exchanges(subject.names):
+        for joint, other in (*pairs, *(pair[::-1] for pair in pairs)) if len(pairs) == 1 else ():
+            for sign in (1.0, -1.0):
+                matrix = np.eye(len(subject.joints))
+                matrix[joint, other] = sign
+                cause = Cause.of("coupled", [subject.names[joint]], other=subject.names[other])
+                yield _linear(matrix, cause, [joint])
+
+
+def _frictions(subject: Subject, _: Subject) -> Iterator[Candidate]:
+    """Weights and inertias are in the efforts as they should be, but friction drives joints."""
+    found = subject.evidence(either_sign=True)
+    friction = np.einsum("nck,ck->nc", subject.friction[:, :, 1:3], found.friction[:, 1:3])
+    power = np.mean(friction * subject.samples.velocity[:, subject.joints], axis=0)
+    concerned = np.flatnonzero((power < 0.0) & (np.sqrt(np.mean(friction**2, axis=0)) > LEAST_SIGMA)).tolist()
+    if concerned and not np.any(subject.opposite(found)):
+        cause = Cause.of("friction", [subject.names[joint] for joint in concerned])
+
+        def undo(subject: Subject) -> Judged:
+            return Judged.mended(subject, subject.spread, subject.evidence(either_sign=True))
+
+        yield Candidate(undo=undo, cause=cause, concerned=concerned)
+
+
+def _magnitudes(subject: Subject, _: Subject) -> Iterator[Candidate]:
+    """Efforts are the magnitudes of what they should be: those that never change their sign where what is predicted, or
+    the velocity of a joint that mainly rubs, does."""
+    concerned = _without_sign(subject)
+    if not concerned:
+        return
+    cause = Cause.of("magnitude", [subject.names[joint] for joint in concerned])
+
+    def undo(subject: Subject) -> Judged:
+        measured = subject.measured.copy()
+        explained = np.array([_expected(subject, channel) for channel in concerned]).T
+        for _ in range(ROUNDS):
+            measured[:, concerned] = np.sign(explained) * np.abs(measured[:, concerned])
+            mended = subject.with_efforts(measured)
+            explained = mended.explained(mended.nominal)[:, concerned]
+        return Judged.mended(mended, mended.spread)  # signs make numbers larger, not less probable
+
+    yield Candidate(undo=undo, cause=cause, concerned=concerned)
+
+
+def _without_sign(subject: Subject) -> list[int]:
+    """The channels that have lost their sign."""
+    low, high = np.quantile(subject.measured, (_NEARLY, 1.0 - _NEARLY), axis=0)
+    one_sided = np.minimum(-low, high) <= _NEARLY * np.maximum(-low, high)
+    shares = [np.mean(_expected(subject, channel) > 0.0) for channel in range(len(subject.joints))]
+    return [channel for channel, share in enumerate(shares) if one_sided[channel] and _NEARLY < share < 1.0 - _NEARLY]
+
+
+def _expected(subject: Subject, channel: int) -> FloatArray:
+    """What an effort follows, of what is predicted and the speed of its joint ``(N,)``: by its magnitude."""
+    effort, speed = np.abs(subject.measured[:, channel]), subject.samples.velocity[:, subject.joints[channel]]
+    both = (subject.predicted[:, channel], speed)
+    return max(both, key=lambda one: float(np.nan_to_num(np.corrcoef(effort, np.abs(one))[0, 1])))
+
+
+def _gains(subject: Subject, _: Subject) -> Iterator[Candidate]:
+    """Another unit of all joints together, or shares of what they are rated for, and of each by itself."""
+    every = range(len(subject.joints))
+    slopes, told = subject.slopes()
+    common, settled = _common_factor(subject, slopes, told)
+    if not 1.0 / REASON <= common <= REASON:
+        yield _gain(common * np.eye(len(every)), _other_unit(subject, every, common), every, settled)
+    by_size = np.std(subject.predicted, axis=0) / subject.spread
+    factors = np.where((told > 1.0 - FOLLOWS**2) & (slopes > 0.0), 1.0 / np.maximum(slopes, 1e-30), by_size)
+    own = np.abs(np.log(np.maximum(factors / (common if settled else 1.0), 1e-30))) > np.log(REASON)
+    unlike = np.abs(np.log(np.maximum(factors, 1e-30))) > np.log(REASON)
+    loads = np.quantile(np.abs(subject.measured), 0.99, axis=0) / subject.robot.effort_limits[subject.joints]
+    for joint in np.flatnonzero(own & unlike & (factors > 0.0)).tolist() if len(every) > 1 else ():
+        factor, absurd = float(factors[joint]), bool(loads[joint] > REASON**2)
+        matrix = np.diag(np.where(np.isin(every, joint), factor, 1.0))
+        yield _gain(matrix, _other_unit(subject, [joint], factor), [joint], absurd)
+
+
+def _gain(matrix: FloatArray, cause: Cause, concerned: Sequence[int], settled: bool) -> Candidate:
+    """Another unit of efforts, which are as much like what is predicted in one unit as in the other."""
+    linear = _linear(matrix, cause, concerned)
+    return replace(linear, settled=settled, read=None, undo=linear.judged)
+
+
+def _common_factor(subject: Subject, slopes: FloatArray, told: FloatArray) -> tuple[float, bool]:
+    """The factor that makes all efforts those of the URDF, and whether it is sure without any evidence: where the
+    links that were fitted are all as much too light or too heavy."""
+    fitted, follows = subject.fitted_slopes(subject.nominal)
+    for ratios, sure in ((slopes, (told > 1.0 - FOLLOWS**2) & (slopes > 0.0)), (fitted, follows)):
+        if np.count_nonzero(sure) >= 2:
+            factor = 1.0 / float(np.median(ratios[sure]))
+            return factor, bool(np.median(np.abs(np.log(ratios[sure] * factor))) < np.log(REASON))
+    predicted = np.maximum(np.std(subject.predicted, axis=0), 1e-9)
+    return float(np.median(predicted / subject.spread)), False
+
+
+def _other_unit(subject: Subject, joints: Sequence[int], factor: float) -> Cause:
+    """Efforts of these joints have to be multiplied by a factor."""
+    names, whole = [subject.names[joint] for joint in joints], len(joints) == len(subject.joints)
+    settings = gain_settings(names, subject.gains[list(joints)] * factor, whole)
+    ratio = f"1/{factor:.3g}" if factor > 1.0 else f"{1.0 / factor:.3g} times"
+    units = {"in mN m": (0.5e-3, 2e-3), "in kN m? or masses of the URDF in grams": (250.0, 4000.0)}
+    unit = next((unit for unit, (low, high) in units.items() if low < factor < high), "")
+    unit = unit or (
+        "in A, on the motor side of the gear, or a share of what they are rated for" if factor > 1.0 else ""
+    )
+    return Cause.of("gain", names, settings, every=whole, ratio=ratio, unit=f" ({unit}?)" if unit else "")
+
+
+def _gravities(subject: Subject, _: Subject) -> Iterator[Candidate]:
+    """The directions of gravity that fit best, and that it is not in the efforts."""
+    nominal = subject.robot.gravity
+    size = float(np.linalg.norm(nominal))
+    right = abs(size - STANDARD_GRAVITY) < 0.1 * STANDARD_GRAVITY
+    fitted = subject.fitted_gravity(subject.prior)
+    for start in (1.0, -1.0):
+        direction = start * fitted / max(float(np.linalg.norm(fitted)), 1e-9)
+        under = subject.under((size if right else STANDARD_GRAVITY) * direction)
+        refined = subject.fitted_gravity(under.links(under.nominal))
+        for gravity in (direction, refined / max(float(np.linalg.norm(refined)), 1e-9)):
+            yield _turned(subject, (size if right else STANDARD_GRAVITY) * gravity)
+    if not right:
+        yield _turned(subject, STANDARD_GRAVITY * (nominal / size if size > 0.0 else np.array([0.0, 0.0, -1.0])))
+    if size > 0.0:
+        cause = Cause.of("compensated", subject.names, {"gravity": [0.0, 0.0, 0.0]})
+        every = range(len(subject.joints))
+        for read in (weightless, compensated):
+            yield Candidate(read=read, cause=cause, concerned=every)
+
+
+def _turned(subject: Subject, gravity: FloatArray) -> Candidate:
+    nominal, size = subject.robot.gravity, float(np.linalg.norm(gravity))
+    cosine = float(gravity @ nominal) / max(size * float(np.linalg.norm(nominal)), 1e-9)
+    angle = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    alone = angle > TILT or abs(size - float(np.linalg.norm(nominal))) > 0.1 * size
+    vector = " ".join(f"{entry:g}" for entry in np.round(gravity, 2) + 0.0)
+    turned = angle > TILT
+    cause = Cause.of(
+        "gravity",
+        subject.names,
+        gravity_settings(gravity),
+        said="gravity" if alone else "level",
+        how="in another direction" if turned else "with another size",
+        check="check how the robot is mounted" if turned else "it must be in m/s^2",
+        vector=vector,
+        angle=np.degrees(angle),
+    )
+    every = range(len(subject.joints))
+    return Candidate(read=lambda subject: subject.under(gravity), cause=cause, concerned=every, alone=alone)
+
+
+def weightless(subject: Subject) -> Subject:
+    """There is no gravity."""
+    return subject.under(np.zeros(3))
+
+
+def compensated(subject: Subject) -> Subject:
+    """Weights, as of the URDF's links, are taken off."""
+    return subject.with_efforts(subject.measured + subject.weight)
+
+
+def exchanges(names: Sequence[str]) -> list[list[tuple[int, int]]]:
+    """The exchanges that may well happen: of two joints, and of all of the left side with those of the right.
+
+    Args:
+        names: of joints, in the robot's order.
+
+    Returns:
+        Of each exchange the pairs of places ``(first, second)`` that change their names.
+    """
+    places = {name: place for place, name in enumerate(names)}
+    mirrored = [(place, places.get(_mirrored(name), place)) for name, place in places.items()]
+    sides = [(first, second) for first, second in mirrored if first < second]
+    count = len(names)
+    pairs = [*combinations(range(count), 2)] if count <= _PAIRS else [*pairwise(range(count)), *sides]
+    return [*([pair] for pair in dict.fromkeys(pairs)), *([sides] if len(sides) > 1 else [])]
+
+
+def _mirrored(name: str) -> str:
+    return _SIDE.sub(lambda found: _SIDES[found.group().lower()], name)
+
+
+OF_EFFORTS = (_signs, _frictions, _magnitudes, _orders, _couplings, _gains, _gravities)
+"""Rows of candidates: each yields those that undo one kind of transform."""

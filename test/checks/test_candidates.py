@@ -1,0 +1,120 @@
+"""Probabilities of causes are those of hypotheses of equal odds, and nothing wrong is one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from checks.test_efforts import case
+from geomid_ros.checks.candidates import PROBABLE, Candidate, Judged, Tried, contradicted, decide, probabilities
+from geomid_ros.checks.causes import Cause
+from geomid_ros.checks.instants import FEWEST
+from geomid_ros.checks.subject import Subject
+
+
+def test_they_are_all_there_is() -> None:
+    shares = probabilities([0.1, 0.7, -0.2, 0.69], 40)
+    assert np.sum(shares) == pytest.approx(1.0)
+    assert np.all(np.diff(shares[np.argsort([0.1, 0.7, -0.2, 0.69])]) > 0.0)
+
+
+@pytest.mark.parametrize("count", [1, 20, 300])
+def test_without_evidence_nothing_is_as_probable_as_all_causes(count: int) -> None:
+    shares = probabilities(np.zeros(count).tolist(), count)
+    assert shares[-1] == pytest.approx(0.5)
+
+
+def test_the_more_causes_are_tried_the_more_one_has_to_explain() -> None:
+    """By Bayes' rule: n causes of equal odds, each of which is one in 2 n at first."""
+    for count in (10, 1000):
+        odds = PROBABLE / (1.0 - PROBABLE)
+        gain = np.log(odds * count) / FEWEST
+        assert probabilities([gain], count)[0] == pytest.approx(PROBABLE)
+
+
+def test_evidence_of_any_size_is_a_number() -> None:
+    assert probabilities([1e6, -1e6, 0.0], 10).tolist() == [1.0, 0.0, 0.0, 0.0]
+
+
+COUNT = 100
+
+
+def subject() -> Subject:
+    """Seven joints, of which the last one hardly carries anything, and noise at each."""
+    seven = case("arm7", 1)
+    samples = seven.samples.select(slice(None, None, 10))
+    every = Subject.of_all(seven.model.robot, samples)
+    noise = np.random.default_rng(0).normal(size=every.measured.shape)
+    return every.with_efforts(every.measured + 0.5 * every.spread * noise)
+
+
+def tried(of: Subject, better: Sequence[float], places: Sequence[int], first: float = 1.0) -> Tried:
+    """A cause by which each joint is so much better explained, in the first part of the recording by a factor."""
+    begin = of.samples.stamps[0]
+
+    def undo(part: Subject) -> Judged:
+        gain = np.sum(better) * (
+            first if part.samples.stamps[0] == begin and len(part.samples) < len(of.samples) else 1.0
+        )
+        return Judged(
+            log=part.nominal.log + gain * len(part.samples), sigmas=part.nominal.sigmas * np.exp(-np.array(better))
+        )
+
+    cause = Cause(kind="cause", sentence="it is this", places=tuple(of.names[place] for place in places))
+    return Tried.of(Candidate(cause=cause, concerned=range(len(of.joints)), undo=undo), of)
+
+
+def test_what_explains_one_joint_worse_is_no_name_but_something_is_wrong() -> None:
+    of = subject()
+    none = [0.0] * 5
+    for better, named in (
+        ([0.0, 1.0, *none], True),
+        ([0.0, 1.0, -0.05, *none[1:]], True),
+        ([0.0, 1.0, -0.2, *none[1:]], False),
+    ):
+        decision = decide([tried(of, better, [1])], COUNT, of.nominal)
+        assert (decision.finding is not None) == named
+        if not named:
+            finding = contradicted(decision.doubted, COUNT)
+            assert finding is not None
+            assert (finding.cause.kind, finding.cause.places) == ("unexplained", (of.names[1],))
+            assert finding.cause.sentence.endswith("What comes nearest: it is this")
+
+
+def test_a_joint_that_hardly_carries_anything_says_nothing_of_the_robot() -> None:
+    of = subject()
+    assert of.counts[1]
+    assert not of.counts[-1]
+    decision = decide([tried(of, [0.0, -0.2, *[0.0] * 4, 1.0], [6])], COUNT, of.nominal)
+    assert len(decision.doubted) == 1
+    assert contradicted(decision.doubted, COUNT) is None
+
+
+def test_what_one_half_contradicts_says_nothing() -> None:
+    of = subject()
+    decision = decide([tried(of, [0.0, 1.0, *[0.0] * 5], [1], first=-1.0)], COUNT, of.nominal)
+    assert len(decision.doubted) == 1
+    assert contradicted(decision.doubted, COUNT) is None
+
+
+def test_of_a_joint_that_a_doubted_cause_is_about_nothing_is_named() -> None:
+    """Nor of one that a more probable cause of both joints is about; a third one is another matter."""
+    of = subject()
+    doubted = tried(of, [0.0, 2.0, -0.5, *[0.0] * 4], [1])
+    both, other = tried(of, [0.0, 1.0, *[0.0] * 5], [1, 3]), tried(of, [0.0, 0.0, 0.0, 0.9, *[0.0] * 3], [3])
+    third = tried(of, [0.0] * 4 + [0.9, 0.0, 0.0], [4])
+    assert decide([doubted, both, other], COUNT, of.nominal).finding is None
+    alone = decide([doubted, both, third], COUNT, of.nominal).finding
+    assert alone is not None
+    assert alone.cause.places == (of.names[4],)
+
+
+def test_what_is_only_hidden_is_no_sign_that_something_is_wrong() -> None:
+    """It is no better than what hides it, which says nothing of the robot."""
+    of = subject()
+    small, hidden = tried(of, [0.0, -0.3, *[0.0] * 4, 2.0], [6]), tried(of, [0.0, 1.0, *[0.0] * 5], [1, 6])
+    decision = decide([small, hidden], COUNT, of.nominal)
+    assert decision.finding is None
+    assert contradicted(decision.doubted, COUNT) is None
