@@ -48,7 +48,7 @@ from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.ledger_findings import faulty_streams, peculiarities
 from geomid_ros.session.recording_facts import Recorded
 from geomid_ros.session.solidity import impossible_links
-from geomid_ros.signals.gates import Limits
+from geomid_ros.signals.joint_gate import Limits
 from geomid_ros.signals.ledger import Account, Ledger
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted
 from geomid_ros.signals.pipeline import SignalPipeline, ignore

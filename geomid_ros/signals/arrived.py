@@ -11,6 +11,8 @@ from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.signals.messages import Block
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
+NO_STAMP = "stamp is zero: whoever publishes has to fill in header.stamp"
+NOT_VALID = "stamp is not valid"
 OTHER_FRAME = "is not the declared"
 """In the reason for a wrench in another frame, before the frame that was declared."""
 _LARGEST_NUMBER = 1e9  # in SI units

@@ -10,7 +10,7 @@ import numpy as np
 
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
-from geomid_ros.signals.gates import Limits
+from geomid_ros.signals.joint_gate import Limits
 from geomid_ros.signals.messages import JointMessage, Message
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings

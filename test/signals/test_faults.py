@@ -304,7 +304,7 @@ def test_a_topic_slower_than_the_longest_gap_is_not_from_the_future() -> None:
     for message in joint_messages(regular(0.7, 7.0)):
         slow.push(message)
     account = slow.ledger.topics["joint_states"]
-    assert (account.accepted, account.rejected, slow.held) == (10, {}, 0)
+    assert (account.accepted, account.rejected, slow.held) == (8, {}, 2)
 
 
 def test_a_clock_stepped_back_a_little_is_waited_out() -> None:
@@ -331,7 +331,7 @@ def test_bad_messages_alone_make_no_samples() -> None:
 
 
 def test_messages_behind_one_that_fails_are_counted() -> None:
-    """A slow topic: the fourth message decides on three, of which the first fails."""
+    """A slow topic: the fourth message decides on the second, which fails; the last two may go on."""
     stamps = np.array([START + 2_000_000_000 * index for index in range(4)])
 
     def fail(accepted: Accepted) -> None:
@@ -345,5 +345,5 @@ def test_messages_behind_one_that_fails_are_counted() -> None:
     with pytest.raises(ZeroDivisionError):
         unlucky.push(messages[3])
     account = unlucky.ledger.topics["joint_states"]
-    assert (account.accepted, account.dropped) == (1, {"ZeroDivisionError while taking a message": 3})
-    assert unlucky.held == 0
+    assert (account.accepted, account.dropped) == (1, {"ZeroDivisionError while taking a message": 1})
+    assert unlucky.held == 2

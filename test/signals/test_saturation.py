@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomid_ros.signals.joint_messages import JointReader, RejectedError
+from geomid_ros.signals.joint_messages import JointReader
 from geomid_ros.signals.messages import JointMessage
 from geomid_ros.types import BoolArray, FloatArray
 
@@ -34,23 +34,10 @@ def refused(efforts: FloatArray, rate: float, speed: float = 1.0) -> BoolArray:
     ones = np.ones(len(times))
     pairs = ((speed * times, times), (speed * ones, ones), (LARGEST * efforts, 1.0 + times))
     numbers = np.stack([np.column_stack(pair) for pair in pairs], axis=1)
-    result = np.zeros(len(efforts), dtype=np.bool_)
-    begin, count = 0, 1
-    while begin < len(efforts):
-        part = slice(begin, begin + count)
-        try:
-            values, taken = reader.read(stamps[part], numbers[part], among=count)
-        except RejectedError as error:
-            if count > 1:  # none was read
-                count //= 2
-                continue
-            result[begin] = "effort of 'one' saturated" in str(error)
-        else:
-            assert taken.all()
-            result[part] = np.isnan(values[:, 4])  # it lasts: the equation is left out
-            count *= 2
-        begin = part.stop
-    return result
+    values, refusals = reader.read(stamps, numbers)
+    assert all(refusal is None or "effort of 'one' saturated" in refusal for refusal in refusals)
+    lasting = np.isnan(values[:, 4])  # the equation is left out
+    return lasting | np.array([refusal is not None for refusal in refusals])
 
 
 @pytest.mark.parametrize("bits", [0, 16, 12, 8])
