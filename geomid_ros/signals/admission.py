@@ -53,8 +53,7 @@ class Admission:
         Returns:
             In which source something has changed, and what, and the messages that follow; None at first.
         """
-        for source in new.keys() - self._gates.keys():
-            self._gates[source] = self._new_gate(source)
+        self._gates |= {source: self._new_gate(source) for source in new if source not in self._gates}
         for source in self._gates:
             self._decide(source, new.get(source), newest)
         result: list[tuple[tuple[Source, str] | None, dict[Source, Arrived]]] = []

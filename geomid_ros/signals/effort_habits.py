@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from geomid_ros.signals.ledger import Reason, driver_error
-from geomid_ros.signals.saturation import STANDING
+from geomid_ros.signals.limits import STANDING
 from geomid_ros.signals.usual_efforts import CHUNK
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 

@@ -14,10 +14,8 @@ import numpy as np
 
 from geomid_ros.signals.arrived import Arrived
 from geomid_ros.signals.ledger import Reason
+from geomid_ros.signals.limits import PATIENCE
 from geomid_ros.types import FloatArray, IntArray
-
-PATIENCE = 1000
-"""Messages of all topics: after so many a suspicious one passes, though fewer of its own have come."""
 
 NOT_LATER = Reason("stamp not later than the one before", "repeated")
 FROM_THE_FUTURE, TOO_OLD = "stamp from the future", "stamp too old"

@@ -7,12 +7,13 @@ was: a fault that is over after three messages, a clock that was set, or somethi
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from math import tau
 
 import numpy as np
 
 from geomid_ros.signals.gate import Answer, Gate
 from geomid_ros.signals.ledger import Reason, driver_error
+from geomid_ros.signals.limits import FASTEST, SHORTEST_CONTACT
 from geomid_ros.signals.motion_time import end_of, unlikely
 from geomid_ros.signals.periods import SHORT
 from geomid_ros.signals.usual_efforts import CLEAR, UsualEfforts
@@ -32,51 +33,31 @@ UNIT_CHANGED = (
 _MOST = 3  # messages in a row that a fault lasts
 _USUAL_STEP = 1.9  # periods between two stamps, above which one may be ahead
 _PERIODS, _FEWEST_PERIODS = 64, 32  # over which the period is measured; fewer may be one burst
-_TURN = 2.0 * np.pi
-_FASTEST = 2.0 * np.pi  # [rad/s, m/s] no limit above is believed, as many URDFs have placeholders
 _TOO_FAST = 1.5  # times the limit
 _BACK = 0.25  # of its height, that is left after a spike
-_SHORTEST_CONTACT = 33e-3  # [s] a collision of 40 ms is larger than a quarter of its height for so long
 _LEAST_SET = 20e-3  # [s] that a clock is set by
 _MUCH_LESS_LIKELY = 25.0  # square of standard deviations, of all joints
-
-
-@dataclass(frozen=True)
-class Limits:
-    """The URDF's limits ``(joints,)`` of speeds and of efforts, infinite where it has none."""
-
-    speed: FloatArray
-    effort: FloatArray
-
-    @staticmethod
-    def none(joints: int) -> Limits:
-        """No limits."""
-        return Limits(np.full(joints, np.inf), np.full(joints, np.inf))
-
-    def of(self, places: list[int]) -> Limits:
-        """Those of some joints."""
-        return Limits(self.speed[places], self.effort[places])
 
 
 class JointGate(Gate):
     """Refuses joint messages by their neighbours, too; see the module."""
 
     def __init__(
-        self, joints: tuple[str, ...], limits: Limits, turning: BoolArray, max_gap: int, note: Callable[[str], None]
+        self, joints: tuple[str, ...], speeds: FloatArray, turning: BoolArray, max_gap: int, note: Callable[[str], None]
     ) -> None:
         """
         Args:
             joints: those of the messages.
-            limits: of these.
+            speeds: ``(joints,)`` the URDF's limits, infinite where it has none.
             turning: ``(joints,)`` which are revolute: a whole turn is no jump.
             max_gap: [ns] what is further apart is not compared.
             note: is told of what is doubtful, and passes.
         """
         super().__init__(max_gap, note)
         self._joints = joints
-        self._turn = np.where(turning, _TURN, 0.0)
-        self._speed = _TOO_FAST * np.minimum(limits.speed, _FASTEST)
-        self._efforts = UsualEfforts(limits.effort)
+        self._turn = np.where(turning, tau, 0.0)
+        self._speed = _TOO_FAST * np.minimum(speeds, FASTEST)
+        self._efforts = UsualEfforts(len(joints))
         self._period_before = np.inf
         self._usual_step = 0.0  # [s] between stamps, where they are uneven
         self._stamps = np.zeros(0, dtype=np.int64)  # of the last messages that passed, of one segment
@@ -132,7 +113,7 @@ class JointGate(Gate):
     def _distance(self, first: FloatArray, second: FloatArray) -> FloatArray:
         """How far positions ``(..., joints)`` are apart, but for whole turns."""
         apart = np.abs(first - second)
-        return np.asarray(np.abs(apart - self._turn * np.round(apart / _TURN)))
+        return np.asarray(np.abs(apart - self._turn * np.round(apart / tau)))
 
     def _pass(self, stamps: IntArray, numbers: FloatArray) -> None:
         if not len(stamps):
@@ -175,9 +156,9 @@ class JointGate(Gate):
     def _spike(effort: str, count: int, elapsed: float) -> Answer:
         """What an effort is that is back within so many seconds. That of a short contact is not the robot's either; for
         what lasts longer the robot may have moved as never before."""
-        if elapsed <= _SHORTEST_CONTACT:
+        if elapsed <= SHORTEST_CONTACT:
             return Answer(count, refused=f"{effort} {SPIKE}")
-        if count == 1 and elapsed <= 2.0 * _SHORTEST_CONTACT:
+        if count == 1 and elapsed <= 2.0 * SHORTEST_CONTACT:
             return Answer(count, refused=f"{effort} {SPIKE_OR_CONTACT}")
         return Answer(noted=Reason(f"{effort} {SPIKE_OR_CONTACT}: kept", "told"))
 
@@ -237,5 +218,5 @@ class JointGate(Gate):
     def _without_turns(self, left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Positions relative to the last of the first ones."""
         apart = np.concatenate([left, right]) - left[-1]
-        whole = apart - self._turn * np.round(apart / _TURN)
+        whole = apart - self._turn * np.round(apart / tau)
         return whole[: len(left)], whole[len(left) :]

@@ -10,8 +10,9 @@ from geomid_ros.signals.arrived import plausible
 from geomid_ros.signals.effort_habits import EffortHabits
 from geomid_ros.signals.joint_names import missing_joint
 from geomid_ros.signals.ledger import Reason, driver_error
+from geomid_ros.signals.limits import STANDING
 from geomid_ros.signals.messages import Block
-from geomid_ros.signals.saturation import STANDING, SaturationDetector
+from geomid_ros.signals.saturation import SaturationDetector
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 _UNLIKE_A_TURN = 0.5  # [rad] a step that is no further from a whole turn is the driver's

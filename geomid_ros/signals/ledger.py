@@ -11,9 +11,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, Self, TypeAlias
 
 from geomid_ros.errors import one_line
+from geomid_ros.signals.limits import LONGEST_REASON, MOST_REASONS
 
-_MOST_REASONS = 50  # of a topic: the sender of nonsense decides how many there are
-_LONGEST_REASON = 200  # characters
 _OTHER = "other reasons"
 _HEADING = "driver error: "
 Meaning: TypeAlias = Literal["", "driver error", "told", "repeated"]
@@ -150,6 +149,6 @@ class Ledger:
 def count_reason(reasons: Counter[str], reason: str, count: int = 1) -> None:
     """Count a reason once more, or ``count`` times. Long reasons are cut short; those beyond a bound count as one."""
     meaning, text = meaning_of(reason), one_line(reason)
-    short = text if len(text) <= _LONGEST_REASON else text[:_LONGEST_REASON] + "..."
+    short = text if len(text) <= LONGEST_REASON else text[:LONGEST_REASON] + "..."
     short = Reason(short, meaning) if meaning else short
-    reasons[short if short in reasons or len(reasons) < _MOST_REASONS else _OTHER] += count
+    reasons[short if short in reasons or len(reasons) < MOST_REASONS else _OTHER] += count

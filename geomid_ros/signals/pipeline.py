@@ -20,17 +20,17 @@ from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.signals.admission import Admission, Source
 from geomid_ros.signals.arrived import NO_STAMP, NOT_VALID, Arrived, poses, without_refusal, wrenches
 from geomid_ros.signals.gate import Gate
-from geomid_ros.signals.joint_gate import JointGate, Limits
+from geomid_ros.signals.joint_gate import JointGate
 from geomid_ros.signals.joint_messages import JointReader, RejectedError
 from geomid_ros.signals.joint_parts import SILENT, JointParts, Part
 from geomid_ros.signals.ledger import Ledger
+from geomid_ros.signals.limits import MOST_JOINTS
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted, Block, Message
 from geomid_ros.signals.sampler import Sampler
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import AnyArray, FloatArray, IntArray
 
 _DEFAULTS = SignalSettings()
-_MOST_JOINTS = 1000  # whose names are kept
 
 UNDECIDED = "came last, when too few followed to tell whether they are right"
 
@@ -51,7 +51,7 @@ class SignalPipeline:
         settings: SignalSettings = _DEFAULTS,
         continuous: Sequence[str] = (),
         turning: Sequence[str] = (),
-        limits: Limits | None = None,
+        speed_limits: FloatArray | None = None,
         effect_columns: Columns = NO_COLUMNS,
         on_accepted: Callable[[Accepted], None] = ignore,
         ledger: Ledger | None = None,
@@ -66,7 +66,7 @@ class SignalPipeline:
             continuous: the joints without end: their positions may jump by whole turns between messages, and are given
                 from -pi to pi in samples.
             turning: the revolute joints: a step of a whole turn in their positions is the driver's, and is undone.
-            limits: of the joints.
+            speed_limits: ``(joints,)`` of the URDF, infinite where it has none.
             effect_columns: those that samples carry (:attr:`MeasurementModel.columns`).
             on_accepted: is told of every message that is accepted, as :meth:`push_accepted` takes it.
             ledger: is told what becomes of every message.
@@ -84,7 +84,7 @@ class SignalPipeline:
         self._gains = settings.effort_gains(self._joints)
         self._continuous = np.array([joint in continuous for joint in self._joints], dtype=bool)
         self._turning = np.array([joint in turning for joint in self._joints], dtype=bool)
-        self._limits = limits or Limits.none(len(self._joints))
+        self._speeds = np.full(len(self._joints), np.inf) if speed_limits is None else speed_limits
         self.ledger = ledger or Ledger()
         self.joints_heard = set() if joints_heard is None else joints_heard
         self._on_accepted = on_accepted
@@ -117,7 +117,7 @@ class SignalPipeline:
         places = [self._joints.index(joint) for joint in joints]
         turning = self._turning[places] | self._continuous[places]
         max_gap = max(self._max_gap, SILENT) if part else self._max_gap
-        return JointGate(joints, self._limits.of(places), turning, max_gap, note)
+        return JointGate(joints, self._speeds[places], turning, max_gap, note)
 
     @property
     def lag(self) -> float:
@@ -182,7 +182,7 @@ class SignalPipeline:
         """What messages say by themselves, by their source."""
         found: dict[Source, list[Arrived]] = {}
         for block in blocks:
-            if block.topic == JOINT_STATES and len(self.joints_heard) < _MOST_JOINTS:
+            if block.topic == JOINT_STATES and len(self.joints_heard) < MOST_JOINTS:
                 self.joints_heard.update(block.names)
             try:
                 source = block.topic, self._part(block)

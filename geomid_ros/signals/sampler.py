@@ -14,9 +14,10 @@ from geomid_ros.model.columns import Columns, Entries
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.joint_messages import FROZEN
 from geomid_ros.signals.ledger import Account, Ledger, Reason, driver_error
+from geomid_ros.signals.limits import HORIZON, MOST_WAITING, PERIOD_ROUNDING
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted
 from geomid_ros.signals.periods import FEWEST, FEWEST_IN_BURSTS, RegularClock, in_bursts
-from geomid_ros.signals.settings import PERIOD_ROUNDING, SignalSettings
+from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.signals.streams import Grid, JointSegment, PoseSegment, Stream, VectorSegment
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
@@ -35,8 +36,6 @@ NOW_IN_BURSTS = driver_error(
 )
 UNEVEN = driver_error("messages come in uneven bursts: nothing says when they were measured")
 _UNITS_OF_SPEED = (180.0 / np.pi, 1000.0, 30.0 / np.pi, 0.5 / np.pi)  # degrees, mrad, 1/min, turns in a rad/s
-_MOST_WAITING = 10_000  # messages kept until the period is known
-_HORIZON = 60_000_000_000  # [ns] a topic this far behind the others is not waited for
 _EFFORTS = "joint_states.effort"  # stream of efforts with a delay; no topic has that name
 
 
@@ -106,7 +105,7 @@ class Sampler:
     def _wait(self, accepted: Accepted) -> None:
         """Keep what arrives before the period is known."""
         self._waiting.append(accepted)
-        surplus = sum(map(len, self._waiting)) - _MOST_WAITING
+        surplus = sum(map(len, self._waiting)) - MOST_WAITING
         while surplus > 0:
             oldest = self._waiting.popleft()
             given_up = min(surplus, len(oldest))
@@ -223,7 +222,7 @@ class Sampler:
                 break
         for name, newest in self._newest.items():
             if grid is not None:
-                oldest = (newest - _HORIZON - abs(self._effort_delay)) // grid.period - grid.lag
+                oldest = (newest - HORIZON - abs(self._effort_delay)) // grid.period - grid.lag
                 self._streams[name].forget(oldest)
 
     def _samples(self, grid: Grid, instants: range) -> Samples:

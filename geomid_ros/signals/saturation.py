@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from geomid_ros.signals.limits import STANDING
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
-STANDING = 1e-2
-"""[rad/s, m/s] a slower robot may send the same numbers twice."""
 _SHORTEST, _FEWEST = 50_000_000, 6  # [ns], messages: a saturated effort is exactly the largest for at least so long
 _LONGER = 6  # times as long as any smaller effort stayed the same
 _MOSTLY = 0.75  # the largest share of all messages in which a saturated effort is the largest
-_NEVER = -(2**60)  # the number of a message
 
 
 class SaturationDetector:
@@ -69,12 +67,12 @@ class SaturationDetector:
         record, grown = records[1:], records[1:] > records[:-1]
         largest: BoolArray = size == record
         below = ~largest
-        last_below = _latest(np.where(below, numbers, np.where(grown, numbers - 1, _NEVER)), self._last_below)
+        last_below = _latest(np.where(below, numbers, np.where(grown, numbers - 1, -1)), self._last_below)
         ended = np.logical_or.accumulate(below | grown)  # what was the largest before these messages
         since = np.concatenate([[first], stamps])[np.maximum(last_below - self._messages, 0)]
         since = np.where(ended, since, self._largest_since)
-        moves = np.where(largest & ~(np.abs(velocity) < STANDING), numbers, _NEVER)
-        moved = (_latest(moves, np.full(self._joints, _NEVER)) > last_below) | (self._moved & ~ended)
+        moves = np.where(largest & ~(np.abs(velocity) < STANDING), numbers, -1)
+        moved = (_latest(moves, np.full(self._joints, -1)) > last_below) | (self._moved & ~ended)
         count = self._at_largest + np.cumsum(largest, axis=0)
         held = self._learn_held(numbers, effort != last, np.abs(last), record, grown, moving)
         longest = np.maximum(_FEWEST, _LONGER * held)  # that rounding could explain
@@ -109,7 +107,7 @@ class SaturationDetector:
         Returns:
             ``(N, joints)`` the most messages so far.
         """
-        begun = _latest(np.where(new | ~moving[:, None], numbers, _NEVER), self._begun)
+        begun = _latest(np.where(new | ~moving[:, None], numbers, -1), self._begun)
         begun_before = np.vstack([self._begun, begun[:-1]])
         counts = np.where(new & moving[:, None] & (grown | (last < largest)), numbers - begun_before, 0)
         held = _latest(counts, self._held)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from geomid_ros.signals.arrived import Arrived
-from geomid_ros.signals.gate import FROM_THE_FUTURE, NOT_LATER, PATIENCE, PAUSE, SET_BACK, TOO_OLD, Gate
+from geomid_ros.signals.gate import FROM_THE_FUTURE, NOT_LATER, PAUSE, SET_BACK, TOO_OLD, Gate
+from geomid_ros.signals.limits import PATIENCE
 
 from .feeding import START
 
