@@ -8,14 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.signals.ledger import Reason
 from geomid_ros.signals.limits import LARGEST_NUMBER, UNLIKE_ONE
 from geomid_ros.signals.messages import Block
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 NO_STAMP = "stamp is zero: whoever publishes has to fill in header.stamp"
 NOT_VALID = "stamp is not valid"
-OTHER_FRAME = "is not the declared"
-"""In the reason for a wrench in another frame, before the frame that was declared."""
 
 
 def plausible(values: FloatArray) -> BoolArray:
@@ -92,5 +91,5 @@ def wrenches(block: Block, sensor: WrenchSensor) -> tuple[FloatArray, AnyArray]:
     refusals = np.full(len(values), None)
     refusals[~plausible(values[:, sensor.axis_indices]).all(axis=1)] = "wrench not finite"
     if frame and frame != declared:
-        refusals[:] = f"frame '{frame}' {OTHER_FRAME} '{declared}'"
+        refusals[:] = Reason(f"frame '{frame}' is not the declared '{declared}'", "frame")
     return values - sensor.sign * np.array(sensor.offset), refusals

@@ -15,14 +15,15 @@ from geomid_ros.signals.limits import LONGEST_REASON, MOST_REASONS
 
 _OTHER = "other reasons"
 _HEADING = "driver error: "
-Meaning: TypeAlias = Literal["", "driver error", "told", "repeated"]
+Meaning: TypeAlias = Literal["", "driver error", "told", "repeated", "frame"]
 
 
 class Reason(str):
     """Why messages were not used, or what is peculiar about them, in words; ``meaning`` says what follows from it.
 
     ``driver error``: the driver fills in its messages wrongly, all of them are doubtful; ``told``: the user is told of
-    it though the other messages can be used; ``repeated``: the driver may publish more often than it measures.
+    it though the other messages can be used; ``repeated``: the driver may publish more often than it measures;
+    ``frame``: a wrench is expressed in another one.
     """
 
     meaning: Meaning
