@@ -15,7 +15,6 @@ from geomid_ros.types import FloatArray
 
 SILENT = 1_000_000_000
 """[ns] behind the other parts, for which a part is not missed."""
-_FEWEST = 3  # messages of each part, that tell its period
 _MISSED = 2.5  # periods of a part, between which its numbers are on the line
 
 Part: TypeAlias = tuple[str, ...]
@@ -116,7 +115,7 @@ class JointParts:
         """Measure how fast the parts are, when all joints have been heard for long enough to tell."""
         if sum(map(len, self._waiting)) < len(self._joints):
             return
-        firsts = {part: entries[0][0] for part, entries in self._waiting.items() if len(entries) >= _FEWEST}
+        firsts = {part: entries[0][0] for part, entries in self._waiting.items() if len(entries) > 1}
         newest = max(entries[-1][0] for entries in self._waiting.values() if entries)
         if len(firsts) < len(self._waiting) or newest - max(firsts.values()) < SILENT:
             return
