@@ -88,9 +88,9 @@ class Gate:
         parts = [part for part in (self._held, new) if part is not None]
         if not parts:
             return None
-        arrived, changed = Arrived.joined(parts), dict[int, str]()
+        arrived, changed = Arrived.joined(parts) if len(parts) > 1 else parts[0], dict[int, str]()
         good = np.flatnonzero(arrived.good)
-        again = np.diff(arrived.stamps[good], prepend=self._decided) == 0
+        again = steps(arrived.stamps[good], self._decided) == 0
         arrived.refusals[good[again]] = NOT_LATER
         places = good[~again]
         stamps, numbers, order = arrived.stamps[places], arrived.numbers[places], arrived.order[places]
@@ -137,8 +137,8 @@ class Gate:
         """Let messages pass that go on from those before, up to the first that does not. Returns how many passed."""
         if not len(stamps):
             return 0
-        steps = np.diff(stamps, prepend=self._stamp or stamps[0] - 1)
-        stops = np.flatnonzero((steps <= 0) | (steps > self._max_gap))
+        ahead = steps(stamps, self._stamp or int(stamps[0]) - 1)
+        stops = np.flatnonzero((ahead <= 0) | (ahead > self._max_gap))
         count = int(stops[0]) if len(stops) else len(stamps)
         self._pass(stamps[:count], numbers[:count])
         return count
@@ -170,3 +170,11 @@ class Gate:
             if count == (_TO_CONFIRM_A_RESET if back else _TO_CONFIRM_SLOWNESS):
                 return real
         return None if not whole else wrong if back and count == 1 else real
+
+
+def steps(stamps: IntArray, before: int) -> IntArray:
+    """The steps to stamps ``(N,)``, the first one from the stamp ``before``."""
+    result = stamps.copy()
+    result[1:] -= stamps[:-1]
+    result[:1] -= before
+    return result
