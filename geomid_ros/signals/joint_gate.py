@@ -61,6 +61,7 @@ class JointGate(Gate):
         self._period_before = np.inf
         self._usual_step = 0.0  # [s] between stamps, where they are uneven
         self._stamps = np.zeros(0, dtype=np.int64)  # of the last messages that passed, of one segment
+        self._late = 0  # stamp of the first of late messages that no clock explains; that of the last that passed else
         self._last = np.zeros((0, 3, len(joints)))  # numbers of the very last ones
 
     def _pass_plain(self, stamps: IntArray, numbers: FloatArray) -> int:
@@ -124,12 +125,14 @@ class JointGate(Gate):
         self._stamps = np.concatenate([self._stamps, stamps])[-_PERIODS - 1 :]
         self._last = np.concatenate([self._last, numbers])[-AHEAD - 1 :]
         super()._pass(stamps, numbers)
+        self._late = self._stamp
         if self._efforts.add(numbers[:, 2]) and len(self._stamps) > _PERIODS:
             self._usual_step = 1e-9 * float(np.partition(np.diff(self._stamps), -_MOST)[-_MOST])
 
     def _answer(self, stamps: IntArray, numbers: FloatArray, *, whole: bool) -> Answer | None:
         in_order = super()._answer
-        if abs(stamps[0] - self._stamp) > self._max_gap or (len(stamps) > 1 and stamps[0] <= self._stamp < stamps[1]):
+        is_late = self._late < stamps[0] <= self._stamp or (len(stamps) > 1 and stamps[0] <= self._stamp < stamps[1])
+        if is_late or abs(stamps[0] - self._stamp) > self._max_gap:
             return in_order(stamps, numbers, whole=whole)
         stamps, numbers = stamps[: AHEAD + 1], numbers[: AHEAD + 1]
         for count in range(1, min(_MOST, len(stamps) - 2) + 1):
@@ -144,6 +147,7 @@ class JointGate(Gate):
         if self._clock_was_set(stamps, numbers):
             return Answer(changed=CLOCK_SET)
         if stamps[0] <= self._stamp:
+            self._late = int(stamps[0])
             return in_order(stamps, numbers, whole=whole)
         soon = 1e-9 * float(stamps[0] - self._stamp) <= _USUAL_STEP * self._period
         factor = self._efforts.factor(self._last[:, 2], numbers[:, 2])

@@ -318,6 +318,17 @@ def test_a_clock_stepped_back_a_little_is_waited_out() -> None:
     assert waiting.ledger.topics["joint_states"].rejected == {"stamp not later than the one before": 30}
 
 
+def test_messages_that_come_again_keep_nothing_waiting() -> None:
+    """The first ones might be of a clock that was set; those that go on from there are refused at once."""
+    messages = joint_messages(regular(0.01, 3.0))
+    again = SignalPipeline(JOINTS, settings=SignalSettings(period=0.01))
+    for message in [*messages, *messages[-30:]]:
+        again.push(message)
+    account = again.ledger.topics["joint_states"]
+    assert (account.accepted, again.held) == (300, 0)
+    assert account.rejected == {"stamp not later than the one before": 30}
+
+
 def test_bad_messages_alone_make_no_samples() -> None:
     silent = pipeline()
     for message in clean():
