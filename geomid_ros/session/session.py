@@ -370,7 +370,7 @@ class Session:
             settings=self.loaded.signals(settings or self.configuration.signals(joints), joints),
             continuous=[joint.name for joint in self.robot.joints if joint.continuous],
             turning=[joint.name for joint in self.robot.joints if joint.unit == "N m"],
-            speed_limits=self.robot.speed_limits,
+            limits=np.array([self.robot.speed_limits, self.robot.effort_limits]),
             effect_columns=effect_columns or self.model.columns,
             on_accepted=on_accepted,
             ledger=ledger,

@@ -43,12 +43,12 @@ class JointGate(Gate):
     """Refuses joint messages by their neighbours, too; see the module."""
 
     def __init__(
-        self, joints: tuple[str, ...], speeds: FloatArray, turning: BoolArray, max_gap: int, note: Callable[[str], None]
+        self, joints: tuple[str, ...], limits: FloatArray, turning: BoolArray, max_gap: int, note: Callable[[str], None]
     ) -> None:
         """
         Args:
             joints: those of the messages.
-            speeds: ``(joints,)`` the URDF's limits, infinite where it has none.
+            limits: ``(2, joints)`` the URDF's of speeds and of efforts, infinite where it has none.
             turning: ``(joints,)`` which are revolute: a whole turn is no jump.
             max_gap: [ns] what is further apart is not compared.
             note: is told of what is doubtful, and passes.
@@ -56,8 +56,8 @@ class JointGate(Gate):
         super().__init__(max_gap, note)
         self._joints = joints
         self._turn = np.where(turning, tau, 0.0)
-        self._speed = _TOO_FAST * np.minimum(speeds, FASTEST)
-        self._efforts = UsualEfforts(len(joints))
+        self._speed = _TOO_FAST * np.minimum(limits[0], FASTEST)
+        self._efforts = UsualEfforts(limits[1])
         self._period_before = np.inf
         self._usual_step = 0.0  # [s] between stamps, where they are uneven
         self._stamps = np.zeros(0, dtype=np.int64)  # of the last messages that passed, of one segment

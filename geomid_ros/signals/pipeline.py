@@ -51,7 +51,7 @@ class SignalPipeline:
         settings: SignalSettings = _DEFAULTS,
         continuous: Sequence[str] = (),
         turning: Sequence[str] = (),
-        speed_limits: FloatArray | None = None,
+        limits: FloatArray | None = None,
         effect_columns: Columns = NO_COLUMNS,
         on_accepted: Callable[[Accepted], None] = ignore,
         ledger: Ledger | None = None,
@@ -66,7 +66,7 @@ class SignalPipeline:
             continuous: the joints without end: their positions may jump by whole turns between messages, and are given
                 from -pi to pi in samples.
             turning: the revolute joints: a step of a whole turn in their positions is the driver's, and is undone.
-            speed_limits: ``(joints,)`` of the URDF, infinite where it has none.
+            limits: ``(2, joints)`` the URDF's of speeds and of efforts, infinite where it has none.
             effect_columns: those that samples carry (:attr:`MeasurementModel.columns`).
             on_accepted: is told of every message that is accepted, as :meth:`push_accepted` takes it.
             ledger: is told what becomes of every message.
@@ -84,7 +84,7 @@ class SignalPipeline:
         self._gains = settings.effort_gains(self._joints)
         self._continuous = np.array([joint in continuous for joint in self._joints], dtype=bool)
         self._turning = np.array([joint in turning for joint in self._joints], dtype=bool)
-        self._speeds = np.full(len(self._joints), np.inf) if speed_limits is None else speed_limits
+        self._limits = np.full((2, len(self._joints)), np.inf) if limits is None else limits
         self.ledger = ledger or Ledger()
         self.joints_heard = set() if joints_heard is None else joints_heard
         self._on_accepted = on_accepted
@@ -117,7 +117,7 @@ class SignalPipeline:
         places = [self._joints.index(joint) for joint in joints]
         turning = self._turning[places] | self._continuous[places]
         max_gap = max(self._max_gap, SILENT) if part else self._max_gap
-        return JointGate(joints, self._speeds[places], turning, max_gap, note)
+        return JointGate(joints, self._limits[:, places], turning, max_gap, note)
 
     @property
     def lag(self) -> float:

@@ -76,7 +76,7 @@ class SaturationDetector:
         count = self._at_largest + np.cumsum(largest, axis=0)
         held = self._learn_held(numbers, effort != last, np.abs(last), record, grown, moving)
         longest = np.maximum(_FEWEST, _LONGER * held)  # that rounding could explain
-        found: BoolArray = (numbers - last_below >= longest) & moved & moving[:, None]
+        found: BoolArray = (held > 0) & (numbers - last_below >= longest) & moved & moving[:, None]
         found &= (count < _MOSTLY * numbers) & (stamps[:, None] - since >= _SHORTEST)
         self._messages += len(stamps)
         self._largest = record[-1]

@@ -16,19 +16,23 @@ _ABOVE = 2.0  # times what the change of all efforts together hardly exceeds
 _NEAR = 2  # messages
 _ONE_JOINT, _ALIKE = 0.97, 0.93  # largest share of one joint; squared cosine of the efforts before and after
 _OTHER = 2.5  # least factor
-_IN_RANGE, _IN_CHANGES = 1.5, 8.0  # the height of a spike
+_IN_RANGE, _IN_CHANGES, _IN_LIMIT = 1.5, 8.0, 0.02  # the height of a spike
 
 
 class UsualEfforts:
     """Learns from chunks of messages; what it says changes with a whole chunk only."""
 
-    def __init__(self, joints: int) -> None:
-        self._joints = joints
+    def __init__(self, limits: FloatArray) -> None:
+        """
+        Args:
+            limits: ``(joints,)`` of efforts, infinite where there is none.
+        """
+        self._least = np.where(np.isfinite(limits), _IN_LIMIT * limits, 0.0)
         self.forget()
 
     def forget(self) -> None:
         """Begin to learn anew."""
-        joints = self._joints
+        joints = len(self._least)
         self._chunk = np.empty((CHUNK, joints))
         self._count = 0
         self._low, self._high = np.full(joints, np.inf), np.full(joints, -np.inf)
@@ -102,4 +106,4 @@ class UsualEfforts:
         self._inverse_range = np.where(known, 1.0 / np.where(known, self._high - self._low, 1.0), 0.0)
         totals = np.abs(np.diff(efforts[:, known], axis=0)) @ self._inverse_range[known]
         self._usual_total = _ABOVE * float(np.partition(totals, -1 - _TAIL)[-1 - _TAIL])
-        self.spike = np.where(np.isfinite(self._low), height, np.inf)
+        self.spike = np.where(np.isfinite(self._low), np.maximum(height, self._least), np.inf)

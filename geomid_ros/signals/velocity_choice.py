@@ -24,6 +24,7 @@ class VelocityChoice:
 
     _MEMORY = 100
     _RELATIVE_DISAGREEMENT = 0.05
+    _IN_PROPORTION = 0.99
     _WRONG_CLOCK = 1.5  # a velocity that is off by less may be a gear's or a filter's
 
     def __init__(self, joints: int) -> None:
@@ -37,8 +38,7 @@ class VelocityChoice:
     def scaled(self) -> BoolArray:
         """At which joints the messages' velocities are the derivatives but for a factor ``(joints,)``."""
         given, both, derived = self._sums
-        agreement = 1.0 - self._RELATIVE_DISAGREEMENT**2
-        told = (self._known >= self._MEMORY) & (both > 0.0) & (both**2 > agreement * given * derived)
+        told = (self._known >= self._MEMORY) & (both > 0.0) & (both**2 > self._IN_PROPORTION * given * derived)
         return np.asarray(told & (np.abs(both - derived) > self._RELATIVE_DISAGREEMENT * derived))
 
     def remark(self) -> Reason | None:

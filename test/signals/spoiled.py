@@ -132,10 +132,10 @@ def spoiled(rng: np.random.Generator, *, merge: bool) -> list[Message]:
 def pipeline(*, merge: bool, **told: Any) -> SignalPipeline:
     """Of this robot and its sensor."""
     sensor = WrenchSensor("/wrench", "tool", "mounted", axes=("fx", "fz"))
-    speeds = np.array([3.0, np.inf, 4.0])
+    limits = np.array([[3.0, np.inf, 4.0], [80.0, np.inf, 20.0]])
     settings = SignalSettings(merge=merge)
     return SignalPipeline(
-        JOINTS, sensors=[sensor], settings=settings, continuous=["wrist"], turning=JOINTS, speed_limits=speeds, **told
+        JOINTS, sensors=[sensor], settings=settings, continuous=["wrist"], turning=JOINTS, limits=limits, **told
     )
 
 

@@ -16,7 +16,7 @@ def usual() -> tuple[UsualEfforts, FloatArray]:
     """Having learned from smooth efforts ``(N, joints)`` of ten newton metres."""
     times = 0.05 * np.arange(4 * CHUNK)
     efforts = 10.0 * np.sin(times[:, None] + np.arange(JOINTS))
-    learned = UsualEfforts(JOINTS)
+    learned = UsualEfforts(np.full(JOINTS, 100.0))
     for part in np.split(efforts, 4):
         learned.add(part)
     return learned, efforts
