@@ -7,6 +7,7 @@ import pytest
 
 from geomid_ros.signals.joint_messages import JointReader
 from geomid_ros.signals.messages import JointMessage
+from geomid_ros.signals.saturation import SaturationDetector
 from geomid_ros.types import BoolArray, FloatArray
 
 from .feeding import START, read
@@ -126,3 +127,12 @@ def test_efforts_that_a_driver_renews_seldom_are_not_saturated(held: int) -> Non
     assert not np.any(refused(seen, 100.0))
     cut_off = np.clip(seen, -0.4, 0.4)
     assert np.any(refused(cut_off, 100.0))
+
+
+def test_nothing_is_saturated_before_a_smaller_effort_has_changed_while_the_robot_moved() -> None:
+    """The robot stands, and the driver renews its efforts seldom: the first of the motion is the largest so far."""
+    effort = np.repeat([0.1, 0.2, 0.5, 0.3, 0.6], 20)[:, None]
+    moving = np.arange(len(effort)) > 40
+    stamps = START + 10_000_000 * np.arange(len(effort))
+    found = SaturationDetector(1).saturated(stamps, effort, 1.0 * moving[:, None], moving, None)
+    assert not np.any(found)
