@@ -131,7 +131,7 @@ def test_efforts_that_a_driver_renews_seldom_are_not_saturated(held: int) -> Non
 
 def test_nothing_is_saturated_before_a_smaller_effort_has_changed_while_the_robot_moved() -> None:
     """The robot stands, and the driver renews its efforts seldom: the first of the motion is the largest so far."""
-    effort = np.repeat([0.1, 0.2, 0.5, 0.3, 0.6], 20)[:, None]
+    effort = np.repeat([0.2, 0.1, 0.5, 0.3, 0.6], 20)[:, None]
     moving = np.arange(len(effort)) > 40
     stamps = START + 10_000_000 * np.arange(len(effort))
     found = SaturationDetector(1).saturated(stamps, effort, 1.0 * moving[:, None], moving, None)
