@@ -15,8 +15,8 @@ from geomid_ros.files.bags.bag import Bag
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import TrainingData
-from geomid_ros.signals.arrived import OTHER_FRAME
 from geomid_ros.signals.decoding import Decoder
+from geomid_ros.signals.ledger import meaning_of
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, message_type
 from geomid_ros.signals.pipeline import SignalPipeline
 
@@ -271,7 +271,7 @@ def _why_no_samples(bag: Bag, session: Session, pipeline: SignalPipeline) -> str
     if not reasons:
         short = f"it is shorter than the filter's window ({2 * pipeline.lag:.1f} s)"
         reasons = [f"{short} or its topics do not overlap; record half a minute of motion"]
-    if any(OTHER_FRAME in reason for reason in reasons):
+    if any(meaning_of(why) == "frame" for account in pipeline.ledger.topics.values() for why in account.rejected):
         reasons.append("--wrench sets the frame of a wrench, wrench.*.frame_id the frame_id of its messages")
     why = f"{bag.path}: no usable samples. " + "; ".join(reasons)
     missing = not pipeline.joints_heard.issuperset(session.robot.joint_names)

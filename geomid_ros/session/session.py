@@ -48,7 +48,6 @@ from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.ledger_findings import faulty_streams, peculiarities
 from geomid_ros.session.recording_facts import Recorded
 from geomid_ros.session.solidity import impossible_links
-from geomid_ros.signals.gates import Limits
 from geomid_ros.signals.ledger import Account, Ledger
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted
 from geomid_ros.signals.pipeline import SignalPipeline, ignore
@@ -372,7 +371,7 @@ class Session:
             settings=self.loaded.signals(settings or self.configuration.signals(joints), joints),
             continuous=[joint.name for joint in self.robot.joints if joint.continuous],
             turning=[joint.name for joint in self.robot.joints if joint.unit == "N m"],
-            limits=Limits(self.robot.speed_limits, self.robot.effort_limits),
+            limits=np.array([self.robot.speed_limits, self.robot.effort_limits]),
             effect_columns=effect_columns or self.model.columns,
             on_accepted=on_accepted,
             ledger=ledger,

@@ -1,44 +1,49 @@
 """The front of the pipeline: messages go on in the order in which they came, decided on by the gate of their source.
 
-While a joint message waits for the ones that show what it was, all that came after it, on any topic, wait behind it. So
-what is behind the gates sees one sequence, however many messages come at once.
+While a message waits for the ones that show what it was, all that came after it, on any topic, wait behind it. So what
+is behind the gates sees one sequence, however many messages come at once.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from typing import Generic, TypeVar
+from typing import TypeAlias
 
 import numpy as np
 
 from geomid_ros.signals.arrived import Arrived
-from geomid_ros.signals.gates import JointGate
+from geomid_ros.signals.gate import Gate
+from geomid_ros.signals.messages import JOINT_STATES
 
-S = TypeVar("S")
+Source: TypeAlias = tuple[str, tuple[str, ...]]
+"""A topic, and if joint messages are merged, the joints of a publisher."""
 
 
-class Admission(Generic[S]):
-    """Messages of several sources of type ``S``, each with a gate or without one."""
+class Admission:
+    """Messages of several sources, each with a gate."""
 
-    def __init__(self, new_gate: Callable[[S], JointGate | None]) -> None:
+    def __init__(self, new_gate: Callable[[Source], Gate]) -> None:
         """
         Args:
-            new_gate: makes the gate of a source, where it has one.
+            new_gate: makes the gate of a source.
         """
         self._new_gate = new_gate
-        self._gates: dict[S, JointGate | None] = {}
-        self._waiting: dict[S, Arrived] = {}  # messages that are decided on, behind others that are not
-        self._changed: dict[int, tuple[S, str]] = {}  # what has changed, by the place of the first message after it
+        self._gates: dict[Source, Gate] = {}
+        self._waiting: dict[Source, Arrived] = {}  # messages that are decided on, behind others that are not
+        self._changed: dict[int, tuple[Source, str]] = {}  # what has changed, by the place of the first message after
 
     @property
-    def held(self) -> Counter[S]:
-        """Number of messages that wait, by their source."""
-        found = Counter({source: len(waiting) for source, waiting in self._waiting.items()})
-        found.update({source: gate.held for source, gate in self._gates.items() if gate})
+    def held(self) -> Counter[str]:
+        """Number of messages that wait, by their topic."""
+        found = Counter[str]()
+        for source, gate in self._gates.items():
+            found[source[0]] += gate.held + (len(self._waiting[source]) if source in self._waiting else 0)
         return found
 
-    def take(self, new: Mapping[S, Arrived], newest: int) -> list[tuple[dict[S, Arrived], tuple[S, str] | None]]:
+    def take(
+        self, new: Mapping[Source, Arrived], newest: int
+    ) -> list[tuple[tuple[Source, str] | None, dict[Source, Arrived]]]:
         """Take messages, and let those go on that are decided on.
 
         Args:
@@ -46,42 +51,53 @@ class Admission(Generic[S]):
             newest: the place of the last one that came, of any source.
 
         Returns:
-            The messages that go on, and of which source something has changed just before the first of them, and what.
+            In which source something has changed, and what, and the messages that follow; None at first.
         """
-        for source in new.keys() - self._gates.keys():
-            self._gates[source] = self._new_gate(source)
-        for source, gate in self._gates.items():
-            self._decide(source, gate, new.get(source), newest)
-        end = min([gate.first_held for gate in self._gates.values() if gate and gate.held], default=newest + 1)
-        result: list[tuple[dict[S, Arrived], tuple[S, str] | None]] = []
+        self._gates |= {source: self._new_gate(source) for source in new if source not in self._gates}
+        for source in self._gates:
+            self._decide(source, new.get(source), newest)
+        result: list[tuple[tuple[Source, str] | None, dict[Source, Arrived]]] = []
         before = None
-        for place in sorted(place for place in self._changed if place < end):
-            result.append((self._before(place), before))
+        while (place := min(self._changed, default=newest + 1)) < self._end(newest):
+            result.append((before, self._before(place)))
             before = self._changed.pop(place)
-        return [*result, (self._before(end), before)]
+            self._reconsider(before[0], place, newest)
+        return [*result, (before, self._before(self._end(newest)))]
 
-    def forget(self) -> Counter[S]:
-        """Give up all messages that wait. Returns how many they were, by their source."""
+    def forget(self) -> Counter[str]:
+        """Give up all messages that wait. Returns how many they were, by their topic."""
         held = self.held
         for gate in self._gates.values():
-            if gate:
-                gate.forget()
+            gate.give_up()
         self._waiting.clear()
         self._changed.clear()
         return held
 
-    def _decide(self, source: S, gate: JointGate | None, arrived: Arrived | None, newest: int) -> None:
-        if gate is not None:
-            decided = gate.judge(arrived, newest)
-            if decided is None:
-                return
-            arrived = decided.messages
-            self._changed |= {place: (source, what) for place, what in decided.changed.items()}
-        if arrived is not None:
-            waiting = self._waiting.get(source)
-            self._waiting[source] = arrived if waiting is None else Arrived.joined([waiting, arrived])
+    def _end(self, newest: int) -> int:
+        """The place of the first message that is not decided on."""
+        return min([gate.first_held for gate in self._gates.values() if gate.held], default=newest + 1)
 
-    def _before(self, place: int) -> dict[S, Arrived]:
+    def _decide(self, source: Source, arrived: Arrived | None, newest: int) -> None:
+        decided = self._gates[source].judge(arrived, newest)
+        if decided is None:
+            return
+        self._changed |= {place: (source, what) for place, what in decided.changed.items()}
+        waiting = self._waiting.get(source)
+        self._waiting[source] = decided.messages if waiting is None else Arrived.joined([waiting, decided.messages])
+
+    def _reconsider(self, changed: Source, place: int, newest: int) -> None:
+        """Decide anew on what has come on other topics since the clock of one was set: they may have the same clock."""
+        for source, gate in self._gates.items():
+            if source[0] in (changed[0], JOINT_STATES):  # the motion has told of the joints' clock
+                continue
+            waiting, since = self._waiting.pop(source, None), None
+            if waiting is not None:
+                first = int(np.searchsorted(waiting.order, place))
+                self._waiting[source], since = waiting.select(slice(first)), waiting.select(slice(first, None))
+            self._changed = {other: entry for other, entry in self._changed.items() if entry[0] != source}
+            self._decide(source, gate.begin_anew(since), newest)
+
+    def _before(self, place: int) -> dict[Source, Arrived]:
         """The messages that wait and came before this place; they wait no more."""
         found = {}
         for source, waiting in [*self._waiting.items()]:

@@ -8,18 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.signals.ledger import Reason
+from geomid_ros.signals.limits import LARGEST_NUMBER, UNLIKE_ONE
 from geomid_ros.signals.messages import Block
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
-OTHER_FRAME = "is not the declared"
-"""In the reason for a wrench in another frame, before the frame that was declared."""
-_LARGEST_NUMBER = 1e9  # in SI units
-_UNLIKE_ONE = 1e-2  # length of a quaternion
+NO_STAMP = "stamp is zero: whoever publishes has to fill in header.stamp"
+NOT_VALID = "stamp is not valid"
 
 
 def plausible(values: FloatArray) -> BoolArray:
     """False for NaN, infinity and numbers that no robot measures."""
-    return np.abs(values) < _LARGEST_NUMBER
+    return np.abs(values) < LARGEST_NUMBER
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -78,7 +78,7 @@ def poses(block: Block) -> tuple[FloatArray, AnyArray]:
     wild = ~plausible(values).all(axis=1)
     values[wild] = np.nan
     norms = np.linalg.norm(values[:, 3:], axis=1)
-    refusals[np.abs(norms - 1.0) > _UNLIKE_ONE] = "quaternion is not of length 1"
+    refusals[np.abs(norms - 1.0) > UNLIKE_ONE] = "quaternion is not of length 1"
     refusals[wild] = "pose not finite"
     good = without_refusal(refusals)
     values[good, 3:] /= norms[good, None]
@@ -91,5 +91,5 @@ def wrenches(block: Block, sensor: WrenchSensor) -> tuple[FloatArray, AnyArray]:
     refusals = np.full(len(values), None)
     refusals[~plausible(values[:, sensor.axis_indices]).all(axis=1)] = "wrench not finite"
     if frame and frame != declared:
-        refusals[:] = f"frame '{frame}' {OTHER_FRAME} '{declared}'"
+        refusals[:] = Reason(f"frame '{frame}' is not the declared '{declared}'", "frame")
     return values - sensor.sign * np.array(sensor.offset), refusals

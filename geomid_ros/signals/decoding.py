@@ -10,10 +10,10 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from geomid_ros.signals.limits import MOST_LAYOUTS
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, Block, message_type, parse
 from geomid_ros.types import AnyArray, BoolArray, IntArray
 
-_MOST_LAYOUTS = 64
 _STAMP = slice(4, 12)  # seconds and nanoseconds, 4 bytes each
 _LITTLE_ENDIAN = b"\0\1"
 Raw: TypeAlias = tuple[str, bytes]
@@ -126,7 +126,7 @@ class Decoder:
     def _remembered(self, group: tuple[str, int], new: _Layout | None) -> list[_Layout]:
         if new is None:
             return []
-        if sum(map(len, self._layouts.values())) >= _MOST_LAYOUTS:  # the sender decides how many there are
+        if sum(map(len, self._layouts.values())) >= MOST_LAYOUTS:  # the sender decides how many there are
             self._layouts.clear()
         self._layouts.setdefault(group, []).append(new)
         return [new]

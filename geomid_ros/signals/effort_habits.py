@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from geomid_ros.signals.ledger import Reason, driver_error
-from geomid_ros.signals.saturation import STANDING
+from geomid_ros.signals.limits import STANDING
 from geomid_ros.signals.usual_efforts import CHUNK
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
@@ -17,7 +17,7 @@ _HELD = 4.0  # smallest changes, that one is on average: a coarse sensor's are o
 _COARSE = 0.25  # standard deviations
 _MANY = 10  # changes, at least
 _ZEROS, _GAP = 0.05, 0.2  # of the messages; standard deviations about zero without any number but zero
-_ZERO_RUNS, _BRAKED = 0.02, 4.0  # of the messages; usual changes, that one from or to zero is on average
+_BRAKED = 4.0  # usual changes, that one from or to zero is on average
 _FILLED = 8.0  # standard deviations: a range that efforts fill
 _ENDS, _OVERFLOWS = 0.05, 3  # of the range: a usual change is less; overflows in either direction
 _ALIKE, _EVERY = 0.95, 8  # of the messages; looked at
@@ -134,7 +134,7 @@ class EffortHabits:
         )
         share = self._zeros / count
         dead = (share > _ZEROS) & (self._least > _GAP * spread)
-        braked = (share > _ZERO_RUNS) & (self._jumps >= _MANY) & (self._jumped > _BRAKED * usual * self._jumps)
+        braked = (self._jumps >= _MANY) & (self._jumped > _BRAKED * usual * self._jumps)
         zero = fine & ~held & (dead | braked)
         over = fine & ~held & ~zero & (usual < _ENDS * full) & np.all(self._overflows >= _OVERFLOWS, axis=0)
         over &= full < _FILLED * spread  # else it is a few spikes that make the range

@@ -10,8 +10,9 @@ from geomid_ros.signals.arrived import plausible
 from geomid_ros.signals.effort_habits import EffortHabits
 from geomid_ros.signals.joint_names import missing_joint
 from geomid_ros.signals.ledger import Reason, driver_error
+from geomid_ros.signals.limits import STANDING
 from geomid_ros.signals.messages import Block
-from geomid_ros.signals.saturation import STANDING, SaturationDetector
+from geomid_ros.signals.saturation import SaturationDetector
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 _UNLIKE_A_TURN = 0.5  # [rad] a step that is no further from a whole turn is the driver's
@@ -120,46 +121,46 @@ class JointReader:
                 refusals[row] = f"position of '{joint}' not finite"
         return vector, refusals
 
-    def read(self, stamps: IntArray, numbers: FloatArray, among: int) -> tuple[FloatArray, BoolArray]:
+    def read(self, stamps: IntArray, numbers: FloatArray) -> tuple[FloatArray, AnyArray]:
         """Check messages against those before them.
 
         Args:
             stamps: ``(N,)`` [ns], increasing.
             numbers: ``(N, 3, joints)`` as :meth:`numbers` gives them.
-            among: the number of messages that were judged together with these.
 
         Returns:
-            The numbers of the messages that can be used ``(M, 3 joints)``, and which those are ``(N,)``: the others are
-            :data:`FROZEN`.
-
-        Raises:
-            RejectedError: a message cannot be used. If it was not judged alone nothing has happened, as others might
-                have been judged otherwise.
+            The numbers of the messages ``(N, 3 joints)``, and for each that cannot be used the reason, None for the
+            others ``(N,)``.
         """
         before = vars(self).copy(), vars(self._saturation).copy()
         try:
-            return self._read(stamps, numbers.copy(), among)
-        except RejectedError:
-            if among > 1:
-                vars(self).update(before[0])
-                vars(self._saturation).update(before[1])
-            raise
+            return self._read(stamps, numbers.copy())
+        except RejectedError as error:
+            if len(stamps) == 1:
+                return numbers.reshape(1, -1), np.array([error.reason], dtype=object)
+        # What is found of several holds only if all of them are good, as each is compared with the one before.
+        vars(self).update(before[0])
+        vars(self._saturation).update(before[1])
+        half = len(stamps) // 2
+        parts = [self.read(stamps[part], numbers[part]) for part in (slice(half), slice(half, None))]
+        values, refusals = (np.concatenate(each) for each in zip(*parts, strict=True))
+        return values, refusals
 
-    def _read(self, stamps: IntArray, numbers: FloatArray, among: int) -> tuple[FloatArray, BoolArray]:
+    def _read(self, stamps: IntArray, numbers: FloatArray) -> tuple[FloatArray, AnyArray]:
         positions = numbers[:, 0].copy()
         turns = self._unwind(numbers[:, 0])
         frozen, speeds = self._frozen(stamps, numbers)
-        taken = ~frozen
-        if frozen.any():
-            if among > len(stamps) or self._has_pause(stamps, taken):
-                raise RejectedError(FROZEN)
-            stamps, numbers, speeds = stamps[taken], numbers[taken], speeds[taken]
-        if len(stamps):
-            self._check_effort(stamps, numbers, speeds > STANDING)
-            self._habits.add(stamps, numbers[:, 0], numbers[:, 2])
-            self._stamp, self._last = int(stamps[-1]), numbers[-1].copy()
-            self._raw, self._turns = positions[taken][-1], turns[taken][-1]
-        return numbers.reshape(len(stamps), 3 * len(self._joints)), taken
+        refusals = np.full(len(stamps), None)
+        refusals[frozen] = FROZEN
+        if not frozen.all():
+            used = slice(None) if not frozen.any() else ~frozen
+            values = numbers[used]
+            self._check_effort(stamps[used], values, speeds[used] > STANDING)
+            self._habits.add(stamps[used], values[:, 0], values[:, 2])
+            numbers[used] = values
+            self._stamp, self._last = int(stamps[used][-1]), values[-1].copy()
+            self._raw, self._turns = positions[used][-1], turns[used][-1]
+        return numbers.reshape(len(stamps), -1), refusals
 
     def _order_of(self, names: tuple[str, ...]) -> IntArray:
         """The places of the robot's joints among a message's names. Most messages have those of the one before."""
@@ -225,11 +226,6 @@ class JointReader:
                 speed = steps[index] / (1e-9 * (stamp - last)) if last else 0.0
             speeds[index] = speed
             last = last if again and speed > STANDING else stamp
-
-    def _has_pause(self, stamps: IntArray, taken: BoolArray) -> bool:
-        """Whether several messages would be a pause without those that are not taken."""
-        before = np.maximum.accumulate(np.concatenate([[self._stamp], np.where(taken, stamps, 0)[:-1]]))
-        return len(stamps) > 1 and bool(np.any(stamps - before > self._max_gap))
 
     def _check_effort(self, stamps: IntArray, numbers: FloatArray, moving: BoolArray) -> None:
         """Leave out efforts that have failed for long. Raises RejectedError for others that fail."""

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from geomid_ros.signals.limits import MOST_NAMES
+
 NOBODY = (
     "if nobody publishes it, name it in the parameter locked_joints (--lock); if another node does, set "
     "merge_joint_states"
 )
 """What to do about a joint that is missing."""
-_MOST_NAMES = 3  # that are quoted
 
 
 def missing_joint(joints: Sequence[str], names: Sequence[str]) -> str:
@@ -31,7 +32,7 @@ def missing_joint(joints: Sequence[str], names: Sequence[str]) -> str:
             f"{sentence}: the URDF's names have the prefix '{prefix}', the messages' do not. Give the URDF without it"
         )
     if present.isdisjoint(joints):
-        quoted = ", ".join(f"'{name}'" for name in names[:_MOST_NAMES])
+        quoted = ", ".join(f"'{name}'" for name in names[:MOST_NAMES])
         return f"{sentence}: none of the messages' names is a joint of this URDF ({quoted} ...)"
     strange = next((name for name in names if name not in joints), None)
     other = f"; or is it '{strange}'?" if strange else ""

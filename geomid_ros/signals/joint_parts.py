@@ -10,12 +10,11 @@ import numpy as np
 
 from geomid_ros.signals.joint_messages import JointReader, RejectedError
 from geomid_ros.signals.ledger import driver_error
+from geomid_ros.signals.limits import MOST_WAITING
 from geomid_ros.types import FloatArray
 
 SILENT = 1_000_000_000
 """[ns] behind the other parts, for which a part is not missed."""
-_MOST_WAITING = 10_000  # messages of a part, while another is silent
-_FEWEST = 3  # messages of each part, that tell its period
 _MISSED = 2.5  # periods of a part, between which its numbers are on the line
 
 Part: TypeAlias = tuple[str, ...]
@@ -96,7 +95,7 @@ class JointParts:
         """Take a part's numbers ``(3 joints of it,)``. Yields stamps and numbers ``(3 joints,)`` of the whole."""
         waiting = self._waiting[part]
         waiting.append((stamp, values.reshape(3, -1)))
-        if len(waiting) > _MOST_WAITING:
+        if len(waiting) > MOST_WAITING:
             waiting.popleft()
         if not self._periods:
             self._measure_periods()
@@ -116,7 +115,7 @@ class JointParts:
         """Measure how fast the parts are, when all joints have been heard for long enough to tell."""
         if sum(map(len, self._waiting)) < len(self._joints):
             return
-        firsts = {part: entries[0][0] for part, entries in self._waiting.items() if len(entries) >= _FEWEST}
+        firsts = {part: entries[0][0] for part, entries in self._waiting.items() if len(entries) > 1}
         newest = max(entries[-1][0] for entries in self._waiting.values() if entries)
         if len(firsts) < len(self._waiting) or newest - max(firsts.values()) < SILENT:
             return

@@ -14,6 +14,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from geomid_ros.errors import InputError
 from geomid_ros.signals.grid_values import GridValues
+from geomid_ros.signals.limits import LARGEST_NOISE_GAIN
 from geomid_ros.types import FloatArray, IntArray
 
 # Passband ripple and stopband below 1e-3 (Kaiser beta 6); the transition is as wide as the cutoff, centred on it.
@@ -21,9 +22,7 @@ _KAISER_BETA = 6.0
 _LENGTH_IN_CUTOFF_PERIODS = 4.0
 _FIRST_DIFFERENCE = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60.0
 _SECOND_DIFFERENCE = np.array([2.0, -27.0, 270.0, -490.0, 270.0, -27.0, 2.0]) / 180.0
-_HALF_DIFFERENCE = 3
 LOWEST_RATE_PER_CUTOFF = 2.5
-_LARGEST_NOISE_GAIN = 2.0
 
 T = TypeVar("T", float, FloatArray)
 
@@ -48,7 +47,7 @@ def derivative_kernels(cutoff: float, period: float) -> FloatArray:
             f"(--cutoff) to {1 / period / LOWEST_RATE_PER_CUTOFF:.3g} or less{clock}"
         )
     half = max(1, round(0.5 * _LENGTH_IN_CUTOFF_PERIODS / (cutoff * period)))
-    value = np.pad(_low_pass(cutoff * period, half), _HALF_DIFFERENCE)
+    value = np.pad(_low_pass(cutoff * period, half), len(_FIRST_DIFFERENCE) // 2)
     first = np.convolve(value, _FIRST_DIFFERENCE, mode="same") / period
     second = np.convolve(value, _SECOND_DIFFERENCE, mode="same") / period**2
     return np.array([value, first, second])
@@ -103,7 +102,7 @@ def cubic_weights(nodes: FloatArray, times: FloatArray) -> FloatArray:
         ``(N, 4)`` weights of the nodes' values.
     """
     weights = np.stack(_lagrange(nodes.T, times), axis=1)
-    noisy = np.sum(weights**2, axis=1) > _LARGEST_NOISE_GAIN**2
+    noisy = np.sum(weights**2, axis=1) > LARGEST_NOISE_GAIN**2
     if np.any(noisy):
         weights[noisy] = np.stack(_line(nodes[noisy].T, times[noisy]), axis=1)
     return weights

@@ -11,19 +11,19 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, Self, TypeAlias
 
 from geomid_ros.errors import one_line
+from geomid_ros.signals.limits import LONGEST_REASON, MOST_REASONS
 
-_MOST_REASONS = 50  # of a topic: the sender of nonsense decides how many there are
-_LONGEST_REASON = 200  # characters
 _OTHER = "other reasons"
 _HEADING = "driver error: "
-Meaning: TypeAlias = Literal["", "driver error", "told", "repeated"]
+Meaning: TypeAlias = Literal["", "driver error", "told", "repeated", "frame"]
 
 
 class Reason(str):
     """Why messages were not used, or what is peculiar about them, in words; ``meaning`` says what follows from it.
 
     ``driver error``: the driver fills in its messages wrongly, all of them are doubtful; ``told``: the user is told of
-    it though the other messages can be used; ``repeated``: the driver may publish more often than it measures.
+    it though the other messages can be used; ``repeated``: the driver may publish more often than it measures;
+    ``frame``: a wrench is expressed in another one.
     """
 
     meaning: Meaning
@@ -150,6 +150,6 @@ class Ledger:
 def count_reason(reasons: Counter[str], reason: str, count: int = 1) -> None:
     """Count a reason once more, or ``count`` times. Long reasons are cut short; those beyond a bound count as one."""
     meaning, text = meaning_of(reason), one_line(reason)
-    short = text if len(text) <= _LONGEST_REASON else text[:_LONGEST_REASON] + "..."
+    short = text if len(text) <= LONGEST_REASON else text[:LONGEST_REASON] + "..."
     short = Reason(short, meaning) if meaning else short
-    reasons[short if short in reasons or len(reasons) < _MOST_REASONS else _OTHER] += count
+    reasons[short if short in reasons or len(reasons) < MOST_REASONS else _OTHER] += count

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geomid_ros.signals.limits import FINEST
 from geomid_ros.types import FloatArray
-
-_FINEST = 1e-6  # [rad, m] no position is measured better
-_BEND = 0.3  # of the way by a change of speed, that a motion may be off the mean speed
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +25,7 @@ def end_of(times: FloatArray, positions: FloatArray) -> End:
     terms = np.vander(times, 3, increasing=True)
     fitted, *_ = np.linalg.lstsq(terms, positions, rcond=None)
     spread = np.linalg.inv(terms.T @ terms)
-    noise = np.sum((positions - terms @ fitted) ** 2, axis=0) / (len(times) - 3) + _FINEST**2
+    noise = np.sum((positions - terms @ fitted) ** 2, axis=0) / (len(times) - 3) + FINEST**2
     return End(fitted[0], fitted[1], spread[0, 0] * noise, spread[1, 1] * noise)
 
 
@@ -37,5 +35,4 @@ def unlikely(left: End, right: End, time: float) -> float:
     error = right.place - left.place - 0.5 * time * (left.speed + right.speed)
     variance = left.place_variance + right.place_variance
     variance += 0.25 * time**2 * (left.speed_variance + right.speed_variance)
-    variance += (_BEND * time * (right.speed - left.speed)) ** 2
     return float(np.sum(error**2 / variance))

@@ -9,9 +9,7 @@ from __future__ import annotations
 import operator
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
 from functools import partial
-from typing import TypeAlias
 
 import numpy as np
 
@@ -19,25 +17,22 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.model.columns import NO_COLUMNS, Columns
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
-from geomid_ros.signals.admission import Admission
-from geomid_ros.signals.arrived import Arrived, poses, wrenches
-from geomid_ros.signals.gates import JointGate, Limits
-from geomid_ros.signals.joint_messages import FROZEN, JointReader, RejectedError
+from geomid_ros.signals.admission import Admission, Source
+from geomid_ros.signals.arrived import NO_STAMP, NOT_VALID, Arrived, poses, without_refusal, wrenches
+from geomid_ros.signals.gate import Gate
+from geomid_ros.signals.joint_gate import JointGate
+from geomid_ros.signals.joint_messages import JointReader, RejectedError
 from geomid_ros.signals.joint_parts import SILENT, JointParts, Part
 from geomid_ros.signals.ledger import Ledger
+from geomid_ros.signals.limits import MOST_JOINTS
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted, Block, Message
 from geomid_ros.signals.sampler import Sampler
 from geomid_ros.signals.settings import SignalSettings
-from geomid_ros.signals.timeline import NOT_LATER, Timeline, Turn
-from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
+from geomid_ros.types import AnyArray, FloatArray, IntArray
 
 _DEFAULTS = SignalSettings()
-_MOST_JOINTS = 1000  # whose names are kept
 
 UNDECIDED = "came last, when too few followed to tell whether they are right"
-
-_Source: TypeAlias = tuple[str, Part]
-"""A topic, and if joint messages are merged, the joints of a publisher."""
 
 
 def ignore(*_: object) -> None:
@@ -56,7 +51,7 @@ class SignalPipeline:
         settings: SignalSettings = _DEFAULTS,
         continuous: Sequence[str] = (),
         turning: Sequence[str] = (),
-        limits: Limits | None = None,
+        limits: FloatArray | None = None,
         effect_columns: Columns = NO_COLUMNS,
         on_accepted: Callable[[Accepted], None] = ignore,
         ledger: Ledger | None = None,
@@ -71,7 +66,7 @@ class SignalPipeline:
             continuous: the joints without end: their positions may jump by whole turns between messages, and are given
                 from -pi to pi in samples.
             turning: the revolute joints: a step of a whole turn in their positions is the driver's, and is undone.
-            limits: of the joints.
+            limits: ``(2, joints)`` the URDF's of speeds and of efforts, infinite where it has none.
             effect_columns: those that samples carry (:attr:`MeasurementModel.columns`).
             on_accepted: is told of every message that is accepted, as :meth:`push_accepted` takes it.
             ledger: is told what becomes of every message.
@@ -89,7 +84,7 @@ class SignalPipeline:
         self._gains = settings.effort_gains(self._joints)
         self._continuous = np.array([joint in continuous for joint in self._joints], dtype=bool)
         self._turning = np.array([joint in turning for joint in self._joints], dtype=bool)
-        self._limits = limits or Limits.none(len(self._joints))
+        self._limits = np.full((2, len(self._joints)), np.inf) if limits is None else limits
         self.ledger = ledger or Ledger()
         self.joints_heard = set() if joints_heard is None else joints_heard
         self._on_accepted = on_accepted
@@ -99,11 +94,10 @@ class SignalPipeline:
         self._parts = (
             JointParts(self._joints, self._max_gap, resolved, self._new_reader, note) if settings.merge else None
         )
-        self._admission: Admission[_Source] = Admission(self._new_gate)
-        self._timelines: dict[_Source, Timeline[Arrived]] = {}
+        self._admission = Admission(self._new_gate)
         self._arrived = 0  # messages
         self._open: Counter[str] = Counter()  # messages of which nothing has become yet
-        self._joined: list[tuple[_Source, IntArray, IntArray, FloatArray]] = []  # that wait for the other parts
+        self._joined: list[tuple[Source, IntArray, IntArray, FloatArray]] = []  # that wait for the other parts
         topics = (*self._sensors, ODOM) if floating_base else tuple(self._sensors)
         self._sampler = Sampler(settings, self._continuous, topics, effect_columns, self.ledger)
 
@@ -114,15 +108,16 @@ class SignalPipeline:
             joints, self._gains[places], self._continuous[places], self._max_gap, note, self._turning[places]
         )
 
-    def _new_gate(self, source: _Source) -> JointGate | None:
+    def _new_gate(self, source: Source) -> Gate:
         topic, part = source
+        note = partial(self.ledger.note, topic)
         if topic != JOINT_STATES:
-            return None
+            return Gate(self._max_gap, note)
         joints = part or self._joints
         places = [self._joints.index(joint) for joint in joints]
         turning = self._turning[places] | self._continuous[places]
-        note = partial(self.ledger.note, JOINT_STATES)
-        return JointGate(joints, self._limits.of(places), turning, self._max_gap, note)
+        max_gap = max(self._max_gap, SILENT) if part else self._max_gap
+        return JointGate(joints, self._limits[:, places], turning, max_gap, note)
 
     @property
     def lag(self) -> float:
@@ -160,11 +155,11 @@ class SignalPipeline:
         try:
             batch = self._read(blocks)
             self._arrived += sum(len(block.stamps) for block in blocks)
-            for admitted, change in self._admission.take(batch, self._arrived - 1):
+            for change, admitted in self._admission.take(batch, self._arrived - 1):
                 if change is not None:
-                    source, what = change
-                    self._begin_anew(source, what, admitted[source].order[:1])
-                self._take(admitted)
+                    self._begin_anew(*change)
+                for source, arrived in admitted.items():
+                    self._use(source, arrived)
             self._join_parts()
         except Exception as error:
             self._drop_open(f"{type(error).__name__} while taking a message")
@@ -174,29 +169,20 @@ class SignalPipeline:
     def _drop_open(self, reason: str) -> None:
         """Drop the messages of which nothing has become."""
         self._joined.clear()
-        held = Counter(dict.fromkeys(self._open, 0))
-        for (topic, _), timeline in self._timelines.items():
-            held[topic] += timeline.held
-        for (topic, _), count in self._admission.held.items():
-            held[topic] += count
+        held = self._admission.held
         for topic, count in (self._open - held).items():
             self.ledger.drop(topic, reason, count)
         self._open = held
 
-    def _accepted(self, topic: str, count: int) -> None:
-        self.ledger.accept(topic, count)
+    def _refused(self, topic: str, reason: str, count: int) -> None:
+        self.ledger.reject(topic, reason, count)
         self._open[topic] -= count
 
-    def _refused(self, topic: str, reason: str, count: int = 1) -> None:
-        if count:
-            self.ledger.reject(topic, reason, count)
-            self._open[topic] -= count
-
-    def _read(self, blocks: Iterable[Block]) -> dict[_Source, Arrived]:
+    def _read(self, blocks: Iterable[Block]) -> dict[Source, Arrived]:
         """What messages say by themselves, by their source."""
-        found: dict[_Source, list[Arrived]] = {}
+        found: dict[Source, list[Arrived]] = {}
         for block in blocks:
-            if block.topic == JOINT_STATES and len(self.joints_heard) < _MOST_JOINTS:
+            if block.topic == JOINT_STATES and len(self.joints_heard) < MOST_JOINTS:
                 self.joints_heard.update(block.names)
             try:
                 source = block.topic, self._part(block)
@@ -204,13 +190,15 @@ class SignalPipeline:
                 self._refused(block.topic, error.reason, len(block.stamps))
                 continue
             numbers, refusals = self._numbers(source, block)
+            refusals[block.stamps < 0] = NOT_VALID
+            refusals[block.stamps == 0] = NO_STAMP
             found.setdefault(source, []).append(Arrived(block.order + self._arrived, block.stamps, numbers, refusals))
         return {source: Arrived.in_order(several) for source, several in found.items()}
 
     def _part(self, block: Block) -> Part:
         return self._parts.part(block.names) if self._parts and block.topic == JOINT_STATES else ()
 
-    def _numbers(self, source: _Source, block: Block) -> tuple[FloatArray, AnyArray]:
+    def _numbers(self, source: Source, block: Block) -> tuple[FloatArray, AnyArray]:
         if block.topic == JOINT_STATES:
             return self._reader_of(source).numbers(block)
         if block.topic == ODOM:
@@ -219,78 +207,29 @@ class SignalPipeline:
             raise unknown_name("wrench topic", block.topic, self._sensors)
         return wrenches(block, self._sensors[block.topic])
 
-    def _reader_of(self, source: _Source) -> JointReader:
+    def _reader_of(self, source: Source) -> JointReader:
         return self._parts.readers[source[1]] if self._parts else self._reader
 
-    def _take(self, batch: dict[_Source, Arrived]) -> None:
-        """Judge the stamps of messages: those of a block at once, or if any is suspicious those of each half of it."""
-        for source in batch.keys() - self._timelines.keys():
-            self._timelines[source] = Timeline(max(self._max_gap, SILENT) if source[1] else self._max_gap)
-        count = sum(map(len, batch.values()))
-        if count == 1:
-            ((source, arrived),) = ((source, arrived) for source, arrived in batch.items() if len(arrived))
-            self._judge(source, arrived)
-        elif count:
-            judged = [(s, a, self._timelines[s].later(a.stamps, a.good)) for s, a in batch.items() if len(a)]
-            plain = [(source, arrived, later) for source, arrived, later in judged if later is not None]
-            if len(plain) == len(judged):
-                for source, arrived, later in plain:
-                    self._use_block(source, arrived, later)
-            else:
-                order = np.sort(np.concatenate([arrived.order for arrived in batch.values()]))
-                for first in (True, False):
-                    self._take({s: a.select((a.order < order[count // 2]) == first) for s, a in batch.items()})
-
-    def _judge(self, source: _Source, arrived: Arrived) -> None:
-        """Judge one message, and those that were held until it came."""
-        judged = self._timelines[source].judge(arrived)
-        for reason in judged.refused:
-            self._refused(source[0], reason)
-        if judged.turn is not Turn.CONTINUED:
-            self.ledger.note(source[0], judged.turn.value)
-        if judged.turn is Turn.RESET:
-            self._restart(source, arrived.order)
-        for message in judged.use:
-            self._use_held(source, message, arrived.order)
-
-    def _use_held(self, source: _Source, message: Arrived, order: IntArray) -> None:
-        """Use a message that was held, in the place of the one that has decided on it."""
-        self._use_block(source, replace(message, order=order), np.ones(1, dtype=np.bool_))
-
-    def _use_block(self, source: _Source, arrived: Arrived, later: BoolArray) -> None:
-        """Use what is good of messages whose stamps have been judged as if all that are ``later`` and good by
-        themselves were used; where one is not after all, and others depend on it, judge each half of them."""
-        used = later & arrived.good
-        stamps, values = arrived.stamps[used], arrived.numbers[used]
-        frozen = np.zeros(len(arrived), dtype=np.bool_)
-        if source[0] == JOINT_STATES and len(stamps):
-            try:
-                values, taken = self._reader_of(source).read(stamps, values, len(arrived))
-            except RejectedError as error:
-                if len(arrived) > 1:
-                    half = len(arrived) // 2
-                    for part in (slice(half), slice(half, None)):
-                        self._take({source: arrived.select(part)})
-                else:
-                    self._refused(source[0], error.reason)
-                return
-            frozen[used] = ~taken
-            stamps = stamps[taken]
-        self._refused(source[0], NOT_LATER, int(np.sum(~later)))
-        self._refused(source[0], FROZEN, int(np.sum(frozen)))
-        for reason in arrived.refusals[later & ~arrived.good]:
-            self._refused(source[0], reason)
-        if len(stamps):
-            self._use(source, arrived.order[used & ~frozen], stamps, values)
-
-    def _use(self, source: _Source, order: IntArray, stamps: IntArray, values: FloatArray) -> None:
+    def _use(self, source: Source, arrived: Arrived) -> None:
+        """Use the messages that are not refused, by their gate or their reader."""
         topic, part = source
-        self._timelines[source].advance(int(stamps[-1]))
-        if part:
-            self._joined.append((source, order, stamps, values))
-        else:
-            self._accept(Accepted(topic, stamps, values))
-        self._accepted(topic, len(stamps))
+        good = arrived.good
+        stamps, values, order = arrived.stamps[good], arrived.numbers[good], arrived.order[good]
+        refused = Counter(arrived.refusals[~good].tolist())
+        if topic == JOINT_STATES and len(stamps):
+            values, refusals = self._reader_of(source).read(stamps, values)
+            taken = without_refusal(refusals)
+            refused.update(refusals[~taken].tolist())
+            stamps, values, order = stamps[taken], values[taken], order[taken]
+        for reason, count in refused.items():
+            self._refused(topic, reason, count)
+        if len(stamps):
+            if part:
+                self._joined.append((source, order, stamps, values))
+            else:
+                self._accept(Accepted(topic, stamps, values))
+            self.ledger.accept(topic, len(stamps))
+            self._open[topic] -= len(stamps)
 
     def _join_parts(self) -> None:
         """Join the messages of several publishers, in the order in which they came."""
@@ -322,34 +261,19 @@ class SignalPipeline:
 
     def release(self) -> None:
         """Give up the messages that are held: no more will come."""
-        for (topic, _), count in self._admission.forget().items():
+        for topic, count in self._admission.forget().items():
             if count:
                 self.ledger.drop(topic, UNDECIDED, count)
                 self._open[topic] -= count
-        for (topic, _), timeline in self._timelines.items():
-            for reason in timeline.release():
-                self._refused(topic, reason)
 
-    def _begin_anew(self, source: _Source, what: str, order: IntArray) -> None:
+    def _begin_anew(self, source: Source, what: str) -> None:
         """Begin a new segment, as something has changed in the messages of ``source``: its clock, or a unit."""
         self.ledger.note(source[0], what)
-        if source in self._timelines:
-            for reason in self._timelines[source].release():
-                self._refused(source[0], reason)
-            self._timelines[source].forget()
-        self._restart(source, order)
-
-    def _restart(self, source: _Source, order: IntArray) -> None:
-        """Begin anew everywhere, as the clock of ``source`` was set."""
         self._join_parts()
         self._reader.restart()
         if self._parts:
             self._parts.restart()
         self._sampler.restart()
-        for other, timeline in self._timelines.items():
-            if other != source:
-                for held in timeline.forget():
-                    self._use_held(other, held, order)
 
     def collect(self) -> Samples | None:
         """The samples that have become ready since the last call, oldest first; None if there are none."""

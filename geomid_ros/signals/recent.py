@@ -5,10 +5,8 @@ from __future__ import annotations
 import threading
 from collections import deque
 
+from geomid_ros.signals.limits import BYTES_BESIDE_NUMBERS, MOST_BYTES
 from geomid_ros.signals.messages import Accepted
-
-_MOST_BYTES = 100_000_000
-_BYTES_BESIDE_NUMBERS = 400  # of messages that are remembered
 
 
 class Recent:
@@ -33,7 +31,7 @@ class Recent:
             self._last[topic] = newest
             self._entries.append(accepted)
             self._bytes += _size(accepted)
-            while self._entries and (self._bytes > _MOST_BYTES or self._is_old(self._entries[0], newest)):
+            while self._entries and (self._bytes > MOST_BYTES or self._is_old(self._entries[0], newest)):
                 self._bytes -= _size(self._entries.popleft())
 
     def _is_old(self, accepted: Accepted, newest: int) -> bool:
@@ -54,4 +52,4 @@ class Recent:
 
 
 def _size(accepted: Accepted) -> int:
-    return accepted.values.nbytes + accepted.stamps.nbytes + _BYTES_BESIDE_NUMBERS
+    return accepted.values.nbytes + accepted.stamps.nbytes + BYTES_BESIDE_NUMBERS

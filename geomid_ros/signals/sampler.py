@@ -13,30 +13,24 @@ from geomid_ros.errors import InputError
 from geomid_ros.model.columns import Columns, Entries
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.joint_messages import FROZEN
-from geomid_ros.signals.ledger import Account, Ledger, Reason, driver_error
+from geomid_ros.signals.ledger import Account, Ledger, driver_error
+from geomid_ros.signals.limits import HORIZON, MOST_WAITING, PERIOD_ROUNDING
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted
 from geomid_ros.signals.periods import FEWEST, FEWEST_IN_BURSTS, RegularClock, in_bursts
-from geomid_ros.signals.settings import PERIOD_ROUNDING, SignalSettings
+from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.signals.streams import Grid, JointSegment, PoseSegment, Stream, VectorSegment
-from geomid_ros.types import BoolArray, FloatArray, IntArray
+from geomid_ros.signals.velocity_choice import VelocityChoice
+from geomid_ros.types import BoolArray, IntArray
 
 IN_BURSTS = driver_error(
     "messages come in bursts: their stamps do not say when they were measured, their numbers in the row "
     "do; stamp them where they are measured"
-)
-SCALED = Reason(
-    "velocities are the positions' derivatives but for a factor: do the stamps run too fast or too slow, or is their "
-    "unit another one? They are not used",
-    "told",
 )
 NOW_IN_BURSTS = driver_error(
     "messages have begun to come in bursts: their stamps do not say when they were measured; stamp them "
     "where they are measured"
 )
 UNEVEN = driver_error("messages come in uneven bursts: nothing says when they were measured")
-_UNITS_OF_SPEED = (180.0 / np.pi, 1000.0, 30.0 / np.pi, 0.5 / np.pi)  # degrees, mrad, 1/min, turns in a rad/s
-_MOST_WAITING = 10_000  # messages kept until the period is known
-_HORIZON = 60_000_000_000  # [ns] a topic this far behind the others is not waited for
 _EFFORTS = "joint_states.effort"  # stream of efforts with a delay; no topic has that name
 
 
@@ -69,7 +63,6 @@ class Sampler:
         self._entries = Entries(effect_columns, len(continuous))
         self._ledger = ledger
         self._velocity = VelocityChoice(len(continuous))
-        self._noted_scale = False
         self._clock: RegularClock | None = None  # of joint messages whose stamps do not say when they were measured
         self._watched = np.zeros(0, dtype=np.int64)  # stamps of the last joint messages
         self._grid: Grid | None = None
@@ -106,14 +99,7 @@ class Sampler:
     def _wait(self, accepted: Accepted) -> None:
         """Keep what arrives before the period is known."""
         self._waiting.append(accepted)
-        surplus = sum(map(len, self._waiting)) - _MOST_WAITING
-        while surplus > 0:
-            oldest = self._waiting.popleft()
-            given_up = min(surplus, len(oldest))
-            self._ledger.revoke(oldest.topic, "no joint states to go with", given_up)
-            if given_up < len(oldest):
-                self._waiting.appendleft(oldest.after(given_up))
-            surplus -= given_up
+        self._give_up(sum(map(len, self._waiting)) - MOST_WAITING, "no joint states to go with")
         while self._grid is None and self._begin():
             pass
 
@@ -130,23 +116,25 @@ class Sampler:
                 return False
             clock = RegularClock(stamps[:FEWEST_IN_BURSTS])
             if not clock.is_right:
-                self._give_up(FEWEST_IN_BURSTS)
+                self._give_up(FEWEST_IN_BURSTS, UNEVEN, JOINT_STATES)
                 return True
             self._ledger.note(JOINT_STATES, IN_BURSTS)
             self._clock, period = clock, clock.period
         self._start(max(PERIOD_ROUNDING, round(period / PERIOD_ROUNDING) * PERIOD_ROUNDING))
         return False
 
-    def _give_up(self, count: int) -> None:
-        """Give up the first joint messages that wait."""
-        self._ledger.revoke(JOINT_STATES, UNEVEN, count)
-        kept: deque[Accepted] = deque()
-        for each in self._waiting:
-            less = min(count, len(each)) if each.topic == JOINT_STATES else 0
-            count -= less
-            if less < len(each):
-                kept.append(each.after(less))
-        self._waiting = kept
+    def _give_up(self, count: int, reason: str, topic: str = "") -> None:
+        """Give up the first messages that wait, of all topics or of one."""
+        passed = list[Accepted]()
+        while count > 0:
+            oldest = self._waiting.popleft()
+            given_up = min(count, len(oldest)) if topic in ("", oldest.topic) else 0
+            if given_up:
+                self._ledger.revoke(oldest.topic, reason, given_up)
+                count -= given_up
+            if given_up < len(oldest):
+                passed.append(oldest.after(given_up))
+        self._waiting.extendleft(reversed(passed))
 
     def _take(self, accepted: Accepted) -> None:
         stamps, values = accepted.stamps, accepted.values
@@ -223,7 +211,7 @@ class Sampler:
                 break
         for name, newest in self._newest.items():
             if grid is not None:
-                oldest = (newest - _HORIZON - abs(self._effort_delay)) // grid.period - grid.lag
+                oldest = (newest - HORIZON - abs(self._effort_delay)) // grid.period - grid.lag
                 self._streams[name].forget(oldest)
 
     def _samples(self, grid: Grid, instants: range) -> Samples:
@@ -233,10 +221,8 @@ class Sampler:
         position = value[:, 0]
         position[:, self._continuous] = np.remainder(position[:, self._continuous] + np.pi, 2.0 * np.pi) - np.pi
         velocity, acceleration = self._velocity.choose(value[:, 1], first[:, 1], first[:, 0], second[:, 0])
-        if not self._noted_scale and self._velocity.scaled.any():
-            self._noted_scale = True
-            rate = self._velocity.common_rate()
-            self._ledger.note(JOINT_STATES, _wrong_clock(rate) if rate else SCALED)
+        if remark := self._velocity.remark():
+            self._ledger.note(JOINT_STATES, remark)
         effort = self._streams[_EFFORTS].segment.filtered(instants)[0] if self._effort_delay else value[:, 2]
         pose = base_velocity = base_acceleration = np.zeros((count, 0))
         if self._floating_base:
@@ -257,84 +243,3 @@ class Sampler:
             effects=self._joint_stream.segment.effects(instants),
             entries=self._entries,
         )
-
-
-def _wrong_clock(rate: float) -> str:
-    return driver_error(
-        f"stamps run {max(rate, 1.0 / rate):.3g} times too {'slow' if rate < 1.0 else 'fast'}: at all "
-        "joints the velocities are so many times as small or large as the positions' derivatives; stamp messages in "
-        "seconds, when they are measured"
-    )
-
-
-class VelocityChoice:
-    """Chooses for each joint the message's velocity while it agrees with the position's derivative, else the latter.
-
-    They agree while the root mean square of their difference is below 5 % of the derivative's, both with a memory of
-    about 100 samples, and not before that many were seen.
-    """
-
-    _MEMORY = 100
-    _RELATIVE_DISAGREEMENT = 0.05
-    _IN_PROPORTION = 0.99
-    _WRONG_CLOCK = 1.5  # a velocity that is off by less may be a gear's or a filter's
-
-    def __init__(self, joints: int) -> None:
-        self._seen = np.zeros(joints, dtype=np.int64)
-        self._means = np.zeros((2, joints))  # squares of the difference and of the derivative
-        self._sums = np.zeros(
-            (3, joints)
-        )  # of the velocity's square, of its product with the derivative, of its square
-        self._known = np.zeros(joints, dtype=np.int64)
-
-    @property
-    def scaled(self) -> BoolArray:
-        """At which joints the messages' velocities are the derivatives but for a factor ``(joints,)``."""
-        given, both, derived = self._sums
-        told = (self._known >= self._MEMORY) & (both > 0.0) & (both**2 > self._IN_PROPORTION * given * derived)
-        return np.asarray(told & (np.abs(both - derived) > self._RELATIVE_DISAGREEMENT * derived))
-
-    def common_rate(self) -> float:
-        """How many times the derivatives the messages' velocities are, if that is the same at all joints that tell and
-        no unit's factor; else 0."""
-        _, both, derived = self._sums
-        rates = both[self.scaled] / derived[self.scaled]
-        if len(rates) < 2:
-            return 0.0
-        alike = np.all(np.abs(rates / np.median(rates) - 1.0) < self._RELATIVE_DISAGREEMENT)
-        sizes = np.abs(np.log(np.median(rates))) - np.abs(np.log(_UNITS_OF_SPEED))
-        of_unit = np.any(np.abs(sizes) < self._RELATIVE_DISAGREEMENT)
-        far = abs(np.log(np.median(rates))) > np.log(self._WRONG_CLOCK)
-        every = far and np.all(self.scaled | (self._known < self._MEMORY) | ~(both > 0.0))
-        return float(np.median(rates)) if every and alike and not of_unit else 0.0
-
-    def choose(
-        self, given: FloatArray, given_rate: FloatArray, derived: FloatArray, derived_rate: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Choose for N samples.
-
-        Args:
-            given: ``(N, joints)`` the messages' velocity, filtered; NaN where there is none.
-            given_rate: its derivative.
-            derived: ``(N, joints)`` the filtered position's first derivative.
-            derived_rate: its second.
-
-        Returns:
-            Velocities and accelerations ``(N, joints)``.
-        """
-        known = np.isfinite(given)
-        own = np.where(known, given, 0.0)
-        self._sums += [np.sum(own**2, axis=0), np.sum(own * derived, axis=0), np.sum(known * derived**2, axis=0)]
-        self._known += np.sum(known, axis=0)
-        squares = np.stack([np.where(known, given - derived, 0.0) ** 2, derived**2], axis=1)
-        places = np.arange(1, len(given) + 1)[:, None]
-        lost = np.maximum.accumulate(np.where(known, 0, places))
-        seen = places - lost + np.where(lost, 0, self._seen)
-        shares = 1.0 / np.clip(seen, 1, self._MEMORY)
-        means = np.empty_like(squares)
-        mean = self._means
-        for row, (share, square) in enumerate(zip(shares, squares, strict=True)):
-            means[row] = mean = mean + share * (square - mean)
-        use = known & (means[:, 0] <= self._RELATIVE_DISAGREEMENT**2 * means[:, 1]) & (seen >= self._MEMORY)
-        self._means, self._seen = mean, seen[-1]
-        return np.where(use, given, derived), np.where(use, given_rate, derived_rate)

@@ -8,11 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.signals.limits import LONGEST_DELAY, PERIOD_ROUNDING
 from geomid_ros.types import FloatArray
-
-PERIOD_ROUNDING = 10_000
-"""[ns] an inferred period of the grid is rounded to this; none is shorter."""
-_LONGEST_DELAY = 1.0  # [s] of efforts
 
 
 @dataclass(frozen=True)
@@ -39,9 +36,9 @@ class SignalSettings:
                 raise InputError(f"signal setting {name} is {getattr(self, name)}, expected a number greater than zero")
         if self.period != 0.0 and not PERIOD_ROUNDING * 1e-9 <= self.period < np.inf:
             raise InputError(f"signal setting period is {self.period}, expected 0 or at least {PERIOD_ROUNDING} ns")
-        if not abs(self.effort_delay) <= _LONGEST_DELAY:
+        if not abs(self.effort_delay) <= LONGEST_DELAY:
             raise InputError(
-                f"signal setting effort_delay is {self.effort_delay}, expected at most {_LONGEST_DELAY:g} s"
+                f"signal setting effort_delay is {self.effort_delay}, expected at most {LONGEST_DELAY:g} s"
             )
         gains = self.effort_gain.values() if isinstance(self.effort_gain, dict) else (self.effort_gain,)
         if not all(np.isfinite(gain) and gain != 0.0 for gain in gains):

@@ -19,6 +19,7 @@ from geomid_ros.model.columns import Entries
 from geomid_ros.model.effects import Motion
 from geomid_ros.signals.grid_values import GridValues
 from geomid_ros.signals.kernels import cubic_weights, derivative_kernels
+from geomid_ros.signals.limits import MEAN_STEPS, MEAN_TOLERANCE
 from geomid_ros.types import FloatArray, IntArray
 
 _SHARPER = 4.0  # cutoff of the motion that effects are computed on, in units of the filter's
@@ -213,9 +214,6 @@ class PoseSegment(Segment):
     the group are multiples of the logarithm or of the velocity's bracket with itself.
     """
 
-    _MEAN_STEPS = 4
-    _MEAN_TOLERANCE = 1e-12
-
     def __init__(self, grid: Grid) -> None:
         self._grid = grid
         self._stamps: list[int] = []
@@ -248,11 +246,11 @@ class PoseSegment(Segment):
         nodes = left[:, None] + np.arange(4)
         weights = cubic_weights((stamps - origin)[nodes].astype(float), (window - origin).astype(float))
         reference = poses[int(np.argmin(np.abs(stamps - instant * period)))]
-        for _ in range(self._MEAN_STEPS):
+        for _ in range(MEAN_STEPS):
             logs = np.einsum("ni,nij->nj", weights, se3.relative_log(reference, poses)[nodes])
             value, velocity, acceleration = self._grid.kernels @ logs
             reference = se3.compose_exp(reference, value)
-            if float(np.linalg.norm(value)) < self._MEAN_TOLERANCE:
+            if float(np.linalg.norm(value)) < MEAN_TOLERANCE:
                 break
         return reference, velocity, acceleration
 

@@ -10,7 +10,6 @@ CHUNK = 128
 """Messages that are learned from at once."""
 CLEAR = 4.0
 """A jump is as many times the largest change between the messages before, or after."""
-_FEWEST_CHUNKS = 2
 _TAIL = 6  # messages of a chunk, at either end, that do not count
 _OF_ALL, _LARGE = 0.6, 0.1  # of the sum over joints that changes with the unit; that sum, at least, in ranges
 _ABOVE = 2.0  # times what the change of all efforts together hardly exceeds
@@ -36,7 +35,6 @@ class UsualEfforts:
         joints = len(self._least)
         self._chunk = np.empty((CHUNK, joints))
         self._count = 0
-        self._chunks = 0
         self._low, self._high = np.full(joints, np.inf), np.full(joints, -np.inf)
         self._change = np.zeros(joints)
         self._usual_total = np.inf  # above it the change of all efforts together is suspicious
@@ -69,14 +67,12 @@ class UsualEfforts:
         """
         change = np.abs(after - before)
         found: BoolArray = np.any(change > self.spike, axis=1)
-        if self._chunks >= _FEWEST_CHUNKS:
-            known = self._inverse_range > 0.0
-            sums = [np.abs(efforts[:, known]) @ self._inverse_range[known] for efforts in (after, before)]
-            size = np.where(np.minimum(*sums) > 0.0, np.maximum(*sums), 0.0)  # zeros are no efforts in another unit
-            total = change[:, known] @ self._inverse_range[known]
-            least = np.maximum(_OF_ALL * size, self._usual_total)
-            found = found | ((total > least) & (size > _LARGE * np.sum(known)))
-        return found
+        known = self._inverse_range > 0.0
+        sums = [np.abs(efforts[:, known]) @ self._inverse_range[known] for efforts in (after, before)]
+        size = np.where(np.minimum(*sums) > 0.0, np.maximum(*sums), 0.0)  # zeros are no efforts in another unit
+        total = change[:, known] @ self._inverse_range[known]
+        least = np.maximum(_OF_ALL * size, self._usual_total)
+        return found | ((total > least) & (size > _LARGE * np.sum(known)))
 
     def factor(self, before: FloatArray, after: FloatArray) -> float:
         """The factor by which all efforts change at once, as by another unit or sign; 0 if they do not.
@@ -85,8 +81,6 @@ class UsualEfforts:
             before: ``(M, joints)`` of some messages.
             after: ``(N, joints)`` of the next.
         """
-        if self._chunks < _FEWEST_CHUNKS:
-            return 0.0
         old, new = (np.mean(end, axis=0) * self._inverse_range for end in (before[-_NEAR:], after[:_NEAR]))
         if not np.isfinite(old @ new) or not old.any() or np.max(old**2) > _ONE_JOINT * (old @ old):
             return 0.0
@@ -107,11 +101,9 @@ class UsualEfforts:
         self._low[measured] = np.minimum(self._low, ends[_TAIL])[measured]
         self._high[measured] = np.maximum(self._high, ends[-1 - _TAIL])[measured]
         self._change[measured] = np.maximum(self._change, change)[measured]
-        self._chunks += 1
-        if self._chunks >= _FEWEST_CHUNKS:
-            height = np.maximum(_IN_RANGE * (self._high - self._low), _IN_CHANGES * self._change)
-            known = np.isfinite(self._low) & (self._high > self._low)
-            self._inverse_range = np.where(known, 1.0 / np.where(known, self._high - self._low, 1.0), 0.0)
-            totals = np.abs(np.diff(efforts[:, known], axis=0)) @ self._inverse_range[known]
-            self._usual_total = _ABOVE * float(np.partition(totals, -1 - _TAIL)[-1 - _TAIL])
-            self.spike = np.where(np.isfinite(self._low), np.maximum(height, self._least), np.inf)
+        height = np.maximum(_IN_RANGE * (self._high - self._low), _IN_CHANGES * self._change)
+        known = np.isfinite(self._low) & (self._high > self._low)
+        self._inverse_range = np.where(known, 1.0 / np.where(known, self._high - self._low, 1.0), 0.0)
+        totals = np.abs(np.diff(efforts[:, known], axis=0)) @ self._inverse_range[known]
+        self._usual_total = _ABOVE * float(np.partition(totals, -1 - _TAIL)[-1 - _TAIL])
+        self.spike = np.where(np.isfinite(self._low), np.maximum(height, self._least), np.inf)

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.joint_messages import FROZEN, JointReader, RejectedError
+from geomid_ros.signals.joint_messages import JointReader, RejectedError
 from geomid_ros.signals.messages import Block, JointMessage, Message, WrenchMessage
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.types import FloatArray, IntArray
@@ -139,9 +139,9 @@ def read(reader: JointReader, message: JointMessage) -> FloatArray:
     numbers, (refusal,) = reader.numbers(block)
     if refusal is not None:
         raise RejectedError(refusal)
-    values, (taken,) = reader.read(block.stamps, numbers, among=1)
-    if not taken:
-        raise RejectedError(FROZEN)
+    values, (refusal,) = reader.read(block.stamps, numbers)
+    if refusal is not None:
+        raise RejectedError(refusal)
     return values[0]
 
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
-from geomid_ros.signals.gates import Limits
 from geomid_ros.signals.messages import JointMessage, Message
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
@@ -133,7 +132,7 @@ def spoiled(rng: np.random.Generator, *, merge: bool) -> list[Message]:
 def pipeline(*, merge: bool, **told: Any) -> SignalPipeline:
     """Of this robot and its sensor."""
     sensor = WrenchSensor("/wrench", "tool", "mounted", axes=("fx", "fz"))
-    limits = Limits(np.array([3.0, np.inf, 4.0]), np.array([80.0, np.inf, 20.0]))
+    limits = np.array([[3.0, np.inf, 4.0], [80.0, np.inf, 20.0]])
     settings = SignalSettings(merge=merge)
     return SignalPipeline(
         JOINTS, sensors=[sensor], settings=settings, continuous=["wrist"], turning=JOINTS, limits=limits, **told

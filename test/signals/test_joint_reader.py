@@ -13,7 +13,7 @@ from geomid_ros.signals.arrived import plausible
 from geomid_ros.signals.joint_messages import JointReader, RejectedError
 from geomid_ros.signals.joint_parts import JointParts
 from geomid_ros.signals.messages import JointMessage
-from geomid_ros.signals.sampler import VelocityChoice
+from geomid_ros.signals.velocity_choice import VelocityChoice
 
 from .feeding import START, read
 

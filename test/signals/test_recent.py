@@ -63,7 +63,7 @@ def test_nothing_is_kept_of_no_seconds() -> None:
 
 
 def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "_MOST_BYTES", 30_000)
+    monkeypatch.setattr(module, "MOST_BYTES", 30_000)
     recent = Recent(60.0)
     feed(pipeline(recent), 0, 600)
     assert 0 < sum(entry.values.nbytes for entry in recent.entries()) < 30_000

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomid_ros.signals.joint_messages import JointReader, RejectedError
+from geomid_ros.signals.joint_messages import JointReader
 from geomid_ros.signals.messages import JointMessage
+from geomid_ros.signals.saturation import SaturationDetector
 from geomid_ros.types import BoolArray, FloatArray
 
 from .feeding import START, read
@@ -34,23 +35,10 @@ def refused(efforts: FloatArray, rate: float, speed: float = 1.0) -> BoolArray:
     ones = np.ones(len(times))
     pairs = ((speed * times, times), (speed * ones, ones), (LARGEST * efforts, 1.0 + times))
     numbers = np.stack([np.column_stack(pair) for pair in pairs], axis=1)
-    result = np.zeros(len(efforts), dtype=np.bool_)
-    begin, count = 0, 1
-    while begin < len(efforts):
-        part = slice(begin, begin + count)
-        try:
-            values, taken = reader.read(stamps[part], numbers[part], among=count)
-        except RejectedError as error:
-            if count > 1:  # none was read
-                count //= 2
-                continue
-            result[begin] = "effort of 'one' saturated" in str(error)
-        else:
-            assert taken.all()
-            result[part] = np.isnan(values[:, 4])  # it lasts: the equation is left out
-            count *= 2
-        begin = part.stop
-    return result
+    values, refusals = reader.read(stamps, numbers)
+    assert all(refusal is None or "effort of 'one' saturated" in refusal for refusal in refusals)
+    lasting = np.isnan(values[:, 4])  # the equation is left out
+    return lasting | np.array([refusal is not None for refusal in refusals])
 
 
 @pytest.mark.parametrize("bits", [0, 16, 12, 8])
@@ -139,3 +127,12 @@ def test_efforts_that_a_driver_renews_seldom_are_not_saturated(held: int) -> Non
     assert not np.any(refused(seen, 100.0))
     cut_off = np.clip(seen, -0.4, 0.4)
     assert np.any(refused(cut_off, 100.0))
+
+
+def test_nothing_is_saturated_before_a_smaller_effort_has_changed_while_the_robot_moved() -> None:
+    """The robot stands, and the driver renews its efforts seldom: the first of the motion is the largest so far."""
+    effort = np.repeat([0.2, 0.1, 0.5, 0.3, 0.6], 20)[:, None]
+    moving = np.arange(len(effort)) > 40
+    stamps = START + 10_000_000 * np.arange(len(effort))
+    found = SaturationDetector(1).saturated(stamps, effort, 1.0 * moving[:, None], moving, None)
+    assert not np.any(found)

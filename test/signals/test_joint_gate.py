@@ -17,7 +17,8 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.signals.decoding import Decoder
-from geomid_ros.signals.gates import CLOCK_SET, EARLY, PATIENCE, SPIKE_OR_CONTACT, UNIT_CHANGED
+from geomid_ros.signals.joint_gate import CLOCK_SET, EARLY, SPIKE_OR_CONTACT, UNIT_CHANGED
+from geomid_ros.signals.limits import PATIENCE
 from geomid_ros.signals.messages import JOINT_STATES, Block
 from geomid_ros.signals.pipeline import UNDECIDED
 from geomid_ros.signals.sampler import IN_BURSTS
