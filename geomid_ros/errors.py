@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import resource
 from collections.abc import Iterable
 
 _LONGEST = 4000  # characters of a message
@@ -12,6 +13,7 @@ TOO_LITTLE_MEMORY = (
 )
 """What is said then."""
 _LONGEST_GUESS = 200  # characters of a name
+_LEAST_MEMORY = 500_000_000  # bytes of addresses: with less, libraries crash or hang
 _ON_PYPI = {
     "backports": "backports.zstd",
     "collada": "pycollada",
@@ -45,6 +47,13 @@ def printable(message: str) -> str:
     if len(message) > _LONGEST:
         message = f"{message[: _LONGEST // 2]} ... {message[-_LONGEST // 2 :]}"
     return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in message)
+
+
+def check_memory() -> None:
+    """Raise GeomidError where the process may not have enough."""
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit != resource.RLIM_INFINITY and limit < _LEAST_MEMORY:
+        raise GeomidError(TOO_LITTLE_MEMORY)
 
 
 def is_lack_of_memory(error: BaseException) -> bool:

@@ -10,7 +10,14 @@ import click
 from click.shell_completion import CompletionItem
 
 import geomid_ros
-from geomid_ros.errors import TOO_LITTLE_MEMORY, GeomidError, is_lack_of_memory, load_hashes, missing_library
+from geomid_ros.errors import (
+    TOO_LITTLE_MEMORY,
+    GeomidError,
+    check_memory,
+    is_lack_of_memory,
+    load_hashes,
+    missing_library,
+)
 
 COMMANDS = {
     "compare": "Compare two results of one robot.",
@@ -61,6 +68,7 @@ class _Group(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         try:
+            check_memory()
             return super().invoke(ctx)
         except GeomidError as error:
             raise _Failure(str(error)) from error

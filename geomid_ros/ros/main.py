@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import resource
 import signal
 import sys
 import threading
@@ -12,7 +11,14 @@ from contextlib import closing
 from functools import partial
 from typing import TYPE_CHECKING
 
-from geomid_ros.errors import TOO_LITTLE_MEMORY, GeomidError, is_lack_of_memory, load_hashes, missing_library
+from geomid_ros.errors import (
+    TOO_LITTLE_MEMORY,
+    GeomidError,
+    check_memory,
+    is_lack_of_memory,
+    load_hashes,
+    missing_library,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,7 +27,6 @@ if TYPE_CHECKING:
     from geomid_ros.ros.node import GeomidNode
 
 _SWITCH_INTERVAL = 5e-4  # [s]
-_LEAST_MEMORY = 500_000_000  # bytes of addresses: with less, libraries crash or hang while they are loaded
 # Everything is looked for: messages cost less when many come at once, and the filter holds rows back for five times as
 # long as this. To let the executor wait for anything else would wake it for every message.
 _PAUSE = 0.1  # [s]
@@ -34,7 +39,7 @@ def main() -> None:
     # So long, not the usual 5 ms, a solver in the middle of Python code may keep the intake waiting.
     sys.setswitchinterval(_SWITCH_INTERVAL)
     try:
-        _check_memory()
+        check_memory()
         load_hashes()
         _run()
     except GeomidError as error:
@@ -47,13 +52,6 @@ def main() -> None:
         print(f"geomid_node: {sentence}", file=sys.stderr)
         sys.stderr.flush()
         os._exit(2)  # libraries that are half loaded crash when they are unloaded
-
-
-def _check_memory() -> None:
-    """Raise GeomidError where the process may not have enough."""
-    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if limit != resource.RLIM_INFINITY and limit < _LEAST_MEMORY:
-        raise GeomidError(TOO_LITTLE_MEMORY)
 
 
 def _on_signal(act: Callable[[], object]) -> None:

@@ -17,7 +17,7 @@ from geomid_ros.commands.root import root
 
 BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
 # What a command does with a result, which in Python are the result's methods; and what a function alone is told.
-OF_COMMANDS = {"out", "as_json", "controller", "until", "help"}
+OF_COMMANDS = {"out", "report", "as_json", "controller", "until", "help"}
 OF_FUNCTIONS = {"progress"}
 DOORS: dict[str, Callable[..., Any]] = {
     "compare": geomid_ros.compare,
