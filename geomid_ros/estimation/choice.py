@@ -1,11 +1,11 @@
 """Which effects beside the default ones the rows ask for, and which shape the default ones have.
 
-One score decides: minus twice the logarithm of the marginal likelihood in Laplace's approximation (MacKay, "Bayesian
-interpolation", 1992), with the prior odds. An effect that stands at a place in one of several shapes (the speed over
-which dry friction changes its sign) has the best one. Optional effects are added one by one while they improve it, and
-those go again whose size is not worth their price where blocks of time disagree on it: what they say of it, each by
-itself, scatters far more than independent residuals would (:func:`variance_inflation`). So an effect is believed that
-repeats.
+An effect that stands at a place in one of several shapes (the speed over which dry friction changes its sign) has the
+shape of the highest marginal likelihood. Then optional effects are added one by one while they improve the fit visibly,
+and those go again that are not believed. What decides is the squared size of an effect in units of its standard
+deviation, as blocks of time show it: what they say of it, each by itself, scatters far more than independent residuals
+would (jackknife; Liang and Zeger, "Longitudinal data analysis using generalized linear models", 1986). So an effect is
+believed that repeats.
 
 A candidate is tried beside the inertias as they were fitted, and beside inertias that stay near the prior, because a
 link that has swallowed an effect hides it. No effect is negative that cannot be.
@@ -19,8 +19,8 @@ from functools import cached_property
 
 import numpy as np
 
+from geomid_ros.estimation.estimate import TOLD
 from geomid_ros.estimation.link_spreads import cost_of_spreads, likely_spreads
-from geomid_ros.estimation.posterior import effect_columns
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.profile_objective import (
     Profile,
@@ -29,13 +29,15 @@ from geomid_ros.estimation.profile_objective import (
     StraightManifold,
     fit_scales,
 )
-from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_REALS
-from geomid_ros.estimation.uncertainty import Fold, ParameterGroup, variance_inflation
+from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.effects import joints_of
 from geomid_ros.model.measurement import Coefficient, Mechanism
 from geomid_ros.types import FloatArray, IntArray
+
+_VISIBLE = 0.04
+"""Share of a channel's remaining squares that an effect explains at least."""
 
 
 def choose(problem: Problem, earlier: IntArray | None = None) -> IntArray:
@@ -50,20 +52,22 @@ def choose(problem: Problem, earlier: IntArray | None = None) -> IntArray:
     if not (rows.has_choice and rows.enough):
         return rows.standing
     chosen = rows.fit(rows.standing if earlier is None else earlier)
-    chosen = _pruned(_shaped(chosen, range(len(problem.model.robot.joints))))
+    chosen = _shaped(chosen, range(len(problem.model.robot.joints)))
+    chosen = _without_unbelieved(chosen)
     refused: set[Mechanism] = set()
     while len(left := rows.candidates(chosen.every, refused)):
         column, larger = _best(chosen, left)
         if larger is None:
             break
         refused.add(rows.mechanism(column))
-        if larger.possible and larger.score < chosen.score:
+        if larger.possible and larger.is_visible_beside(chosen):
             chosen = _shaped(larger, joints_of(rows.coefficient(column).place))
-    return _pruned(chosen).every
+    return _without_unbelieved(chosen).every
 
 
 def _shaped(fit: _Fit, joints: Collection[int]) -> _Fit:
-    """The fit in which every effect of ``joints`` that is not optional has its best shape, one after the other."""
+    """The fit in which every effect of ``joints`` that is not optional has the shape of the highest likelihood, one
+    after the other."""
     rows = fit.rows
     for mechanism in rows.always:
         if not set(joints).intersection(joints_of(mechanism[1])):
@@ -77,22 +81,22 @@ def _shaped(fit: _Fit, joints: Collection[int]) -> _Fit:
     return rows.fit(fit.every, fit)
 
 
-def _pruned(fit: _Fit) -> _Fit:
+def _without_unbelieved(fit: _Fit) -> _Fit:
     """The fit without the optional effects that are not believed, the least one first."""
     while len(fit.chosen):
-        worth = np.max([each.worth(fit.chosen) for each in (fit, fit.firm)], axis=0)
-        if np.min(worth) > 0.0 and fit.possible:
+        squares = np.max([each.squares_of(fit.chosen) for each in (fit, fit.firm)], axis=0)
+        if np.min(squares) > TOLD**2 and fit.possible:
             break
-        fit = fit.rows.fit(np.setdiff1d(fit.every, fit.chosen[np.argmin(worth)]), fit)
+        fit = fit.rows.fit(np.setdiff1d(fit.every, fit.chosen[np.argmin(squares)]), fit)
     return fit
 
 
 def _best(chosen: _Fit, left: IntArray) -> tuple[int, _Fit | None]:
-    """The column that promises to improve a fit most, and the fit with it; None if none does."""
+    """The column that improves a fit most, and the fit with it; None if none improves it visibly."""
     starts = (chosen, chosen.firm)
     gains = np.max([start.gains(left) for start in starts], axis=0)
     column = int(left[np.argmax(gains)])
-    if np.max(gains) <= 0.0:
+    if np.max(gains) < max(_VISIBLE * float(np.max(chosen.rows.counts)), TOLD**2):
         return column, None
     columns = np.sort(np.append(chosen.every, column))
     return column, min((chosen.rows.fit(columns, start) for start in starts), key=lambda fit: fit.score)
@@ -169,14 +173,6 @@ class _Rows:
         form = coefficient.effect.own[coefficient.index]
         return form.above < value < form.below and (value > 0.0 or not coefficient.positive)
 
-    def costs(self, columns: IntArray) -> FloatArray:
-        """Minus twice the logarithm of the prior odds of optional effects."""
-        return np.array([-2.0 * np.log(self.coefficient(column).effect.odds) for column in columns])
-
-    def trust(self, columns: IntArray) -> FloatArray:
-        """Weights of coefficients in their prior."""
-        return np.asarray((USUAL_SPREAD_OF_REALS * self.problem.scales[columns - self.first]) ** -2.0)
-
     @cached_property
     def products(self) -> FloatArray:
         """Of each channel: all columns and the target by each other, ``(channels, D + 1, D + 1)``; only the share of
@@ -224,8 +220,8 @@ class _Rows:
         profile = Profile(manifold, products, self.counts, prior)
 
         def objective(spreads: FloatArray) -> ProfileObjective:
-            every = np.append(np.repeat(spreads, 10), np.full(len(manifold.scales), USUAL_SPREAD_OF_REALS))
-            return ProfileObjective(profile, every**-2.0, known_rows)
+            weights = np.append(np.repeat(spreads, 10) ** -2.0, np.full(len(manifold.scales), ROUNDING))
+            return ProfileObjective(profile, weights, known_rows)
 
         def likely(point: Point, whitener: FloatArray) -> FloatArray:
             unsure = np.sum(whitener[:, links] ** 2, axis=0)
@@ -258,7 +254,7 @@ class _Fit:
     @property
     def wanted(self) -> IntArray:
         """The columns that are held at zero though they need not be."""
-        return self.zero[self._beside(self.zero)[0] > 0.0]
+        return self.zero[self.gains(self.zero) > 0.0] if len(self.zero) else self.zero
 
     @cached_property
     def firm(self) -> _Fit:
@@ -267,15 +263,17 @@ class _Fit:
 
     @cached_property
     def score(self) -> float:
-        """Minus twice the logarithm of the marginal likelihood and of the prior odds; what is held at zero has its
-        price as well."""
-        cost = cost_of_spreads(self.fit.scales, self.rows.problem.usual) + float(np.sum(self.rows.costs(self.chosen)))
-        return self.fit.score + cost + float(np.sum(self._prices(self.zero)))
+        """Minus twice the logarithm of the marginal likelihood."""
+        links = self.fit.objective.manifold.inertial
+        _, volume = np.linalg.slogdet(self.fit.hessian[links, links])
+        spreads = self.fit.scales
+        width = 20.0 * float(np.sum(np.log(spreads))) + cost_of_spreads(spreads, self.rows.problem.usual)
+        return 2.0 * self.fit.evaluation.value + float(volume) + width
 
     @cached_property
     def weights(self) -> FloatArray:
         """Inverse variances of the channels."""
-        return np.asarray(self.rows.counts / self.fit.objective.profile.squares(self.fit.point))
+        return self.rows.counts / self.left
 
     @property
     def possible(self) -> bool:
@@ -290,59 +288,69 @@ class _Fit:
         return np.intersect1d(self.every, self.rows.optional)
 
     @cached_property
+    def left(self) -> FloatArray:
+        """Sum of squares of each channel."""
+        return self.fit.objective.profile.squares(self.fit.point)
+
+    def is_visible_beside(self, smaller: _Fit) -> bool:
+        """Whether it leaves clearly less of some channel, links as they were fitted or such as stay near the prior."""
+        pairs = ((self, smaller), (self.firm, smaller.firm))
+        return any(bool(np.any(one.left < (1.0 - _VISIBLE) * other.left)) for one, other in pairs)
+
+    @cached_property
     def _vector(self) -> FloatArray:
         """All parameters and minus one ``(n + 1,)``: the residual is what the columns with the target leave of it."""
         vector = np.zeros(self.rows.size + 1)
         vector[self.columns], vector[-1] = self.fit.point.parameters, -1.0
         return vector
 
-    def worth(self, columns: IntArray) -> FloatArray:
-        """By how much the score is worse without some optional coefficients, as their sizes say, by the density at
-        nothing of posterior and prior (Dickey, "The weighted likelihood ratio", 1971); the posterior is as wide as
-        blocks of time show. Nothing of what is held at zero."""
-        real = self.columns >= self.rows.first
-        variances = (self._inflation * np.diag(definite.inverse(self.fit.hessian)))[real]
-        values = self.fit.objective.manifold.log(self.fit.objective.profile.prior, self.fit.point)[real]
-        worth = np.full(self.rows.size, -np.inf)
-        price = np.maximum(np.log(USUAL_SPREAD_OF_REALS**2 / variances), 0.0)
-        worth[self.columns[real]] = values**2 / variances - price
-        return np.asarray(worth[columns] - self.rows.costs(columns))
-
     @property
-    def _inflation(self) -> FloatArray:
-        """How much larger the variances of its parameters are than those by independent residuals, of each effect at
-        all its places ``(D,)``."""
-        rows, objective = self.rows, self.fit.objective
-        summary, channels = rows.problem.summary, len(self.weights)
-        sigmas = np.full(len(summary.groups), np.inf)  # what is not settled says nothing
-        sigmas[:channels] = (rows.problem.independent * self.weights) ** -0.5
-        own = np.append(self.columns, rows.size)
-        products = summary.products(sigmas, rows.size)[:, own[:, None], own]
-        folds = [Fold.at(objective.manifold, self.fit.point, each) for each in products]
-        known = objective.manifold.whiten(self.fit.point, objective.known[:, :-1])
-        names = (rows.coefficient(column).effect.name for column in self.columns[self.columns >= rows.first])
-        effects = effect_columns(names, rows.first).values()
-        groups = [ParameterGroup(places, USUAL_SPREAD_OF_REALS) for places in effects]
-        return variance_inflation(folds, known.T @ known, objective.weights, groups)
+    def _slopes(self) -> FloatArray:
+        """Half the derivative of the squares of each fold that has rows by each of its coefficients ``(folds, k)``."""
+        problem = self.rows.problem
+        slopes = np.zeros((problem.summary.folds, self.rows.size + 1))
+        for channel, weight, parts in zip(problem.model.channels, self.weights, problem.summary.parts(), strict=False):
+            own = np.append(channel.columns, self.rows.size)
+            residuals = [part.factor @ self._vector[own] for part in parts]
+            slopes[:, own] += weight * np.array([r @ part.factor for r, part in zip(residuals, parts, strict=True)])
+        slopes *= problem.independent
+        return slopes[np.any(slopes, axis=1)][:, self.columns]
+
+    def squares_of(self, columns: IntArray) -> FloatArray:
+        """Squares of some of its coefficients in units of their variances."""
+        inverse, manifold = definite.inverse(self.fit.hessian), self.fit.objective.manifold
+        slopes = manifold.whiten(self.fit.point, self._slopes)
+        real = self.columns >= self.rows.first
+        variances = np.diag(inverse)[real]
+        inflation = self._inflation(self.columns[real], (slopes @ inverse)[:, real], variances)
+        values = manifold.log(self.fit.objective.profile.prior, self.fit.point)[real]
+        squares = np.zeros(self.rows.size)
+        squares[self.columns[real]] = values**2 / (inflation * variances)
+        return np.asarray(squares[columns])
 
     def gains(self, columns: IntArray) -> FloatArray:
-        """By how much each of other ``columns`` would improve the score, by the score test; nothing of a coefficient
-        that would be negative and cannot be."""
-        slopes, left = self._beside(columns)
-        positive = np.array([self.rows.positive(column) for column in columns])
-        gains = slopes**2 / (left + self.rows.trust(columns)) - self._prices(columns) - self.rows.costs(columns)
-        return np.asarray(np.where(positive & (slopes < 0.0), 0.0, gains))
-
-    def _prices(self, columns: IntArray) -> FloatArray:
-        """By how much the data narrow other coefficients, as minus twice a logarithm."""
-        return np.asarray(np.log1p(self._beside(columns)[1] / self.rows.trust(columns)))
-
-    def _beside(self, columns: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Slopes of half twice the log likelihood along other columns, and their squares that the own ones leave."""
+        """By how much each of other ``columns`` would improve twice the log likelihood, by the score test; zero for a
+        coefficient that would be negative and cannot be."""
         manifold = self.fit.objective.manifold
         whitener = manifold.whiten(self.fit.point, np.eye(len(self.columns)))
         products = np.tensordot(self.weights, self.rows.products[:, columns], axes=1)
         shared = products[:, self.columns].T
         projected = whitener @ definite.inverse(self.fit.hessian) @ whitener.T @ shared
-        left = products[np.arange(len(columns)), columns] - np.sum(shared * projected, axis=0)
-        return -products @ self._vector, np.maximum(left, 0.0)
+        squares = products[np.arange(len(columns)), columns]
+        left = squares - np.sum(shared * projected, axis=0)
+        values = -products @ self._vector
+        positive = np.array([self.rows.positive(column) for column in columns])
+        possible = (left > ROUNDING * squares) & ~(positive & (values < 0.0))
+        return np.asarray(np.where(possible, values**2 / np.where(possible, left, 1.0), 0.0))
+
+    def _inflation(self, columns: IntArray, parts: FloatArray, variances: FloatArray) -> FloatArray:
+        """How much larger the variances of coefficients are than those by independent residuals, by what each fold says
+        of them, ``parts (folds, columns)``; others of a kind count as one fold more."""
+        count = len(parts)
+        if count < 2:
+            return np.ones(len(columns))
+        scatter = count / (count - 1.0) * np.sum((parts - np.mean(parts, axis=0)) ** 2, axis=0) / variances
+        kinds = np.array([self.rows.coefficient(column).effect.name for column in columns])
+        means = {kind: float(np.mean(scatter[kinds == kind])) for kind in set(kinds.tolist())}
+        of_kind = np.array([means[kind] for kind in kinds.tolist()])
+        return np.asarray(np.maximum(((count - 1.0) * scatter + of_kind) / count, 1.0))

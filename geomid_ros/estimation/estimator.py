@@ -229,8 +229,8 @@ def _estimate(
         solution = SOLVERS[settings.solver](geodesic, solution.point, tolerance, settings.max_steps)
     contents = summary.products(fitted.sigmas, manifold.dimension)
     found = uncertainty.estimate_uncertainty(
-        [uncertainty.Fold.at(manifold, solution.point, products) for products in contents],
-        uncertainty.Fold.at(manifold, solution.point, known.products),
+        [_fold_at(manifold, solution.point, products) for products in contents],
+        _fold_at(manifold, solution.point, known.products),
         1.0 / problem.independent,
         prior_weights,
         manifold.log(solution.point, prior_point),
@@ -315,6 +315,13 @@ def _geodesic_objective(objective: ResidualObjective) -> GeodesicObjective:
     return GeodesicObjective(
         manifold, rows, targets, np.ones(len(rows)), prior, objective.gamma, confidence=objective.confidence
     )
+
+
+def _fold_at(manifold: ParameterManifold, point: Point, products: FloatArray) -> uncertainty.Fold:
+    """Rows of standard deviation 1, of which these are the ``products (D + 1, D + 1)`` of all columns ``[A b]``."""
+    slope = products[:-1] @ np.append(point.parameters, -1.0)
+    half = manifold.whiten(point, products[:-1, :-1])
+    return uncertainty.Fold(manifold.whiten(point, slope[None])[0], manifold.whiten(point, half.T))
 
 
 def _information_at(manifold: ParameterManifold, point: Point, rows: FloatArray) -> FloatArray:

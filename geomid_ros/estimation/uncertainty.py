@@ -35,13 +35,6 @@ class Fold:
     gradient: FloatArray
     information: FloatArray
 
-    @staticmethod
-    def at(manifold: ParameterManifold, point: Point, products: FloatArray) -> Fold:
-        """Rows of standard deviation 1, of which these are the ``products (D + 1, D + 1)`` of all columns ``[A b]``."""
-        slope = products[:-1] @ np.append(point.parameters, -1.0)
-        half = manifold.whiten(point, products[:-1, :-1])
-        return Fold(manifold.whiten(point, slope[None])[0], manifold.whiten(point, half.T))
-
 
 @dataclass(frozen=True, eq=False)
 class ParameterGroup:

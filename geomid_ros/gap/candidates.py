@@ -22,6 +22,7 @@ from geomid_ros.types import FloatArray
 ODDS = 0.01
 """Prior odds of a name at a place, and that a link has been changed; what joints of a robot that nothing is known of
 have is as likely as not."""
+_OF_COUPLED = 0.05  # of these: most joints have motors of their own
 
 
 def library_columns(model: MeasurementModel) -> Columns:
@@ -79,7 +80,7 @@ class Candidate:
     @staticmethod
     def of(effect: Effect, place: Place, *, known: bool = False, ordinary: bool = False) -> Candidate:
         """The candidate of an effect at a place; ``ordinary``: whether it is one that every joint may well have."""
-        odds = 1.0 if ordinary else ODDS * effect.odds
+        odds = 1.0 if ordinary else ODDS * (_OF_COUPLED if effect.place == "joints" else 1.0)
         constants = 1 if known else len(effect.variants())
         return Candidate(effect, place, tuple(_terms(effect, place)), known, odds / constants)
 

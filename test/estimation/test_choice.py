@@ -299,27 +299,5 @@ def test_what_a_column_promises_is_what_a_fit_with_it_finds(effect: str) -> None
     assert gain == pytest.approx(without.score - larger.score, rel=0.3)
 
 
-@pytest.mark.parametrize("effect", ["saturating_friction", "spring"])
-def test_what_a_size_is_worth_is_what_a_fit_without_it_loses(effect: str) -> None:
-    """To second order, where all blocks of time agree on it."""
-    case = planted("arm3", 1, "")
-    small = replace(case, samples=replace(case.samples, effort=case.samples.effort + 0.02 * added_to(case, effect)))
-    rows = choice._Rows(problem(small))
-    without, larger = rows.fit(columns(small)), rows.fit(columns(small, (effect, 1)))
-    (worth,) = larger.worth(larger.chosen)
-    loss = without.score - larger.score
-    assert 0.5 * loss < worth < 1.3 * loss
-
-
-def test_what_is_held_at_zero_has_its_price() -> None:
-    """An effect that would be negative and cannot be explains nothing, and is less likely than none."""
-    case = planted("arm3", 1, "")
-    negative = case.with_efforts(case.samples.effort - 0.1 * added_to(case, "saturating_friction"))
-    rows = choice._Rows(problem(negative))
-    without, larger = rows.fit(columns(negative)), rows.fit(columns(negative, ("saturating_friction", 1)))
-    np.testing.assert_array_equal(larger.zero, larger.chosen)
-    assert larger.score > without.score + 1.0
-
-
 def added_to(case: Case, effect: str) -> FloatArray:
     return added(effect, 1, case, case.noiseless)

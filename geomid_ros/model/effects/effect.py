@@ -99,8 +99,6 @@ class Effect(ABC):
     usual: ClassVar[tuple[float, ...]] = ()
     """Prior standard deviations of its own coefficients, which any robot may have; empty where these go with what is
     measured."""
-    odds: ClassVar[float] = 1.0
-    """Prior odds that a place has it, beside those of effects of a single joint."""
     scales_measurement: ClassVar[bool] = False
     """Whether it acts on what is measured after everything else."""
 
@@ -346,7 +344,6 @@ class PairEffect(MotionEffect):
     """A function of two joints' motion, with one coefficient per pair."""
 
     place = "joints"
-    odds = 0.05  # most joints have motors of their own
 
     @abstractmethod
     def columns(self, first: JointMotion, second: JointMotion) -> tuple[FloatArray, FloatArray]:
