@@ -7,7 +7,7 @@ import resource
 from collections.abc import Iterable
 
 _LONGEST = 4000  # characters of a message
-_NO_MEMORY = ("failed to map segment", "annot allocate memory", "Unable to allocate")
+_NO_MEMORY = ("failed to map segment", "annot allocate memory", "ould not allocate memory", "Unable to allocate")
 TOO_LITTLE_MEMORY = (
     "too little memory: geomid needs 1 GB plus the size of its recordings; check limits such as ulimit -v"
 )

@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomid_ros.checks.evidence import SPREAD, Evidence, evidence
+from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.model.moving import STILL
 from geomid_ros.types import BoolArray, FloatArray
 
 _SLOW = 0.05  # of a joint's largest speed: below it stiction holds whatever it likes
-_FLOOR = np.finfo(float).tiny
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -154,10 +154,17 @@ def by_channel(columns: FloatArray) -> FloatArray:
 
 def _curves(position: FloatArray, friction: FloatArray, predicted: FloatArray) -> FloatArray:
     """What springs, cables and frictions of other laws may add, in standard deviations ``(N, C, 6)``."""
-    place = (position - np.mean(position, axis=0)) / np.maximum(np.std(position, axis=0), _FLOOR)
-    speed = friction[:, :, 1] / np.maximum(np.std(friction[:, :, 1], axis=0), _FLOOR)
+    place = _standardised(position - np.mean(position, axis=0))
+    speed = _standardised(friction[:, :, 1])
     sign = friction[:, :, 2]
-    load = np.abs(predicted - np.mean(predicted, axis=0)) / np.maximum(np.std(predicted, axis=0), _FLOOR)
+    load = np.abs(_standardised(predicted - np.mean(predicted, axis=0)))
     bent, cubic = place**2 - 1.0, place**3 - 3.0 * place
     creeping = sign * np.exp(-(speed**2))
     return SPREAD * np.stack([place, bent, cubic, speed * np.abs(speed), creeping, load * sign], axis=2)
+
+
+def _standardised(values: FloatArray) -> FloatArray:
+    """Values ``(N, C)`` in their standard deviations; nothing where they are always the same but for rounding."""
+    deviations = np.std(values, axis=0)
+    varied = deviations > ROUNDING * (1.0 + np.max(np.abs(values), axis=0, initial=0.0))
+    return np.asarray(np.where(varied, values, 0.0) / np.where(varied, deviations, 1.0))

@@ -50,6 +50,8 @@ def gap(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **option
     else:
         results.show(found)
         click.echo(f"\nWritten: {', '.join(map(str, files))}")
+        if not report and (old := out / "report.html").exists():
+            click.echo(f"Not of this run: {old}")
         if is_open(found.result):
             arguments = ("--urdf", options["urdf"] or "ROBOT.urdf", "--settle", out / "gap.json")
             click.echo(f"To discriminate between the rivals: geomid excite {shlex.join(map(str, arguments))}")

@@ -67,6 +67,8 @@ def identify(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **o
     else:
         identification.show(found)
         click.echo(f"\nWritten: {', '.join(map(str, files))}")
+        if not report and (old := out / "report.html").exists():
+            click.echo(f"Not of this run: {old}")
         if found.not_written:
             click.echo(one_line(found.not_written))
     sys.exit(found.verdict.status)

@@ -84,8 +84,9 @@ def main() -> None:
     """Entry point of ``geomid``."""
     try:
         root()
-    except (MemoryError, ImportError, OSError) as error:
-        sentence = TOO_LITTLE_MEMORY if is_lack_of_memory(error) else missing_library(error)
+    except Exception as error:  # libraries that find no room have errors of their own
+        missing = missing_library(error) if isinstance(error, ImportError | OSError) else ""
+        sentence = TOO_LITTLE_MEMORY if is_lack_of_memory(error) else missing
         if not sentence:
             raise
         click.echo(f"Error: {sentence}", err=True)

@@ -69,6 +69,7 @@ class JointReader:
         """Begin anew, as a clock was set back."""
         self._stamp = 0
         self._last: FloatArray | None = None  # positions, velocities and efforts of the last message that was good
+        self._sent: FloatArray | None = None  # the same as they were sent, saturated efforts, too
         self._raw: FloatArray | None = None  # its positions as they were sent
         self._turns = np.zeros(len(self._joints))  # that were added to them
         self._speed = 0.0
@@ -155,6 +156,7 @@ class JointReader:
         if not frozen.all():
             used = slice(None) if not frozen.any() else ~frozen
             values = numbers[used]
+            self._sent = values[-1].copy()
             self._check_effort(stamps[used], values, speeds[used] > STANDING)
             self._habits.add(stamps[used], values[:, 0], values[:, 2])
             numbers[used] = values
@@ -203,7 +205,7 @@ class JointReader:
     def _frozen(self, stamps: IntArray, numbers: FloatArray) -> tuple[BoolArray, FloatArray]:
         """In which messages no number has changed, though by velocities, or else by the positions before, the robot
         moves; and the speed in each, both ``(N,)``."""
-        last = np.full(numbers.shape[1:], np.inf) if self._last is None else self._last
+        last = np.full(numbers.shape[1:], np.inf) if self._sent is None else self._sent
         before = np.concatenate([last[None], numbers[:-1]])
         # Positions first, as hardly ever all of them are the same. Zeros as efforts are looked at elsewhere.
         same = (numbers[:, 0] == before[:, 0]).all(axis=1)

@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
+from geomid_ros.checks import flexible
 from geomid_ros.checks.evidence import Evidence, evidence
 from geomid_ros.types import FloatArray
 
@@ -82,3 +83,14 @@ def test_friction_of_the_wrong_sign_stays_at_zero(seed: int) -> None:
     bounds = [(None, None)] * LINKS + [(None, None), (0.0, None), (0.0, None), (0.0, None)] * CHANNELS
     best = minimize(cost, np.zeros(LINKS + 4 * CHANNELS), bounds=bounds, options={"ftol": 1e-14, "gtol": 1e-9})
     assert result.links == pytest.approx(best.x[:LINKS], abs=2e-3)
+
+
+def test_what_is_always_the_same_but_for_rounding_has_no_curves() -> None:
+    """A joint that stands exactly still, whose filtered velocity is some 1e-16 rad/s."""
+    moving = np.sin(np.linspace(0.0, 9.0, 50))
+    still, friction = np.full(50, 0.3), np.zeros((50, 2, 3))
+    friction[:, 0, 1], friction[:, 1, 1:] = 6.7e-16, np.stack([moving, np.sign(moving)], axis=1)
+    curves = flexible._curves(np.stack([still, moving], 1), friction, np.stack([still, moving], 1))
+    assert not np.any(np.ptp(curves[:, 0], axis=0))
+    assert np.all(np.isfinite(curves))
+    assert np.any(curves[:, 1])

@@ -93,6 +93,15 @@ def test_zeros_are_no_efforts_while_the_robot_moves() -> None:
         read(own, later)
 
 
+def test_the_same_numbers_again_are_frozen_though_an_effort_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As it is in one block of both: what counts is what was sent."""
+    own = reader()
+    monkeypatch.setattr(type(own._saturation), "saturated", lambda *_: np.array([[False, True]]))
+    assert np.isnan(read(own, message(0))[5])
+    with pytest.raises(RejectedError, match="frozen"):
+        read(own, message(0, stamp=START + STEP))
+
+
 @pytest.mark.parametrize(("velocity", "frozen"), [((1.0, 0.0), True), ((0.0, -1.0), True), ((0.009, 0.0), False)])
 def test_the_same_numbers_again_are_frozen_if_the_robot_moves(velocity: tuple[float, float], frozen: bool) -> None:
     own = reader()
