@@ -87,9 +87,9 @@ def test_friction_of_the_wrong_sign_stays_at_zero(seed: int) -> None:
 
 def test_what_is_always_the_same_but_for_rounding_has_no_curves() -> None:
     """A joint that stands exactly still, whose filtered velocity is some 1e-16 rad/s."""
-    moving = np.sin(np.linspace(0.0, 9.0, 50))
-    still, friction = np.full(50, 0.3), np.zeros((50, 2, 3))
-    friction[:, 0, 1], friction[:, 1, 1:] = 6.7e-16, np.stack([moving, np.sign(moving)], axis=1)
+    moving = np.sin(np.linspace(0.0, 9.0, 64))
+    still, friction = np.full(64, 0.25), np.zeros((64, 2, 3))
+    friction[:, 0, 1], friction[:, 1, 1:] = 2.0**-50, np.stack([moving, np.sign(moving)], axis=1)
     curves = flexible._curves(np.stack([still, moving], 1), friction, np.stack([still, moving], 1))
     assert not np.any(np.ptp(curves[:, 0], axis=0))
     assert np.all(np.isfinite(curves))
