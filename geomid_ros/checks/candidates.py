@@ -146,12 +146,10 @@ class Tried:
 
     @cached_property
     def repeats(self) -> bool:
-        """Whether every part of the recording asks for it, in sizes of one sign; one of few instants does not."""
+        """Whether every part of the recording asks for it, in sizes of one sign."""
         return all(self._repeats(part) for part in self.subject.parts(alternating=self.candidate.changes))
 
     def _repeats(self, part: Subject) -> bool:
-        if len(part.samples) < FEWEST:
-            return False
         judged = self.candidate.judged(part)
         off = np.abs(judged.estimates - self.judged.estimates)
         # What noise and friction have in common makes sizes less sure than their deviations say: signs have to agree.
