@@ -16,8 +16,6 @@ _SENTENCES = {
     "sign": f"{{efforts}} reversed: with {{settings}} {_FOLLOW}",
     "order": f"the efforts of joints {{both}} are swapped: swapped back {_FOLLOW}; correct their order in the driver, "
     "or the names in the URDF",
-    "coupled": f"the effort of joint {{joints}} seems to contain that of '{{other}}': without it {_FOLLOW}. Check a "
-    "coupling of the two gears, and the axes and signs of both positions",
     "names": "the names of joints {pairs} are swapped: swapped back positions and efforts would be those of this "
     "robot; correct the names in the driver, or in the URDF",
     "gain": f"{{efforts}} about {{ratio}} of what this robot needs in N m{{unit}}: with about {{settings}} {_FOLLOW} "

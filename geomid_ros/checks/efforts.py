@@ -57,14 +57,18 @@ def _orders(subject: Subject, _: Subject) -> Iterator[Candidate]:
 
 
 def _couplings(subject: Subject, _: Subject) -> Iterator[Candidate]:
-    """One joint's motor carries the effort of another, too, in either direction."""
+    """One joint's motor carries the effort of another, too, in either direction.
+
+    That is not named, as sound recordings of some seconds may look like it, but explains what would be taken for a sign
+    or a gain: then the joint is said not to be explained, with a hint at it.
+    """
     for pairs in exchanges(subject.names):
         for joint, other in (*pairs, *(pair[::-1] for pair in pairs)) if len(pairs) == 1 else ():
             for sign in (1.0, -1.0):
                 matrix = np.eye(len(subject.joints))
                 matrix[joint, other] = sign
-                cause = Cause.of("coupled", [subject.names[joint]], other=subject.names[other])
-                yield _linear(matrix, cause, [joint])
+                cause = Cause(kind="coupled", sentence="", places=(subject.names[joint],))
+                yield replace(_linear(matrix, cause, [joint]), alone=False)
 
 
 def _frictions(subject: Subject, _: Subject) -> Iterator[Candidate]:
