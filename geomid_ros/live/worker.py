@@ -6,10 +6,12 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import TypeAlias
 
 import numpy as np
 
+from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.live.inbox import Inbox, Received, Request, Reset
 from geomid_ros.live.solver import SOLVING, Done, Solver
@@ -66,7 +68,8 @@ class Worker:
         self._inbox.end()
         self._intake.join(max(0.0, end - time.monotonic()))
         self.solver.close(max(0.0, end - time.monotonic()))
-        self.session.pipeline.release()
+        with suppress(GeomidError):  # of messages that no row is made of any more
+            self.session.pipeline.release()
         self._drop(self._inbox.clear(), "the node ends, or begins anew")
 
     def _drop(self, messages: Sequence[Received], reason: str) -> None:

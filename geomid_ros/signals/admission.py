@@ -64,14 +64,14 @@ class Admission:
             self._reconsider(before[0], place, newest)
         return [*result, (before, self._before(self._end(newest)))]
 
-    def forget(self) -> Counter[str]:
-        """Give up all messages that wait. Returns how many they were, by their topic."""
-        held = self.held
-        for gate in self._gates.values():
+    def give_up(self) -> Counter[str]:
+        """Give up the messages that are not decided on: others no longer wait for them. Returns how many they were, by
+        their topic."""
+        given_up = Counter[str]()
+        for source, gate in self._gates.items():
+            given_up[source[0]] += gate.held
             gate.give_up()
-        self._waiting.clear()
-        self._changed.clear()
-        return held
+        return given_up
 
     def _end(self, newest: int) -> int:
         """The place of the first message that is not decided on."""

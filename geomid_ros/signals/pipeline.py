@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import operator
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 
 import numpy as np
@@ -152,19 +153,29 @@ class SignalPipeline:
         blocks = messages if isinstance(messages, Sequence) else [Block.of(messages)]
         for block in blocks:
             self._open[block.topic] += len(block.stamps)
-        try:
+        with self._dropping():
             batch = self._read(blocks)
             self._arrived += sum(len(block.stamps) for block in blocks)
-            for change, admitted in self._admission.take(batch, self._arrived - 1):
-                if change is not None:
-                    self._begin_anew(*change)
-                for source, arrived in admitted.items():
-                    self._use(source, arrived)
-            self._join_parts()
+            self._take(batch)
+
+    def _take(self, batch: Mapping[Source, Arrived]) -> None:
+        """Use what is admitted when messages have come."""
+        for change, admitted in self._admission.take(batch, self._arrived - 1):
+            if change is not None:
+                self._begin_anew(*change)
+            for source, arrived in admitted.items():
+                self._use(source, arrived)
+        self._join_parts()
+        self._sampler.make_samples()
+
+    @contextmanager
+    def _dropping(self) -> Iterator[None]:
+        """If what is done inside fails, messages of which nothing has become are dropped and counted."""
+        try:
+            yield
         except Exception as error:
             self._drop_open(f"{type(error).__name__} while taking a message")
             raise
-        self._sampler.make_samples()
 
     def _drop_open(self, reason: str) -> None:
         """Drop the messages of which nothing has become."""
@@ -260,11 +271,16 @@ class SignalPipeline:
         self._sampler.make_samples()
 
     def release(self) -> None:
-        """Give up the messages that are held: no more will come."""
-        for topic, count in self._admission.forget().items():
+        """Give up the messages that nothing has decided on, as no more will come; what waited behind them is used.
+
+        Raises InputError as :meth:`push` does.
+        """
+        for topic, count in self._admission.give_up().items():
             if count:
                 self.ledger.drop(topic, UNDECIDED, count)
                 self._open[topic] -= count
+        with self._dropping():
+            self._take({})
 
     def _begin_anew(self, source: Source, what: str) -> None:
         """Begin a new segment, as something has changed in the messages of ``source``: its clock, or a unit."""

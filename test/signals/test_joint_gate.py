@@ -297,6 +297,19 @@ def test_what_is_held_at_the_end_is_dropped_and_counted() -> None:
     assert target.ledger.topics[JOINT_STATES].dropped == {UNDECIDED: 1}
 
 
+def test_at_the_end_what_waited_behind_others_is_used() -> None:
+    """A sensor that says one wrong stamp and dies costs no message of the joints."""
+    joints, (wrench, *_) = joint_messages(regular(0.01, 3.0)), wrench_messages(regular(0.01, 3.0))
+    target = pipeline(merge=False)
+    for message in (wrench, replace(wrench, stamp=wrench.stamp + 50_000_000_000), *joints):
+        target.push(message)
+    assert target.held == 1 + len(joints)
+    target.release()
+    assert target.held == 0
+    assert target.ledger.topics["/wrench"].dropped == {UNDECIDED: 1}
+    assert target.ledger.topics[JOINT_STATES].accepted == len(joints)
+
+
 def test_a_person_who_swings_an_arm_faster_than_thought_loses_nothing() -> None:
     """At 30 Hz, with a marker's jitter: single steps are above any limit, as are those around them."""
     stamps = regular(1.0 / 30.0, 20.0)
