@@ -23,15 +23,18 @@ Source: TypeAlias = tuple[str, tuple[str, ...]]
 class Admission:
     """Messages of several sources, each with a gate."""
 
-    def __init__(self, new_gate: Callable[[Source], Gate]) -> None:
+    def __init__(self, new_gate: Callable[[Source], Gate], note: Callable[[str, str], None]) -> None:
         """
         Args:
             new_gate: makes the gate of a source.
+            note: is told by the topic of what is doubtful, as it goes on.
         """
         self._new_gate = new_gate
+        self._note = note
         self._gates: dict[Source, Gate] = {}
         self._waiting: dict[Source, Arrived] = {}  # messages that are decided on, behind others that are not
         self._changed: dict[int, tuple[Source, str]] = {}  # what has changed, by the place of the first message after
+        self._noted: dict[int, tuple[Source, str]] = {}  # what is doubtful, by the place of its message
 
     @property
     def held(self) -> Counter[str]:
@@ -82,6 +85,7 @@ class Admission:
         if decided is None:
             return
         self._changed |= {place: (source, what) for place, what in decided.changed.items()}
+        self._noted |= {place: (source, what) for place, what in decided.noted.items()}
         waiting = self._waiting.get(source)
         self._waiting[source] = decided.messages if waiting is None else Arrived.joined([waiting, decided.messages])
 
@@ -95,10 +99,14 @@ class Admission:
                 first = int(np.searchsorted(waiting.order, place))
                 self._waiting[source], since = waiting.select(slice(first)), waiting.select(slice(first, None))
             self._changed = {other: entry for other, entry in self._changed.items() if entry[0] != source}
+            self._noted = {other: entry for other, entry in self._noted.items() if entry[0] != source}
             self._decide(source, gate.begin_anew(since), newest)
 
     def _before(self, place: int) -> dict[Source, Arrived]:
         """The messages that wait and came before this place; they wait no more."""
+        for noted in sorted(other for other in self._noted if other < place):
+            (topic, _), what = self._noted.pop(noted)
+            self._note(topic, what)
         found = {}
         for source, waiting in [*self._waiting.items()]:
             count = int(np.searchsorted(waiting.order, place))

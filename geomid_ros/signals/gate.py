@@ -7,7 +7,6 @@ a fault that is soon over, a clock that was set, or something real, which passes
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,10 +39,12 @@ class Answer:
 @dataclass(frozen=True, eq=False)
 class Decided:
     """Messages that are decided on, refused ones with the reason; ``changed`` says by the place, as they came, of the
-    first message that is different what has changed: nothing is to be compared across it."""
+    first message that is different what has changed: nothing is to be compared across it; ``noted`` what is doubtful,
+    and passes."""
 
     messages: Arrived
     changed: dict[int, str]
+    noted: dict[int, str]
 
 
 class Gate:
@@ -53,14 +54,12 @@ class Gate:
     a topic that is as slow, if two more are later. One that is behind by more begins another time if ten are in order.
     """
 
-    def __init__(self, max_gap: int, note: Callable[[str], None]) -> None:
+    def __init__(self, max_gap: int) -> None:
         """
         Args:
             max_gap: [ns] what is further apart is not compared.
-            note: is told of what is doubtful, and passes.
         """
         self._max_gap = max_gap
-        self._note = note
         self._held: Arrived | None = None
         self._decided = 0  # stamp of the last message, good by itself, that was decided on
         self._stamp = 0  # of the last one that passed
@@ -88,7 +87,8 @@ class Gate:
         parts = [part for part in (self._held, new) if part is not None]
         if not parts:
             return None
-        arrived, changed = Arrived.joined(parts) if len(parts) > 1 else parts[0], dict[int, str]()
+        arrived = Arrived.joined(parts) if len(parts) > 1 else parts[0]
+        changed, noted = dict[int, str](), dict[int, str]()
         good = np.flatnonzero(arrived.good)
         again = steps(arrived.stamps[good], self._decided) == 0
         arrived.refusals[good[again]] = NOT_LATER
@@ -108,7 +108,7 @@ class Gate:
                     changed[int(order[place])] = answer.changed
                     self._compare_anew()
                 if answer.noted:
-                    self._note(answer.noted)
+                    noted[int(order[place])] = answer.noted
                 self._pass(stamps[place : place + 1], numbers[place : place + 1])
             place += answer.count
             place += self._pass_plain(stamps[place:], numbers[place:])
@@ -116,7 +116,7 @@ class Gate:
         decided = good[good < end]
         self._decided = int(arrived.stamps[decided[-1]]) if len(decided) else self._decided
         self._held = arrived.select(slice(end, None)) if end < len(arrived) else None
-        return Decided(arrived.select(slice(end)), changed)
+        return Decided(arrived.select(slice(end)), changed, noted)
 
     def give_up(self) -> None:
         """Give up the messages that are held."""

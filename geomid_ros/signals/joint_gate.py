@@ -6,7 +6,6 @@ was: a fault that is over after three messages, a clock that was set, or somethi
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import tau
 
 import numpy as np
@@ -42,18 +41,15 @@ _MUCH_LESS_LIKELY = 25.0  # square of standard deviations, of all joints
 class JointGate(Gate):
     """Refuses joint messages by their neighbours, too; see the module."""
 
-    def __init__(
-        self, joints: tuple[str, ...], limits: FloatArray, turning: BoolArray, max_gap: int, note: Callable[[str], None]
-    ) -> None:
+    def __init__(self, joints: tuple[str, ...], limits: FloatArray, turning: BoolArray, max_gap: int) -> None:
         """
         Args:
             joints: those of the messages.
             limits: ``(2, joints)`` the URDF's of speeds and of efforts, infinite where it has none.
             turning: ``(joints,)`` which are revolute: a whole turn is no jump.
             max_gap: [ns] what is further apart is not compared.
-            note: is told of what is doubtful, and passes.
         """
-        super().__init__(max_gap, note)
+        super().__init__(max_gap)
         self._joints = joints
         self._turn = np.where(turning, tau, 0.0)
         self._speed = _TOO_FAST * np.minimum(limits[0], FASTEST)

@@ -95,7 +95,7 @@ class SignalPipeline:
         self._parts = (
             JointParts(self._joints, self._max_gap, resolved, self._new_reader, note) if settings.merge else None
         )
-        self._admission = Admission(self._new_gate)
+        self._admission = Admission(self._new_gate, self.ledger.note)
         self._arrived = 0  # messages
         self._open: Counter[str] = Counter()  # messages of which nothing has become yet
         self._joined: list[tuple[Source, IntArray, IntArray, FloatArray]] = []  # that wait for the other parts
@@ -111,14 +111,13 @@ class SignalPipeline:
 
     def _new_gate(self, source: Source) -> Gate:
         topic, part = source
-        note = partial(self.ledger.note, topic)
         if topic != JOINT_STATES:
-            return Gate(self._max_gap, note)
+            return Gate(self._max_gap)
         joints = part or self._joints
         places = [self._joints.index(joint) for joint in joints]
         turning = self._turning[places] | self._continuous[places]
         max_gap = max(self._max_gap, SILENT) if part else self._max_gap
-        return JointGate(joints, self._limits[:, places], turning, max_gap, note)
+        return JointGate(joints, self._limits[:, places], turning, max_gap)
 
     @property
     def lag(self) -> float:

@@ -20,7 +20,7 @@ def judged(*stamps: int, others: int = 0) -> tuple[list[int], list[str], list[st
     """What passes, why the others are refused, the turns that time takes, and how many are held after so many
     messages of other topics."""
     notes: list[str] = []
-    gate, used, refused, turns = Gate(MAX_GAP, notes.append), [], [], []
+    gate, used, refused, turns = Gate(MAX_GAP), [], [], []
     for place, stamp in enumerate([*stamps, *[None] * (others > 0)]):
         new = None
         if stamp is not None:
@@ -31,6 +31,7 @@ def judged(*stamps: int, others: int = 0) -> tuple[list[int], list[str], list[st
             used += messages.stamps[messages.good].tolist()
             refused += messages.refusals[~messages.good].tolist()
             turns += decided.changed.values()
+            notes += decided.noted.values()
     return used, refused, [*turns, *notes], gate.held
 
 

@@ -24,7 +24,7 @@ from geomid_ros.signals.pipeline import UNDECIDED
 from geomid_ros.signals.sampler import IN_BURSTS
 from geomid_ros.types import FloatArray, IntArray
 
-from .feeding import joint_messages, regular, wrench_messages
+from .feeding import blocks, joint_messages, regular, wrench_messages
 from .spoiled import pipeline
 
 SHARED = Path(__file__).parents[3] / "shared" / "data"
@@ -295,6 +295,24 @@ def test_what_is_held_at_the_end_is_dropped_and_counted() -> None:
     target.release()
     assert target.held == 0
     assert target.ledger.topics[JOINT_STATES].dropped == {UNDECIDED: 1}
+
+
+def test_what_is_decided_anew_is_noted_once() -> None:
+    """A sensor's pause after the joints' clock was set: it is looked at again with the new time."""
+    back, gap = 100_000_000_000, 3_000_000_000
+    joints, wrench = joint_messages(regular(0.01, 2.0)), wrench_messages(regular(0.01, 2.0))
+    messages = [m for pair in zip(joints, wrench, strict=True) for m in pair]
+    again = [replace(m, stamp=m.stamp - back + (gap if m.topic == "/wrench" else 0)) for m in messages]
+    later = [replace(m, stamp=m.stamp + 10_000_000_000) for m in again]
+    notes = []
+    for size in (1, 7, len([*messages, *again, *later])):
+        target = pipeline(merge=False)
+        every = [*messages, *again, *later]
+        for begin in range(0, len(every), size):
+            target.push(blocks(every[begin : begin + size]))
+        target.release()
+        notes.append(target.ledger.topics["/wrench"].noted)
+    assert notes[0] == notes[1] == notes[2]
 
 
 def test_at_the_end_what_waited_behind_others_is_used() -> None:
