@@ -37,8 +37,7 @@ from geomid_ros.files.bags.bag import Bag
 from geomid_ros.model.effects import DEFAULT_EFFECTS
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.locking import read_with_locked
-from geomid_ros.session.recordings import read_samples
+from geomid_ros.session.recordings import read_samples, read_with_locked
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import Training
 from geomid_ros.types import IntArray

@@ -34,10 +34,9 @@ from geomid_ros.estimation.summary import RowSummary, SummaryState
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.fleet.bag_summary import summarise, total
 from geomid_ros.fleet.cluster import Cluster
-from geomid_ros.fleet.plan import FleetPlan
 from geomid_ros.fleet.recordings import find_bags
 from geomid_ros.fleet.store import Store
-from geomid_ros.fleet.work import summarise_bag
+from geomid_ros.fleet.work import FleetPlan, summarise_bag
 from geomid_ros.model.channels import Channel
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, Topics

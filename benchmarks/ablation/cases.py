@@ -32,7 +32,7 @@ from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.monitoring.change_detection import BLOCK, ChangeDetector
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import Recordings, find, gap_cutoff, gap_pipeline, gap_session, rate
-from geomid_ros.session.ledger_findings import faulty_streams
+from geomid_ros.session.recording_facts import faulty_streams
 from geomid_ros.session.recordings import HELD_OUT, Topics, divided, read_samples
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import Training

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Unpack
 
-from geomid_ros.api.arguments import PathLike, Paths, paths
 from geomid_ros.api.compared_files import (
     Result,
     check_same_robot,
@@ -18,7 +17,7 @@ from geomid_ros.api.compared_files import (
     read_side,
     urdf_values,
 )
-from geomid_ros.api.options import RobotKeywords
+from geomid_ros.api.options import PathLike, Paths, RobotKeywords, paths
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.comparison import Compared, Difference, compared

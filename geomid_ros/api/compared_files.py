@@ -10,8 +10,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from geomid_ros.api.arguments import PathLike, Paths, beside
-from geomid_ros.api.options import RobotKeywords, RobotOptions
+from geomid_ros.api.options import PathLike, Paths, RobotKeywords, RobotOptions, beside
 from geomid_ros.api.verify import doubts_of, identified, read_to_judge
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.comparison import LinkValues, RobotValues

@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from geomid_ros.api.arguments import DescribedRobot, PathLike, Texts, texts
-from geomid_ros.api.options import RobotOptions
+from geomid_ros.api.options import DescribedRobot, PathLike, RobotOptions, Texts, texts
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.learning import PREDICTION
 from geomid_ros.excitation.trajectory import Trajectory

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from geomid_ros.api.arguments import PathLike, Texts, entries
+from geomid_ros.api.options import PathLike, Texts, entries
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.exports.descriptions import DESCRIPTIONS, Whole
 from geomid_ros.exports.formats import CONTROLLERS

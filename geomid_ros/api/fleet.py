@@ -8,19 +8,18 @@ from functools import partial
 from pathlib import Path
 from typing import Unpack
 
-from geomid_ros.api.arguments import PathLike
-from geomid_ros.api.options import RobotKeywords, RobotOptions
+from geomid_ros.api.options import PathLike, RobotKeywords, RobotOptions
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.estimation.fleet_outliers import population_and_members
 from geomid_ros.estimation.population import FEWEST, Population, RobotLikelihood
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.population import write_population
-from geomid_ros.fleet.changes import changes
 from geomid_ros.fleet.cluster import Cluster
 from geomid_ros.fleet.fleet import Fleet, FleetRobot
-from geomid_ros.fleet.plan import FleetPlan
 from geomid_ros.fleet.recordings import find_bags, on_this_disk
+from geomid_ros.fleet.results import changes
 from geomid_ros.fleet.store import Store
+from geomid_ros.fleet.work import FleetPlan
 from geomid_ros.report.fleet_page import FleetPage, RobotLine, write_fleet_page
 from geomid_ros.session.recordings import Progress, silent
 

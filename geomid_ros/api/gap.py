@@ -9,8 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Unpack
 
-from geomid_ros.api.arguments import PathLike, Paths, bag_paths
-from geomid_ros.api.options import RecordingKeywords, RecordingOptions
+from geomid_ros.api.options import PathLike, Paths, RecordingKeywords, RecordingOptions, bag_paths
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, recording_verdict
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.exports.descriptions import DESCRIPTIONS, Whole, as_described
@@ -29,10 +28,9 @@ from geomid_ros.report.gap_page import GapPage, write_gap_page
 from geomid_ros.report.gap_words import verdict_sentence
 from geomid_ros.report.simulated_again import SimulatedAgain, position_units, simulated_again
 from geomid_ros.session.gap import GapReader, find, gap_session
-from geomid_ros.session.gap_simulation import nominal_inertias, simulate_again, without_findings, write_found
-from geomid_ros.session.locking import read_with_locked
-from geomid_ros.session.recordings import Bags, Progress, silent
+from geomid_ros.session.recordings import Bags, Progress, read_with_locked, silent
 from geomid_ros.session.session import Session
+from geomid_ros.session.written_simulation import nominal_inertias, simulate_again, without_findings, write_found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -11,9 +11,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
-from geomid_ros.api.arguments import PathLike, Paths, Texts, entries
-from geomid_ros.api.options import RecordingKeywords, RecordingOptions
-from geomid_ros.api.origin import origin
+from geomid_ros.api.options import PathLike, Paths, RecordingKeywords, RecordingOptions, Texts, entries
 from geomid_ros.checks.verdict import DOUBTFUL, Verdict
 from geomid_ros.errors import GeomidError, unknown_name
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
@@ -28,12 +26,11 @@ from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.gap.evidence.standing import StandingRemainder
 from geomid_ros.model.samples import Samples
-from geomid_ros.report.identification_page import IdentificationPage, write_identification_page
+from geomid_ros.report.identification_page import IdentificationPage, Origin, write_identification_page
 from geomid_ros.report.series import Series, series_of
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import gap_session, remainder_of
-from geomid_ros.session.locking import read_with_locked
-from geomid_ros.session.recordings import Bags, Progress, read_bags, read_fitted, silent
+from geomid_ros.session.recordings import Bags, Progress, read_bags, read_fitted, read_with_locked, silent
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import Training
 from geomid_ros.types import FloatArray
@@ -138,7 +135,7 @@ class Identification:
         """
         if self.command is None:
             return None
-        from geomid_ros.session.tracking import tracking_of  # noqa: PLC0415 seldom asked for
+        from geomid_ros.session.written_simulation import tracking_of  # noqa: PLC0415 seldom asked for
 
         return tracking_of(Session(*self._again), self.written.model, self.bags, self.command)
 
@@ -243,7 +240,7 @@ class Identification:
             telling=self._telling,
             messages=session.pipeline.ledger.topics,
             refused_rows=session.identifier.rows_rejected,
-            origin=origin(session, self.bags, command),
+            origin=Origin.of(session, self.bags, command),
         )
         write_identification_page(Path(path), page)
         return Path(path)
@@ -283,7 +280,7 @@ class Identification:
         sidecar = folder / "effects.yaml"
         write_sidecar(sidecar, self.session.robot.name, self.written.model.effects)
         document = self.document
-        write_json(folder / "estimate.json", document | {"origin": asdict(origin(self.session, self.bags, command))})
+        write_json(folder / "estimate.json", document | {"origin": asdict(Origin.of(self.session, self.bags, command))})
         posterior = write_posterior(folder / POSTERIOR, self.estimate.posterior, self._remainder(folder, progress))
         csv = write_tables(folder, tables(document))
         written = [folder / name for name in ("estimate.json", *texts)]

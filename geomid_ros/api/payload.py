@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Unpack
 
-from geomid_ros.api.arguments import PathLike, Paths, bag_paths, paths
-from geomid_ros.api.options import RobotKeywords, RobotOptions
+from geomid_ros.api.options import PathLike, Paths, RobotKeywords, RobotOptions, bag_paths, paths
 from geomid_ros.errors import InputError
 from geomid_ros.exports.weighed_payload import Payload, weigh_at
 from geomid_ros.files.models.posterior import beside, read_posterior
 from geomid_ros.model.samples import Samples
-from geomid_ros.session.locking import read_with_locked
 from geomid_ros.session.payload import payload_session
-from geomid_ros.session.recordings import Bags, Progress, Topics, read_fitted, silent
+from geomid_ros.session.recordings import Bags, Progress, Topics, read_fitted, read_with_locked, silent
 from geomid_ros.session.session import Session
 
 

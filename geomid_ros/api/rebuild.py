@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from jinja2 import TemplateError
 
-from geomid_ros.api.arguments import PathLike
+from geomid_ros.api.options import PathLike
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.estimate_file import OF_PAGE, EstimateFile, HandoverEntry
 from geomid_ros.files.models.gap_file import Errors, GapFile, read_gap

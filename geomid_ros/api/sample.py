@@ -7,16 +7,15 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from geomid_ros.api.arguments import PathLike
 from geomid_ros.api.export import check_into
+from geomid_ros.api.options import PathLike
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.exports.formats import JSON
-from geomid_ros.exports.posterior_samples import DrawnRobots, described, draw_robots
-from geomid_ros.exports.ranges import ranges_text
+from geomid_ros.exports.posterior_samples import DrawnRobots, described, draw_robots, ranges_text
 from geomid_ros.exports.torque_spread import TorqueSpread, torque_spread
 from geomid_ros.files.disk import write_text
 from geomid_ros.files.models.readers import DESCRIBED_FOR
-from geomid_ros.report.torque_picture import torque_picture
+from geomid_ros.report.pictures import torque_picture
 from geomid_ros.session.recordings import Progress, silent
 
 

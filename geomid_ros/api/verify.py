@@ -24,15 +24,13 @@ from typing import Unpack
 
 import numpy as np
 
-from geomid_ros.api.arguments import PathLike, Paths, Texts, bag_paths, beside, texts
-from geomid_ros.api.options import RobotKeywords, RobotOptions
+from geomid_ros.api.options import PathLike, Paths, RobotKeywords, RobotOptions, Texts, bag_paths, beside, texts
 from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.gap import rms_of_model
-from geomid_ros.session.locking import read_with_locked
-from geomid_ros.session.recordings import Bags, Progress, read_fitted, silent
+from geomid_ros.session.recordings import Bags, Progress, read_fitted, read_with_locked, silent
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 

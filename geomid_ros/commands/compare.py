@@ -10,17 +10,17 @@ from typing import Any
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import OUT, robot_options
+from geomid_ros.commands.options import OUT, PATH, robot_options
 
 
 @click.command()
-@click.argument("first", type=click.Path(path_type=Path))
-@click.argument("second", type=click.Path(path_type=Path))
+@click.argument("first", type=PATH)
+@click.argument("second", type=PATH)
 @robot_options
 @click.option(
     "--bag",
     multiple=True,
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Bag that both models predict; may be repeated.  [default: the held-out data of each]",
 )
 @click.option("--out", default=Path("geomid_compare"), **OUT)
@@ -32,8 +32,8 @@ def compare(out: Path, as_json: bool, **options: Any) -> None:
     intervals, and the errors of both side by side; writes all of it as compare.html. The exit status is that of the
     worse verdict of the two.
     """
-    from geomid_ros.commands.progress import progress_bar
-    from geomid_ros.commands.results import comparison
+    from geomid_ros.commands.results.tables import show_comparison
+    from geomid_ros.commands.terminal import progress_bar
 
     with progress_bar() as progress:
         found = geomid_ros.compare(progress=progress, **options)
@@ -41,6 +41,6 @@ def compare(out: Path, as_json: bool, **options: Any) -> None:
     if as_json:
         click.echo(json.dumps(found.document, indent=2))
     else:
-        comparison.show(found)
+        show_comparison(found)
         click.echo(f"\nWritten: {page}")
     sys.exit(found.status)

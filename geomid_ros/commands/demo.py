@@ -46,8 +46,7 @@ def demo(out: Path, rate: float) -> None:
     """
     from rich.live import Live
 
-    from geomid_ros.commands.progress import progress_bar
-    from geomid_ros.commands.tables import results_console
+    from geomid_ros.commands.terminal import progress_bar, results_console
     from geomid_ros.files.models.estimate_file import EstimateFile
     from geomid_ros.files.models.urdf import read_urdf
     from geomid_ros.report.sheet import write_picture

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import Names, package_option
+from geomid_ros.commands.options import PATH, Names, package_option
 from geomid_ros.errors import one_line
 from geomid_ros.exports.formats import CONTROLLERS
 from geomid_ros.files.models.readers import DESCRIBED_FOR
 
 
 @click.command()
-@click.argument("model", metavar="FROM", type=click.Path(path_type=Path))
+@click.argument("model", metavar="FROM", type=PATH)
 @click.option(
     "--for", "tool", required=True, type=click.Choice([*CONTROLLERS, *DESCRIBED_FOR]), help="Format, or controller."
 )
@@ -28,13 +27,13 @@ from geomid_ros.files.models.readers import DESCRIBED_FOR
 @click.option("--links", type=Names(), help="The payload is these links, separated by commas.")
 @click.option(
     "--without",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Model of the robot without the payload (estimate.json or URDF); the payload is the difference.",
 )
 @click.option(
     "--into",
     metavar="MJCF",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="For mujoco: print this file with the identified values of the bodies and joints of the same names; the rest "
     "is unchanged.",
 )

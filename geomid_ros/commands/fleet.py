@@ -42,10 +42,10 @@ def fleet(bags: str, out: Path, **options: Any) -> None:
     bad bags. 'geomid identify --prior' starts a new robot from population.json.
     """
     from geomid_ros.api.fleet import identify_fleet
-    from geomid_ros.commands.progress import progress_bar
-    from geomid_ros.commands.results import fleet as results
+    from geomid_ros.commands.results.tables import show_fleet
+    from geomid_ros.commands.terminal import progress_bar
 
     with progress_bar() as progress:
         found = identify_fleet(bags, out=out, progress=progress, **options)
-    results.show(found)
+    show_fleet(found)
     sys.exit(found.status)

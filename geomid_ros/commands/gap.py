@@ -11,17 +11,17 @@ from typing import Any
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import OUT, reader_option, recording_options, report_option, robot_options
+from geomid_ros.commands.options import OUT, PATH, reader_option, recording_options, report_option, robot_options
 
 
 @click.command()
-@click.argument("bags", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("bags", nargs=-1, required=True, type=PATH)
 @robot_options
 @recording_options
 @click.option(
     "--simulated",
     multiple=True,
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Recording of your simulator under the commands of a bag; one for each of BAGS, in their order.",
 )
 @click.option("--command", help="Topic of the recorded joint set-points (JointState), for a simulation in closed loop.")
@@ -38,8 +38,8 @@ def gap(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **option
     description for --for. The exit status is 4 if the recording is doubtful, or if that description predicts a channel
     worse than the given one.
     """
-    from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import gap as results
+    from geomid_ros.commands.terminal import progress_bar
     from geomid_ros.files.models.gap_file import is_open
 
     with progress_bar() as progress:

@@ -10,12 +10,12 @@ from typing import Any
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import OUT, Names, reader_option, recording_options, report_option, robot_options
+from geomid_ros.commands.options import OUT, PATH, Names, reader_option, recording_options, report_option, robot_options
 from geomid_ros.errors import one_line
 
 
 @click.command()
-@click.argument("bags", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("bags", nargs=-1, required=True, type=PATH)
 @robot_options
 @recording_options
 @click.option(
@@ -37,7 +37,7 @@ from geomid_ros.errors import one_line
 )
 @click.option(
     "--prior",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Start from this population.json, written by 'geomid fleet' for this type of robot.",
 )
 @reader_option
@@ -56,8 +56,8 @@ def identify(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **o
     result is tested on held-out data: the end of each bag, or the bags of --validate. The exit status is 4 if it is
     doubtful, for example if the written file predicts a channel worse than the given description.
     """
-    from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import identification
+    from geomid_ros.commands.terminal import progress_bar
 
     with progress_bar() as progress:
         found = geomid_ros.identify(bags, progress=progress, **options)

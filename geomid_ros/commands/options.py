@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import reduce
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import click
 
 from geomid_ros.files.models.readers import DESCRIBED_FOR, URDF
+
+Decorator: TypeAlias = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
 class Output(click.Path):
@@ -59,66 +62,12 @@ OUT: dict[str, Any] = {
 }
 UNTRIED_OUT = OUT | {"type": click.Path(path_type=Path, file_okay=False)}
 """The same for commands that do not always write: they try it themselves."""
+PATH = click.Path(path_type=Path)
 
 
-def robot_options(command: Callable[..., None]) -> Callable[..., None]:
-    """The options that say which robot it is, what is measured on it, and how that is read: as
-    :class:`~geomid_ros.api.options.RobotOptions` has them."""
-    for option in (
-        click.option("--odom-topic", default="odom", show_default=True, help="Topic of the base pose."),
-        click.option("--floating-base", is_flag=True, help="The base moves; its pose is read from the odometry topic."),
-        click.option(
-            "--wrench",
-            multiple=True,
-            metavar="TOPIC:FRAME:ROLE[:AXES]",
-            help="Wrench topic; ROLE is mounted or external, -ROLE reverses the sign; AXES as in fz,tx,ty.",
-        ),
-        click.option("--joint-topic", default="joint_states", show_default=True, help="Topic of the joint states."),
-        click.option("--merge", is_flag=True, help="Several publishers send joint states, each for some joints."),
-        click.option("--lock", type=Names(), metavar="JOINTS", help="Joints that stay at zero, separated by commas."),
-        click.option(
-            "--gain",
-            multiple=True,
-            metavar="[JOINT=]FACTOR",
-            help="Factor from message efforts to N m (or N), for all joints or one; may be repeated.",
-        ),
-        click.option(
-            "--gravity", nargs=3, type=float, metavar="X Y Z", help="Gravity in the base frame.  [default: 0 0 -9.81]"
-        ),
-        click.option("--cutoff", type=float, metavar="HZ", help="Cutoff of the low-pass filter on all signals."),
-        click.option("--config", type=click.Path(path_type=Path), help="The node's parameter file (YAML)."),
-        click.option(
-            "--xacro-arg", "xacro_args", multiple=True, metavar="NAME:=VALUE", help="Xacro argument; may be repeated."
-        ),
-        click.option(
-            "--urdf",
-            type=click.Path(path_type=Path),
-            help="Robot description, URDF or .xacro.  [default: robot_description in the bags]",
-        ),
-    ):
-        command = option(command)
-    return command
-
-
-def recording_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Further ones: which data are judged on, and where to start from."""
-    for option in (
-        click.option(
-            "--validate", multiple=True, type=click.Path(path_type=Path), help="Bag to test on; may be repeated."
-        ),
-        click.option(
-            "--hold-out",
-            type=click.FloatRange(0.0, 0.9),
-            help="Share of each bag, at its end, held out for testing.  [default: 0.3; 0 with --validate]",
-        ),
-        click.option(
-            "--model",
-            type=click.Path(path_type=Path),
-            help="Start from this estimate.json. Without --urdf, identified.urdf in the same folder is used.",
-        ),
-    ):
-        command = option(command)
-    return command
+def together(options: Sequence[Decorator]) -> Decorator:
+    """Several options as one decorator; help lists the last one first."""
+    return lambda command: reduce(lambda inner, option: option(inner), options, command)
 
 
 def _packages(_context: click.Context, _option: click.Parameter, texts: tuple[str, ...]) -> dict[str, Path]:
@@ -131,6 +80,68 @@ def _packages(_context: click.Context, _option: click.Parameter, texts: tuple[st
         packages[name] = Path(folder)
     return packages
 
+
+joint_topic_option = click.option(
+    "--joint-topic", default="joint_states", show_default=True, help="Topic of the joint states."
+)
+lock_option = click.option(
+    "--lock", type=Names(), metavar="JOINTS", help="Joints that stay at zero, separated by commas."
+)
+xacro_option = click.option(
+    "--xacro-arg", "xacro_args", multiple=True, metavar="NAME:=VALUE", help="Xacro argument; may be repeated."
+)
+robot_options = together(
+    [
+        click.option("--odom-topic", default="odom", show_default=True, help="Topic of the base pose."),
+        click.option("--floating-base", is_flag=True, help="The base moves; its pose is read from the odometry topic."),
+        click.option(
+            "--wrench",
+            multiple=True,
+            metavar="TOPIC:FRAME:ROLE[:AXES]",
+            help="Wrench topic; ROLE is mounted or external, -ROLE reverses the sign; AXES as in fz,tx,ty.",
+        ),
+        joint_topic_option,
+        click.option("--merge", is_flag=True, help="Several publishers send joint states, each for some joints."),
+        lock_option,
+        click.option(
+            "--gain",
+            multiple=True,
+            metavar="[JOINT=]FACTOR",
+            help="Factor from message efforts to N m (or N), for all joints or one; may be repeated.",
+        ),
+        click.option(
+            "--gravity", nargs=3, type=float, metavar="X Y Z", help="Gravity in the base frame.  [default: 0 0 -9.81]"
+        ),
+        click.option("--cutoff", type=float, metavar="HZ", help="Cutoff of the low-pass filter on all signals."),
+        click.option("--config", type=PATH, help="The node's parameter file (YAML)."),
+        xacro_option,
+        click.option(
+            "--urdf",
+            type=PATH,
+            help="Robot description, URDF or .xacro.  [default: robot_description in the bags]",
+        ),
+    ]
+)
+"""The options that say which robot it is, what is measured on it, and how that is read: as
+:class:`~geomid_ros.api.options.RobotOptions` has them."""
+
+
+recording_options = together(
+    [
+        click.option("--validate", multiple=True, type=PATH, help="Bag to test on; may be repeated."),
+        click.option(
+            "--hold-out",
+            type=click.FloatRange(0.0, 0.9),
+            help="Share of each bag, at its end, held out for testing.  [default: 0.3; 0 with --validate]",
+        ),
+        click.option(
+            "--model",
+            type=PATH,
+            help="Start from this estimate.json. Without --urdf, identified.urdf in the same folder is used.",
+        ),
+    ]
+)
+"""Further ones: which data are judged on, and where to start from."""
 
 reader_option = click.option(
     "--for",

@@ -10,13 +10,13 @@ from typing import Any
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import robot_options
+from geomid_ros.commands.options import PATH, robot_options
 from geomid_ros.exports.formats import CONTROLLERS
 
 
 @click.command()
-@click.argument("empty", type=click.Path(path_type=Path))
-@click.argument("loaded", type=click.Path(path_type=Path))
+@click.argument("empty", type=PATH)
+@click.argument("loaded", type=PATH)
 @robot_options
 @click.option(
     "--frame", metavar="LINK", help="Link that is the flange.  [default: payload.frame, or the last moving link]"
@@ -35,13 +35,13 @@ def payload(empty: Path, loaded: Path, controller: str | None, as_json: bool, **
     move. Instead of a recording, EMPTY may be the estimate.json of an earlier 'geomid identify' without the payload.
     Prints mass, centre of mass and inertia in the axes of the flange, with the 95 % interval of the mass.
     """
-    from geomid_ros.commands.progress import progress_bar
-    from geomid_ros.commands.results import payload as results
+    from geomid_ros.commands.results.tables import show_payload
+    from geomid_ros.commands.terminal import progress_bar
 
     with progress_bar() as progress:
         found = geomid_ros.weigh_payload(empty, loaded, progress=progress, **options)
     if as_json:
         click.echo(json.dumps(found.document, indent=2))
     else:
-        results.show(found, controller)
+        show_payload(found, controller)
     sys.exit(found.weighed.verdict.status)

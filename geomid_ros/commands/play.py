@@ -6,11 +6,12 @@ from pathlib import Path
 
 import click
 
+from geomid_ros.commands.options import PATH
 from geomid_ros.errors import InputError, printable
 
 
 @click.command()
-@click.argument("bag", type=click.Path(path_type=Path))
+@click.argument("bag", type=PATH)
 @click.option(
     "--rate",
     default=1.0,
@@ -26,7 +27,7 @@ from geomid_ros.errors import InputError, printable
 )
 @click.option(
     "--config",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="The node's parameter file (YAML); also publish the topics of its wrench sensors.",
 )
 def play(bag: Path, rate: float, wait: float, topic: tuple[str, ...], config: Path | None) -> None:
@@ -35,7 +36,7 @@ def play(bag: Path, rate: float, wait: float, topic: tuple[str, ...], config: Pa
     Publishes only the topics of BAG that geomid reads: joint_states, odom and robot_description in any namespace, and
     /clock.
     """
-    from geomid_ros.commands.progress import progress_bar
+    from geomid_ros.commands.terminal import progress_bar
     from geomid_ros.session.configuration import Configuration
 
     try:

@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element
 
 import click
 
-from geomid_ros.commands.options import Names, Output, package_option
+from geomid_ros.commands.options import PATH, Names, Output, package_option
 from geomid_ros.errors import InputError, unknown_name
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ _LIGHTEST, _HEAVIEST = 50.0, 20_000.0  # [kg/m^3]
 
 
 @click.command()
-@click.argument("urdf", type=click.Path(path_type=Path))
+@click.argument("urdf", type=PATH)
 @click.option("--mass", type=click.FloatRange(0.0, min_open=True), required=True, help="Total mass of all links [kg].")
 @click.option(
     "--keep", type=Names(), help="Links to leave unchanged, separated by commas; their mass counts towards --mass."
@@ -43,8 +43,8 @@ def prior(urdf: Path, mass: float, keep: list[str] | None, package_path: dict[st
     ones if a link has no others. A mesh that is not closed counts as its convex hull. Links without shapes are left
     unchanged. The result is a prior for identification, not an estimate.
     """
-    from geomid_ros.commands.progress import progress_bar
-    from geomid_ros.commands.results import shapes
+    from geomid_ros.commands.results.tables import show_shapes
+    from geomid_ros.commands.terminal import progress_bar
     from geomid_ros.files.disk import write_text
     from geomid_ros.files.models.urdf import inertia_of, read_urdf, with_inertials
     from geomid_ros.files.shapes.meshes import MeshFinder
@@ -65,7 +65,7 @@ def prior(urdf: Path, mass: float, keep: list[str] | None, package_path: dict[st
     inertias = {link.name: inertia_of(link.parameters) for link in result.links if link.parameters is not None}
     written = with_inertials(text, inertias)
     write_text(out, written)
-    shapes.show(result, kept)
+    show_shapes(result, kept)
     warnings = [*reader.warnings, *_warnings(result, robot.tree)]
     files = [out]
     try:
@@ -84,7 +84,7 @@ def prior(urdf: Path, mass: float, keep: list[str] | None, package_path: dict[st
 
 def _solids(reader: ShapeReader, links: dict[str, Element]) -> dict[str, Solid]:
     """The shapes of these links, of those that have any."""
-    from geomid_ros.commands.progress import progress_bar
+    from geomid_ros.commands.terminal import progress_bar
 
     solids = {}
     with progress_bar() as progress:
@@ -123,7 +123,7 @@ def _draw(path: Path, robot: Robot, result: ShapePrior) -> None:
     import numpy as np
 
     from geomid_ros.model.samples import samples_of
-    from geomid_ros.report.prior_picture import PlacedLink, prior_picture
+    from geomid_ros.report.pictures import PlacedLink, prior_picture
 
     frames = robot.link_frames(samples_of(np.zeros((3, 1, len(robot.joints)))))
     title = f"{robot.name}: {result.mass:.4g} kg in shapes of {result.density:.4g} kg/m³"

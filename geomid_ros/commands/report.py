@@ -7,11 +7,11 @@ from pathlib import Path
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import OUT
+from geomid_ros.commands.options import OUT, PATH
 
 
 @click.command()
-@click.argument("folder", type=click.Path(path_type=Path))
+@click.argument("folder", type=PATH)
 @click.option("--out", **OUT | {"help": "Folder for the page and the tables.  [default: FOLDER]"})
 def report(folder: Path, out: Path | None) -> None:
     """Write the report of a result again.

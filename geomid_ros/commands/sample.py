@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import OUT, package_option
+from geomid_ros.commands.options import OUT, PATH, package_option
 from geomid_ros.errors import one_line
 from geomid_ros.exports.formats import JSON
 from geomid_ros.files.models.readers import DESCRIBED_FOR
@@ -18,7 +18,7 @@ _WIDEST = 3.0
 
 
 @click.command()
-@click.argument("model", metavar="ESTIMATE", type=click.Path(path_type=Path))
+@click.argument("model", metavar="ESTIMATE", type=PATH)
 @click.option("-n", "count", type=click.IntRange(1, _MOST), default=100, show_default=True, help="Number of robots.")
 @click.option(
     "--for", "tool", required=True, type=click.Choice([*DESCRIBED_FOR, JSON]), help="Software that will read them."
@@ -26,7 +26,7 @@ _WIDEST = 3.0
 @click.option(
     "--into",
     metavar="MJCF",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="For mujoco: write this file with each robot's numbers for the bodies and joints of the same names; the rest "
     "is "
     "unchanged.",
@@ -55,8 +55,8 @@ def sample(out: Path, **options: Any) -> None:
     export' does (json: one robots.json). Also writes ranges.yaml with the 95 % range of each number (for isaac with the
     event terms of Isaac Lab), and torques.png, which compares the spread of joint torques with that of ranges of 20 %.
     """
-    from geomid_ros.commands.progress import progress_bar
-    from geomid_ros.commands.results import torques
+    from geomid_ros.commands.results.tables import show_torques
+    from geomid_ros.commands.terminal import progress_bar
 
     found = geomid_ros.sample(**options)
     for heading, sentence in (("Warning", found.drawn.model.doubt), ("Note", found.drawn.not_drawn)):
@@ -64,6 +64,6 @@ def sample(out: Path, **options: Any) -> None:
             click.echo(f"{heading}: {one_line(sentence)}", err=True)
     with progress_bar() as progress:
         *robots, ranges, picture = found.save(out, progress=progress)
-    torques.show(found.torques)
+    show_torques(found.torques)
     files = f"{robots[0]} to {robots[-1].name}" if len(robots) > 1 else str(robots[0])
     click.echo(f"\nWritten: {files}, {ranges}, {picture}")

@@ -87,7 +87,7 @@ def simulate(
     robot has other inertias, and friction, rotor inertia and offsets at every joint; with --hide, only the named
     effects. Needs MuJoCo (pip install mujoco).
     """
-    from geomid_ros.commands.progress import progress_bar
+    from geomid_ros.commands.terminal import progress_bar
     from geomid_ros.simulation import simulate as record
 
     frame = wrench_frame or (WRIST_FRAME if wrench else None)

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 from typing import Any
 
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import robot_options
+from geomid_ros.commands.options import PATH, robot_options
 
 
 @click.command()
-@click.argument("model", type=click.Path(path_type=Path))
+@click.argument("model", type=PATH)
 @robot_options
 @click.option(
     "--validate",
     required=True,
     multiple=True,
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Bag to predict; may be repeated.",
 )
 @click.option(
@@ -36,10 +35,10 @@ def verify(**options: Any) -> None:
     if all hold, 1 if one fails or if the model or a recording is doubtful, and 2 if the input is refused. The floor of
     an rms is the noise that "geomid gap" found, or the residual RMS on the data that the model was identified from.
     """
-    from geomid_ros.commands.progress import progress_bar
-    from geomid_ros.commands.results import verification
+    from geomid_ros.commands.results.tables import show_verification
+    from geomid_ros.commands.terminal import progress_bar
 
     with progress_bar() as progress:
         found = geomid_ros.verify(progress=progress, **options)
-    verification.show(found)
+    show_verification(found)
     sys.exit(0 if found.passed else 1)

@@ -15,9 +15,9 @@ from geomid_ros.exports.formats import SAME
 from geomid_ros.exports.inertial import UncertainInertia
 from geomid_ros.files.models.effect_forms import coefficient, effects_of_dynamics, is_body, joint_attributes
 from geomid_ros.files.models.estimate_file import EstimateFile, LinkEntry
-from geomid_ros.files.models.handover import written_for
 from geomid_ros.files.models.readers import URDF
 from geomid_ros.files.models.urdf import inertia_of, joint_frames, read_urdf, with_inertials
+from geomid_ros.files.models.written_model import written_for
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
 from geomid_ros.model.effects.parameters import COM_ENTRIES
@@ -93,7 +93,7 @@ def read_model(path: Path, reader: str = "") -> Model:
 
     Args:
         path: the file.
-        reader: who is to read it, of :data:`~geomid_ros.files.models.handover.ELEMENTS`, for the model that was fitted
+        reader: who is to read it, of :data:`~geomid_ros.files.models.readers.ELEMENTS`, for the model that was fitted
             within what its files hold; empty for the estimate itself.
 
     Raises:

@@ -25,9 +25,8 @@ from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded, encoded
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.locking import read_with_locked
 from geomid_ros.session.recording_facts import Recorded
-from geomid_ros.session.recordings import Bags, read_bags
+from geomid_ros.session.recordings import Bags, read_bags, read_with_locked
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import Training
 

@@ -1,4 +1,4 @@
-"""The results of a robot, as workers hand them over."""
+"""The results of a robot, as workers hand them over, and what of it has changed since earlier ones."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from geomid_ros.errors import InputError
+from geomid_ros.estimation.comparison import compared
 from geomid_ros.estimation.population import RobotLikelihood
 from geomid_ros.estimation.posterior import EffectCoordinate
 from geomid_ros.files.disk import write_bytes
@@ -67,3 +68,22 @@ class RobotResults:
         """Write the files into a folder. Raises GeomidError if they cannot be written."""
         for name, content in self.files.items():
             write_bytes(folder / Path(name).name, content)
+
+
+_CHANCE = 1e-4  # a fleet has many robots: of any of one robot's numbers, if none has changed
+
+
+def changes(before: EstimateFile, after: EstimateFile) -> list[str]:
+    """The links that have changed, and the numbers of links and effects that differ by more than their standard
+    deviations explain, in words, the surest first.
+
+    What both estimates took from the same prior counts as uncertain twice: little data tell no change.
+
+    Args:
+        before, after: of one robot.
+
+    Raises:
+        InputError: a file says what cannot be.
+    """
+    found = compared(before.values, after.values, _CHANCE)
+    return [*(link.sentence for link in found.changed), *(number.sentence for number in found.differing)]

@@ -1,14 +1,16 @@
-"""What workers do: a bag to its summary, a robot's summaries to its results. Each leaves what it finds in the store."""
+"""What workers do by a plan: a bag to its summary, a robot's summaries to its results, all of it kept in the store."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import time
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from geomid_ros.checks.verdict import Verdict
 from geomid_ros.errors import InputError
@@ -17,15 +19,70 @@ from geomid_ros.estimation.population import RobotLikelihood
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.files.models.readers import READERS
 from geomid_ros.fleet.bag_summary import BagSummary, summarise, total
-from geomid_ros.fleet.plan import FleetPlan
 from geomid_ros.fleet.recordings import FleetBag, on_this_disk
 from geomid_ros.fleet.results import RobotResults
 from geomid_ros.fleet.store import Store
-from geomid_ros.session.locking import with_locked
-from geomid_ros.session.recordings import Bags
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.recordings import Bags, Topics, with_locked
 from geomid_ros.session.session import Session
 from geomid_ros.session.version import installed_version
 from geomid_ros.types import FloatArray
+
+_FORMAT = 1  # of what is kept
+
+
+@dataclass(frozen=True, kw_only=True)
+class FleetPlan:
+    """What all bags have in common.
+
+    Attributes:
+        description: text of the URDF.
+        source: where it is from.
+        given: parameters of the configuration by full name.
+        topics: that bags are read from.
+        hold_out: share of each bag's time, at the end, to judge on; None for the usual one.
+        version: of this package.
+    """
+
+    description: str
+    source: str
+    given: dict[str, Any]
+    topics: Topics
+    hold_out: float | None = None
+    version: str = field(default_factory=installed_version)
+
+    @property
+    def configuration(self) -> Configuration:
+        """Of the sessions."""
+        return Configuration(self.given, "options")
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """As JSON."""
+        return asdict(self)
+
+    @staticmethod
+    def of(document: dict[str, Any]) -> FleetPlan:
+        """From a :attr:`document`."""
+        return FleetPlan(**document | {"topics": Topics(**document["topics"])})
+
+    @property
+    def name(self) -> str:
+        """What it is kept under."""
+        return f"plan-{_checksum(self.document)}"
+
+    def of_bag(self, bag: FleetBag) -> str:
+        """What the summary of a bag is kept under."""
+        return f"bag-{_checksum([self.document, bag.url, bag.fingerprint])}"
+
+    def of_robot(self, robot: str, bags: Iterable[str]) -> str:
+        """What the results of a robot are kept under, whose bags are kept under these names."""
+        return f"robot-{_checksum([self.document, robot, sorted(bags)])}"
+
+
+def _checksum(content: Any) -> str:
+    text = json.dumps([_FORMAT, content], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,8 +17,8 @@ from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint
 from geomid_ros.files.checkpoints.checkpoint_folder import CheckpointFolder, Restored
-from geomid_ros.files.models.gap_model import ESTIMATE
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
+from geomid_ros.files.models.written_model import ESTIMATE
 from geomid_ros.gap.evidence.standing import StandingRemainder
 from geomid_ros.live.threads import Activity, start_daemon, start_later
 from geomid_ros.live.worker import Worker

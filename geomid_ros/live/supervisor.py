@@ -17,7 +17,7 @@ from geomid_ros.live.saving import Checkpoints, CheckpointStatus
 from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.live.worker import OnEstimate, OnSamples, Worker
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.locking import locked_note, with_locked
+from geomid_ros.session.recordings import locked_note, with_locked
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import Ledger
 

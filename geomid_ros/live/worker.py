@@ -20,7 +20,7 @@ from geomid_ros.live.threads import Activity, start_daemon
 from geomid_ros.model.measurement import Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.session import Session
-from geomid_ros.session.wrench_guard import WrenchGuard
+from geomid_ros.session.training import WrenchGuard
 from geomid_ros.signals.decoding import Decoder
 from geomid_ros.signals.ledger import count_reason
 from geomid_ros.signals.messages import JOINT_STATES, Accepted, message_type

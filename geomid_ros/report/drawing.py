@@ -6,17 +6,31 @@ import textwrap
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.samples import Samples
 from geomid_ros.report.ellipsoids import BodyDrawing, Ellipsoid
+from geomid_ros.report.page import number
 from geomid_ros.report.robot_drawing import draw_bodies
-from geomid_ros.report.series import Series
-from geomid_ros.report.series_drawing import draw_series
-from geomid_ros.report.sheet import DPI, FAINT, SIZE, add_text, shortened
+from geomid_ros.report.series import Clock, Series, limits, thinned
+from geomid_ros.report.sheet import (
+    DPI,
+    FAINT,
+    IDENTIFIED,
+    INK,
+    SIZE,
+    URDF,
+    add_axes,
+    add_text,
+    shortened,
+    text_width,
+)
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -88,3 +102,83 @@ def _middle(batches: Sequence[Samples]) -> Samples:
     batch = int(np.searchsorted(ends, ends[-1] // 2, side="right"))
     place = int(ends[-1] // 2 - ends[batch]) + len(batches[batch])
     return batches[batch].select(slice(place, place + 1))
+
+
+MOST_PANELS = 12
+
+_PLACE = (10.15, 1.30, 6.60, 8.00)
+
+
+def draw_series(figure: Figure, series: Sequence[Series]) -> None:
+    """Draw the most improved channels into their place."""
+    shown = _most_improved(series)
+    left, top, width, height = _PLACE
+    _draw_series_header(figure, series, len(shown))
+    if not shown:
+        return
+    columns = 1 if len(shown) <= 6 else 2
+    rows = -(-len(shown) // columns)
+    clock = Clock.of(shown)
+    cell = (width / columns, min(height / rows, 3.2))
+    first: Axes | None = None
+    for k, channel in enumerate(shown):
+        row, column = divmod(k, columns)
+        place = (left + column * cell[0] + 0.30 * column, top + row * cell[1] + 0.1, cell[0] - 0.30, cell[1] - 0.42)
+        axes = add_axes(figure, place, first)
+        first = first or axes
+        _draw_channel(axes, channel, clock, place[2], lowest=k + columns >= len(shown))
+
+
+def _most_improved(series: Sequence[Series]) -> list[Series]:
+    """At most ``MOST_PANELS``, in their own order."""
+    ratios = np.array([channel.ratio for channel in series])
+    best = np.argsort(np.where(np.isfinite(ratios), ratios, np.inf), kind="stable")[:MOST_PANELS]
+    return [series[k] for k in np.sort(best)]
+
+
+def _draw_series_header(figure: Figure, series: Sequence[Series], shown: int) -> None:
+    better = sum(channel.ratio < 1.0 for channel in series)
+    worse = sum(channel.ratio > 1.0 for channel in series)
+    text = f"RMS residual fell in {better} of {len(series)} channels" + (f", rose in {worse}" if worse else "")
+    if shown < len(series):
+        text += f"; the {shown} with the largest improvement are shown"
+    add_text(figure, _PLACE[0], 0.72, text, 9.5, FAINT)
+    handles = [
+        Line2D([], [], color=INK, lw=1.8, label="measured"),
+        Line2D([], [], color=URDF, lw=1.2, ls="--", label="URDF"),
+        Line2D([], [], color=IDENTIFIED, lw=1.2, label="identified"),
+    ]
+    corner = ((_PLACE[0] - 0.08) / SIZE[0], 1.0 - 0.42 / SIZE[1])
+    figure.legend(
+        handles=handles, loc="center left", bbox_to_anchor=corner, ncol=3, frameon=False, fontsize=10.5, borderpad=0
+    )
+
+
+def _draw_channel(axes: Axes, channel: Series, clock: Clock, width: float, lowest: bool) -> None:
+    """In a panel ``width`` inches wide; the ``lowest`` of a column names the times."""
+    axes.plot(*thinned(channel.times, channel.measured, clock), color=INK, lw=1.5)
+    axes.plot(*thinned(channel.times, channel.nominal, clock), color=URDF, lw=1.1, ls="--")
+    axes.plot(*thinned(channel.times, channel.predicted, clock), color=IDENTIFIED, lw=0.9)
+    axes.set_ylim(*limits(channel))
+    change, unit = _change(channel), f" [{channel.unit}]"
+    room = width - text_width(change, 9.0) - text_width(unit, 9.0, "bold") - 0.1
+    name = shortened(channel.name, room, 9.0, "bold") + unit
+    axes.set_title(name, loc="left", size=9.0, pad=3.0, weight="bold", parse_math=False)
+    axes.set_title(change, loc="right", size=9.0, pad=3.0)
+    axes.tick_params(labelsize=8.5, color=FAINT, labelcolor=INK, length=2.5, labelbottom=lowest)
+    axes.set_xlim(clock.seconds[0], clock.seconds[-1])
+    axes.grid(color="#eceeef", lw=0.7)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color("#c8cbce")
+    axes.yaxis.set_major_locator(MaxNLocator(4))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}".replace("-", "\N{MINUS SIGN}")))
+    if lowest:
+        axes.set_xlabel(clock.label, size=9.0, labelpad=1.5)
+
+
+def _change(channel: Series) -> str:
+    before, after = channel.rms
+    if not np.any(np.isfinite(channel.measured)):
+        return "not measured"
+    return f"RMS {number(before)} → {number(after)}"

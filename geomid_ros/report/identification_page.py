@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from geomid_ros.checks.verdict import Verdict
 from geomid_ros.estimation.estimate import Estimate
@@ -14,9 +18,11 @@ from geomid_ros.files.models.estimate_file import shares_from_data
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.report import identification_words
 from geomid_ros.report.gap_words import percent
-from geomid_ros.report.page import Bars, Script, number, write_page
-from geomid_ros.report.series import ChannelFit, Series
-from geomid_ros.report.trace import traces
+from geomid_ros.report.page import Bars, Script, line_path, number, ticks, write_page
+from geomid_ros.report.series import BINS, ChannelFit, Clock, Series, limits, thinned
+from geomid_ros.session.recordings import Bags
+from geomid_ros.session.session import Session
+from geomid_ros.session.version import installed_version
 from geomid_ros.signals.ledger import Account
 from geomid_ros.types import FloatArray
 
@@ -35,6 +41,25 @@ class Origin:
     date: str
     files: Sequence[tuple[str, str]]
     configuration: Mapping[str, Any]
+
+    @staticmethod
+    def of(session: Session, bags: Bags, command: str) -> Origin:
+        """Where a page on a session is from: what was run, and the recordings that were read."""
+        urdf = hashlib.sha256(session.urdf.encode(errors="replace")).hexdigest()
+        recordings = [(str(path), _what(share)) for path, share in bags.shares]
+        return Origin(
+            version=installed_version(),
+            command=command,
+            date=datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC"),
+            files=[(f"{session.robot.source} (SHA-256 {urdf})", "robot"), *recordings],
+            configuration=session.configuration.given,
+        )
+
+
+def _what(share: float) -> str:
+    if share >= 1.0:
+        return "recording, held out"
+    return "recording, fitted" + (f" except the last {100.0 * share:.0f} %" if share > 0.0 else "")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -145,3 +170,73 @@ def _bars(series: Sequence[ChannelFit]) -> Bars:
         for name, ratio in ratios.items()
     ]
     return Bars(rows, [(f"{100 * share:.0f}", 100.0 * share / end) for share in _SHARES], "RMS")
+
+
+WIDTH, HEIGHT = 20_000, 4_000
+"""Of a panel, in the units of its lines; those of ``traces.js``."""
+
+_MOST_POINTS = 200_000  # of a page: two megabytes
+_FAR = 10 * HEIGHT  # beyond which nothing is drawn
+_TIMES = 5  # labels of the axis of time
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChannelTrace:
+    """A channel for a page.
+
+    Attributes:
+        name, unit: the channel's.
+        before, after: RMS residual of the URDF and of the identified model, written.
+        low, high: values at the panel's lower and upper edge.
+        end: seconds at its right edge; the left one is at 0.
+        times: labels of the axis of time, evenly spaced; ``clock`` is what it is called.
+        ticks: labels of the other axis, and where they are in percent from the top.
+        lines: by kind, the path of each.
+    """
+
+    name: str
+    unit: str
+    before: str
+    after: str
+    low: float
+    high: float
+    end: float
+    times: Sequence[str]
+    clock: str
+    ticks: Sequence[tuple[str, float]]
+    lines: dict[str, str]
+
+
+def traces(series: Sequence[Series]) -> list[ChannelTrace]:
+    """The channels, each in as many points as the page has room for."""
+    if not series:
+        return []
+    clock = Clock.of(series)
+    bins = max(1, min(BINS, _MOST_POINTS // (6 * len(series))))  # three lines, of two points each
+    return [_trace(channel, clock, bins) for channel in series]
+
+
+def _trace(channel: Series, clock: Clock, bins: int) -> ChannelTrace:
+    low, high = limits(channel)
+    end = float(clock.seconds[-1])
+    kinds = {"measured": channel.measured, "before": channel.nominal, "after": channel.predicted}
+
+    def path(values: FloatArray) -> str:
+        seconds, heights = thinned(channel.times, values, clock, bins)
+        down = np.clip(HEIGHT * (high - heights) / (high - low), -_FAR, _FAR)
+        return line_path(WIDTH * seconds / end, down)
+
+    before, after = map(number, channel.rms)
+    return ChannelTrace(
+        name=channel.name,
+        unit=channel.unit,
+        before=before,
+        after=after,
+        low=low,
+        high=high,
+        end=end,
+        times=[f"{second:.4g}" for second in np.linspace(0.0, end, _TIMES)],
+        clock=clock.label,
+        ticks=[(f"{tick:g}", 100.0 * (high - tick) / (high - low)) for tick in ticks(low, high, 4)],
+        lines={kind: path(values) for kind, values in kinds.items()},
+    )

@@ -12,7 +12,7 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.resimulation.closed_loop import ClosedLoop
 from geomid_ros.resimulation.resimulate import Resimulated
 from geomid_ros.resimulation.windows import HORIZON
-from geomid_ros.session.gap_simulation import Simulations
+from geomid_ros.session.written_simulation import Simulations
 from geomid_ros.types import FloatArray
 
 SENTENCES = {

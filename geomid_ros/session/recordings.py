@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.model.samples import Samples
+from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import TrainingData
 from geomid_ros.signals.decoding import Decoder
@@ -278,3 +279,51 @@ def _why_no_samples(bag: Bag, session: Session, pipeline: SignalPipeline) -> str
     joints = f"The URDF's moving joints: {', '.join(session.robot.joint_names)}"
     end = "" if why.endswith("?") else "."
     return f"{why}{end} Or the recording is of another robot. {joints}" if missing else why
+
+
+T = TypeVar("T")
+
+
+def with_locked(configuration: Configuration, joints: Collection[str]) -> Configuration:
+    """The configuration with these joints locked beside its own."""
+    return configuration.with_values({"locked_joints": [*configuration["locked_joints"], *joints]})
+
+
+def locked_note(joints: Iterable[str]) -> str:
+    """The sentence on joints that were locked as they are in no message."""
+    named = ", ".join(map(repr, joints))
+    return f"no message names {named}: locked at zero, as with locked_joints (--lock)"
+
+
+def read_with_locked(
+    make: Callable[[Configuration], Session], configuration: Configuration, read: Callable[[Session], T]
+) -> tuple[Session, T]:
+    """Read recordings; if they lack joints that may be locked, once more with these locked.
+
+    Args:
+        make: makes the session of a configuration.
+        configuration: to begin with.
+        read: reads the recordings for a session.
+
+    Returns:
+        The session, and what was read for it.
+
+    Raises:
+        InputError: the recordings cannot be used.
+    """
+    session = make(configuration)
+    try:
+        return session, read(session)
+    except NoSamplesError as error:
+        joints = error.lockable
+        if not joints:
+            raise
+    session = make(with_locked(configuration, joints))
+    session.settled.append(locked_note(joints))
+    found = read(session)
+    if heard := session.joints_heard.intersection(joints):
+        raise InputError(
+            f"joint '{min(heard)}' is missing in the messages of some recordings and not of others; use those that "
+            "have it, or name it in the parameter locked_joints (--lock)"
+        )
+    return session, found

@@ -33,20 +33,19 @@ from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint
 from geomid_ros.files.disk import write_json, write_text
 from geomid_ros.files.models.estimate_file import account_entry, estimate_document, verdict_entry
-from geomid_ros.files.models.handover import WrittenModel, handover_entry, written_model
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.population import population_document, read_population
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.files.models.readers import ELEMENTS, URDF
 from geomid_ros.files.models.urdf import inertia_of, with_effects, with_inertials
+from geomid_ros.files.models.written_model import WrittenModel, handover_entry, written_model
 from geomid_ros.model.absent_joints import lockable
 from geomid_ros.model.columns import Columns
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.ledger_findings import faulty_streams, peculiarities
-from geomid_ros.session.recording_facts import Recorded
+from geomid_ros.session.recording_facts import Recorded, faulty_streams, peculiarities
 from geomid_ros.session.solidity import impossible_links
 from geomid_ros.signals.ledger import Account, Ledger
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted
@@ -77,7 +76,7 @@ class Session:
             configuration: parameters.
             source: where the description is from, for messages.
             ledger: told what becomes of every message.
-            readers: who will read the files of results, of :data:`~geomid_ros.files.models.handover.ELEMENTS`.
+            readers: who will read the files of results, of :data:`~geomid_ros.files.models.readers.ELEMENTS`.
 
         Raises:
             InputError: these do not fit together.

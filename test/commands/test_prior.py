@@ -52,7 +52,7 @@ def prior(urdf: Path, mass: float, folder: Path, *arguments: str | Path, drawn: 
     out = folder / "out" / "prior.urdf"
     with pytest.MonkeyPatch.context() as patch:
         if not drawn:
-            patch.setattr("geomid_ros.report.prior_picture.prior_picture", lambda *_: None)
+            patch.setattr("geomid_ros.report.pictures.prior_picture", lambda *_: None)
         result = geomid("prior", urdf, "--mass", str(mass), "--out", out, *arguments)
     assert result.exit_code == 0, result.output
     return out.read_text(), result.stdout, result.stderr

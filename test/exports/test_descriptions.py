@@ -20,10 +20,10 @@ from geomid_ros.exports.descriptions import DESCRIPTIONS
 from geomid_ros.exports.model import Model, read_model
 from geomid_ros.exports.patch_mjcf import into_mjcf
 from geomid_ros.exports.payload import each_link
-from geomid_ros.files.models.gap_model import write_model
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.files.models.written_model import write_model
 from geomid_ros.model.effects import KnownEffect, identified_effect
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot

@@ -15,7 +15,7 @@ from files.recordings import BAGS, QUICK
 import geomid_ros
 from geomid_ros.api.identify import Identification
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
-from geomid_ros.exports.handover import HandedOver, JudgedFile
+from geomid_ros.exports.handover import HandedOver, JudgedFile, read_mjcf_back
 from geomid_ros.exports.model import read_model
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.read_back import ReadBack, read_urdf_back
@@ -23,7 +23,6 @@ from geomid_ros.files.models.readers import READERS
 from geomid_ros.files.models.urdf import for_drake, with_inertials
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.model.samples import Samples
-from geomid_ros.resimulation.read_back import read_mjcf_back
 from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.types import FloatArray
 

@@ -12,7 +12,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.exports.inertial import Export, Summand, UncertainInertia, total
 from geomid_ros.exports.model import read_model
 from geomid_ros.exports.payload import attached, chosen, difference, each_link
-from geomid_ros.files.models.gap_model import write_model
+from geomid_ros.files.models.written_model import write_model
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.model.measurement import MeasurementModel

@@ -9,8 +9,8 @@ from xml.etree import ElementTree
 import numpy as np
 import yaml
 
-from geomid_ros.files.models.gap_model import NoiseFloor, write_model
 from geomid_ros.files.models.loaded_model import LoadedModel
+from geomid_ros.files.models.written_model import NoiseFloor, write_model
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot

@@ -17,9 +17,9 @@ from geomid_ros.estimation.estimate import EffectEstimate
 from geomid_ros.files.disk import write_json
 from geomid_ros.files.models.effect_forms import combined, payload_parameters, turned_gravity
 from geomid_ros.files.models.estimate_file import estimate_document
-from geomid_ros.files.models.gap_model import write_model
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.files.models.written_model import write_model
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction

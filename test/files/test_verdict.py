@@ -12,8 +12,8 @@ from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.estimate_file import EstimateFile, verdict_entry
-from geomid_ros.files.models.gap_model import write_model
 from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.files.models.written_model import write_model
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import GRAVITY, Robot
 from geomid_ros.session.configuration import Configuration

@@ -16,7 +16,7 @@ import pytest
 from excitation.arm import small_task, urdf
 from scipy.spatial import ConvexHull
 
-from geomid_ros.report.motion_page import corners, write_motion_page
+from geomid_ros.report.excitation import corners, write_motion_page
 from geomid_ros.session.collision_scene import Surroundings
 from geomid_ros.session.excitation import Excitation, MotionRequest, design
 

@@ -9,7 +9,7 @@ import pytest
 from files.effects import effect
 from model.robots import with_values
 
-from geomid_ros.files.models.gap_model import ModelFiles
+from geomid_ros.files.models.written_model import ModelFiles
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples

@@ -13,8 +13,8 @@ from model.robots import with_values
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.effect_forms import payload_parameters
-from geomid_ros.files.models.gap_model import ModelFiles
 from geomid_ros.files.models.urdf import with_effects
+from geomid_ros.files.models.written_model import ModelFiles
 from geomid_ros.gap.result import GapResult
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot

@@ -17,8 +17,8 @@ from geomid_ros.commands.options import OUT
 from geomid_ros.errors import GeomidError, InputError, printable
 
 if TYPE_CHECKING:
-    from geomid_ros.api.arguments import DescribedRobot
     from geomid_ros.api.identify import Identification
+    from geomid_ros.api.options import DescribedRobot
     from geomid_ros.session.configuration import Configuration
     from geomid_ros.session.excitation import Excitation, MotionRequest
 
@@ -123,7 +123,7 @@ class _LearningRounds:
     def designs(self, rounds: int) -> Iterator[Excitation]:
         """The motion of each round, from what is known when it begins."""
         from geomid_ros.api.excite import designed_motion
-        from geomid_ros.commands.progress import progress_bar
+        from geomid_ros.commands.terminal import progress_bar
         from geomid_ros.session.configuration import Configuration
 
         for _ in range(rounds):
@@ -193,7 +193,7 @@ class _LearningRounds:
     def identify(self) -> None:
         """Identify from all recordings."""
         import geomid_ros
-        from geomid_ros.commands.progress import progress_bar
+        from geomid_ros.commands.terminal import progress_bar
 
         bags = [self.out / f"round{number}" / "recording" for number in range(1, self.number + 1)]
         with progress_bar() as progress:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomid_ros.commands.options import Names, package_option
+from geomid_ros.commands.options import PATH, joint_topic_option, lock_option, package_option, together, xacro_option
 from geomid_ros.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,9 +14,8 @@ if TYPE_CHECKING:
     from geomid_ros.session.excitation import MotionRequest
 
 
-def surroundings_options(command: Callable[..., None]) -> Callable[..., None]:
-    """What must not be touched; see :func:`surroundings_of`."""
-    for option in (
+surroundings_options = together(
+    [
         package_option,
         click.option(
             "--collision/--no-collision",
@@ -40,9 +37,9 @@ def surroundings_options(command: Callable[..., None]) -> Callable[..., None]:
             "or a mesh file "
             "(each part counts as its convex hull), in metres in the base frame; may be repeated.",
         ),
-    ):
-        command = option(command)
-    return command
+    ]
+)
+"""What must not be touched; see :func:`surroundings_of`."""
 
 
 def surroundings_of(options: dict[str, Any]) -> Surroundings:
@@ -57,12 +54,11 @@ def surroundings_of(options: dict[str, Any]) -> Surroundings:
     )
 
 
-def motion_options(command: Callable[..., None]) -> Callable[..., None]:
-    """What a designed motion is asked for; see :func:`wish_of`."""
-    for option in (
+motion_options = together(
+    [
         surroundings_options,
         click.option("--seed", default=0, show_default=True, help="Random seed; another seed finds another motion."),
-        click.option("--lock", type=Names(), metavar="JOINTS", help="Joints that stay at zero, separated by commas."),
+        lock_option,
         click.option(
             "--wrench",
             multiple=True,
@@ -72,7 +68,7 @@ def motion_options(command: Callable[..., None]) -> Callable[..., None]:
         click.option(
             "--from",
             "model",
-            type=click.Path(path_type=Path),
+            type=PATH,
             help="Target what this estimate.json left uncertain; posterior.npz must be in the same folder.",
         ),
         click.option(
@@ -107,16 +103,14 @@ def motion_options(command: Callable[..., None]) -> Callable[..., None]:
         ),
         click.option(
             "--limits",
-            type=click.Path(path_type=Path),
+            type=PATH,
             help="Joint limits, in the format of MoveIt's joint_limits.yaml.",
         ),
-        click.option(
-            "--xacro-arg", "xacro_args", multiple=True, metavar="NAME:=VALUE", help="Xacro argument; may be repeated."
-        ),
-        click.option("--urdf", type=click.Path(path_type=Path), help="Robot description, URDF or .xacro."),
-    ):
-        command = option(command)
-    return command
+        xacro_option,
+        click.option("--urdf", type=PATH, help="Robot description, URDF or .xacro."),
+    ]
+)
+"""What a designed motion is asked for; see :func:`wish_of`."""
 
 
 def wish_of(options: dict[str, Any]) -> MotionRequest:
@@ -127,9 +121,8 @@ def wish_of(options: dict[str, Any]) -> MotionRequest:
     return MotionRequest(start=numbers(options.pop("start")), surroundings=surroundings_of(options), **own)
 
 
-def robot_run_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Who moves the robot, and what stops it."""
-    for option in (
+robot_run_options = together(
+    [
         click.option("--execute", is_flag=True, help="Move the robot; without it nothing moves."),
         click.option(
             "--silence",
@@ -145,16 +138,16 @@ def robot_run_options(command: Callable[..., None]) -> Callable[..., None]:
             type=click.FloatRange(0.0, min_open=True),
             help="Stop if a joint is this far off its trajectory [rad, m].",
         ),
-        click.option("--joint-topic", default="joint_states", show_default=True, help="Topic of the joint states."),
+        joint_topic_option,
         click.option(
             "--controller",
             default="/joint_trajectory_controller",
             show_default=True,
             help="Controller that follows the motion.",
         ),
-    ):
-        command = option(command)
-    return command
+    ]
+)
+"""Who moves the robot, and what stops it."""
 
 
 def share_of(_context: click.Context, _option: click.Parameter, text: str | None) -> float:

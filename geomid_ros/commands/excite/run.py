@@ -10,20 +10,18 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from geomid_ros.commands.excite.options import robot_run_options, surroundings_of, surroundings_options
-from geomid_ros.commands.options import UNTRIED_OUT
+from geomid_ros.commands.options import PATH, UNTRIED_OUT
 from geomid_ros.errors import InputError, printable
 
 if TYPE_CHECKING:
     from geomid_ros.ros.excite.run import Order, Plan
 
-_PERCENT = 100.0
-
 
 @click.command()
-@click.argument("trajectory", type=click.Path(path_type=Path))
+@click.argument("trajectory", type=PATH)
 @click.option(
     "--urdf",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Robot description, URDF or .xacro.  [default: the topic robot_description]",
 )
 @click.option(
@@ -45,7 +43,7 @@ def run(trajectory: Path, urdf: Path | None, execute: bool, identify: bool, out:
     joint is off its trajectory, leaves its range or exceeds its effort limit, and if joint states stop. Obstacles that
     --avoid does not name are unknown: keep the emergency stop at hand. Needs ROS 2.
     """
-    from geomid_ros.api.arguments import description
+    from geomid_ros.api.options import description
     from geomid_ros.files.disk import check_writable
     from geomid_ros.files.trajectories import read_trajectory
 
@@ -82,17 +80,17 @@ def ros_runs() -> ModuleType:
 
 def show_plan(order: Order, plan: Plan) -> None:
     """What would be done."""
-    from geomid_ros.commands.tables import number_columns, plain_table, results_console, say
+    from geomid_ros.commands.terminal import plain_table, results_console, say
+    from geomid_ros.report.gap_words import percent
 
     console = results_console()
-    table = plain_table(f"{order.source} on {order.controller}")
-    table.add_column("joint")
-    number_columns(table, ["now", "start", "distance", "lowest", "highest", "speed", "of its limit"])
+    headings = ["now", "start", "distance", "lowest", "highest", "speed", "of its limit"]
+    table = plain_table(f"{order.source} on {order.controller}", ["joint"], headings)
     motion, here = plan.motion, plan.way.positions[0]
     for index, joint in enumerate(motion.joints):
         positions, speed = motion.positions[:, index], motion.speeds[index]
         numbers = (here[index], positions[0], positions[0] - here[index], positions.min(), positions.max(), speed)
-        share = f"{_PERCENT * speed / plan.limits.speeds[index]:.0f} %"
+        share = percent(speed / plan.limits.speeds[index])
         table.add_row(joint, *(f"{number:.3f}" for number in numbers), share)
     console.print(table)
     far = max(abs(plan.way.positions[-1] - here))
@@ -100,7 +98,7 @@ def show_plan(order: Order, plan: Plan) -> None:
         say(console, "Note:", f" {note}")
     console.print(
         f"Approach: {far:.3f} rad (m) to the start, in {plan.way.duration:.1f} s. Motion: {motion.duration:.1f} s at "
-        f"{_PERCENT * order.speed:g} % of its speed, at most {max(motion.speeds):.3f} rad/s (m/s).\nIt stops on "
+        f"{100.0 * order.speed:g} % of its speed, at most {max(motion.speeds):.3f} rad/s (m/s).\nIt stops on "
         f"Ctrl-C, if "
         f"a joint is {order.tolerance:g} rad (m) off its trajectory, at the URDF's limits of positions and efforts, "
         f"and "

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from rich.table import Table
 
-from geomid_ros.commands.tables import number_columns, plain_table, results_console, say
+from geomid_ros.commands.terminal import plain_table, results_console, say
 from geomid_ros.report import gap_words
 from geomid_ros.session.excitation import Excitation
 
-_PERCENT = 100.0
 _MOTIONS = ("before", "designed", "random", "designed,\ntwice")
 
 
@@ -34,23 +33,20 @@ def show(found: Excitation) -> None:
 
 
 def _margins(found: Excitation) -> Table:
-    table = plain_table("Use of each limit")
-    table.add_column("joint", overflow="fold")
-    number_columns(table, ["lowest", "highest", "to limit", "speed", "acceleration", "jerk", "effort with margin"])
+    headings = ["lowest", "highest", "to limit", "speed", "acceleration", "jerk", "effort with margin"]
+    table = plain_table("Use of each limit", ["joint"], headings)
     margins, positions = found.margins, found.trajectory.positions
     for index, name in enumerate(found.task.feasibility.names):
         used = (margins.velocity, margins.acceleration, margins.jerk, margins.effort)
         ends = np.min(positions[:, index]), np.max(positions[:, index]), margins.position[index]
-        numbers = (*(f"{end:.3f}" for end in ends), *(f"{_PERCENT * share[index]:.0f} %" for share in used))
+        numbers = (*(f"{end:.3f}" for end in ends), *(gap_words.percent(share[index]) for share in used))
         table.add_row(name, *numbers)
     return table
 
 
 def _links(found: Excitation) -> Table:
     learning = found.learning
-    table = plain_table("Standard deviation of the mass [kg]")
-    table.add_column("link", overflow="fold")
-    number_columns(table, ["mass", *_MOTIONS])
+    table = plain_table("Standard deviation of the mass [kg]", ["link"], ["mass", *_MOTIONS])
     masses = found.task.knowledge.posterior.parameters
     for index, name in enumerate(found.task.knowledge.posterior.links):
         kinds = (learning.before, learning.designed, learning.random, learning.twice)
@@ -60,10 +56,7 @@ def _links(found: Excitation) -> Table:
 
 def _effects(found: Excitation) -> Table:
     learning = found.learning
-    table = plain_table("Standard deviation of the effects")
-    for heading in ("effect", "at"):
-        table.add_column(heading, overflow="fold")
-    number_columns(table, _MOTIONS)
+    table = plain_table("Standard deviation of the effects", ["effect", "at"], _MOTIONS)
     table.add_column("unit")
     for index, effect in enumerate(found.task.knowledge.posterior.effects):
         kinds = (learning.before, learning.designed, learning.random, learning.twice)

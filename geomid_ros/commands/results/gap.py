@@ -11,7 +11,7 @@ from rich.table import Table
 
 from geomid_ros.api.gap import Gap
 from geomid_ros.checks.verdict import recording_verdict
-from geomid_ros.commands.tables import lines, number_columns, plain_table, print_remarks, results_console, say
+from geomid_ros.commands.terminal import lines, number_columns, plain_table, print_verdict, results_console, say
 from geomid_ros.exports.handover import JudgedFile
 from geomid_ros.gap.result import GapResult
 from geomid_ros.report import gap_words
@@ -28,7 +28,7 @@ def show(found: Gap) -> None:
     """Print the verdict, what was found, the gap of every channel, candidates, and what to record next."""
     console = results_console()
     result = found.result
-    print_remarks(console, recording_verdict(found.session.findings), found.session.warnings(), found.session.notes)
+    print_verdict(console, recording_verdict(found.session.findings), found.session.warnings(), found.session.notes)
     say(console, result.verdict.upper(), f"  {gap_words.verdict_sentence(result)}")
     for sentence in gap_words.in_short(result):
         say(console, "", sentence)
@@ -61,9 +61,7 @@ def _print_file(console: Console, judged: JudgedFile | None) -> None:
 
 
 def _findings_table(result: GapResult) -> Table:
-    table = plain_table("Findings (confident ones are in the written model)")
-    table.add_column("effect", overflow="fold")
-    table.add_column("where", overflow="fold")
+    table = plain_table("Findings (confident ones are in the written model)", ["effect", "where"])
     table.add_column("parameter", no_wrap=True)
     number_columns(table, ["value"])
     table.add_column("probability", no_wrap=True)
@@ -89,10 +87,9 @@ def _sentences(result: GapResult) -> Iterator[str]:
 
 
 def _channels_table(result: GapResult) -> Table:
-    table = plain_table("Gap on all held-out samples, in units of the noise floor (no model can do better than 1)")
-    table.add_column("\nchannel", overflow="fold")
     headings = ["\nfloor", "\nnominal", "inertias\nonly", "written\nmodel", "moving\nalone", "moving,\nexpected"]
-    number_columns(table, headings)
+    title = "Gap on all held-out samples, in units of the noise floor (no model can do better than 1)"
+    table = plain_table(title, ["\nchannel"], headings)
     table.add_column(f"gap above the floor, logarithmic\n{_AFTER} after {_INERTIAS} inertias only {_BEFORE} nominal")
     gaps = (result.gap.before, result.gap.inertias_only, result.gap.after)
     end = max(2.0, *(gap_words.worst(values) for values in gaps))
@@ -118,18 +115,14 @@ def _length(value: float, end: float) -> int:
 
 def _simulated_table(simulation: SimulatedAgain) -> Table:
     how = {"windows": "in short windows", "closed_loop": "in closed loop"}[simulation.kind]
-    table = plain_table(f"Resimulation {how}\n(error in units of the noise)")
-    table.add_column("channel", overflow="fold")
-    number_columns(table, ["before", "after"])
+    table = plain_table(f"Resimulation {how}\n(error in units of the noise)", ["channel"], ["before", "after"])
     for name, before in simulation.errors["before"].items():
         table.add_row(name, gap_words.ratio(before), gap_words.ratio(simulation.errors["after"][name]))
     return table
 
 
 def _candidates_table(result: GapResult) -> Table:
-    table = plain_table("Candidates, best first")
-    table.add_column("candidate", overflow="fold")
-    number_columns(table, ["score gain", "separable", "chosen"])
+    table = plain_table("Candidates, best first", ["candidate"], ["score gain", "separable", "chosen"])
     for entry in result.ranking[:_MOST_CANDIDATES]:
         chosen = "yes" if entry.chosen else ""
         table.add_row(gap_words.title(entry), f"{entry.gain:.1f}", gap_words.percent(entry.separability), chosen)

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from geomid_ros.api.identify import Identification
 from geomid_ros.checks.verdict import USABLE
-from geomid_ros.commands.tables import lines, number_columns, plain_table, print_remarks, results_console, say
+from geomid_ros.commands.terminal import lines, number_columns, plain_table, print_verdict, results_console, say
 from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate
 from geomid_ros.files.models.effect_forms import is_coefficient
 from geomid_ros.files.models.estimate_file import model_effects
@@ -40,7 +40,7 @@ def show(found: Identification) -> None:
     console = results_console()
     estimate = found.estimate
     state = "converged" if estimate.converged else f"NOT converged ({estimate.reason})"
-    print_remarks(console, found.verdict, found.warnings, found.session.notes)
+    print_verdict(console, found.verdict, found.warnings, found.session.notes)
     _print_messages(console, found.session.pipeline.ledger.topics)
     console.print(
         f"{estimate.rows_accepted} rows, {state} in {estimate.seconds:.1f} s, prior weight {estimate.gamma:.1e}",
@@ -94,9 +94,7 @@ def _links_table(found: Identification) -> Table:
 
 
 def _known_table(estimate: Estimate) -> Table:
-    table = plain_table("Weighed masses")
-    table.add_column("what", overflow="fold")
-    number_columns(table, ["weighed [kg]", "identified [kg]", "difference [std weighed]"])
+    table = plain_table("Weighed masses", ["what"], ["weighed [kg]", "identified [kg]", "difference [std weighed]"])
     for known in estimate.known:
         table.add_row(
             known.name,
@@ -116,10 +114,7 @@ def _at_every_joint(effects: Sequence[EffectEstimate]) -> list[EffectEstimate]:
 
 def _other_effects_table(effects: Sequence[KnownEffect]) -> Table:
     """Those of several parameters, those at other places, and those that hold as the model says them."""
-    table = plain_table("Other effects")
-    for heading in ("effect", "where", "parameter"):
-        table.add_column(heading, overflow="fold")
-    number_columns(table, ["value"])
+    table = plain_table("Other effects", ["effect", "where", "parameter"], ["value"])
     for effect in effects:
         names = lines(name.replace("_", " ") for name in effect.parameters)
         values = lines(map(gap_words.measured, effect.parameters.values()))
@@ -137,9 +132,7 @@ def _joint_effects_table(effects: Sequence[EffectEstimate]) -> Table:
         columns.setdefault(f"{first}\n{second}\n[{own.unit}]", {})[effect.joint] = f"{own.value:.3g} ± {own.std:.1g}"
         for name, constant in constants:
             columns.setdefault(f"{first}\n{name}\n[{constant.unit}]", {})[effect.joint] = f"{constant.value:g}"
-    table = plain_table("Joint effects")
-    table.add_column("joint", overflow="fold")
-    number_columns(table, list(columns))
+    table = plain_table("Joint effects", ["joint"], list(columns))
     for joint in joints:
         table.add_row(joint, *(cells.get(joint, "") for cells in columns.values()))
     return table
@@ -147,10 +140,9 @@ def _joint_effects_table(effects: Sequence[EffectEstimate]) -> Table:
 
 def _channels_table(found: Identification) -> Table:
     """RMS per channel of the URDF, of the estimate, and of the written file alone and with the offsets beside it."""
-    table = plain_table("RMS of the residual on " + ("held-out data" if found.held_out else "the same data"))
-    table.add_column("channel", overflow="fold")
-    file = found.handover
-    number_columns(table, ["unit", "URDF", "identified", "explained", f"{file.name}\nalone", "with sensor\noffsets"])
+    file, judged_on = found.handover, "held-out data" if found.held_out else "the same data"
+    headings = ["unit", "URDF", "identified", "explained", f"{file.name}\nalone", "with sensor\noffsets"]
+    table = plain_table(f"RMS of the residual on {judged_on}", ["channel"], headings)
     for channel in found.session.model.channels:
         before, now = found.rms_nominal[channel.name], found.rms[channel.name]
         if np.isfinite(now):

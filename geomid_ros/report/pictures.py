@@ -1,4 +1,4 @@
-"""The picture of a prior made from shapes: the shapes, and the ellipsoids that move as the links do."""
+"""Pictures: a prior made from shapes with the ellipsoids that move as the links do; the torques of sampled robots."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.shape_prior import LinkPrior
-from geomid_ros.report.sheet import write_picture
+from geomid_ros.report.sheet import IDENTIFIED, URDF, write_picture
 from geomid_ros.types import FloatArray, IntArray
 
 _SIZE, _DPI = (12.0, 8.0), 130
@@ -108,3 +108,28 @@ def _outline(parameters: FloatArray, placed: PlacedLink, view: FloatArray) -> Fl
     angles = np.linspace(0.0, 2.0 * np.pi, _DIRECTIONS)
     circle = np.sqrt(np.maximum(values, 0.0))[:, None] * np.array([np.cos(angles), np.sin(angles)])
     return np.asarray(centre[:2, None] + vectors @ circle)
+
+
+_DPI = 130
+_HEIGHT = 0.4  # [inch] of a joint
+
+
+def torque_picture(path: Path, title: str, names: Sequence[str], drawn: FloatArray, ranges: FloatArray) -> None:
+    """Draw the PNG ``path``: the width of the band of efforts of ``drawn`` robots and of ``ranges``, ``(joints,)`` in
+    the order of the joints' ``names``."""
+    figure = Figure(figsize=(8.0, 1.6 + _HEIGHT * len(names)), dpi=_DPI, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, x=0.02, ha="left", weight="bold", parse_math=False)
+    axes = figure.subplots()
+    places = np.arange(len(names))
+    axes.hlines(places, drawn, ranges, color=URDF, lw=1.0)
+    axes.plot(drawn, places, "o", color=IDENTIFIED, label="robots sampled from the posterior")
+    axes.plot(ranges, places, "s", color=URDF, label="independent ranges of ±20 %")
+    axes.set_yticks(places, names, parse_math=False)
+    axes.invert_yaxis()
+    axes.set_xscale("log")
+    axes.grid(axis="x", color="#e6e8ea")
+    axes.set_xlabel("width of the 95 % band of efforts in fast motion (RMS)")
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(loc="outside lower center", ncols=2, frameon=False)
+    write_picture(path, figure)

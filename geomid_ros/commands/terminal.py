@@ -1,0 +1,89 @@
+"""Progress and results in the terminal: texts from outside as they are, never as markup, and printable."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from rich import box
+from rich.console import Console, RenderableType
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+from rich.text import Text
+
+from geomid_ros.errors import one_line
+
+if TYPE_CHECKING:
+    from geomid_ros.checks.verdict import Verdict
+    from geomid_ros.session import recordings
+
+_WIDTH_OF_FILES = 110
+
+
+def results_console() -> Console:
+    """Standard output; in a file or a pipe, lines may be wider than the 80 columns that rich assumes there."""
+    console = Console(markup=False, emoji=False, highlight=False)
+    if not console.is_terminal:
+        console.width = _WIDTH_OF_FILES
+    return console
+
+
+def print_verdict(console: Console, verdict: Verdict, warnings: Iterable[str], notes: Iterable[str] = ()) -> None:
+    """Print why a result cannot be used, what to be careful about, and what is worth knowing."""
+    print_remarks(console, {verdict.word.upper(): verdict.reasons, "Warning": warnings, "Note": notes})
+
+
+def print_remarks(console: Console, remarks: Mapping[str, Iterable[str]]) -> None:
+    """Print sentences, each behind its heading."""
+    for heading, sentences in remarks.items():
+        for sentence in sentences:
+            say(console, f"{heading}:", f" {sentence}")
+
+
+def say(console: Console, heading: str, text: str) -> None:
+    """Print a text behind its heading."""
+    console.print(Text.assemble((heading, "bold"), one_line(text)))
+
+
+def lines(texts: Iterable[str]) -> Text:
+    """Texts one below the other, for a cell."""
+    return Text("\n".join(map(one_line, texts)))
+
+
+class _PlainTable(Table):
+    def add_row(self, *cells: RenderableType | None, **style: Any) -> None:
+        super().add_row(*(one_line(cell) if isinstance(cell, str) else cell for cell in cells), **style)
+
+
+def plain_table(title: str, texts: Sequence[str] = (), numbers: Sequence[str] = ()) -> Table:
+    """A table without lines between rows: columns of texts with these headings, then columns of numbers."""
+    table = _PlainTable(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    for heading in texts:
+        table.add_column(heading, overflow="fold")
+    number_columns(table, numbers)
+    return table
+
+
+def number_columns(table: Table, headings: Sequence[str]) -> None:
+    """Add columns of numbers."""
+    for heading in headings:
+        table.add_column(heading, justify="right", no_wrap=True)
+
+
+@contextmanager
+def progress_bar() -> Iterator[recordings.Progress]:
+    """A bar with the time left, which vanishes when done; nothing where standard error is no terminal.
+
+    It yields a function to call with what is being done and the share of it, 0 to 1, that is done. As long as the share
+    is zero the bar only shows that something is going on.
+    """
+    console = Console(stderr=True)
+    columns = TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("", total=None)
+
+        def show(stage: str, share: float) -> None:
+            bar.update(task, description=stage, completed=share, total=1.0 if share > 0.0 else None)
+
+        yield show
