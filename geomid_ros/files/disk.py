@@ -13,6 +13,9 @@ from typing import Any
 
 from geomid_ros.errors import GeomidError, InputError
 
+MOST_BYTES = 100_000_000
+"""Of a file that is read as a whole, unless a smaller bound is given."""
+
 _MODE, _FOLDER_MODE = 0o600, 0o700
 
 
@@ -111,7 +114,7 @@ def _sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def read_bytes(path: Path, what: str, most_bytes: int) -> bytes:
+def read_bytes(path: Path, what: str, most_bytes: int = MOST_BYTES) -> bytes:
     """The content of a regular file, at most ``most_bytes``; ``what`` it is, for messages. Raises InputError naming it.
 
     A pipe or a device, which may never end, is not opened.
@@ -124,7 +127,7 @@ def read_bytes(path: Path, what: str, most_bytes: int) -> bytes:
         raise InputError(f"{path}: the {what} cannot be read ({error.strerror or error})") from error
 
 
-def read_text(path: Path, what: str, most_bytes: int) -> str:
+def read_text(path: Path, what: str, most_bytes: int = MOST_BYTES) -> str:
     """The text of a UTF-8 file, with the line ends it has; else as :func:`read_bytes`. Raises InputError naming it."""
     try:
         return read_bytes(path, what, most_bytes).decode()

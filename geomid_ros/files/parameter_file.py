@@ -11,8 +11,8 @@ import yaml
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.disk import read_text
+from geomid_ros.model.urdf_tree import MOST_BYTES
 
-_MOST_BYTES = 2_000_000  # a robot description may be among the parameters
 _MOST_NODES = 40_000
 
 
@@ -53,7 +53,7 @@ for _kind, _form, _beginnings in (
 
 def read_yaml(path: Path, what: str) -> Any:
     """The content of a YAML file; ``what`` it is for messages. Raises InputError naming the file."""
-    text = read_text(path, what, _MOST_BYTES)
+    text = read_text(path, what, MOST_BYTES)  # a robot description may be among the parameters
     try:
         return yaml.load(text, _Loader)  # noqa: S506 it is a safe loader
     except Exception as error:  # the parser raises errors of many kinds

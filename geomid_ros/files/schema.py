@@ -30,6 +30,9 @@ from geomid_ros.types import FloatArray
 Vector: TypeAlias = Annotated[FloatArray, (3,)]
 Matrix: TypeAlias = Annotated[FloatArray, (3, 3)]
 
+FORMAT = 1
+"""Of all documents that :func:`read_document` reads."""
+
 _LARGEST = 1e50  # products of three still fit
 _LARGEST_COUNT = 2**63
 _MOST_ENTRIES = 10_000  # of a list
@@ -37,26 +40,26 @@ _EXPECTED = {float: "a finite number", int: "a count", str: "a text", bool: "tru
 T = TypeVar("T")
 
 
-def read_document(path: Path, what: str, most_bytes: int, form: int, keys: tuple[str, ...]) -> dict[str, Any]:
-    """The JSON object in a file, of this ``form``, with these ``keys``; ``what`` it is, for messages.
+def read_document(path: Path, what: str, keys: tuple[str, ...]) -> dict[str, Any]:
+    """The JSON object in a file, with these ``keys``; ``what`` it is, for messages.
 
     Raises InputError naming the file.
     """
     try:
-        document = json.loads(read_text(path, what, most_bytes))
+        document = json.loads(read_text(path, what))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: the {what} cannot be read ({error})") from error
-    check_form(document, form, keys, f"{path}:", what)
+    check_form(document, keys, f"{path}:", what)
     return dict(document)
 
 
-def check_form(document: Any, form: int, keys: tuple[str, ...], where: str, what: str) -> None:
-    """Refuse what is not of this ``form`` or lacks one of the ``keys``. Raises InputError beginning with ``where``."""
+def check_form(document: Any, keys: tuple[str, ...], where: str, what: str) -> None:
+    """Refuse another format, and what lacks one of the ``keys``. Raises InputError beginning with ``where``."""
     missing = [key for key in keys if not isinstance(document, dict) or key not in document]
     if missing:
         raise InputError(f"{where} not a {what} as geomid writes it, it has no {' and '.join(map(repr, missing))}")
-    if document.get("format") != form:
-        raise InputError(f"{where} has format {document.get('format')!r:.80}, this version reads format {form}")
+    if document.get("format") != FORMAT:
+        raise InputError(f"{where} has format {document.get('format')!r:.80}, this version reads format {FORMAT}")
 
 
 def structured(kind: type[T], value: Any, where: str) -> T:

@@ -105,7 +105,6 @@ def _quoted(name: str) -> str:
 
 
 _WHAT = "trajectory"
-_MOST_BYTES = 50_000_000
 _NUMBERS = ("positions", "velocities", "accelerations")
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast, where there is libyaml
 
@@ -136,7 +135,7 @@ def read_trajectory(path: Path) -> Trajectory:
 
 
 def _document(path: Path) -> Mapping[str, Any]:
-    text = read_text(path, _WHAT, _MOST_BYTES)
+    text = read_text(path, _WHAT)
     try:
         if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text, _Loader)):
             raise InputError(f"{path}: the {_WHAT} has aliases, which are not allowed")

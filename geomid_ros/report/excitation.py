@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.excitation.learning import Expected
 from geomid_ros.files.disk import make_folder, write_json
+from geomid_ros.files.schema import FORMAT
 from geomid_ros.files.trajectories import write_bag, write_csv, write_yaml
 from geomid_ros.model.collision import HalfSpace, Obstacle
 from geomid_ros.model.robot import Robot
@@ -22,7 +23,6 @@ from geomid_ros.report.sheet import DPI, FAINT, IDENTIFIED, INK, write_picture
 from geomid_ros.session.excitation import Excitation
 from geomid_ros.types import FloatArray
 
-FORMAT = 1
 _ROW_HEIGHT, _WIDTH = 1.5, 12.0  # [inch]
 
 

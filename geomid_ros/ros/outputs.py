@@ -16,7 +16,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from geomid_ros.estimation.estimate import Estimate, LinkEstimate, effort_deviations
 from geomid_ros.exports.weighed_payload import Payload
-from geomid_ros.files.models.gap_file import FORMAT
+from geomid_ros.files.schema import FORMAT
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.live.background_search import SearchStatus
 from geomid_ros.live.gap_search import FoundGap

@@ -88,7 +88,7 @@ def test_a_file_gives_what_is_missing(tmp_path: Path) -> None:
         ("joint_limits: {j1: {max_velocity: fast}}", "joint 'j1': max_velocity is 'fast'"),
         ("joint_limits: {j1: {has_jerk_limits: true}}", "has_jerk_limits is true and max_jerk is absent"),
         ("joint_limits: {j1: 3}", "joint 'j1' is no mapping"),
-        ("a: [", "not YAML"),
+        ("a: [", "the file of joint limits cannot be read"),
     ],
 )
 def test_files_that_cannot_be_used(tmp_path: Path, text: str, message: str) -> None:

@@ -28,6 +28,7 @@ from geomid_ros.files.models.effect_forms import coefficient, combined, continue
 from geomid_ros.files.models.sidecar import EffectEntry, coefficient_entry, effect_entry
 from geomid_ros.files.models.urdf import Inertia
 from geomid_ros.files.schema import (
+    FORMAT,
     Matrix,
     Vector,
     entry,
@@ -45,8 +46,6 @@ from geomid_ros.model.robot import GRAVITY
 from geomid_ros.signals.ledger import Account
 from geomid_ros.types import FloatArray
 
-FORMAT = 1
-_MOST_BYTES = 5_000_000
 _MOST_LINKS_TOGETHER = 100  # of more, what is known of all together would be most of the file
 _LARGEST_RESIDUAL = 1e9
 _PACKED = "<f4"  # seven digits do, and nobody reads so many
@@ -200,7 +199,7 @@ class EstimateFile:
     @staticmethod
     def read(path: Path) -> EstimateFile:
         """Read a file. Raises InputError naming it and the key that is wrong."""
-        document = read_document(path, "model", _MOST_BYTES, FORMAT, ("links", "effects"))
+        document = read_document(path, "model", ("links", "effects"))
         return EstimateFile.of(document, str(path))
 
     @staticmethod

@@ -19,7 +19,7 @@ from geomid_ros.checks.causes import Finding as Doubt
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.estimate_file import by_channel
 from geomid_ros.files.models.sidecar import EffectEntry, effect_entry, effect_of, quantities_entry, quantity_entry
-from geomid_ros.files.schema import entry, plain, read_document, structured
+from geomid_ros.files.schema import FORMAT, entry, plain, read_document, structured
 from geomid_ros.gap.result import (
     Finding,
     GapErrors,
@@ -35,8 +35,6 @@ from geomid_ros.gap.result import (
 from geomid_ros.model.effects import KnownEffect, effect_class
 from geomid_ros.types import FloatArray
 
-FORMAT = 1
-_MOST_BYTES = 20_000_000
 _OF_WORDS = {"confident": 0.99, "tentative": 0.7, "ambiguous": 0.3}  # of an older file, which has a word alone
 _OF_FINDING = ("probability", "confidence", "rivals", "separability", "loss", "share", "was")
 _KINDS = ("before", "inertias_only", "after", "expected")
@@ -175,7 +173,7 @@ def _no_trace(channels: int) -> Trace:
 
 def read_gap(path: Path) -> dict[str, Any]:
     """Read a ``gap.json``. Raises InputError naming it."""
-    document = read_document(path, "gap report", _MOST_BYTES, FORMAT, ("findings",))
+    document = read_document(path, "gap report", ("findings",))
     structured(_Findings, document, f"{path}:")
     return document
 

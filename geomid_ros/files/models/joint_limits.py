@@ -7,13 +7,10 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.excitation.limits import JointLimits
-from geomid_ros.files.disk import read_text
+from geomid_ros.files.parameter_file import read_yaml
 
-_MOST_BYTES = 1_000_000
 _KINDS = ("velocity", "acceleration", "jerk", "effort")
 
 
@@ -22,10 +19,7 @@ def read_joint_limits(path: Path, joints: Collection[str]) -> dict[str, JointLim
 
     Raises InputError naming the file and the key.
     """
-    try:
-        document = yaml.safe_load(read_text(path, "file of joint limits", _MOST_BYTES))
-    except (yaml.YAMLError, RecursionError) as error:
-        raise InputError(f"{path}: not YAML ({error})") from error
+    document = read_yaml(path, "file of joint limits")
     entries = document.get("joint_limits") if isinstance(document, dict) else None
     if not isinstance(entries, dict):
         raise InputError(f"{path}: has no 'joint_limits' by joint, as MoveIt's joint_limits.yaml has")

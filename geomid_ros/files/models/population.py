@@ -24,11 +24,9 @@ from geomid_ros.estimation.posterior import EffectCoordinate
 from geomid_ros.files.disk import write_json
 from geomid_ros.files.models.estimate_file import LinkEntry, inertias_of, link_entry
 from geomid_ros.files.models.urdf import inertia_of
-from geomid_ros.files.schema import packed, plain, read_document, structured, unpacked_triangle
+from geomid_ros.files.schema import FORMAT, packed, plain, read_document, structured, unpacked_triangle
 from geomid_ros.types import FloatArray, frozen
 
-FORMAT = 1
-_MOST_BYTES = 50_000_000
 _NUMBER = "<f8"
 _OF_EFFECT = ("name", "place", "parameter", "unit", "positive")
 
@@ -73,7 +71,7 @@ class _PopulationDocument:
 
 def read_population(path: Path) -> Population:
     """Read a population. Raises InputError naming the file and what is wrong in it."""
-    document = read_document(path, "population", _MOST_BYTES, FORMAT, ("robots", "links", "effects", "covariance"))
+    document = read_document(path, "population", ("robots", "links", "effects", "covariance"))
     found = structured(_PopulationDocument, document, f"{path}:")
     inertias, effects = inertias_of(found.links, str(path)), found.effects
     try:

@@ -16,7 +16,7 @@ import io
 import json
 import zipfile
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -25,6 +25,7 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.files.disk import read_bytes, write_bytes
+from geomid_ros.files.schema import plain, structured
 from geomid_ros.gap.evidence.features import LARGEST_SCALE, Basis
 from geomid_ros.gap.evidence.standing import StandingRemainder
 from geomid_ros.types import AnyArray, FloatArray, frozen
@@ -35,10 +36,7 @@ _FORMATS = (1, FORMAT)
 _HEADER = "posterior"
 _VECTORS = ("parameters", "prior", "prior_spreads")
 _MOST_PARAMETERS = 2000
-_MOST_HEADER = 2_000_000  # bytes
 _ENCRYPTED = 1  # bit of a zip entry's flags
-_MOST_REMAINDER = 8 * _MOST_PARAMETERS**2  # bytes
-_MOST_BYTES = 8 * _MOST_PARAMETERS * (_MOST_PARAMETERS + 8) + _MOST_REMAINDER + _MOST_HEADER
 _LARGEST = 1e6  # N m, N, rad, rad/s
 _ROUNDING = 1e-8
 T = TypeVar("T")
@@ -59,10 +57,10 @@ def write_posterior(path: Path, posterior: Posterior, remainder: StandingRemaind
         "links": [
             {"name": name, "merged": merged} for name, merged in zip(posterior.links, posterior.merged, strict=True)
         ],
-        "effects": [asdict(effect) for effect in posterior.effects],
+        "effects": plain(posterior.effects),
     }
     arrays = {name: getattr(posterior, name) for name in (*_VECTORS, "scales", "covariance")}
-    if remainder is not None and _size_of(remainder) < _MOST_REMAINDER and not _objection(remainder):
+    if remainder is not None and _size_of(remainder) < 8 * _MOST_PARAMETERS**2 and not _objection(remainder):
         header["remainder"] = {"joints": remainder.joints, "channels": remainder.channels}
         arrays |= _arrays_of(remainder)
     content = io.BytesIO()
@@ -92,9 +90,30 @@ def read_remainder(path: Path) -> StandingRemainder | None:
     return _read(path, _remainder)
 
 
-def _read(path: Path, read: Callable[[zipfile.ZipFile, Any], T]) -> T:
+@dataclass(frozen=True, kw_only=True)
+class _Link:
+    name: str
+    merged: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _OfRemainder:
+    joints: tuple[str, ...]
+    channels: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Header:
+    """What the text says."""
+
+    links: tuple[_Link, ...]
+    effects: tuple[EffectCoordinate, ...]
+    remainder: _OfRemainder | None = None
+
+
+def _read(path: Path, read: Callable[[zipfile.ZipFile, _Header], T]) -> T:
     """Read a part of the archive with its header."""
-    content = read_bytes(path, "posterior", _MOST_BYTES)
+    content = read_bytes(path, "posterior")
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             return read(archive, _header(archive))
@@ -104,11 +123,11 @@ def _read(path: Path, read: Callable[[zipfile.ZipFile, Any], T]) -> T:
         raise InputError(f"{path}: the posterior cannot be read ({error}); identify again") from error
 
 
-def _header(archive: zipfile.ZipFile) -> Any:
-    header = json.loads(str(_array(archive, _HEADER)))
-    if header["format"] not in _FORMATS:
-        raise InputError(f"has format {header['format']!r}, this version reads formats 1 and {FORMAT}")
-    return header
+def _header(archive: zipfile.ZipFile) -> _Header:
+    document = json.loads(str(_array(archive, _HEADER)))
+    if document["format"] not in _FORMATS:
+        raise InputError(f"has format {document['format']!r}, this version reads formats 1 and {FORMAT}")
+    return structured(_Header, document, "its text:")
 
 
 def _size_of(remainder: StandingRemainder) -> int:
@@ -138,12 +157,10 @@ def _arrays_of(remainder: StandingRemainder) -> dict[str, FloatArray]:
     return arrays
 
 
-def _remainder(archive: zipfile.ZipFile, header: Any) -> StandingRemainder | None:
-    if (entry := header.get("remainder")) is None:
+def _remainder(archive: zipfile.ZipFile, header: _Header) -> StandingRemainder | None:
+    if header.remainder is None:
         return None
-    joints, channels = tuple(entry["joints"]), tuple(entry["channels"])
-    if not all(isinstance(name, str) for name in (*joints, *channels)):
-        raise InputError("joints or channels are not named as expected")
+    joints, channels = header.remainder.joints, header.remainder.channels
     knots, scales, means, triangles = _numbers(archive, "knots", (len(joints), 3, 2)), [], [], []
     for place in range(len(channels)):
         size = len(_array(archive, f"mean_{place}"))
@@ -165,29 +182,22 @@ def _remainder(archive: zipfile.ZipFile, header: Any) -> StandingRemainder | Non
     return remainder
 
 
-def _posterior(archive: zipfile.ZipFile, header: Any) -> Posterior:
-    links, effects = header["links"], [EffectCoordinate(**entry) for entry in header["effects"]]
-    _check_names(links, effects)
+def _posterior(archive: zipfile.ZipFile, header: _Header) -> Posterior:
+    links, effects = header.links, header.effects
+    if [e.positive for e in effects] != sorted((e.positive for e in effects), reverse=True):
+        raise InputError("its text: effects are not in order, expected the positive ones first")
     positives = sum(effect.positive for effect in effects)
     size = 10 * len(links) + len(effects)
     posterior = Posterior(
-        links=tuple(link["name"] for link in links),
-        merged=tuple(tuple(link["merged"]) for link in links),
-        effects=tuple(effects),
+        links=tuple(link.name for link in links),
+        merged=tuple(link.merged for link in links),
+        effects=effects,
         covariance=_numbers(archive, "covariance", (size, size)),
         scales=_numbers(archive, "scales", (len(effects) - positives,)),
         **{name: _numbers(archive, name, (size,)) for name in _VECTORS},
     )
     _check(posterior)
     return posterior
-
-
-def _check_names(links: Any, effects: list[EffectCoordinate]) -> None:
-    named = [name for link in links for name in (link["name"], *link["merged"])]
-    named += [text for e in effects for text in (e.name, e.place, e.parameter, e.unit)]
-    positive = [effect.positive for effect in effects]
-    if not all(isinstance(name, str) for name in named) or positive != sorted(positive, key=lambda p: p is not True):
-        raise InputError("links or effects are not named as expected")
 
 
 def _check(posterior: Posterior) -> None:

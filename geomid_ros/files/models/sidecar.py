@@ -31,11 +31,10 @@ import yaml
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.disk import write_text
 from geomid_ros.files.parameter_file import read_yaml
-from geomid_ros.files.schema import check_form, entry, structured
+from geomid_ros.files.schema import FORMAT, check_form, entry, structured
 from geomid_ros.model.effects import EFFECTS, KnownEffect, ParameterForm, Quantity, effect_class
 from geomid_ros.model.effects.parameters import Quantities
 
-FORMAT = 1
 _PLACES = {
     "joint": ("joint", "the joint at which it acts"),
     "joints": ("joint", "the two joints at which it acts, FIRST+SECOND"),
@@ -167,7 +166,7 @@ def _entry(effect: KnownEffect, alone: KnownEffect) -> dict[str, Any]:
 def read_sidecar(path: Path) -> Sidecar:
     """Read a sidecar. Raises InputError naming the file and the key."""
     document = read_yaml(path, "file of effects")
-    check_form(document, FORMAT, ("effects",), f"{path}:", "file of effects")
+    check_form(document, ("effects",), f"{path}:", "file of effects")
     entries = structured(_Document, document, f"{path}:").effects
     effects = [each.known(f"{path}: effects[{index}]") for index, each in enumerate(entries)]
     for (name, place), count in Counter((effect.effect, effect.link or effect.joint) for effect in effects).items():

@@ -21,7 +21,6 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.disk import write_json, write_text
 from geomid_ros.files.models.effect_forms import combined, continued, is_coefficient
 from geomid_ros.files.models.estimate_file import (
-    FORMAT,
     EstimateFile,
     by_channel,
     inertias_of,
@@ -32,6 +31,7 @@ from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.readers import ELEMENTS
 from geomid_ros.files.models.sidecar import coefficient_entry, effect_entry, write_sidecar
 from geomid_ros.files.models.urdf import inertia_of, with_effects, with_inertials
+from geomid_ros.files.schema import FORMAT
 from geomid_ros.model.effects import Effect, KnownEffect, Place, effect_class
 from geomid_ros.model.measurement import Coefficient, MeasurementModel
 from geomid_ros.types import FloatArray

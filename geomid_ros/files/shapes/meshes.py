@@ -17,7 +17,6 @@ from geomid_ros.errors import InputError
 from geomid_ros.files.disk import read_bytes
 
 SUFFIXES = (".stl", ".dae", ".obj")
-_MOST_BYTES = 100_000_000
 
 
 class MeshFinder:
@@ -80,7 +79,7 @@ def read_mesh(path: Path, where: str) -> tuple[trimesh.Trimesh, bool]:
     if suffix not in SUFFIXES:
         raise InputError(f"{where}: {path} is not a readable mesh; expected {', '.join(SUFFIXES)}")
     try:
-        content = read_bytes(path, "mesh", _MOST_BYTES)
+        content = read_bytes(path, "mesh")
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
     try:
