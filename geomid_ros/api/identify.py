@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
@@ -19,20 +21,21 @@ from geomid_ros.estimation.suggested_motions import suggested_motions
 from geomid_ros.exports.handover import HandedOver, JudgedFile
 from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.effect_forms import unsaid
-from geomid_ros.files.models.estimate_file import model_effects
+from geomid_ros.files.models.estimate_file import EstimateFile, model_effects
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.files.models.readers import DESCRIBED_FOR, ELEMENTS, READERS, URDF
 from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.gap.evidence.standing import StandingRemainder
 from geomid_ros.model.samples import Samples
-from geomid_ros.report.identification_page import IdentificationPage, Origin, write_identification_page
+from geomid_ros.report.identification_page import IdentificationPage, write_identification_page
 from geomid_ros.report.series import Series, series_of
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import gap_session, remainder_of
 from geomid_ros.session.recordings import Bags, Progress, read_bags, read_fitted, read_with_locked, silent
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import Training
+from geomid_ros.session.version import installed_version
 from geomid_ros.types import FloatArray
 
 if TYPE_CHECKING:
@@ -156,6 +159,21 @@ class Identification:
             document["handover"][self.reader]["tracking"] = dict(self.tracking.rms)
         return document | self._tables
 
+    def _document(self, command: str) -> dict[str, Any]:
+        """The same with where they are from: the program, what was run, and what was read."""
+        urdf = hashlib.sha256(self.session.urdf.encode(errors="replace")).hexdigest()
+        origin = {
+            "version": installed_version(),
+            "command": command,
+            "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC"),
+            "files": [
+                [f"{self.session.robot.source} (SHA-256 {urdf})", "robot"],
+                *([str(path), _recording(share)] for path, share in self.bags.shares),
+            ],
+            "configuration": self.session.configuration.given,
+        }
+        return self.document | {"origin": origin}
+
     @property
     def _tables(self) -> dict[str, Any]:
         """What pages and tables need beside the estimate: URDF's masses, errors by channel, informative motions."""
@@ -223,26 +241,8 @@ class Identification:
         Raises:
             InputError: the file cannot be written.
         """
-        session, estimate = self.session, self.estimate
-        page = IdentificationPage(
-            robot=session.robot.name,
-            verdict=self.verdict,
-            warnings=self.warnings,
-            notes=session.notes,
-            estimate=estimate,
-            masses=session.model.nominal_inertias.reshape(-1, 10)[:, 0],
-            effects=model_effects(estimate, session.loaded.effects),
-            series=self._series,
-            held_out=bool(self.held_out),
-            file=self.handover.name,
-            alone=self.handover.alone,
-            corrected=self.handover.corrected,
-            telling=self._telling,
-            messages=session.pipeline.ledger.topics,
-            refused_rows=session.identifier.rows_rejected,
-            origin=Origin.of(session, self.bags, command),
-        )
-        write_identification_page(Path(path), page)
+        file = EstimateFile.of(self._document(command), "estimate.json")
+        write_identification_page(Path(path), IdentificationPage(file, self.estimate, self._series))
         return Path(path)
 
     def save(
@@ -279,8 +279,8 @@ class Identification:
             write_text(folder / name, text)
         sidecar = folder / "effects.yaml"
         write_sidecar(sidecar, self.session.robot.name, self.written.model.effects)
-        document = self.document
-        write_json(folder / "estimate.json", document | {"origin": asdict(Origin.of(self.session, self.bags, command))})
+        document = self._document(command)
+        write_json(folder / "estimate.json", document)
         posterior = write_posterior(folder / POSTERIOR, self.estimate.posterior, self._remainder(folder, progress))
         csv = write_tables(folder, tables(document))
         written = [folder / name for name in ("estimate.json", *texts)]
@@ -376,6 +376,13 @@ def identify(
         reader=reader,
         command=command,
     )
+
+
+def _recording(share: float) -> str:
+    """What a recording is for, of which a share is held out."""
+    if share >= 1.0:
+        return "recording, held out"
+    return "recording, fitted" + (f" except the last {100.0 * share:.0f} %" if share > 0.0 else "")
 
 
 def _parameters(

@@ -12,12 +12,12 @@ from jinja2 import TemplateError
 
 from geomid_ros.api.options import PathLike
 from geomid_ros.errors import InputError
-from geomid_ros.files.models.estimate_file import OF_PAGE, EstimateFile, HandoverEntry
+from geomid_ros.files.models.estimate_file import OF_PAGE, EstimateFile
 from geomid_ros.files.models.gap_file import Errors, GapFile, read_gap
 from geomid_ros.files.models.posterior import beside, read_posterior
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.report.gap_page import GapPage, write_gap_page
-from geomid_ros.report.identification_page import IdentificationPage, Origin, write_identification_page
+from geomid_ros.report.identification_page import IdentificationPage, write_identification_page
 from geomid_ros.report.series import SavedFit
 from geomid_ros.report.simulated_again import SENTENCES, SimulatedAgain
 
@@ -74,25 +74,8 @@ def _needed(path: Path, command: str) -> Iterator[None]:
 
 def _identification_page(file: EstimateFile) -> IdentificationPage:
     estimate = file.estimate(read_posterior(beside(Path(file.source))))
-    written = next((own for own in file.handover.values() if own.file), HandoverEntry(links=(), effects=()))
-    return IdentificationPage(
-        robot=file.robot,
-        verdict=file.judgement,
-        warnings=file.warnings,
-        notes=file.notes,
-        estimate=estimate,
-        masses=np.array([file.urdf_masses[link.name] for link in estimate.links]),
-        effects=file.known_effects,
-        series=[SavedFit(row.channel, row.unit, (row.urdf, row.identified)) for row in file.channels],
-        held_out=file.rms.held_out is not None,
-        file=written.file or "identified.urdf",
-        alone=written.alone,
-        corrected=written.corrected,
-        telling=file.telling,
-        messages=file.messages,
-        refused_rows=file.rows.rejected,
-        origin=Origin(**file.origin),
-    )
+    fits = [SavedFit(row.channel, row.unit, (row.urdf, row.identified)) for row in file.channels]
+    return IdentificationPage(file, estimate, fits)
 
 
 def _gap_page(file: GapFile, source: str) -> GapPage:

@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from geomid_ros.checks.verdict import Verdict
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.files.models.estimate_file import shares_from_data
-from geomid_ros.model.effects import KnownEffect, Quantity
+from geomid_ros.files.models.estimate_file import EstimateFile, HandoverEntry, shares_from_data
+from geomid_ros.model.effects import Quantity
 from geomid_ros.report import identification_words
 from geomid_ros.report.gap_words import percent
 from geomid_ros.report.page import Bars, Script, line_path, number, ticks, write_page
 from geomid_ros.report.series import BINS, ChannelFit, Clock, Series, limits, thinned
-from geomid_ros.session.recordings import Bags
-from geomid_ros.session.session import Session
-from geomid_ros.session.version import installed_version
-from geomid_ros.signals.ledger import Account
 from geomid_ros.types import FloatArray
 
 _SCRIPT = "traces.js"
@@ -31,75 +24,35 @@ _SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 _KINDS = {"before": "URDF", "after": "identified"}
 
 
-@dataclass(frozen=True, kw_only=True)
-class Origin:
-    """Where a page is from: ``version`` of the program, ``command`` that was run, ``date``, names of ``files`` with
-    what they are, and the ``configuration`` as far as it was given."""
-
-    version: str
-    command: str
-    date: str
-    files: Sequence[tuple[str, str]]
-    configuration: Mapping[str, Any]
-
-    @staticmethod
-    def of(session: Session, bags: Bags, command: str) -> Origin:
-        """Where a page on a session is from: what was run, and the recordings that were read."""
-        urdf = hashlib.sha256(session.urdf.encode(errors="replace")).hexdigest()
-        recordings = [(str(path), _what(share)) for path, share in bags.shares]
-        return Origin(
-            version=installed_version(),
-            command=command,
-            date=datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC"),
-            files=[(f"{session.robot.source} (SHA-256 {urdf})", "robot"), *recordings],
-            configuration=session.configuration.given,
-        )
-
-
-def _what(share: float) -> str:
-    if share >= 1.0:
-        return "recording, held out"
-    return "recording, fitted" + (f" except the last {100.0 * share:.0f} %" if share > 0.0 else "")
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class IdentificationPage:
     """What the page is made of.
 
     Attributes:
-        robot: its name.
-        verdict: whether the result can be used.
-        warnings, notes: what to be careful about, and what is worth knowing.
+        file: what ``estimate.json`` says.
         estimate: all that was found.
-        masses: ``(links,)`` of the URDF [kg].
-        effects: all effects of the model.
         series: the measured channels on what is judged on: over time, or how well they fit alone.
-        held_out: whether that was held out.
-        file: the description that is written.
-        alone, corrected: RMS of what it leaves by itself, and with the errors of sensors beside it, by channel.
-        telling: by link and motion, the quantities that it would tell, see
-            :func:`~geomid_ros.estimation.suggested_motions.suggested_motions`.
-        messages: what became of them, by topic.
-        refused_rows: numbers of rows that were not used, by reason.
-        origin: where the page is from.
     """
 
-    robot: str
-    verdict: Verdict
-    warnings: Sequence[str]
-    notes: Sequence[str]
+    file: EstimateFile
     estimate: Estimate
-    masses: FloatArray
-    effects: Sequence[KnownEffect]
     series: Sequence[ChannelFit]
-    held_out: bool
-    file: str
-    alone: Mapping[str, float]
-    corrected: Mapping[str, float]
-    telling: Mapping[str, Mapping[str, Sequence[str]]]
-    messages: Mapping[str, Account]
-    refused_rows: Mapping[str, int]
-    origin: Origin
+
+    @property
+    def held_out(self) -> bool:
+        """Whether what is judged on was held out."""
+        return self.file.rms.held_out is not None
+
+    @property
+    def masses(self) -> list[float]:
+        """Masses of the links in the URDF [kg]."""
+        return [self.file.urdf_masses[link.name] for link in self.estimate.links]
+
+    @property
+    def written(self) -> HandoverEntry:
+        """The description that is written, and RMS of what it leaves."""
+        own = (entry for entry in self.file.handover.values() if entry.file)
+        return next(own, HandoverEntry(links=(), effects=(), file="identified.urdf"))
 
 
 def write_identification_page(path: Path, page: IdentificationPage) -> None:
@@ -108,10 +61,14 @@ def write_identification_page(path: Path, page: IdentificationPage) -> None:
     Raises:
         GeomidError: the file cannot be written.
     """
+    verdict = page.file.judgement
     content = {
-        "page": page,
+        "file": page.file,
         "estimate": page.estimate,
-        "uses": identification_words.uses(page.verdict, page.estimate, page.series, page.held_out),
+        "verdict": verdict,
+        "written": page.written.file,
+        "effects": page.file.known_effects,
+        "uses": identification_words.uses(verdict, page.estimate, page.series, page.held_out),
         "judged_on": "held-out data" if page.held_out else "the fitted data",
         "links": list(_links(page)),
         "end": _heaviest(page),
@@ -121,7 +78,7 @@ def write_identification_page(path: Path, page: IdentificationPage) -> None:
         "shares": shares_from_data(page.estimate),
         "open": [link for link in page.estimate.links if link.cannot_tell or link.outlier],
         "cannot_tell": identification_words.cannot_tell,
-        "telling": {name: identification_words.telling(motions) for name, motions in page.telling.items()},
+        "telling": {name: identification_words.telling(motions) for name, motions in page.file.telling.items()},
         "weak": [effect for effect in page.estimate.effects if effect.from_data < identification_words.WEAK],
         "to_tell": identification_words.tells_effect,
         "traces": traces([channel for channel in page.series if isinstance(channel, Series)]),
@@ -132,7 +89,7 @@ def write_identification_page(path: Path, page: IdentificationPage) -> None:
 
 def _links(page: IdentificationPage) -> Iterator[dict[str, Any]]:
     """Of every link: its mass in the URDF and as identified, and where that lies with 95 % probability."""
-    for link, nominal in zip(page.estimate.links, page.masses.tolist(), strict=True):
+    for link, nominal in zip(page.estimate.links, page.masses, strict=True):
         yield {
             "name": link.name,
             "merged": link.merged,
@@ -148,7 +105,7 @@ def _links(page: IdentificationPage) -> Iterator[dict[str, Any]]:
 
 def _heaviest(page: IdentificationPage) -> float:
     """The end of the axis of masses [kg]: there is room for all masses, and for most intervals."""
-    masses: list[float] = [*page.masses.tolist(), *(link.mass for link in page.estimate.links)]
+    masses: list[float] = [*page.masses, *(link.mass for link in page.estimate.links)]
     ends = [link.mass_interval[1] for link in page.estimate.links]
     return 1.05 * max(1e-9, min(max(ends, default=0.0), 3.0 * max(masses, default=0.0)), *masses)
 
@@ -157,7 +114,7 @@ def _fit(page: IdentificationPage) -> Iterator[tuple[ChannelFit, tuple[str, ...]
     """RMS per channel of the URDF, of the identified model, of the written file alone and with the errors of sensors
     beside it; and the share of the URDF's that the identified model explains."""
     for channel in page.series:
-        written = [each.get(channel.name, math.nan) for each in (page.alone, page.corrected)]
+        written = [each.get(channel.name, math.nan) for each in (page.written.alone, page.written.corrected)]
         yield channel, tuple(map(number, (*channel.rms, *written))), 1.0 - channel.ratio
 
 

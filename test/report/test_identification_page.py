@@ -15,24 +15,24 @@ import numpy as np
 import pytest
 from files.estimates import estimate_of, link_estimate
 
-from geomid_ros.checks.verdict import Verdict
 from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate
 from geomid_ros.estimation.suggested_motions import FAST, POSES
-from geomid_ros.model.effects import KnownEffect, Quantity
-from geomid_ros.report.identification_page import IdentificationPage, Origin, write_identification_page
+from geomid_ros.files.models.estimate_file import EstimateFile, RowsEntry, account_entry, estimate_document
+from geomid_ros.model.effects import Quantity
+from geomid_ros.report.identification_page import IdentificationPage, write_identification_page
 from geomid_ros.report.series import Series
 from geomid_ros.signals.ledger import Account
 
 from .pages import EVIL, Page
 
 MOST_BYTES = 3_000_000
-ORIGIN = Origin(
-    version="9.8.7",
-    command="geomid identify monday --urdf arm.urdf",
-    date="2031-02-03 04:05:06 UTC",
-    files=[("/data/monday", "recording, fitted")],
-    configuration={"filter.cutoff": 7.5},
-)
+ORIGIN = {
+    "version": "9.8.7",
+    "command": "geomid identify monday --urdf arm.urdf",
+    "date": "2031-02-03 04:05:06 UTC",
+    "files": [["/data/monday", "recording, fitted"]],
+    "configuration": {"filter.cutoff": 7.5},
+}
 SECTIONS = [
     "Masses",
     "Fit of every channel",
@@ -57,24 +57,30 @@ def page_of(*names: str, samples: int = 500, word: str = "usable") -> Identifica
     links[0] = replace(links[0], mass=4.321, std_mass=0.1, cannot_tell=QUANTITIES[1:])
     quantity = Quantity(0.75, 0.01, "N m")
     friction = EffectEstimate(name="coulomb_friction", joint=names[0], parameters={"level": quantity}, from_data=0.25)
-    return IdentificationPage(
-        robot=names[-1],
-        verdict=Verdict(word=word, reasons=() if word == "usable" else (f"signs of {names[0]} are reversed",)),
-        warnings=[f"a warning of {names[0]}"],
-        notes=[f"a note of {names[0]}"],
-        estimate=estimate_of(*links, effects=(friction,)),
-        masses=np.full(len(links), 5.5),
-        effects=[KnownEffect("coulomb_friction", names[0], "", {"level": quantity})],
-        series=[channel(name, samples) for name in names],
-        held_out=True,
-        file="identified.urdf",
-        alone=dict.fromkeys(names, 0.5),
-        corrected=dict.fromkeys(names, 0.25),
-        telling={link.name: {POSES: ["com x"], FAST: ["Ixx"], "": ["Ixy"]} for link in links},
-        messages={f"/{names[0]}": Account(90, Counter({f"glitch of {names[0]}": 7}), Counter(), Counter(), 3)},
-        refused_rows={"standing": 11},
-        origin=ORIGIN,
-    )
+    estimate = estimate_of(*links, effects=(friction,))
+    document = estimate_document(estimate, {"standing": 11}, np.zeros(2)) | {
+        "robot": names[-1],
+        "verdict": {"result": word, "reasons": [] if word == "usable" else [f"signs of {names[0]} are reversed"]},
+        "warnings": [f"a warning of {names[0]}"],
+        "notes": [f"a note of {names[0]}"],
+        "urdf_masses": {link.name: 5.5 for link in links},
+        "handover": {
+            "urdf": {
+                "links": [],
+                "effects": [],
+                "file": "identified.urdf",
+                "alone": dict.fromkeys(names, 0.5),
+                "corrected": dict.fromkeys(names, 0.25),
+            }
+        },
+        "telling": {link.name: {POSES: ["com x"], FAST: ["Ixx"], "": ["Ixy"]} for link in links},
+        "messages": {
+            f"/{names[0]}": account_entry(Account(90, Counter({f"glitch of {names[0]}": 7}), Counter(), Counter(), 3))
+        },
+        "origin": ORIGIN,
+    }
+    file = EstimateFile.of(document, "estimate.json")
+    return IdentificationPage(file, estimate, [channel(name, samples) for name in names])
 
 
 def written(page: IdentificationPage, folder: Path) -> tuple[Page, str]:
@@ -94,7 +100,7 @@ def test_what_was_planted_is_on_it(plain: Page) -> None:
         *("5.500", "4.32 \u00b1 0.10 kg", "4.129 to 4.522", "50 %"),
         *("0.750 \u00b1 0.010 N m", "0.730 to 0.770", "25 %"),
         *("/joint1", "90", "100", "7: glitch of joint1", "11 (standing)"),
-        *(ORIGIN.version, ORIGIN.command, ORIGIN.date, "/data/monday", "filter.cutoff", "7.5"),
+        *(ORIGIN["version"], ORIGIN["command"], ORIGIN["date"], "/data/monday", "filter.cutoff", "7.5"),
         *("a warning of joint1", "a note of joint1"),
     ):
         assert planted in plain.text, planted
@@ -209,7 +215,10 @@ def test_long_names_break_between_words(tmp_path: Path) -> None:
 
 
 def test_no_channel_and_no_effect_is_a_page_too(tmp_path: Path) -> None:
-    page = replace(page_of("joint1"), series=[], effects=[], messages={}, refused_rows={})
+    page = page_of("joint1")
+    page = replace(
+        page, series=[], file=replace(page.file, effects=(), document={"effects": []}, messages={}, rows=RowsEntry())
+    )
     assert "No effects were identified." in written(page, tmp_path)[0].text
 
 
