@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Unpack
@@ -20,17 +19,17 @@ from geomid_ros.api.compared_files import (
 from geomid_ros.api.options import PathLike, Paths, RobotKeywords, paths
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.comparison import Compared, Difference, compared
+from geomid_ros.estimation.comparison import Difference, compared
 from geomid_ros.files.models.sidecar import quantities_entry, quantity_entry
 from geomid_ros.files.schema import plain
-from geomid_ros.report.comparison_page import ChannelErrors, ComparisonPage, write_comparison_page
+from geomid_ros.report.comparison_page import ComparisonPage, write_comparison_page
 from geomid_ros.session.recordings import Progress, silent
 
 _OWN = "what each held out of its own recording"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Comparison:
+class Comparison(ComparisonPage):
     """Two results of one robot side by side.
 
     Attributes:
@@ -43,13 +42,6 @@ class Comparison:
         status: the exit status: that of the worse verdict of the two.
     """
 
-    first: str
-    second: str
-    compared: Compared
-    errors: Sequence[ChannelErrors]
-    judged_on: str
-    doubts: Sequence[str]
-    notes: Sequence[str]
     status: int
 
     @property
@@ -96,16 +88,7 @@ class Comparison:
         Raises:
             InputError: the file cannot be written.
         """
-        page = ComparisonPage(
-            first=self.first,
-            second=self.second,
-            compared=self.compared,
-            errors=self.errors,
-            judged_on=self.judged_on,
-            doubts=self.doubts,
-            notes=self.notes,
-        )
-        write_comparison_page(Path(path), page)
+        write_comparison_page(Path(path), self)
         return Path(path)
 
     def __repr__(self) -> str:

@@ -27,7 +27,7 @@ _KEPT = "kept"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class FleetIdentification:
+class FleetIdentification(FleetPage):
     """Result of a fleet identification.
 
     Attributes:
@@ -37,9 +37,6 @@ class FleetIdentification:
         files: the written files.
     """
 
-    lines: Sequence[RobotLine]
-    bad: Sequence[tuple[str, str]]
-    doubtful: Sequence[tuple[str, str]]
     files: Sequence[Path]
 
     @property
@@ -82,9 +79,9 @@ def identify_fleet(
         InputError: a file, an argument or the cluster cannot be used; intermediate results are kept.
     """
     folder, chosen = Path(out), RobotOptions(urdf=urdf, **options)
-    found = find_bags(bags, by)
+    every = find_bags(bags, by)
     if urdf is None:
-        with on_this_disk(found[0].url) as path:
+        with on_this_disk(every[0].url) as path:
             described = chosen.description([path])
     else:
         described = chosen.description([])
@@ -95,7 +92,7 @@ def identify_fleet(
         topics=chosen.topics,
         hold_out=hold_out,
     )
-    fleet = Fleet(plan, found, Store(keep or str((folder / _KEPT).absolute())))
+    fleet = Fleet(plan, every, Store(keep or str((folder / _KEPT).absolute())))
     robots = fleet.work(partial(Cluster, scheduler), progress)
     files = [folder / "fleet.html"]
     lines, evidence = {}, {}
@@ -116,8 +113,9 @@ def identify_fleet(
         (bag.url, "; ".join(outcome.doubts)) for robot in robots for bag, outcome in robot.bags if outcome.doubts
     ]
     ordered = sorted(lines.values(), key=lambda line: line.remarkable, reverse=True)
-    write_fleet_page(files[0], FleetPage(lines=ordered, bad=bad, doubtful=doubtful))
-    return FleetIdentification(lines=ordered, bad=bad, doubtful=doubtful, files=files)
+    found = FleetIdentification(lines=ordered, bad=bad, doubtful=doubtful, files=files)
+    write_fleet_page(files[0], found)
+    return found
 
 
 def _written(

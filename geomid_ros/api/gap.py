@@ -17,7 +17,7 @@ from geomid_ros.exports.handover import JudgedFile, file_name, judge
 from geomid_ros.exports.model import read_model
 from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.estimate_file import causes_entry
-from geomid_ros.files.models.gap_file import gap_document, page_entries
+from geomid_ros.files.models.gap_file import GapFile, gap_document, page_entries
 from geomid_ros.files.models.readers import DESCRIBED_FOR, URDF
 from geomid_ros.files.models.sidecar import effect_entry
 from geomid_ros.files.models.tables import tables, write_tables
@@ -124,19 +124,12 @@ class Gap:
             InputError: the file cannot be written.
         """
         page = GapPage(
-            robot=self.session.robot.name,
-            recordings=[path.name for path, _ in self.bags.shares],
+            file=GapFile.of(self.document, "gap.json"),
             joints=self.session.robot.joint_names,
             units=position_units(self.session.model),
             result=self.result,
-            nominal=nominal_inertias(self.session),
             rigid=without_findings(self.session, self.result, self.held_out),
-            known=self.session.loaded.effects,
             simulated=self.simulated,
-            not_simulated=self.not_simulated,
-            doubts=[finding.sentence for finding in self.session.findings],
-            warnings=self.session.warnings(),
-            notes=self.session.notes,
         )
         write_gap_page(Path(path), page, lambda share: progress("drawing", share))
         return Path(path)

@@ -47,7 +47,7 @@ def rebuild_report(folder: PathLike, *, out: PathLike | None = None) -> list[Pat
         with _needed(source / _GAP, "geomid gap"):
             found = tables(document)
             file = GapFile.of(document, str(source / _GAP))
-            write_gap_page(page, _gap_page(file, str(source / _GAP)), lambda _: None)
+            write_gap_page(page, _gap_page(file), lambda _: None)
         return [page, *write_tables(target, found)]
     if not (source / _ESTIMATE).is_file():
         raise InputError(f"{source}: no result is in this folder, neither {_ESTIMATE} nor {_GAP}")
@@ -78,24 +78,9 @@ def _identification_page(file: EstimateFile) -> IdentificationPage:
     return IdentificationPage(file, estimate, fits)
 
 
-def _gap_page(file: GapFile, source: str) -> GapPage:
-    result = file.result(source)
-    return GapPage(
-        robot=file.robot,
-        recordings=file.recordings,
-        joints=[],
-        units=[],
-        result=result,
-        nominal=file.nominal,
-        rigid=np.zeros((0, len(result.channels))),
-        known=file.known_effects("known", source),
-        simulated=_simulated(file),
-        not_simulated=file.not_simulated,
-        seconds=file.judged_seconds,
-        doubts=[own.doubt for own in file.causes],
-        warnings=file.warnings,
-        notes=file.notes,
-    )
+def _gap_page(file: GapFile) -> GapPage:
+    result = file.result
+    return GapPage(file=file, result=result, rigid=np.zeros((0, len(result.channels))), simulated=_simulated(file))
 
 
 def _simulated(file: GapFile) -> list[SimulatedAgain]:

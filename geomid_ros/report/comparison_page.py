@@ -34,8 +34,8 @@ class ComparisonPage:
     compared: Compared
     errors: Sequence[ChannelErrors]
     judged_on: str
-    doubts: Sequence[str] = ()
-    notes: Sequence[str] = ()
+    doubts: Sequence[str]
+    notes: Sequence[str]
 
 
 def write_comparison_page(path: Path, page: ComparisonPage) -> None:

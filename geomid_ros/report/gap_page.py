@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from geomid_ros.files.models.gap_file import GapFile
 from geomid_ros.gap.result import Finding, GapResult, Located
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.channels import is_of
@@ -43,28 +44,17 @@ _KINDS = {"before": "nominal", "inertias_only": "inertias only", "after": "with 
 class GapPage:
     """What the page is made of.
 
-    ``joints`` with ``units`` (rad or m) of their positions name the columns of the trace's motion. ``nominal
-    (bodies, 10)`` are the model file's inertias of the result's bodies. ``rigid (N, channels)`` is what the final
-    model predicts on the trace without any named effect. ``known`` are effects that the model had before.
-    ``simulated`` are simulations; if there are none, ``not_simulated`` says why. ``doubts`` say why the recording is
-    not to be believed, ``warnings`` what to be careful about, ``notes`` what is worth knowing. ``seconds`` of held-out
-    data, if the result has no samples of them.
+    ``file`` is what ``gap.json`` says, ``result`` the same with samples if there are any. ``rigid (N, channels)`` is
+    what the final model predicts on the trace without any named effect. ``joints`` with ``units`` (rad or m) of their
+    positions name the columns of the trace's motion. ``simulated`` are simulations.
     """
 
-    robot: str
-    recordings: Sequence[str]
-    joints: Sequence[str]
-    units: Sequence[str]
+    file: GapFile
     result: GapResult
-    nominal: FloatArray
     rigid: FloatArray
-    known: Sequence[KnownEffect] = ()
+    joints: Sequence[str] = ()
+    units: Sequence[str] = ()
     simulated: Sequence[SimulatedAgain] = ()
-    not_simulated: str = ""
-    seconds: float = 0.0
-    doubts: Sequence[str] = ()
-    warnings: Sequence[str] = ()
-    notes: Sequence[str] = ()
 
 
 def write_gap_page(path: Path, page: GapPage, progress: Callable[[float], None]) -> None:
@@ -73,7 +63,7 @@ def write_gap_page(path: Path, page: GapPage, progress: Callable[[float], None])
 
 
 def _content(page: GapPage, progress: Callable[[float], None]) -> dict[str, Any]:
-    result = page.result
+    result, known = page.result, page.file.known_effects("known")
     overlays = [partial(_overlay, page, channel) for channel in _overlay_channels(result)]
     remainders = [
         (result.channels[channel], [partial(remainder_picture, _remainder(page, channel), against) for against in many])
@@ -84,14 +74,15 @@ def _content(page: GapPage, progress: Callable[[float], None]) -> dict[str, Any]
     total = len(overlays) + sum(len(many) for _, many in remainders) + sum(map(len, motions))
     draw = _Drawing(total, progress)
     return {
-        "page": page,
+        "file": page.file,
+        "known": known,
         "result": result,
         "verdict": gap_words.verdict_sentence(result),
         "in_short": gap_words.in_short(result),
         "confidence": gap_words.CONFIDENCE,
         "bars": _bars(result),
         "kinds": _KINDS,
-        "seconds": float(elapsed(result.trace.stamps)[-1]) if len(result.trace.stamps) else page.seconds,
+        "seconds": float(elapsed(result.trace.stamps)[-1]) if len(result.trace.stamps) else page.file.judged_seconds,
         "remainders": [(name, [draw(picture) for picture in many]) for name, many in remainders],
         "overlays": [draw(picture) for picture in overlays],
         "motions": [
@@ -101,7 +92,7 @@ def _content(page: GapPage, progress: Callable[[float], None]) -> dict[str, Any]
         "candidates": result.ranking[:_MOST_CANDIDATES],
         "located": _located(result),
         "links": list(_links(page)),
-        "old": partial(_old, page.known),
+        "old": partial(_old, known),
         "not_explained": gap_words.not_explained(result),
         "record": gap_words.to_record(result),
     }
@@ -222,7 +213,7 @@ def _old(known: Sequence[KnownEffect], finding: Finding, parameter: str) -> str:
 
 def _links(page: GapPage) -> Iterator[dict[str, Any]]:
     """Of every body: name, old and new mass, centre of mass and central inertia, and the distance between the two."""
-    for name, old, new in zip(page.result.bodies, page.nominal, page.result.inertias, strict=True):
+    for name, old, new in zip(page.result.bodies, page.file.nominal, page.result.inertias, strict=True):
         pseudo = pseudo_inertia.from_parameters(np.array([old, new]))
         distance = float(spd.distance(pseudo[0], pseudo[1]))
         yield {"name": name, "old": _body(old), "new": _body(new), "distance": distance, "changed": distance > _CHANGED}

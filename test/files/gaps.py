@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from geomid_ros.files.models.gap_file import GapFile, gap_document, page_entries
 from geomid_ros.gap.result import (
     Finding,
     GapErrors,
@@ -38,18 +39,16 @@ def gap_page(case: Case, joints: Sequence[str], *, wrench: bool = False, simulat
     nominal = _bodies(len(joints), 0.0)
     rigid = result.trace.after - _effect(case, result.trace, len(joints) // 2, len(result.channels))
     again = (_simulated_again(joints, result.trace),) if simulated else ()
-    units = ["rad"] * len(joints)
-    return GapPage(
-        robot="an arm",
-        recordings=("monday", "tuesday"),
-        joints=joints,
-        units=units,
-        result=result,
-        nominal=nominal,
-        rigid=rigid,
-        simulated=again,
-        not_simulated="" if simulated else "MuJoCo has the day off",
-    )
+    document = gap_document(result, {each.kind: each.errors for each in again}) | page_entries(result, nominal)
+    beside = {
+        "robot": "an arm",
+        "recordings": ["monday", "tuesday"],
+        "not_simulated": "" if simulated else "MuJoCo has the day off",
+        "judged_seconds": 0.0,
+        **{key: [] for key in ("known", "causes", "warnings", "notes")},
+    }
+    file, units = GapFile.of(document | beside, "gap.json"), ["rad"] * len(joints)
+    return GapPage(file=file, joints=joints, units=units, result=result, rigid=rigid, simulated=again)
 
 
 def gap_result(case: Case, joints: Sequence[str], *, wrench: bool = False) -> GapResult:

@@ -107,4 +107,4 @@ def test_the_probability_of_an_older_file_is_that_of_its_word() -> None:
     pairs = zip((*read.findings, *read.links), (*gap["findings"], *gap["links"]), strict=True)
     for found, entry in pairs:
         assert found.confidence == entry["confidence"]
-    assert read.result("gap.json").corrected_floor.tolist() == pytest.approx(result.corrected_floor.tolist())
+    assert read.result.corrected_floor.tolist() == pytest.approx(result.corrected_floor.tolist())

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from files.gaps import gap_page
 
-from geomid_ros.files.models.effect_forms import coefficient
-from geomid_ros.model.effects import Quantity
+from geomid_ros.files.models.sidecar import EffectEntry, QuantityEntry
 from geomid_ros.report.gap_figures import elapsed
 from geomid_ros.report.gap_page import GapPage, write_gap_page
 from geomid_ros.report.gap_words import measured, ratio, verdict_sentence
@@ -41,6 +40,8 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> Callable[[GapPage], Page]
 
 
 NAMED = gap_page("named", ARM, wrench=True, simulated=True)
+OUTSIDE = gap_page("incomplete", EVIL, wrench=True, simulated=True)
+OUTSIDE = replace(OUTSIDE, file=replace(OUTSIDE.file, robot=EVIL[0]))
 PAGES = {
     "named": NAMED,
     "no gap": gap_page("no gap", ARM),
@@ -48,7 +49,7 @@ PAGES = {
     "ambiguous": gap_page("ambiguous", ARM[:3]),
     "incomplete": gap_page("incomplete", ARM[:3]),
     "unexplained": gap_page("unexplained", ARM[:3]),
-    "names from outside": replace(gap_page("incomplete", EVIL, wrench=True, simulated=True), robot=EVIL[0]),
+    "names from outside": OUTSIDE,
     "thirty joints": gap_page("named", [f"left_arm_with_a_name_that_goes_on_joint_{k}" for k in range(30)]),
 }
 Draw = Callable[[GapPage], Page]
@@ -135,8 +136,10 @@ def test_only_links_that_changed_are_in_the_table_of_changes(drawn: Draw) -> Non
 
 
 def test_what_the_model_said_before_is_in_the_table_of_changes(drawn: Draw) -> None:
-    known = (coefficient("coulomb_friction", "joint2", Quantity(0.25, np.nan, "N m")),)
-    page = drawn(replace(PAGES["ambiguous"], known=known))
+    level = QuantityEntry(0.25, "N m")
+    known = (EffectEntry(effect="coulomb_friction", joint="joint2", parameters={"level": level}),)
+    file = replace(PAGES["ambiguous"].file, known=known)
+    page = drawn(replace(PAGES["ambiguous"], file=file))
     assert "already in the model Coulomb friction at joint2" in page.text
     assert "level 0.2500 N m 0.4012 ± 0.0049 N m" in page.text
     assert "level none 0.4012 ± 0.0049 N m" in drawn(PAGES["ambiguous"]).text

@@ -69,6 +69,7 @@ class GapFile:
     """All that the page of a gap needs.
 
     Attributes:
+        source: names it in messages.
         verdict, findings, links, unexplained, ordinary, located, ranking: see
             :class:`~geomid_ros.gap.result.GapResult`, the surest first.
         gap: ``before``, ``inertias_only``, ``after`` (the written model, in which are the findings that are confident),
@@ -86,6 +87,7 @@ class GapFile:
             know of it and of the model that it was compared with; what was settled for the user.
     """
 
+    source: str
     verdict: str
     findings: tuple[Finding, ...]
     links: tuple[LinkChange, ...]
@@ -116,24 +118,30 @@ class GapFile:
         for index, finding in enumerate(document["findings"]):
             effect_of(finding, f"{source}: findings[{index}]")
         older = {key: [*map(_with_probability, document[key])] for key in ("findings", "links") if key in document}
-        return structured(GapFile, {**document, **older}, f"{source}:")
+        return structured(GapFile, {**document, **older, "source": source}, f"{source}:")
 
     @property
     def nominal(self) -> FloatArray:
         """The bodies' parameters before ``(bodies, 10)``."""
         return np.array([own.before for own in self.bodies]).reshape(-1, 10)
 
-    def known_effects(self, key: str, source: str) -> list[KnownEffect]:
-        """The ``known`` or the ``ordinary`` effects. Raises InputError naming the ``source`` for what is none."""
-        return [own.known(f"{source}: {key}[{index}]") for index, own in enumerate(getattr(self, key))]
+    @property
+    def doubts(self) -> list[str]:
+        """What makes the recording doubtful, in sentences."""
+        return [own.doubt for own in self.causes]
 
-    def result(self, source: str) -> GapResult:
-        """The result without samples. Raises InputError naming the ``source`` for what cannot be."""
+    def known_effects(self, key: str) -> list[KnownEffect]:
+        """The ``known`` or the ``ordinary`` effects. Raises InputError naming the source for what is none."""
+        return [own.known(f"{self.source}: {key}[{index}]") for index, own in enumerate(getattr(self, key))]
+
+    @property
+    def result(self) -> GapResult:
+        """The result without samples. Raises InputError naming the source for what cannot be."""
         channels, floor = tuple(self.floor), np.array([*self.floor.values()])
         if missing := [key for key in (*_KINDS, "moving") if self.gap.get(key, {}).keys() != {*channels}]:
-            raise InputError(f"{source}: gap.{missing[0]} does not say a number for each channel of the floor")
+            raise InputError(f"{self.source}: gap.{missing[0]} does not say a number for each channel of the floor")
         if {*channels} - self.units.keys():
-            raise InputError(f"{source}: units does not say one for each channel of the floor")
+            raise InputError(f"{self.source}: units does not say one for each channel of the floor")
         errors = {key: np.array([*own.values()]) for key, own in self.gap.items()}
         return GapResult(
             verdict=self.verdict,  # type: ignore[arg-type]
@@ -153,7 +161,7 @@ class GapFile:
             inertias=np.array([own.after for own in self.bodies]).reshape(-1, 10),
             coefficients=np.zeros(0),
             beside=(),
-            ordinary=tuple(self.known_effects("ordinary", source)),
+            ordinary=tuple(self.known_effects("ordinary")),
             folded={},
             seconds=self.seconds,
         )
