@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, MaxNLocator
@@ -20,22 +19,21 @@ from geomid_ros.report.page import number
 from geomid_ros.report.robot_drawing import draw_bodies
 from geomid_ros.report.series import Clock, Series, limits, thinned
 from geomid_ros.report.sheet import (
-    DPI,
+    CHANNELS,
     FAINT,
     IDENTIFIED,
     INK,
+    ROBOT,
     SIZE,
     URDF,
     add_axes,
     add_text,
+    new_figure,
     shortened,
     text_width,
 )
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
-
-_LEFT, _TITLE_WIDTH = 0.25, 9.7  # [inch]
-_NOTE_TOP = 9.48
 
 
 def draw_identification(
@@ -61,12 +59,12 @@ def draw_identification(
 
 def identification_figure(title: str, bodies: Sequence[BodyDrawing], series: Sequence[Series], note: str) -> Figure:
     """Draw bodies and channels."""
-    figure = Figure(figsize=SIZE, dpi=DPI, facecolor="white")
-    FigureCanvasAgg(figure)
-    heading = shortened(title, _TITLE_WIDTH, 17.0, "bold")
-    add_text(figure, _LEFT, 0.42, heading, 17.0, weight="bold")
+    figure = new_figure(*SIZE, layout=None)
+    left, top, _, height = ROBOT
+    heading = shortened(title, CHANNELS[0] - left, 17.0, "bold")
+    add_text(figure, left, 0.42, heading, 17.0, weight="bold")
     wrapped = textwrap.fill(note, 190, max_lines=3, placeholder=" …")
-    add_text(figure, _LEFT, _NOTE_TOP, wrapped, color=FAINT, va="top")
+    add_text(figure, left, top + height + 0.2, wrapped, color=FAINT, va="top")
     if bodies:
         draw_bodies(figure, bodies)
     draw_series(figure, series)
@@ -106,13 +104,11 @@ def _middle(batches: Sequence[Samples]) -> Samples:
 
 MOST_PANELS = 12
 
-_PLACE = (10.15, 1.30, 6.60, 8.00)
-
 
 def draw_series(figure: Figure, series: Sequence[Series]) -> None:
     """Draw the most improved channels into their place."""
     shown = _most_improved(series)
-    left, top, width, height = _PLACE
+    left, top, width, height = CHANNELS
     _draw_series_header(figure, series, len(shown))
     if not shown:
         return
@@ -142,13 +138,13 @@ def _draw_series_header(figure: Figure, series: Sequence[Series], shown: int) ->
     text = f"RMS residual fell in {better} of {len(series)} channels" + (f", rose in {worse}" if worse else "")
     if shown < len(series):
         text += f"; the {shown} with the largest improvement are shown"
-    add_text(figure, _PLACE[0], 0.72, text, 9.5, FAINT)
+    add_text(figure, CHANNELS[0], 0.72, text, 9.5, FAINT)
     handles = [
         Line2D([], [], color=INK, lw=1.8, label="measured"),
         Line2D([], [], color=URDF, lw=1.2, ls="--", label="URDF"),
         Line2D([], [], color=IDENTIFIED, lw=1.2, label="identified"),
     ]
-    corner = ((_PLACE[0] - 0.08) / SIZE[0], 1.0 - 0.42 / SIZE[1])
+    corner = ((CHANNELS[0] - 0.08) / SIZE[0], 1.0 - 0.42 / SIZE[1])
     figure.legend(
         handles=handles, loc="center left", bbox_to_anchor=corner, ncol=3, frameon=False, fontsize=10.5, borderpad=0
     )

@@ -171,6 +171,19 @@ def half_widths(view: View, solid: Ellipsoid) -> FloatArray:
     return np.asarray(np.linalg.norm(view.sphere_map(solid)[:2], axis=1))
 
 
+def circle() -> FloatArray:
+    """Points of the unit circle ``(2, K)``, the first one again at the end."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 97)
+    return np.array([np.cos(angle), np.sin(angle)])
+
+
+def outline(sphere_map: FloatArray) -> FloatArray:
+    """Outline ``(2, K)`` of an ellipsoid about its centre: with the map's first rows ``U S V^T``, the circle under
+    ``U S``."""
+    turn, stretch, _ = np.linalg.svd(sphere_map[:2])
+    return np.asarray((turn * stretch) @ circle())
+
+
 def floor_below(points: FloatArray, solids: Sequence[Ellipsoid]) -> tuple[FloatArray, float]:
     """A grid below points ``(K, 3)`` and ellipsoids: crossings ``(rows, columns, 3)``, distance of the lines [m]."""
     halves = np.array([np.linalg.norm(solid.axes * solid.semi_axes, axis=1) for solid in solids]).reshape(-1, 3)

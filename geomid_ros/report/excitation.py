@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from geomid_ros.estimation.estimate import QUANTITIES
@@ -19,11 +18,9 @@ from geomid_ros.model.collision import HalfSpace, Obstacle
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import samples_of
 from geomid_ros.report.page import Script, write_page
-from geomid_ros.report.sheet import DPI, FAINT, IDENTIFIED, INK, write_picture
+from geomid_ros.report.sheet import FAINT, IDENTIFIED, INK, new_figure, write_picture
 from geomid_ros.session.excitation import Excitation
 from geomid_ros.types import FloatArray
-
-_ROW_HEIGHT, _WIDTH = 1.5, 12.0  # [inch]
 
 
 def save(found: Excitation, folder: Path) -> list[Path]:
@@ -99,8 +96,7 @@ def motion_figure(found: Excitation) -> Figure:
     """Positions, and speeds and efforts as shares of their limits, of every joint over time."""
     trajectory, feasibility = found.trajectory, found.task.feasibility
     names, limits = feasibility.names, feasibility.limits
-    figure = Figure(figsize=(_WIDTH, _ROW_HEIGHT * len(names) + 1.0), dpi=DPI, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(12.0, 1.5 * len(names) + 1.0)
     axes = figure.subplots(len(names), 2, sharex=True, squeeze=False)
     efforts = found.task.knowledge.efforts(found.motion.at(trajectory.times)[:3])
     for index, (name, (left, right)) in enumerate(zip(names, axes, strict=True)):
@@ -121,8 +117,7 @@ def motion_figure(found: Excitation) -> Figure:
 _SCRIPT = "motion.js"
 _RATE = 10.0  # [Hz] of the frames; the page goes straight from one to the next
 _DIRECTIONS = 80  # in which the corners of a shape lie that are drawn
-_PLANE = 1.0  # [m] to either side that is drawn of a plane
-_TURN, _POSITION = 4, 4  # decimals
+_DECIMALS = 4
 
 
 def write_motion_page(path: Path, found: Excitation) -> None:
@@ -160,11 +155,11 @@ def _scene(found: Excitation) -> dict[str, Any]:
     drawn = np.vstack([origins.reshape(-1, 3), np.zeros((1, 3)), *(corners(body.vertices) for body in solid)])
     low, high = drawn.min(axis=0), drawn.max(axis=0)
     return {
-        "positions": states[0].round(_POSITION).tolist(),
+        "positions": states[0].round(_DECIMALS).tolist(),
         "bodies": [[corners(shape.vertices).tolist() for shape in shapes.get(link, ())] for link in links],
         "above": [_above(robot, link, links) for link in links],
-        "turns": turns.reshape(len(times), len(links), 9).round(_TURN).tolist(),
-        "origins": origins.round(_POSITION).tolist(),
+        "turns": turns.reshape(len(times), len(links), 9).round(_DECIMALS).tolist(),
+        "origins": origins.round(_DECIMALS).tolist(),
         "around": [_outline(obstacle).tolist() for obstacle in (collision.obstacles if collision else ())],
         "centre": (0.5 * (low + high)).tolist(),
         "reach": float(0.5 * np.linalg.norm(high - low)),
@@ -182,8 +177,8 @@ def _outline(obstacle: Obstacle) -> FloatArray:
     if not isinstance(obstacle, HalfSpace):
         return corners(obstacle.vertices)
     *_, sideways = np.linalg.svd(obstacle.normal[None])
-    square = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0), (1.0, -1.0)]) * _PLANE
-    return np.asarray((obstacle.normal * obstacle.offset + square @ sideways[1:]).round(_POSITION))
+    square = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0), (1.0, -1.0)])  # [m]
+    return np.asarray((obstacle.normal * obstacle.offset + square @ sideways[1:]).round(_DECIMALS))
 
 
 def corners(vertices: FloatArray) -> FloatArray:
@@ -192,4 +187,4 @@ def corners(vertices: FloatArray) -> FloatArray:
     angle = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(_DIRECTIONS)
     flat = np.sqrt(1.0 - height**2)
     directions = np.array([flat * np.cos(angle), flat * np.sin(angle), height])
-    return np.asarray(vertices[np.unique(np.argmax(vertices @ directions, axis=0))].round(_POSITION))
+    return np.asarray(vertices[np.unique(np.argmax(vertices @ directions, axis=0))].round(_DECIMALS))

@@ -20,10 +20,8 @@ _WIDTH, _HEIGHT = 310, 194  # [pt]
 _ROW = 58  # by which a picture is higher for each of its rows
 _LEFT, _RIGHT, _TOP, _BOTTOM = 53, 12, 22, 33  # margins [pt]
 _FINE = 10  # units of a path to the point
-_FAR = 1e5  # units beyond which nothing is drawn
 _FONT = "font-family='sans-serif' font-size='9'"
 _MOST_POINTS = 1500
-_MOST_LINE_POINTS = 1200
 
 
 @dataclass(frozen=True)
@@ -86,7 +84,7 @@ class _Panel:
         """Where values lie, in units of a path from the upper left corner."""
         right = _FINE * self._width * (x - self.x[0]) / (self.x[1] - self.x[0])
         down = _FINE * self.height * (self.y[1] - y) / (self.y[1] - self.y[0])
-        return np.clip(right, -_FAR, _FAR), np.clip(down, -_FAR, _FAR)
+        return right, down
 
     def drawn(self, marks: Sequence[str], label: str, below: str | None, behind: str = "") -> str:
         """The axes with marks, what stands ``behind`` their grid, a label, and one ``below`` with the numbers of x, or
@@ -164,7 +162,7 @@ def overlay_picture(
     """Measured, before and after over ``times (N,)`` [s], each ``(N,)`` and broken where it is NaN: at most ``seconds``
     where they differ most."""
     shown = _most_telling(times, np.abs(lines["before"] - lines["measured"]), seconds)
-    thinned = slice(shown.start, shown.stop, -(-(shown.stop - shown.start) // _MOST_LINE_POINTS))
+    thinned = slice(shown.start, shown.stop, -(-(shown.stop - shown.start) // _MOST_POINTS))
     limits = _limits_of(*(lines[key][shown] for key in ("measured", "after", "before")))
     panel = _Panel(top=_TOP, height=_HEIGHT - _TOP - _BOTTOM, x=_span(times[shown]), y=limits)
     styles = {"measured": (MEASURED, 2.4, "none"), "before": (BEFORE, 1.4, "56 28"), "after": (AFTER, 1.3, "none")}

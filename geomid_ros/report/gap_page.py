@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.files.models.gap_file import GapFile
+from geomid_ros.gap.judgement.held_out import REACHED
 from geomid_ros.gap.result import Finding, GapResult, Located
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.channels import is_of
@@ -34,7 +35,6 @@ _MOST_CHANNELS = 6  # whose remainder is drawn
 _MOST_OVERLAYS = 12
 _SECONDS = 10.0  # of held-out data, in a panel
 _MOST_CANDIDATES = 15
-_OPEN = 1.15  # times the floor from which on there is a gap to look at
 _CHANGED = 0.01  # geodesic distance from which on a link's inertia has changed
 _TITLES = {"windows": "Forward in short windows", "closed_loop": "In closed loop"}
 _KINDS = {"before": "nominal", "inertias_only": "inertias only", "after": "with effect"}
@@ -145,7 +145,9 @@ def _telling_channels(result: GapResult) -> list[int]:
 def _located(result: GapResult) -> list[Located]:
     """Where the gap lives, for channels in which inertias leave one."""
     gaps = dict(zip(result.channels, result.gap.inertias_only, strict=True))
-    return [entry for entry in result.located if gaps.get(entry.channel, 0.0) > _OPEN and math.isfinite(entry.velocity)]
+    return [
+        entry for entry in result.located if gaps.get(entry.channel, 0.0) > REACHED and math.isfinite(entry.velocity)
+    ]
 
 
 def _remainder(page: GapPage, channel: int) -> ChannelResiduals:

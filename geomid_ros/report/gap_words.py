@@ -8,15 +8,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from geomid_ros.estimation.estimate import SURE
+from geomid_ros.gap.judgement.held_out import REACHED
 from geomid_ros.gap.result import Confidence, Finding, GapResult, Ranked, Rival, Unexplained
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
 from geomid_ros.types import FloatArray
 
 NONE = "n/a"
-_CLOSED = 1.15  # a gap that falls by less did not fall
-_MOST_NAMED = 4  # in a sentence
+FEW = 4
+"""Effects that a sentence can name, and findings that get one each."""
 _MOST_NAMED_OF_MANY = 2
-_MOST_IN_SHORT = 3
+MOST_LISTED = 3
+"""Parts of a sentence that lists, and rivals that are compared with."""
 _ALIKE = 3.0  # standard deviations
 _NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 _VARIABLES = {
@@ -131,7 +133,7 @@ def verdict_sentence(result: GapResult) -> str:
     named = _named(result.findings)
     missing = _missing(not_explained(result))
     if result.verdict == "no gap":
-        if before <= _CLOSED * after:
+        if before <= REACHED * after:
             return f"No gap found: the model explains the measurement to within {ratio(after)} times the noise floor."
         return f"No effect is missing. Corrected link inertias close the gap: {fall}."
     if result.verdict == "named":
@@ -190,7 +192,7 @@ def _common_gain(result: GapResult) -> list[Finding]:
 
 
 def _few(parts: Sequence[str]) -> str:
-    return "; ".join(parts[:_MOST_IN_SHORT]) + _more(len(parts) - _MOST_IN_SHORT)
+    return "; ".join(parts[:MOST_LISTED]) + _more(len(parts) - MOST_LISTED)
 
 
 def _more(count: int) -> str:
@@ -217,7 +219,7 @@ def not_explained(result: GapResult) -> list[tuple[str, float, str]]:
 
 def _named(findings: Sequence[Finding]) -> str:
     """The findings, each effect once with all places where it acts; of many, the surest."""
-    if len(findings) > _MOST_NAMED:
+    if len(findings) > FEW:
         first = [f"{effect_name(f.effect)} {place(f.joint, f.link)}" for f in findings[:_MOST_NAMED_OF_MANY]]
         return f"{len(findings)} effects, most certainly {_listed(first)}"
     places: dict[str, list[str]] = {}

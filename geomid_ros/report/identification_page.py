@@ -20,7 +20,6 @@ from geomid_ros.report.series import BINS, ChannelFit, Clock, Series, limits, th
 from geomid_ros.types import FloatArray
 
 _SCRIPT = "traces.js"
-_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 _KINDS = {"before": "URDF", "after": "identified"}
 
 
@@ -126,14 +125,13 @@ def _bars(series: Sequence[ChannelFit]) -> Bars:
         (name, "", {"before": ("100 %", 100.0 / end), "after": (percent(ratio), 100.0 * min(ratio / end, 1.0))})
         for name, ratio in ratios.items()
     ]
-    return Bars(rows, [(f"{100 * share:.0f}", 100.0 * share / end) for share in _SHARES], "RMS")
+    return Bars(rows, [(f"{100 * share:.0f}", 100.0 * share / end) for share in ticks(0.0, 1.0, 4)], "RMS")
 
 
 WIDTH, HEIGHT = 20_000, 4_000
 """Of a panel, in the units of its lines; those of ``traces.js``."""
 
 _MOST_POINTS = 200_000  # of a page: two megabytes
-_FAR = 10 * HEIGHT  # beyond which nothing is drawn
 _TIMES = 5  # labels of the axis of time
 
 
@@ -180,8 +178,7 @@ def _trace(channel: Series, clock: Clock, bins: int) -> ChannelTrace:
 
     def path(values: FloatArray) -> str:
         seconds, heights = thinned(channel.times, values, clock, bins)
-        down = np.clip(HEIGHT * (high - heights) / (high - low), -_FAR, _FAR)
-        return line_path(WIDTH * seconds / end, down)
+        return line_path(WIDTH * seconds / end, HEIGHT * (high - heights) / (high - low))
 
     before, after = map(number, channel.rms)
     return ChannelTrace(

@@ -125,6 +125,9 @@ def ticks(low: float, high: float, most: int) -> list[float]:
     return found
 
 
+_FAR = 1e5  # units of a path beyond which nothing is drawn
+
+
 def line_path(x: FloatArray, y: FloatArray) -> str:
     """The path of a line in whole units that is broken where it is NaN."""
     breaks = np.flatnonzero(np.isnan(x) | np.isnan(y))
@@ -141,7 +144,7 @@ def dots_path(x: FloatArray, y: FloatArray) -> str:
 
 
 def _whole(values: FloatArray) -> IntArray:
-    return np.rint(values).astype(np.int64)
+    return np.rint(np.clip(values, -_FAR, _FAR)).astype(np.int64)
 
 
 def number(value: float) -> str:

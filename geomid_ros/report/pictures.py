@@ -8,19 +8,16 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.shape_prior import LinkPrior
-from geomid_ros.report.sheet import IDENTIFIED, URDF, write_picture
+from geomid_ros.report.ellipsoids import outline
+from geomid_ros.report.sheet import IDENTIFIED, URDF, new_figure, write_picture
 from geomid_ros.types import FloatArray, IntArray
 
-_SIZE, _DPI = (12.0, 8.0), 130
 _URDF, _PRIOR = "#8a9096", "#d55e00"
-_DIRECTIONS = 72  # of an outline
 # By the axis that the viewer looks along: rows right, up, towards the viewer.
 _VIEWS = {
     0: ("from the front (y, z)", np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])),
@@ -48,8 +45,7 @@ def prior_picture(path: Path, title: str, links: Sequence[PlacedLink]) -> None:
     corners = np.concatenate([placed.in_world(placed.link.solid.vertices) for placed in links if placed.link.solid])
     shortest = np.argsort(np.ptp(corners, axis=0), kind="stable")[:2]
     wide = np.ptp(corners[:, :2], axis=0).max() > 1.2 * np.ptp(corners[:, 2])
-    figure = Figure(figsize=_SIZE, dpi=_DPI, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(12.0, 8.0)
     figure.suptitle(title, x=0.02, ha="left", weight="bold", parse_math=False)
     panels = figure.subplots(*((2, 1) if wide else (1, 2)))
     for panel, axis in zip(panels, shortest, strict=True):
@@ -100,25 +96,16 @@ def _draw_shape(axes: Axes, vertices: FloatArray, faces: IntArray) -> None:
 
 
 def _outline(parameters: FloatArray, placed: PlacedLink, view: FloatArray) -> FloatArray:
-    """Outline ``(2, K)`` of the equivalent ellipsoid: that of ``c + A u`` for unit vectors u is an ellipse."""
+    """Outline ``(2, K)`` of the equivalent ellipsoid."""
     semi_axes, axes = pseudo_inertia.equivalent_ellipsoid(parameters)
     centre = view @ placed.in_world(pseudo_inertia.centre_of_mass(parameters))
-    flat = (view @ placed.rotation @ (axes * semi_axes))[:2]
-    values, vectors = np.linalg.eigh(flat @ flat.T)
-    angles = np.linspace(0.0, 2.0 * np.pi, _DIRECTIONS)
-    circle = np.sqrt(np.maximum(values, 0.0))[:, None] * np.array([np.cos(angles), np.sin(angles)])
-    return np.asarray(centre[:2, None] + vectors @ circle)
-
-
-_DPI = 130
-_HEIGHT = 0.4  # [inch] of a joint
+    return np.asarray(centre[:2, None] + outline(view @ placed.rotation @ (axes * semi_axes)))
 
 
 def torque_picture(path: Path, title: str, names: Sequence[str], drawn: FloatArray, ranges: FloatArray) -> None:
     """Draw the PNG ``path``: the width of the band of efforts of ``drawn`` robots and of ``ranges``, ``(joints,)`` in
     the order of the joints' ``names``."""
-    figure = Figure(figsize=(8.0, 1.6 + _HEIGHT * len(names)), dpi=_DPI, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(8.0, 0.4 * len(names) + 1.6)
     figure.suptitle(title, x=0.02, ha="left", weight="bold", parse_math=False)
     axes = figure.subplots()
     places = np.arange(len(names))

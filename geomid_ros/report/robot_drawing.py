@@ -22,22 +22,23 @@ from geomid_ros.report.ellipsoids import (
     Drawn,
     View,
     bounds,
+    circle,
     floor_below,
     half_widths,
     made_visible,
+    outline,
     solids_of,
     stick_ends,
     view_of,
 )
 from geomid_ros.report.page import NONE, number
-from geomid_ros.report.sheet import FAINT, INK, URDF, Place, add_area, add_axes, add_text, shortened
+from geomid_ros.report.sheet import FAINT, INK, ROBOT, URDF, Place, add_area, add_axes, add_text, shortened
 from geomid_ros.types import FloatArray
 
 Color: TypeAlias = tuple[float, float, float]
 
 MOST_ROWS = 30  # of the table of links
 
-_PLACE = (0.25, 0.95, 9.25, 8.35)  # of the robot with its table
 _TABLE_WIDTH, _ROW = 3.9, 0.28  # [inch]
 _BADGE = 0.1  # radius of a link's number in the picture [inch]
 # For the colour-blind: a scale that darkens steadily.
@@ -72,7 +73,7 @@ def _layout(extent: FloatArray, drawn: Sequence[Drawn]) -> tuple[Place, Place, P
 
     ``extent (2,)``: of the robot on the picture [m].
     """
-    left, top, width, height = _PLACE
+    left, top, width, height = ROBOT
     key_height = 1.15 + 0.21 * len(_marks_present(drawn))
     table_height = 0.32 + _ROW * (min(len(drawn), MOST_ROWS) + (len(drawn) > MOST_ROWS))
     beside = (left, top, width - _TABLE_WIDTH - 0.1, height)
@@ -170,14 +171,11 @@ def _draw_prior(axes: Axes, view: View, d: Drawn) -> None:
     """Outline and principal sections of the URDF's ellipsoid."""
     solid = d.body.prior
     sphere_map = view.sphere_map(solid)
-    angle = np.linspace(0.0, 2.0 * np.pi, 97)
-    circle = np.array([np.cos(angle), np.sin(angle)])
-    turn, stretch, _ = np.linalg.svd(sphere_map[:2])
     centre = view.flat(solid.centre)[:, None]
     style = (0, (4, 2)) if d.prior_marks else "-"
-    axes.plot(*(centre + (turn * stretch) @ circle), color=URDF, lw=1.1, ls=style, zorder=1.6)
+    axes.plot(*(centre + outline(sphere_map)), color=URDF, lw=1.1, ls=style, zorder=1.6)
     for k in range(3):
-        section = np.delete(sphere_map[:2], k, axis=1) @ circle
+        section = np.delete(sphere_map[:2], k, axis=1) @ circle()
         axes.plot(*(centre + section), color=URDF, lw=0.55, alpha=0.9, zorder=1.6)
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import text_to_path
@@ -19,6 +20,8 @@ Place: TypeAlias = tuple[float, float, float, float]
 
 DPI = 150
 SIZE = (17.0, 10.0)  # [inch]
+ROBOT: Place = (0.25, 0.95, 9.25, 8.35)
+CHANNELS: Place = (10.15, 1.30, 6.60, 8.00)
 
 # Grey is the URDF and colour the identified, in the robot as over time. For the colour-blind: Okabe and Ito's
 # vermilion.
@@ -31,6 +34,13 @@ def write_picture(path: Path, figure: Figure) -> None:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None}, pil_kwargs={"compress_level": _COMPRESSION})
     write_bytes(path, buffer.getvalue())
+
+
+def new_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
+    """A white figure of this size [inch]."""
+    figure = Figure(figsize=(width, height), dpi=DPI, facecolor="white", layout=layout)
+    FigureCanvasAgg(figure)
+    return figure
 
 
 def add_axes(figure: Figure, place: Place, share: Axes | None = None) -> Axes:

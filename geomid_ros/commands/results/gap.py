@@ -18,8 +18,6 @@ from geomid_ros.report import gap_words
 from geomid_ros.report.simulated_again import SimulatedAgain
 
 _MOST_CANDIDATES = 8
-_MOST_RIVALS = 3
-_MOST_SENTENCES = 4
 _BAR = 24  # characters
 _AFTER, _INERTIAS, _BEFORE = "█", "▓", "░"
 
@@ -78,9 +76,9 @@ def _findings_table(result: GapResult) -> Table:
 
 def _sentences(result: GapResult) -> Iterator[str]:
     """One of each finding, with its rivals where there are any to choose from; of many findings only of these."""
-    few = len(result.findings) <= _MOST_SENTENCES
+    few = len(result.findings) <= gap_words.FEW
     for finding in result.findings:
-        rivals = [gap_words.compared(rival) for rival in finding.rivals[:_MOST_RIVALS]]
+        rivals = [gap_words.compared(rival) for rival in finding.rivals[: gap_words.MOST_LISTED]]
         ambiguous = finding.confidence == "ambiguous" and rivals
         if few or ambiguous:
             yield f"{finding.sentence}{' Rivals: ' + ', '.join(rivals) + '.' if ambiguous else ''}"
