@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, NamedTuple, TypeAlias, Unpack
 
-from geomid_ros.api.compared_files import (
-    Result,
-    check_same_robot,
-    joined,
-    judged_on,
-    notes_on,
-    own_errors,
-    read_side,
-    urdf_values,
-)
-from geomid_ros.api.options import PathLike, Paths, RobotKeywords, paths
+import numpy as np
+
+from geomid_ros.api.options import PathLike, Paths, RobotKeywords, RobotOptions, beside, paths
+from geomid_ros.api.verify import doubts_of, identified, read_to_judge
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.comparison import Difference, compared
+from geomid_ros.estimation.comparison import Difference, LinkValues, RobotValues, compared
+from geomid_ros.exports.inertial import Summand, total
+from geomid_ros.exports.model import Model, read_model
+from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.sidecar import quantities_entry, quantity_entry
+from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.schema import plain
-from geomid_ros.report.comparison_page import ComparisonPage, write_comparison_page
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.urdf_tree import read_xml
+from geomid_ros.report.plain_pages import ChannelErrors, ComparisonPage, write_comparison_page
 from geomid_ros.session.recordings import Progress, silent
+from geomid_ros.session.session import Session
+from geomid_ros.types import FloatArray
 
 _OWN = "what each held out of its own recording"
 
@@ -159,3 +162,145 @@ def _entry(difference: Difference) -> dict[str, Any]:
         "joint_interval": plain(difference.half_width),
         "differs": difference.differs,
     }
+
+
+class FileErrors(NamedTuple):
+    """RMS of what a side leaves by channel, with its unit, and why that is not to be believed."""
+
+    errors: Mapping[str, tuple[float, str]]
+    doubts: Sequence[str] = ()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Result:
+    """An estimate.json at a ``path``, and what it says of links and effects."""
+
+    path: Path
+    file: EstimateFile
+    values: RobotValues
+
+    @property
+    def robot(self) -> str:
+        """The robot's name; empty where neither the file nor the description beside it says it."""
+        own = beside(self.path)
+        if self.file.robot or not own.is_file():
+            return self.file.robot
+        return read_xml(read_urdf(own), str(own)).get("name", "")
+
+
+Side: TypeAlias = Result | Model
+"""What is compared: a result, or a URDF."""
+
+
+def read_side(path: Path) -> Side:
+    """A result, or a URDF. Raises InputError naming the file."""
+    if path.suffix != ".json":
+        return read_model(path)
+    file = EstimateFile.read(path)
+    return Result(path=path, file=file, values=file.values)
+
+
+def urdf_values(model: Model, result: Result) -> RobotValues:
+    """What a URDF says of the bodies of a result, exactly.
+
+    Raises:
+        InputError: it has not all of these links, or no inertial of one, or no body can be as it says.
+    """
+    links = {}
+    for name, body in result.values.links.items():
+        parts = [link for link in (name, *sorted(body.merged)) if link in model.bodies]
+        if name not in model.tree.links:
+            raise _other_robot(model.source, model.tree.links, str(result.path), result.values.links)
+        if not parts:
+            raise InputError(f"{model.source}: link '{name}' has no <inertial>, and {result.path} has identified it")
+        terms = [Summand(model.bodies[link].inertial, model.placement(link, name)) for link in parts]
+        quantities = total(terms, f"{model.source}: link '{name}'").quantities
+        links[name] = LinkValues(
+            parameters=pseudo_inertia.parameters_of(quantities), std=np.zeros(10), merged=body.merged
+        )
+    return RobotValues(links=links, effects=model.effects)
+
+
+def check_same_robot(sides: Sequence[Side], values: Sequence[RobotValues]) -> None:
+    """Refuse results of different robots: no link in common, or other names and other bodies. Raises InputError."""
+    first, second = values
+    names = {side.robot for side in sides if isinstance(side, Result) and side.robot}
+    bodies = [{name: link.merged for name, link in each.links.items()} for each in values]
+    if not first.links.keys() & second.links.keys() or (len(names) > 1 and bodies[0] != bodies[1]):
+        ours, theirs = (side.path if isinstance(side, Result) else Path(side.source) for side in sides)
+        raise _other_robot(_named(theirs, sides[1]), second.links, _named(ours, sides[0]), first.links)
+
+
+def _named(path: Path, side: Side) -> str:
+    return f"{path} ('{side.robot}')" if isinstance(side, Result) and side.robot else str(path)
+
+
+def _other_robot(source: str, links: Iterable[str], other: str, others: Iterable[str]) -> InputError:
+    return InputError(
+        f"{source}: a model of another robot than {other}. Links of the first: {', '.join(links)}; of the second: "
+        f"{', '.join(others)}"
+    )
+
+
+def notes_on(results: Sequence[Result], *, own_data: bool) -> list[str]:
+    """What is worth knowing of the comparison; ``own_data``: of the errors, too, each on its own recording."""
+    exact = [r.path for r in results if not any(np.any(np.isfinite(link.std)) for link in r.values.links.values())]
+    fitted = [r.path for r in results if own_data and r.file.rms.train and not r.file.rms.held_out]
+    return [
+        *(f"{path} says no standard deviations: its links count as exact" for path in exact),
+        *(f"{path} held nothing out: its errors are of the data that were fitted" for path in fitted),
+    ]
+
+
+def own_errors(sides: Sequence[Side]) -> list[ChannelErrors]:
+    """What each result leaves of its own recording."""
+    return joined([_said(side.file) if isinstance(side, Result) else {} for side in sides])
+
+
+def _said(file: EstimateFile) -> dict[str, tuple[float, str]]:
+    """What a file says of the errors of held-out data, or of the fitted ones if none were held out."""
+    units = {row.channel: row.unit for row in file.channels}
+    errors = file.rms.held_out or file.rms.train
+    return {name: (error, units.get(name, "")) for name, error in errors.items()}
+
+
+def joined(sides: Sequence[Mapping[str, tuple[float, str]]]) -> list[ChannelErrors]:
+    """The errors of both, by channel."""
+    first, second = sides
+    nothing = (math.nan, "")
+    return [
+        ChannelErrors(
+            name=name,
+            unit=(first.get(name) or second[name])[1],
+            first=first.get(name, nothing)[0],
+            second=second.get(name, nothing)[0],
+        )
+        for name in dict.fromkeys((*first, *second))
+    ]
+
+
+def judged_on(side: Side, urdf: PathLike | None, bags: Paths, options: RobotKeywords, progress: Progress) -> FileErrors:
+    """What a side leaves of recordings."""
+    if isinstance(side, Result):
+        chosen = RobotOptions(urdf=urdf, **options)
+        session, samples = read_to_judge(chosen, bags, progress, model=side.path)
+        parameters = identified(session)
+    else:
+        chosen = RobotOptions(urdf=side.source, **options)
+        names = list(dict.fromkeys(effect.effect for effect in side.effects))
+        session, samples = read_to_judge(chosen, bags, progress, effects=names)
+        parameters = _with_effects(session, side)
+    errors = zip(session.model.channels, session.rms(samples, parameters).tolist(), strict=True)
+    return FileErrors({channel.name: (error, channel.unit) for channel, error in errors}, doubts_of(session))
+
+
+def _with_effects(session: Session, model: Model) -> FloatArray:
+    """The URDF's parameters ``(D,)``, with the friction that it says."""
+    said = {
+        (effect.effect, effect.joint, name): quantity.value
+        for effect in model.effects
+        for name, quantity in effect.parameters.items()
+    }
+    coefficients = session.model.coefficients
+    own = [said.get((c.effect.name, c.place_name, c.parameter), 0.0) for c in coefficients]
+    return np.concatenate([session.nominal_parameters[: -len(own) or None], own])

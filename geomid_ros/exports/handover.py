@@ -180,8 +180,6 @@ def judge(
     """
     name, program = file_name(reader), "MuJoCo" if reader == MUJOCO else "pinocchio"
     if reader == MUJOCO:
-        from geomid_ros.exports.handover import read_mjcf_back  # noqa: PLC0415 others need no simulator
-
         written = read_mjcf_back(whole.text, session.robot)
     else:
         written = read_urdf_back(session.read_robot(whole.text, name), reader, whole.beside)

@@ -18,9 +18,8 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.population import RobotLikelihood
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.files.models.readers import READERS
-from geomid_ros.fleet.bag_summary import BagSummary, summarise, total
+from geomid_ros.fleet.kept import BagSummary, RobotResults, summarise, total
 from geomid_ros.fleet.recordings import FleetBag, on_this_disk
-from geomid_ros.fleet.results import RobotResults
 from geomid_ros.fleet.store import Store
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, Topics, with_locked

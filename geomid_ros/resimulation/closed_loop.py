@@ -11,8 +11,15 @@ from geomid_ros.files.models.written_model import ModelFiles
 from geomid_ros.model.effects import Motion
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
-from geomid_ros.resimulation.errors import Noise, root_mean_square
-from geomid_ros.resimulation.windows import Stretch, Windows, WindowSimulation, interpolated, stretches
+from geomid_ros.resimulation.windows import (
+    Noise,
+    Stretch,
+    Windows,
+    WindowSimulation,
+    interpolated,
+    root_mean_square,
+    stretches,
+)
 from geomid_ros.resimulation.written_robot import WrittenRobot
 from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import BoolArray, FloatArray

@@ -10,8 +10,15 @@ import numpy as np
 from geomid_ros.files.models.written_model import ModelFiles
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
-from geomid_ros.resimulation.errors import Errors, Noise, root_mean_square
-from geomid_ros.resimulation.windows import Stretch, Windows, WindowSimulation, stretches
+from geomid_ros.resimulation.windows import (
+    Errors,
+    Noise,
+    Stretch,
+    Windows,
+    WindowSimulation,
+    root_mean_square,
+    stretches,
+)
 from geomid_ros.resimulation.written_robot import WrittenRobot
 from geomid_ros.types import BoolArray, FloatArray
 

@@ -21,8 +21,8 @@ from geomid_ros.gap.result import GapResult
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.closed_loop import ClosedLoop, Tracking, closed_loop, tracking
-from geomid_ros.resimulation.errors import Noise
 from geomid_ros.resimulation.resimulate import Resimulated, resimulate
+from geomid_ros.resimulation.windows import Noise
 from geomid_ros.session.gap import GapReader
 from geomid_ros.session.recordings import Bags
 from geomid_ros.session.session import Session

@@ -26,7 +26,7 @@ from rosbags.typesys import Stores, get_typestore
 from benchmarks.fuzz.mcap_writer import MAGIC, Form, Message, chunk, mcap, record, text
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import Bag
-from geomid_ros.files.bags.unpacking import MOST_BYTES
+from geomid_ros.files.bags.storage import MOST_BYTES
 
 from .recordings import BAGS, TYPES, Recorded, recorded, write_bag
 
@@ -599,7 +599,7 @@ class TestAsFound:
         written = []
         monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
         usage = shutil.disk_usage(tmp_path)._replace(free=502_000_000)
-        monkeypatch.setattr("geomid_ros.files.bags.unpacking.shutil.disk_usage", lambda _: usage)
+        monkeypatch.setattr("geomid_ros.files.bags.storage.shutil.disk_usage", lambda _: usage)
         unlink = shutil.rmtree
 
         def measured(path: str, *arguments: object, **named: object) -> None:

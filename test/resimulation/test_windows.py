@@ -20,8 +20,8 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
-from geomid_ros.resimulation.errors import Noise
 from geomid_ros.resimulation.resimulate import Resimulated, resimulate
+from geomid_ros.resimulation.windows import Noise
 from geomid_ros.types import FloatArray
 
 from .recordings import ARM, FLOOR, JOINTS, MODEL, PERIOD, Added, files, noise_example, recording

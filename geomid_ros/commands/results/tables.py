@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 def show_comparison(found: Comparison) -> None:
     """Print whether the results differ, and a table of what differs and of the errors of both."""
-    from geomid_ros.report.comparison_page import error, row, verdict
+    from geomid_ros.report.plain_pages import error, row, verdict
 
     console = results_console()
     print_remarks(console, {"DOUBTFUL": found.doubts, "Note": found.notes})

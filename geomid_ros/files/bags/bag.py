@@ -18,8 +18,7 @@ from typing import Any, Self
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.database import Database
 from geomid_ros.files.bags.mcap import McapFile
-from geomid_ros.files.bags.storage import RawMessage, Storage
-from geomid_ros.files.bags.unpacking import METHODS, unpack_file, unpacked_message
+from geomid_ros.files.bags.storage import METHODS, RawMessage, Storage, unpack_file, unpacked_message
 from geomid_ros.files.parameter_file import read_yaml
 from geomid_ros.signals.decoding import message_types
 

@@ -24,8 +24,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 from urllib.parse import quote
 
-from geomid_ros.files.bags.storage import FaultError, Part, RawMessage, TornError, cut_off, damaged
-from geomid_ros.files.bags.unpacking import MOST_BYTES
+from geomid_ros.files.bags.storage import MOST_BYTES, FaultError, Part, RawMessage, TornError, cut_off, damaged
 
 _MAGIC = b"SQLite format 3\0"
 _HEADER = 100  # bytes

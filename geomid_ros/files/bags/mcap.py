@@ -18,8 +18,17 @@ from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.bags.storage import FaultError, Part, RawMessage, TornError, cut_off, damaged
-from geomid_ros.files.bags.unpacking import MOST_BYTES, unpacked, unpacked_part
+from geomid_ros.files.bags.storage import (
+    MOST_BYTES,
+    FaultError,
+    Part,
+    RawMessage,
+    TornError,
+    cut_off,
+    damaged,
+    unpacked,
+    unpacked_part,
+)
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END = 1, 2, 3, 4, 5, 6, 0x0B, 0x0F

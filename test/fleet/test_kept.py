@@ -12,7 +12,7 @@ import pytest
 import geomid_ros
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.fleet.bag_summary import BagSummary, summarise, total
+from geomid_ros.fleet.kept import BagSummary, summarise, total
 from geomid_ros.fleet.work import solve
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags
