@@ -17,6 +17,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.comparison import Difference, LinkValues, RobotValues, compared
 from geomid_ros.exports.inertial import Summand, total
 from geomid_ros.exports.model import Model, read_model
+from geomid_ros.files.models.effect_forms import coefficients_of
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.sidecar import quantities_entry, quantity_entry
 from geomid_ros.files.models.urdf import read_urdf
@@ -296,11 +297,5 @@ def judged_on(side: Side, urdf: PathLike | None, bags: Paths, options: RobotKeyw
 
 def _with_effects(session: Session, model: Model) -> FloatArray:
     """The URDF's parameters ``(D,)``, with the friction that it says."""
-    said = {
-        (effect.effect, effect.joint, name): quantity.value
-        for effect in model.effects
-        for name, quantity in effect.parameters.items()
-    }
-    coefficients = session.model.coefficients
-    own = [said.get((c.effect.name, c.place_name, c.parameter), 0.0) for c in coefficients]
+    own = coefficients_of(session.model, model.effects)
     return np.concatenate([session.nominal_parameters[: -len(own) or None], own])

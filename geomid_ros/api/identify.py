@@ -242,7 +242,7 @@ class Identification:
             InputError: the file cannot be written.
         """
         file = EstimateFile.of(self._document(command), "estimate.json")
-        write_identification_page(Path(path), IdentificationPage(file, self.estimate, self._series))
+        write_identification_page(Path(path), IdentificationPage(file, self._series))
         return Path(path)
 
     def save(

@@ -14,7 +14,6 @@ from geomid_ros.api.options import PathLike
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.estimate_file import OF_PAGE, EstimateFile
 from geomid_ros.files.models.gap_file import Errors, GapFile, read_gap
-from geomid_ros.files.models.posterior import beside, read_posterior
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.report.gap_page import GapPage, write_gap_page
 from geomid_ros.report.identification_page import IdentificationPage, write_identification_page
@@ -31,7 +30,7 @@ def rebuild_report(folder: PathLike, *, out: PathLike | None = None) -> list[Pat
     left out, and the page says so.
 
     Args:
-        folder: of ``geomid identify`` (estimate.json with posterior.npz) or ``geomid gap`` (gap.json).
+        folder: of ``geomid identify`` (estimate.json) or ``geomid gap`` (gap.json).
         out: folder of what is written; None for the same.
 
     Returns:
@@ -73,9 +72,8 @@ def _needed(path: Path, command: str) -> Iterator[None]:
 
 
 def _identification_page(file: EstimateFile) -> IdentificationPage:
-    estimate = file.estimate(read_posterior(beside(Path(file.source))))
     fits = [SavedFit(row.channel, row.unit, (row.urdf, row.identified)) for row in file.channels]
-    return IdentificationPage(file, estimate, fits)
+    return IdentificationPage(file, fits)
 
 
 def _gap_page(file: GapFile) -> GapPage:

@@ -39,7 +39,7 @@ def gap(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **option
     worse than the given one.
     """
     from geomid_ros.commands.results import gap as results
-    from geomid_ros.commands.terminal import progress_bar
+    from geomid_ros.commands.terminal import print_written, progress_bar
     from geomid_ros.files.models.gap_file import is_open
 
     with progress_bar() as progress:
@@ -49,9 +49,7 @@ def gap(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **option
         click.echo(json.dumps(found.document, indent=2))
     else:
         results.show(found)
-        click.echo(f"\nWritten: {', '.join(map(str, files))}")
-        if not report and (old := out / "report.html").exists():
-            click.echo(f"Not of this run: {old}")
+        print_written(files, out, report=report)
         if is_open(found.result):
             arguments = ("--urdf", options["urdf"] or "ROBOT.urdf", "--settle", out / "gap.json")
             click.echo(f"To discriminate between the rivals: geomid excite {shlex.join(map(str, arguments))}")

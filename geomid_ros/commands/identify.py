@@ -57,7 +57,7 @@ def identify(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **o
     doubtful, for example if the written file predicts a channel worse than the given description.
     """
     from geomid_ros.commands.results import identification
-    from geomid_ros.commands.terminal import progress_bar
+    from geomid_ros.commands.terminal import print_written, progress_bar
 
     with progress_bar() as progress:
         found = geomid_ros.identify(bags, progress=progress, **options)
@@ -66,9 +66,7 @@ def identify(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **o
         click.echo(files[0].read_text(encoding="utf-8"), nl=False)
     else:
         identification.show(found)
-        click.echo(f"\nWritten: {', '.join(map(str, files))}")
-        if not report and (old := out / "report.html").exists():
-            click.echo(f"Not of this run: {old}")
+        print_written(files, out, report=report)
         if found.not_written:
             click.echo(one_line(found.not_written))
     sys.exit(found.verdict.status)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import click
 from rich import box
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -49,6 +51,13 @@ def say(console: Console, heading: str, text: str) -> None:
 def lines(texts: Iterable[str]) -> Text:
     """Texts one below the other, for a cell."""
     return Text("\n".join(map(one_line, texts)))
+
+
+def print_written(files: Sequence[Path], folder: Path, *, report: bool) -> None:
+    """Print which files were written, and that a page in their folder is older where none was asked for."""
+    click.echo(f"\nWritten: {', '.join(map(str, files))}")
+    if not report and (old := folder / "report.html").exists():
+        click.echo(f"Not of this run: {old}")
 
 
 class _PlainTable(Table):

@@ -14,7 +14,7 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.exports.descriptions import DESCRIPTIONS, RobotToDescribe, Whole
-from geomid_ros.files.models.effect_forms import unsaid
+from geomid_ros.files.models.effect_forms import coefficients_of, unsaid
 from geomid_ros.files.models.estimate_file import model_effects
 from geomid_ros.files.models.read_back import Attributes, ReadBack, read_urdf_back
 from geomid_ros.files.models.readers import ELEMENTS, URDF
@@ -91,15 +91,9 @@ class HandedOver:
     @property
     def _errors_of_sensors(self) -> FloatArray:
         """Parameters ``(D,)`` of the errors of sensors that stand beside the file."""
-        known = {
-            (effect.effect, effect.joint, name): quantity.value
-            for effect in self.model.effects
-            if effect_class(effect.effect).of_sensor
-            for name, quantity in effect.parameters.items()
-        }
         model = self.session.model
-        found = [known.get((c.effect.name, c.place_name, c.parameter), 0.0) for c in model.coefficients]
-        return np.concatenate([np.zeros(len(model.nominal_inertias)), found])
+        of_sensors = [effect for effect in self.model.effects if effect_class(effect.effect).of_sensor]
+        return np.concatenate([np.zeros(len(model.nominal_inertias)), coefficients_of(model, of_sensors)])
 
 
 def file_name(reader: str) -> str:

@@ -21,7 +21,7 @@ from geomid_ros.exports.formats import JSON, SAME
 from geomid_ros.exports.inertial import UncertainInertia
 from geomid_ros.exports.model import Model, read_model
 from geomid_ros.exports.patch_mjcf import OwnMjcf, read_own_mjcf
-from geomid_ros.files.models.effect_forms import is_coefficient
+from geomid_ros.files.models.effect_forms import by_parameter, is_coefficient
 from geomid_ros.files.models.estimate_file import link_entry
 from geomid_ros.files.models.posterior import beside, read_posterior
 from geomid_ros.files.models.sidecar import coefficient_entry, effect_entry
@@ -101,15 +101,10 @@ class DrawnRobots:
     def _drawn(self) -> dict[tuple[str, str, str], int]:
         """The places in a vector of D of the effects' parameters that are drawn: of which the posterior and the
         estimate have the same number, by effect, place and parameter."""
-        said = {
-            (effect.effect, effect.joint, name): quantity.value
-            for effect in self.model.effects
-            for name, quantity in effect.parameters.items()
-        }
-        found = {}
+        said, found = by_parameter(self.model.effects), {}
         for column, c in self._coefficients.items():
             key, value = (c.name, c.place, c.parameter), self.posterior.parameters[column]
-            if abs(said.get(key, np.inf) - value) <= SAME * abs(value):
+            if key in said and abs(said[key].value - value) <= SAME * abs(value):
                 found[key] = column
         return found
 

@@ -16,7 +16,6 @@ from geomid_ros.types import FloatArray
 
 RANGE = 0.2
 """Half of the width of the ranges that drawn robots are compared with, as a share of each number."""
-_SEED = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +85,7 @@ def _in_order(model: MeasurementModel, robots: DrawnRobots, parameters: FloatArr
 def within_ranges(model: MeasurementModel, estimate: FloatArray) -> FloatArray:
     """Robots ``(N, D)`` within 20 % of the ``estimate (D,)``: a factor for each link, and one for each effect."""
     links = len(model.body_names)
-    factors = np.random.default_rng(_SEED).uniform(1.0 - RANGE, 1.0 + RANGE, (ENOUGH, links + len(model.coefficients)))
+    factors = np.random.default_rng(1).uniform(1.0 - RANGE, 1.0 + RANGE, (ENOUGH, links + len(model.coefficients)))
     return np.asarray(
         estimate * np.concatenate([np.repeat(factors[:, :links], 10, axis=1), factors[:, links:]], axis=1)
     )

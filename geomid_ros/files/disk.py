@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import stat
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -16,7 +17,7 @@ from geomid_ros.errors import GeomidError, InputError
 MOST_BYTES = 100_000_000
 """Of a file that is read as a whole, unless a smaller bound is given."""
 
-_MODE, _FOLDER_MODE = 0o600, 0o700
+FOR_OWNER = stat.S_IRUSR | stat.S_IWUSR
 
 
 def write_text(path: Path, text: str) -> None:
@@ -47,7 +48,7 @@ def write_bytes(path: Path, content: bytes) -> None:
                 file.write(content)
                 file.flush()
                 os.fsync(file.fileno())
-            temporary.chmod(_MODE)
+            temporary.chmod(FOR_OWNER)
             temporary.replace(path)
         except BaseException:
             temporary.unlink()
@@ -85,8 +86,8 @@ def make_folder(path: Path) -> None:
     """Make a folder, and those that it is in, for their owner alone; one that exists stays as it is. Raises OSError."""
     for folder in reversed(path.parents):
         if not folder.exists():
-            folder.mkdir(_FOLDER_MODE, exist_ok=True)
-    path.mkdir(_FOLDER_MODE, exist_ok=True)
+            folder.mkdir(stat.S_IRWXU, exist_ok=True)
+    path.mkdir(stat.S_IRWXU, exist_ok=True)
 
 
 def check_writable(folder: Path) -> None:

@@ -27,7 +27,6 @@ from geomid_ros.files.parameter_file import read_yaml
 from geomid_ros.types import FloatArray
 
 TOPIC = "/joint_trajectory_controller/joint_trajectory"
-_NANO = 1_000_000_000
 _TYPES = get_typestore(Stores.ROS2_JAZZY)
 _KIND = "trajectory_msgs/msg/JointTrajectory"
 
@@ -96,7 +95,7 @@ def _states(trajectory: Trajectory) -> tuple[FloatArray, FloatArray, FloatArray]
 
 def _stamps(trajectory: Trajectory) -> list[tuple[int, int]]:
     """Seconds and nanoseconds from the start, of each point."""
-    return [divmod(round(time * _NANO), _NANO) for time in trajectory.times.tolist()]
+    return [divmod(round(1e9 * time), 10**9) for time in trajectory.times.tolist()]
 
 
 def _numbers(values: FloatArray, separator: str = ", ") -> str:

@@ -16,7 +16,6 @@ from geomid_ros.session.version import installed_version
 _PATIENCE = 120.0  # [s] for a scheduler that was restarted, with its workers
 _CONNECT = 10.0  # [s]
 _AHEAD = 8  # tasks per thread that are handed over: none waits, and the client stays small
-_LEAST_AHEAD = 64
 Job = TypeVar("Job")
 
 
@@ -117,7 +116,7 @@ class Cluster:
         while waiting:
             running: dict[Any, tuple[Job, tuple[Any, ...]]] = {}
             ended = self._dask.as_completed(with_results=True, raise_errors=False)
-            ahead = max(_LEAST_AHEAD, _AHEAD * sum(self._client.nthreads().values()))
+            ahead = _AHEAD * max(_AHEAD, sum(self._client.nthreads().values()))
             lost = False
             while running or (waiting and not lost):
                 while waiting and len(running) < ahead and not lost:

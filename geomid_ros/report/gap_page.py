@@ -33,7 +33,7 @@ from geomid_ros.types import FloatArray
 
 _MOST_CHANNELS = 6  # whose remainder is drawn
 _MOST_OVERLAYS = 12
-_SECONDS = 10.0  # of held-out data, in a panel
+_SECONDS = {"efforts": 10.0, "closed_loop": 10.0, "windows": 2.0}  # of held-out data, in a panel
 _MOST_CANDIDATES = 15
 _CHANGED = 0.01  # geodesic distance from which on a link's inertia has changed
 _TITLES = {"windows": "Forward in short windows", "closed_loop": "In closed loop"}
@@ -187,7 +187,9 @@ def _overlay(page: GapPage, channel: int) -> Picture:
     result, trace = page.result, page.result.trace
     new = after_pause(trace.stamps)
     lines = {key: np.where(new, np.nan, getattr(trace, key)[:, channel]) for key in ("measured", "before", "after")}
-    return overlay_picture(result.channels[channel], result.units[channel], elapsed(trace.stamps), lines, _SECONDS)
+    return overlay_picture(
+        result.channels[channel], result.units[channel], elapsed(trace.stamps), lines, _SECONDS["efforts"]
+    )
 
 
 def _worst_joints(again: SimulatedAgain) -> list[int]:
@@ -199,7 +201,7 @@ def _worst_joints(again: SimulatedAgain) -> list[int]:
 
 def _motion(again: SimulatedAgain, joint: int) -> Picture:
     lines = {key: getattr(again, key)[:, joint] for key in ("measured", "before", "after")}
-    return overlay_picture(again.joints[joint], again.units[joint], again.times, lines, again.seconds)
+    return overlay_picture(again.joints[joint], again.units[joint], again.times, lines, _SECONDS[again.kind])
 
 
 # --- The model file ---

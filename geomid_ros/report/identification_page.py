@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.files.models.estimate_file import EstimateFile, HandoverEntry, shares_from_data
+from geomid_ros.estimation.estimate import LinkEstimate
+from geomid_ros.files.models.estimate_file import EstimateFile, HandoverEntry
 from geomid_ros.model.effects import Quantity
 from geomid_ros.report import identification_words
 from geomid_ros.report.gap_words import percent
@@ -29,12 +29,10 @@ class IdentificationPage:
 
     Attributes:
         file: what ``estimate.json`` says.
-        estimate: all that was found.
         series: the measured channels on what is judged on: over time, or how well they fit alone.
     """
 
     file: EstimateFile
-    estimate: Estimate
     series: Sequence[ChannelFit]
 
     @property
@@ -45,7 +43,7 @@ class IdentificationPage:
     @property
     def masses(self) -> list[float]:
         """Masses of the links in the URDF [kg]."""
-        return [self.file.urdf_masses[link.name] for link in self.estimate.links]
+        return [self.file.urdf_masses[link.name] for link in self.file.links]
 
     @property
     def written(self) -> HandoverEntry:
@@ -60,25 +58,24 @@ def write_identification_page(path: Path, page: IdentificationPage) -> None:
     Raises:
         GeomidError: the file cannot be written.
     """
-    verdict = page.file.judgement
+    verdict, links, effects = page.file.judgement, page.file.link_estimates, page.file.effect_estimates
     content = {
         "file": page.file,
-        "estimate": page.estimate,
         "verdict": verdict,
         "written": page.written.file,
         "effects": page.file.known_effects,
-        "uses": identification_words.uses(verdict, page.estimate, page.series, page.held_out),
+        "uses": identification_words.uses(verdict, links, page.series, page.held_out),
         "judged_on": "held-out data" if page.held_out else "the fitted data",
-        "links": list(_links(page)),
-        "end": _heaviest(page),
+        "links": list(_links(page, links)),
+        "end": _heaviest(page, links),
         "fit": _fit(page),
         "fit_bars": _bars(page.series),
         "kinds": _KINDS,
-        "shares": shares_from_data(page.estimate),
-        "open": [link for link in page.estimate.links if link.cannot_tell or link.outlier],
+        "shares": {(effect.name, effect.joint): effect.from_data for effect in effects},
+        "open": [link for link in links if link.cannot_tell or link.outlier],
         "cannot_tell": identification_words.cannot_tell,
         "telling": {name: identification_words.telling(motions) for name, motions in page.file.telling.items()},
-        "weak": [effect for effect in page.estimate.effects if effect.from_data < identification_words.WEAK],
+        "weak": [effect for effect in effects if effect.from_data < identification_words.WEAK],
         "to_tell": identification_words.tells_effect,
         "traces": traces([channel for channel in page.series if isinstance(channel, Series)]),
         "script": Script.read(_SCRIPT),
@@ -86,9 +83,9 @@ def write_identification_page(path: Path, page: IdentificationPage) -> None:
     write_page(path, "identification.html.j2", content)
 
 
-def _links(page: IdentificationPage) -> Iterator[dict[str, Any]]:
+def _links(page: IdentificationPage, links: Sequence[LinkEstimate]) -> Iterator[dict[str, Any]]:
     """Of every link: its mass in the URDF and as identified, and where that lies with 95 % probability."""
-    for link, nominal in zip(page.estimate.links, page.masses, strict=True):
+    for link, nominal in zip(links, page.masses, strict=True):
         yield {
             "name": link.name,
             "merged": link.merged,
@@ -102,10 +99,10 @@ def _links(page: IdentificationPage) -> Iterator[dict[str, Any]]:
         }
 
 
-def _heaviest(page: IdentificationPage) -> float:
+def _heaviest(page: IdentificationPage, links: Sequence[LinkEstimate]) -> float:
     """The end of the axis of masses [kg]: there is room for all masses, and for most intervals."""
-    masses: list[float] = [*page.masses, *(link.mass for link in page.estimate.links)]
-    ends = [link.mass_interval[1] for link in page.estimate.links]
+    masses: list[float] = [*page.masses, *(link.mass for link in links)]
+    ends = [link.mass_interval[1] for link in links]
     return 1.05 * max(1e-9, min(max(ends, default=0.0), 3.0 * max(masses, default=0.0)), *masses)
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from geomid_ros.checks.verdict import USABLE, Verdict
-from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate, LinkEstimate
+from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, LinkEstimate
 from geomid_ros.report.series import ChannelFit
 
 WEAK = 0.5
@@ -26,18 +26,18 @@ _TELLS = {
 }
 
 
-def uses(verdict: Verdict, estimate: Estimate, series: Sequence[ChannelFit], held_out: bool) -> list[str]:
+def uses(verdict: Verdict, links: Sequence[LinkEstimate], series: Sequence[ChannelFit], held_out: bool) -> list[str]:
     """What a result can be used for, in sentences.
 
     Args:
         verdict: whether it can be used.
-        estimate: what was found.
+        links: as they were found.
         series: the measured channels on what is judged on.
         held_out: whether that was held out.
     """
     if verdict.word != USABLE:
         return ["Do not use this result until the problem is corrected; the numbers below show where it is wrong."]
-    return [*_predictions(series, held_out), *identified(estimate.links)]
+    return [*_predictions(series, held_out), *identified(links)]
 
 
 def _predictions(series: Sequence[ChannelFit], held_out: bool) -> list[str]:

@@ -18,12 +18,8 @@ from geomid_ros.report.sheet import IDENTIFIED, URDF, new_figure, write_picture
 from geomid_ros.types import FloatArray, IntArray
 
 _URDF, _PRIOR = "#8a9096", "#d55e00"
-# By the axis that the viewer looks along: rows right, up, towards the viewer.
-_VIEWS = {
-    0: ("from the front (y, z)", np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])),
-    1: ("from the right (x, z)", np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])),
-    2: ("from above (x, y)", np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])),
-}
+# By the axis that the viewer looks along: the axes to the right and up.
+_VIEWS = (("from the front", "yz"), ("from the right", "xz"), ("from above", "xy"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +45,10 @@ def prior_picture(path: Path, title: str, links: Sequence[PlacedLink]) -> None:
     figure.suptitle(title, x=0.02, ha="left", weight="bold", parse_math=False)
     panels = figure.subplots(*((2, 1) if wide else (1, 2)))
     for panel, axis in zip(panels, shortest, strict=True):
-        name, view = _VIEWS[int(axis)]
-        _draw(panel, links, view)
-        panel.set_title(name, size="medium")
+        name, axes = _VIEWS[int(axis)]
+        right, up = (np.eye(3)["xyz".index(each)] for each in axes)
+        _draw(panel, links, np.array([right, up, np.cross(right, up)]))
+        panel.set_title(f"{name} ({', '.join(axes)})", size="medium")
         panel.set_aspect("equal", adjustable="box")
         panel.set_xlabel("m")
     handles = [

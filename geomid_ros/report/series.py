@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 
@@ -19,29 +19,10 @@ BINS = 500
 _CORE = (0.5, 99.5)  # percentiles between which a channel's ordinary values lie
 
 
-class ChannelFit(Protocol):
-    """How well the URDF and the identified model predict a channel, in its ``unit``."""
-
-    @property
-    def name(self) -> str:
-        """The channel's."""
-
-    @property
-    def unit(self) -> str:
-        """N m or N."""
-
-    @property
-    def rms(self) -> tuple[float, float]:
-        """RMS residual of the URDF and of the identified model."""
-
-    @property
-    def ratio(self) -> float:
-        """RMS after over RMS before."""
-
-
 @dataclass(frozen=True)
 class SavedFit:
-    """The same as a file says it, without the samples."""
+    """How well the URDF and the identified model predict a channel, as a file says it: RMS residuals of both, in its
+    ``unit``."""
 
     name: str
     unit: str
@@ -74,6 +55,10 @@ class Series:
     def ratio(self) -> float:
         """RMS after over RMS before: below 1 is better; NaN where it is undefined."""
         return _ratio(*self.rms)
+
+
+ChannelFit: TypeAlias = SavedFit | Series
+"""How well a channel is predicted: over time, or as a file says it."""
 
 
 def series_of(session: Session, estimate: Estimate, batches: Sequence[Samples]) -> list[Series]:

@@ -23,8 +23,6 @@ SENTENCES = {
 }
 """How it was simulated, by kind."""
 
-_SECONDS_OF_WINDOWS = 2.0
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SimulatedAgain:
@@ -36,7 +34,6 @@ class SimulatedAgain:
         joints: names of the columns; their ``units``.
         times: ``(N,)`` [s].
         measured, before, after: ``(N, joints)``, NaN where a new simulation begins.
-        seconds: at most so many are shown.
     """
 
     kind: Literal["windows", "closed_loop"]
@@ -48,7 +45,6 @@ class SimulatedAgain:
     measured: FloatArray
     before: FloatArray
     after: FloatArray
-    seconds: float = 10.0
 
 
 def simulated_again(model: MeasurementModel, simulations: Simulations) -> list[SimulatedAgain]:
@@ -71,7 +67,6 @@ def _of_windows(model: MeasurementModel, found: Resimulated) -> SimulatedAgain:
         measured=lines("measured"),
         before=lines("before"),
         after=lines("after"),
-        seconds=_SECONDS_OF_WINDOWS,
     )
 
 

@@ -20,14 +20,11 @@ from geomid_ros.resimulation.windows import (
     root_mean_square,
     stretches,
 )
-from geomid_ros.resimulation.written_robot import WrittenRobot
+from geomid_ros.resimulation.written_robot import FLOATING, WrittenRobot, loaded_robots
 from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import BoolArray, FloatArray
 
 _SEPARATIONS = (0.03, 0.05, 0.08)  # [s] at which the noise of filtered samples is another, and the motion the same
-_FLOATING = "the base floats, and its motion cannot be simulated without its contacts"
-_APART = "commands and measurements do not overlap in time"
-_UNRELATED = "the measured efforts cannot be reproduced from the commands with gains and feed-forward"
 _EXPLAINED = 0.9  # share of an effort's variance that a controller has to explain
 
 
@@ -123,18 +120,11 @@ def closed_loop(
         noise: An example of the sensors' noise.
         cutoff: Errors are judged below it [Hz]; that of ``noise``.
     """
-    if model.robot.floating_base:
-        return ClosedLoop({}, {}, (), _FLOATING)
-    parts = [part for pair in zip(recordings, commands, strict=True) for part in _commanded(*pair)]
-    if not parts:
-        return ClosedLoop({}, {}, (), _APART)
+    try:
+        parts, robots, controller = _prepared(model, (before, after), recordings, commands)
+    except _NotSimulatedError as reason:
+        return ClosedLoop({}, {}, (), str(reason))
     joints = model.robot.joint_names
-    robots = [WrittenRobot(files, joints) for files in (before, after)]
-    for robot in robots:
-        robot.expect_load(robot.true_effort(np.concatenate([part.stretch.samples.effort for part in parts])))
-    controller = fitted_controller(parts, robots[1])
-    if not np.any(controller.found):
-        return ClosedLoop({}, {}, (), _UNRELATED)
     traces = [_simulated(part, controller, *robots) for part in parts]
     floor = np.sqrt(np.mean(noise.only(joints).values ** 2, axis=0))
     known = controller.found & (floor > 0.0)
@@ -158,20 +148,40 @@ def tracking(
         files: Of the written model.
         recordings, commands: As of :func:`closed_loop`.
     """
-    if model.robot.floating_base:
-        return Tracking({}, _FLOATING)
-    parts = [part for pair in zip(recordings, commands, strict=True) for part in _commanded(*pair)]
-    if not parts:
-        return Tracking({}, _APART)
-    robot = WrittenRobot(files, model.robot.joint_names)
-    robot.expect_load(robot.true_effort(np.concatenate([part.stretch.samples.effort for part in parts])))
-    controller = fitted_controller(parts, robot)
-    if not np.any(controller.found):
-        return Tracking({}, _UNRELATED)
+    try:
+        parts, (robot,), controller = _prepared(model, (files,), recordings, commands)
+    except _NotSimulatedError as reason:
+        return Tracking({}, str(reason))
     errors = [_simulated_motion(part, controller, robot)[0] - part.stretch.samples.position for part in parts]
     rms = root_mean_square(errors)
     pairs = zip(model.robot.joint_names, rms.tolist(), controller.found, strict=True)
     return Tracking({name: value for name, value, found in pairs if found})
+
+
+class _NotSimulatedError(Exception):
+    """Why a recording cannot be simulated under its commands."""
+
+
+def _prepared(
+    model: MeasurementModel, files: Sequence[ModelFiles], recordings: Sequence[Samples], commands: Sequence[Samples]
+) -> tuple[list[_Commanded], list[WrittenRobot], FittedController]:
+    """The stretches with their commands, the robots of ``files``, and the controller as the last of them explains it.
+
+    Raises _NotSimulatedError.
+    """
+    if model.robot.floating_base:
+        raise _NotSimulatedError(FLOATING)
+    parts = [part for pair in zip(recordings, commands, strict=True) for part in _commanded(*pair)]
+    if not parts:
+        raise _NotSimulatedError("commands and measurements do not overlap in time")
+    efforts = np.concatenate([part.stretch.samples.effort for part in parts])
+    robots = loaded_robots(files, model.robot.joint_names, efforts)
+    controller = fitted_controller(parts, robots[-1])
+    if not np.any(controller.found):
+        raise _NotSimulatedError(
+            "the measured efforts cannot be reproduced from the commands with gains and feed-forward"
+        )
+    return parts, robots, controller
 
 
 def _commanded(recording: Samples, commands: Samples) -> list[_Commanded]:

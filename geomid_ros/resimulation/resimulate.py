@@ -19,7 +19,7 @@ from geomid_ros.resimulation.windows import (
     root_mean_square,
     stretches,
 )
-from geomid_ros.resimulation.written_robot import WrittenRobot
+from geomid_ros.resimulation.written_robot import FLOATING, WrittenRobot, loaded_robots
 from geomid_ros.types import BoolArray, FloatArray
 
 CUTOFF = 32.0
@@ -74,10 +74,9 @@ def resimulate(
     if reason:
         return Resimulated({}, {}, (), reason)
     parts = stretches(recordings)
-    robots = [WrittenRobot(files, model.robot.joint_names) for files in (before, after)]
-    judged = _judged_joints(parts)
+    efforts, judged = np.concatenate([part.samples.effort for part in parts]), _judged_joints(parts)
+    robots = loaded_robots((before, after), model.robot.joint_names, efforts)
     for robot in robots:
-        robot.expect_load(robot.true_effort(np.concatenate([part.samples.effort for part in parts])))
         for joint in np.flatnonzero(~judged):
             robot.prescribe(int(joint))
     errors = Errors(model, noise)
@@ -122,7 +121,7 @@ def _simulated(stretch: Stretch, errors: Errors, before: WrittenRobot, after: Wr
 
 def _why_not(model: MeasurementModel, recordings: Sequence[Samples]) -> str:
     if model.robot.floating_base:
-        return "the base floats, and its motion cannot be simulated without its contacts"
+        return FLOATING
     if any(sensor.role == "external" for sensor in model.sensors):
         return "external loads act on the robot, which the written models do not contain"
     if not stretches(recordings):

@@ -153,7 +153,6 @@ def interpolated(times: FloatArray, values: FloatArray, at: FloatArray) -> Float
 
 
 _DRAWS = 4  # of noise for each window
-_SEED = 0
 
 
 class Errors:
@@ -201,7 +200,7 @@ class Errors:
 
     def of_noise(self, simulation: WindowSimulation, robot: WrittenRobot, undisturbed: Simulated) -> FloatArray:
         """What noise in the efforts and wrenches changes, ``(draws W, channels)``."""
-        random = np.random.default_rng(_SEED)
+        random = np.random.default_rng(0)
         changes: list[FloatArray] = []
         for _ in range(_DRAWS):
             noise = self._noise.at(simulation.instants, random.uniform(0.0, self._noise.duration))

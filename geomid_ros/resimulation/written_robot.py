@@ -61,10 +61,7 @@ class WrittenRobot:
         self.model.opt.disableflags |= self.mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
     def _loaded(self, path: Path) -> Any:
-        try:
-            model = self.mujoco.MjModel.from_xml_path(str(path))
-        except ValueError as error:
-            raise InputError(f"{path}: MuJoCo cannot read this model ({' '.join(str(error).split())})") from error
+        model = _compiled(path)
         if model.nq != model.njnt:
             raise InputError(f"{path}: has joints of several axes, or a floating base, which cannot be resimulated")
         return model
@@ -234,6 +231,26 @@ class WrittenRobot:
         return Rollout(states[:, :, 1 + self.dofs], states[:, :, 1 + model.nq + self.dofs], sensed)
 
 
+FLOATING = "the base floats, and its motion cannot be simulated without its contacts"
+"""Why nothing of such a robot is simulated."""
+
+
+def loaded_robots(files: Sequence[ModelFiles], joints: Sequence[str], measured: FloatArray) -> list[WrittenRobot]:
+    """The robots of some files, which expect the load of ``measured`` efforts ``(N, J)``. Raises InputError."""
+    robots = [WrittenRobot(each, joints) for each in files]
+    for robot in robots:
+        robot.expect_load(robot.true_effort(measured))
+    return robots
+
+
+def _compiled(path: Path) -> Any:
+    """The model in an MJCF. Raises InputError naming it."""
+    try:
+        return load_mujoco().MjModel.from_xml_path(str(path))
+    except ValueError as error:
+        raise InputError(f"{path}: MuJoCo cannot read this model ({' '.join(str(error).split())})") from error
+
+
 def load_mujoco() -> Any:
     """The module, imported when it is first needed. Raises InputError when it does not import."""
     try:
@@ -262,11 +279,7 @@ class BodyFrames:
 
 def body_frames(path: Path) -> BodyFrames:
     """Read an MJCF. Raises InputError naming the file."""
-    mujoco = load_mujoco()
-    try:
-        model = mujoco.MjModel.from_xml_path(str(path))
-    except ValueError as error:
-        raise InputError(f"{path}: MuJoCo cannot read this model ({' '.join(str(error).split())})") from error
+    mujoco, model = load_mujoco(), _compiled(path)
     data = mujoco.MjData(model)
     of_one_axis = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
     single = [index for index in range(model.njnt) if model.jnt_type[index] in of_one_axis]

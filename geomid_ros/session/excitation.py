@@ -33,7 +33,6 @@ RATE = 100.0
 _OTHERS = 6  # motions on which efforts are to be predicted
 _COMPARED = 3  # random motions with which a designed one is compared
 _SLOW_SHARE = {PREDICTION: 0.1, "friction": 0.5}
-_SEED = 0
 _MANY = 20.0
 
 
@@ -61,7 +60,7 @@ class MotionRequest:
     speed: float = 0.5
     aim: str = PREDICTION
     settle: Path | None = None
-    seed: int = _SEED
+    seed: int = 0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -14,6 +14,7 @@ from geomid_ros.model.measurement import Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import sensor_channels
 from geomid_ros.session.session import Session
+from geomid_ros.signals.limits import MOST_BYTES
 
 
 class Training:
@@ -103,9 +104,6 @@ class TrainingData:
         return (Finding(cause=Cause(kind="still", sentence=f"{sentence}; record a motion of all joints")),)
 
 
-_MOST_HELD = 100_000_000  # bytes of rows that can be taken back
-
-
 class WrenchGuard:
     """Judges the mounted sensors of a session once, by the rows that its identifier took first."""
 
@@ -155,4 +153,4 @@ class WrenchGuard:
         forgets = np.isfinite(self._session.configuration.buffer.forgetting_time)
         instant = 8 * (model.dimension + 1) * len(model.channels)
         doubted = model.mounted and not (forgets and self.ended)
-        self._session.identifier.hold(_MOST_HELD // instant if doubted else 0)
+        self._session.identifier.hold(MOST_BYTES // instant if doubted else 0)

@@ -122,9 +122,10 @@ def test_garbage_is_refused_or_shown_and_never_ends_in_a_traceback(
         assert not said or not (tmp_path / key).exists()
 
 
-def test_an_estimate_without_its_posterior_is_refused(identified: Path, tmp_path: Path) -> None:
-    shutil.copytree(identified, tmp_path / "alone", ignore=shutil.ignore_patterns("posterior.npz"))
-    assert "there is no posterior.npz beside it" in refused("report", tmp_path / "alone")
+def test_the_page_needs_no_other_file_than_the_estimate(identified: Path, tmp_path: Path) -> None:
+    shutil.copy(identified / "estimate.json", tmp_path)
+    geomid_ros.rebuild_report(tmp_path)
+    assert lines(tmp_path / "report.html") == lines(identified / "report.html")
 
 
 def test_doubts_are_said_again_as_they_were() -> None:

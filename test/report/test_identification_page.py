@@ -80,7 +80,7 @@ def page_of(*names: str, samples: int = 500, word: str = "usable") -> Identifica
         "origin": ORIGIN,
     }
     file = EstimateFile.of(document, "estimate.json")
-    return IdentificationPage(file, estimate, [channel(name, samples) for name in names])
+    return IdentificationPage(file, [channel(name, samples) for name in names])
 
 
 def written(page: IdentificationPage, folder: Path) -> tuple[Page, str]:

@@ -301,7 +301,7 @@ def test_a_sensor_may_speak_again_after_a_reset(working: Working) -> None:
 
 def test_what_can_be_taken_back_is_bounded(working: Working, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of what waits to be judged, too."""
-    monkeypatch.setattr(training, "_MOST_HELD", 100 * 8 * CHANNELS * (working.session.model.dimension + 1))
+    monkeypatch.setattr(training, "MOST_BYTES", 100 * 8 * CHANNELS * (working.session.model.dimension + 1))
     working.worker.reset()
     monkeypatch.setattr(working.worker.solver, "_detect_changes", lambda: None)
     items = messages(8.0)

@@ -33,7 +33,6 @@ _PLAIN = re.compile(
     rf"CREATE TABLE \w+ ?\((?:{_COLUMN},)*{_COLUMN}\)|CREATE INDEX \w+ ON \w+ ?\( ?\w+(?: ASC| DESC)? ?\)"
 )
 _MOST_SCHEMA = 10_000  # characters of one statement
-_MOST_MEMORY = 4 * MOST_BYTES  # that SQLite may take, in this process
 _STEPS = 100_000  # of SQLite's machine, between two looks at how many there were
 _MORE_STEPS = 10_000  # bytes of the file that are worth as many more
 _RESCUE = "'sqlite3 FILE .recover' may save it"
@@ -63,7 +62,7 @@ class Database:
         self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_BYTES)
         self._database.set_progress_handler(self._too_long, _STEPS)
         try:
-            list(self._query(f"PRAGMA hard_heap_limit = {_MOST_MEMORY}"))
+            list(self._query(f"PRAGMA hard_heap_limit = {4 * MOST_BYTES}"))
             self._check(header)
         except TornError as fault:
             self.cut = cut_off(path, fault, *self._take_whole_rows())

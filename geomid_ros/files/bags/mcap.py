@@ -20,6 +20,7 @@ from typing import NamedTuple, TypeVar
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.storage import (
     MOST_BYTES,
+    PIECE,
     FaultError,
     Part,
     RawMessage,
@@ -35,9 +36,8 @@ _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END = 
 _PRIVATE = 0x80  # of a record's kind: it is for other programs
 _RECORD = struct.Struct("<BQ")  # kind, length
 _MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, times of recording and of publishing
-_PIECE = 1 << 20  # bytes read at once, and of messages outside chunks that make a stretch
 _MOST_STRETCHES = 1_000_000
-_MOST_PENDING = 1 << 28  # bytes of messages that are held at once: those of a chunk, and of others that overlap it
+_MOST_PENDING = 2 * MOST_BYTES  # of messages that are held at once: those of a chunk, and of others that overlap it
 _BYTES_BESIDE_DATA = 250  # of a message that is held
 T = TypeVar("T")
 _TOO_MUCH = "its chunks are too large, or overlap too much in time; 'mcap sort' may help"
@@ -257,7 +257,7 @@ class McapFile:
     def _add(self, new: _RecordSpan) -> None:
         """Append a stretch; records outside chunks become one with those before them."""
         old = self._stretches[-1] if self._stretches else None
-        if old and not old.chunk and not new.chunk and old.end == new.begin and new.end - old.begin < _PIECE:
+        if old and not old.chunk and not new.chunk and old.end == new.begin and new.end - old.begin < PIECE:
             channels = old.channels | new.channels
             channels = self._known_sets.setdefault(channels, channels)
             self._stretches[-1] = _RecordSpan(old.begin, new.end, False, min(old.first, new.first), channels)
@@ -278,7 +278,7 @@ class McapFile:
 
     def _check_profile(self, begin: int, end: int) -> None:
         try:
-            profile = _Fields(memoryview(self._bytes(begin + _RECORD.size, min(end, begin + _PIECE)))).text()
+            profile = _Fields(memoryview(self._bytes(begin + _RECORD.size, min(end, begin + PIECE)))).text()
         except (ValueError, struct.error) as error:
             raise FaultError(f"its header, {error}", begin) from error
         if profile != "ros2":
@@ -296,8 +296,8 @@ class McapFile:
     def _check_sum(self, begin: int, end: int, recorded: int, what: str) -> None:
         """Compare the checksum of a part of the file with the recorded one; zero stands for none."""
         found = 0
-        for place in range(begin, end, _PIECE) if recorded else ():
-            found = crc32(self._bytes(place, min(end, place + _PIECE)), found)
+        for place in range(begin, end, PIECE) if recorded else ():
+            found = crc32(self._bytes(place, min(end, place + PIECE)), found)
         if found != recorded:
             raise FaultError(f"the checksum of its {what} is wrong", begin)
 

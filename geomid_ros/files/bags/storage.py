@@ -100,7 +100,8 @@ METHODS = ("zstd", "lz4")
 
 _MOST_RATIO = 300  # of a whole file; no recording of times and noise comes near
 _LEFT_FREE = 500_000_000  # bytes of a disk that others may need
-_PIECE = 1 << 16  # bytes of a file; of a torn one, less than that is lost
+PIECE = 1 << 16
+"""Bytes of a file that are read at once; of a torn one that was packed, less than that is lost."""
 
 
 @cache
@@ -192,7 +193,7 @@ def _pieces(path: Path, method: str) -> Iterator[bytes]:
     """What a file unpacks to, up to where it is cut off. Raises ValueError."""
     try:
         with _library(method).open(path, "rb") as packed:
-            while piece := packed.read(_PIECE):
+            while piece := packed.read(PIECE):
                 yield piece
     except EOFError:
         return  # what was unpacked has no end, either, and its reader says so

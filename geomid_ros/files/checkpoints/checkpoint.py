@@ -33,7 +33,6 @@ from geomid_ros.types import FloatArray, IntArray
 FORMAT = 2
 _DOCUMENT = "checkpoint"
 _COUNTS, _POSE, _ESTIMATE = "counts", "last_pose", "estimate"
-_MOST_NAMED = 5  # differences in one message
 _MOST_HEADER = 4_000_000  # bytes
 _TEXTS, _CHECKSUM = "__metadata__", "sha256"
 _LENGTH, _DIGEST = 8, 32  # bytes of the header's length and of the checksum
@@ -170,7 +169,7 @@ def _require_meaning(found: Any, expected: Mapping[str, Any]) -> None:
         raise InputError("of another robot: the robot description differs")
     if different:
         named = [f"{name} is {found.get(name)!r:.80}, here {expected.get(name)!r:.80}" for name in different]
-        raise InputError(f"of another configuration: {'; '.join(named[:_MOST_NAMED])}")
+        raise InputError(f"of another configuration: {'; '.join(named)}")
 
 
 def _checkpoint(header: _Header, vectors: dict[str, FloatArray], channels: Sequence[Channel]) -> Checkpoint:

@@ -15,13 +15,12 @@ from typing import Any
 
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded, encoded, largest_size
-from geomid_ros.files.disk import make_folder, write_bytes
+from geomid_ros.files.disk import FOR_OWNER, make_folder, write_bytes
 from geomid_ros.model.channels import Channel
 
 _NAMES = ("checkpoint-a.safetensors", "checkpoint-b.safetensors")
 _LOCK = ".lock"
 _READ = os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC  # of a pipe it waits for nobody
-_MODE, _OF_OTHERS = 0o600, 0o077
 _ASIDE = "unused-"  # how the names of files begin that could not be used
 _MOST_ASIDE = 10
 
@@ -54,9 +53,9 @@ class CheckpointFolder:
         try:
             make_folder(path)
             mode = stat.S_IMODE(path.stat().st_mode)
-            if mode & _OF_OTHERS:
+            if mode & (stat.S_IRWXG | stat.S_IRWXO):
                 raise GeomidError(f"{path}: no checkpoints in a folder that others may use (mode {mode:o}): chmod 700")
-            self._lock = os.open(path / _LOCK, _READ | os.O_CREAT, _MODE)
+            self._lock = os.open(path / _LOCK, _READ | os.O_CREAT, FOR_OWNER)
         except OSError as error:
             raise GeomidError(f"{path}: no folder for checkpoints ({error.strerror or error})") from error
         try:

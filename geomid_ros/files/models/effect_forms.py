@@ -9,6 +9,7 @@ import numpy as np
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import EFFECTS, IdentifiedEffect, KnownEffect, Quantity, effect_class, values_of
 from geomid_ros.model.effects.parameters import COM_ENTRIES
+from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
 
@@ -21,6 +22,22 @@ def is_coefficient(effect: KnownEffect) -> bool:
     """Whether it is one number at a joint that is identified along with the inertias."""
     cls = effect_class(effect.effect)
     return issubclass(cls, IdentifiedEffect) and cls.is_one_number()
+
+
+def by_parameter(effects: Iterable[KnownEffect]) -> dict[tuple[str, str, str], Quantity]:
+    """What effects say, by effect, joint and parameter."""
+    return {
+        (effect.effect, effect.joint, name): quantity
+        for effect in effects
+        for name, quantity in effect.parameters.items()
+    }
+
+
+def coefficients_of(model: MeasurementModel, effects: Iterable[KnownEffect]) -> FloatArray:
+    """The values ``(coefficients,)`` of a model's coefficients that effects say, zero for others."""
+    said = by_parameter(effects)
+    none = Quantity(0.0, 0.0, "")
+    return np.array([said.get((c.effect.name, c.place_name, c.parameter), none).value for c in model.coefficients])
 
 
 def joint_attributes(effects: Iterable[KnownEffect], element: str) -> dict[str, dict[str, float]]:

@@ -23,7 +23,6 @@ from geomid_ros.estimation.estimate import (
     LinksInformation,
     WeighedEstimate,
 )
-from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.files.models.effect_forms import coefficient, combined, continued, is_coefficient
 from geomid_ros.files.models.sidecar import EffectEntry, coefficient_entry, effect_entry
 from geomid_ros.files.models.urdf import Inertia
@@ -276,35 +275,13 @@ class EstimateFile:
     def _useless(self, why: str) -> InputError:
         return InputError(f"{self.source}: the information {why}; {_WITHOUT_INFORMATION}")
 
-    def estimate(self, posterior: Posterior) -> Estimate:
-        """The estimate of the same run as a ``posterior``, with what no file has left out."""
-        rows, targets = posterior.evidence
-        size = 10 * len(self.links)
-        return Estimate(
-            converged=self.converged,
-            reason=self.reason,
-            seconds=self.seconds,
-            steps=self.steps,
-            gamma=self.gamma,
-            rows_accepted=self.rows.accepted,
-            rows_set_aside=self.rows.set_aside,
-            links=tuple(_link_estimate(link, self.inertias[link.name], self.source) for link in self.links),
-            effects=tuple(self._effect_estimates),
-            parameters=posterior.parameters,
-            channels=tuple(self.rms.train),
-            sigmas=np.array([*self.sigma.values()]),
-            spreads=np.full(len(self.links), np.nan),
-            rms_nominal=np.array([*self.rms.nominal.values()]),
-            rms=np.array([*self.rms.train.values()]),
-            information=self.known_information or LinksInformation(np.zeros((size, size)), np.zeros(size)),
-            posterior=posterior,
-            rows=rows,
-            targets=targets,
-            known=self.known,
-        )
+    @property
+    def link_estimates(self) -> list[LinkEstimate]:
+        """The links as they were found. Raises InputError for one of which the file does not say enough."""
+        return [_link_estimate(link, self.inertias[link.name], self.source) for link in self.links]
 
     @property
-    def _effect_estimates(self) -> list[EffectEstimate]:
+    def effect_estimates(self) -> list[EffectEstimate]:
         """The effects that the data say something of."""
         shares = {(each.name, each.joint): each.from_data for each in self.effects}
         shares |= {(each.effect, each.joint): each.from_data for each in self.added}

@@ -16,7 +16,14 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimate import LinksInformation
-from geomid_ros.files.models.effect_forms import combined, continued, is_body, payload_parameters, turned_gravity
+from geomid_ros.files.models.effect_forms import (
+    by_parameter,
+    combined,
+    continued,
+    is_body,
+    payload_parameters,
+    turned_gravity,
+)
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.model.effects import (
     Effect,
@@ -194,12 +201,9 @@ class LoadedModel:
 
     def deviations(self, model: MeasurementModel) -> FloatArray:
         """Standard deviations ``(D,)`` of the effects' coefficients, NaN where the file says none."""
-        stds = {
-            (known.effect, known.joint, name): quantity.std
-            for known in self.effects
-            for name, quantity in known.parameters.items()
-        }
-        found = [stds.get((c.effect.name, c.place_name, c.parameter), math.nan) for c in model.coefficients]
+        said = by_parameter(self.effects)
+        places = [(c.effect.name, c.place_name, c.parameter) for c in model.coefficients]
+        found = [said[place].std if place in said else math.nan for place in places]
         return np.concatenate([np.full(len(model.nominal_inertias), np.nan), found])
 
     def information(self, model: MeasurementModel) -> LinksInformation | None:

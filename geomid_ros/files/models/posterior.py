@@ -32,7 +32,6 @@ from geomid_ros.types import AnyArray, FloatArray, frozen
 
 POSTERIOR = "posterior.npz"
 FORMAT = 2
-_FORMATS = (1, FORMAT)
 _HEADER = "posterior"
 _VECTORS = ("parameters", "prior", "prior_spreads")
 _MOST_PARAMETERS = 2000
@@ -125,7 +124,7 @@ def _read(path: Path, read: Callable[[zipfile.ZipFile, _Header], T]) -> T:
 
 def _header(archive: zipfile.ZipFile) -> _Header:
     document = json.loads(str(_array(archive, _HEADER)))
-    if document["format"] not in _FORMATS:
+    if document["format"] not in (1, FORMAT):
         raise InputError(f"has format {document['format']!r}, this version reads formats 1 and {FORMAT}")
     return structured(_Header, document, "its text:")
 
