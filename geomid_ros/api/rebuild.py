@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from jinja2 import TemplateError
@@ -18,7 +17,7 @@ from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.report.gap_page import GapPage, write_gap_page
 from geomid_ros.report.identification_page import IdentificationPage, write_identification_page
 from geomid_ros.report.series import SavedFit
-from geomid_ros.report.simulated_again import SENTENCES, SimulatedAgain
+from geomid_ros.report.simulated_again import Kind, SimulatedAgain
 
 _GAP, _ESTIMATE, _PAGE = "gap.json", "estimate.json", "report.html"
 
@@ -83,21 +82,5 @@ def _gap_page(file: GapFile) -> GapPage:
 
 def _simulated(file: GapFile) -> list[SimulatedAgain]:
     """The errors of the simulations that there were, without their motions."""
-    nothing = np.zeros((0, 0))
-    kinds: list[tuple[Literal["windows", "closed_loop"], Errors | None]]
-    kinds = [("windows", file.resimulated), ("closed_loop", file.closed_loop)]
-    return [
-        SimulatedAgain(
-            kind=kind,
-            sentence=SENTENCES[kind],
-            errors=errors,
-            joints=[],
-            units=[],
-            times=np.zeros(0),
-            measured=nothing,
-            before=nothing,
-            after=nothing,
-        )
-        for kind, errors in kinds
-        if errors is not None
-    ]
+    kinds: list[tuple[Kind, Errors | None]] = [("windows", file.resimulated), ("closed_loop", file.closed_loop)]
+    return [SimulatedAgain(kind=kind, errors=errors) for kind, errors in kinds if errors is not None]

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.resimulation.closed_loop import ClosedLoop
 from geomid_ros.resimulation.resimulate import Resimulated
 from geomid_ros.resimulation.windows import HORIZON
 from geomid_ros.session.written_simulation import Simulations
 from geomid_ros.types import FloatArray
 
-SENTENCES = {
+Kind: TypeAlias = Literal["windows", "closed_loop"]
+SENTENCES: Mapping[Kind, str] = {
     "windows": f"Velocities simulated in MuJoCo with the written MJCF. The measured efforts are applied; every "
     f"{HORIZON:g} s the simulation restarts from the measured state.",
     "closed_loop": "Efforts simulated in MuJoCo with the written MJCF: the whole motion under the recorded commands, "
@@ -24,67 +24,55 @@ SENTENCES = {
 """How it was simulated, by kind."""
 
 
+def _nothing() -> FloatArray:
+    return np.zeros((0, 0))
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SimulatedAgain:
     """The robot's simulation before and after, beside what was measured.
 
     Attributes:
-        kind: how it was simulated; ``sentence`` says it in words.
+        kind: how it was simulated.
         errors: {before, after}, each by channel in units of the floor.
         joints: names of the columns; their ``units``.
         times: ``(N,)`` [s].
         measured, before, after: ``(N, joints)``, NaN where a new simulation begins.
     """
 
-    kind: Literal["windows", "closed_loop"]
-    sentence: str
+    kind: Kind
     errors: Mapping[str, Mapping[str, float]]
-    joints: Sequence[str]
-    units: Sequence[str]
-    times: FloatArray
-    measured: FloatArray
-    before: FloatArray
-    after: FloatArray
+    joints: Sequence[str] = ()
+    units: Sequence[str] = ()
+    times: FloatArray = field(default_factory=_nothing)
+    measured: FloatArray = field(default_factory=_nothing)
+    before: FloatArray = field(default_factory=_nothing)
+    after: FloatArray = field(default_factory=_nothing)
+
+    @property
+    def sentence(self) -> str:
+        """How it was simulated."""
+        return SENTENCES[self.kind]
 
 
 def simulated_again(model: MeasurementModel, simulations: Simulations) -> list[SimulatedAgain]:
     """The simulations that there are, in short windows first."""
+    velocities, efforts = [f"{unit}/s" for unit in position_units(model)], [joint.unit for joint in model.robot.joints]
     windows, loop = simulations.windows, simulations.closed_loop
-    return [*([_of_windows(model, windows)] if windows else []), *([_of_loop(model, loop)] if loop else [])]
+    return [
+        *([_again("windows", windows, model.robot.joint_names, velocities)] if windows else []),
+        *([_again("closed_loop", loop, model.robot.joint_names, efforts)] if loop else []),
+    ]
 
 
-def _of_windows(model: MeasurementModel, found: Resimulated) -> SimulatedAgain:
-    def lines(kind: str) -> FloatArray:
-        return np.concatenate([_broken(getattr(trace, kind)) for trace in found.traces])
-
-    return SimulatedAgain(
-        kind="windows",
-        sentence=SENTENCES["windows"],
-        errors={"before": found.before, "after": found.after},
-        joints=model.robot.joint_names,
-        units=[f"{unit}/s" for unit in position_units(model)],
-        times=_in_a_row([_ends_repeated(trace.times) for trace in found.traces]),
-        measured=lines("measured"),
-        before=lines("before"),
-        after=lines("after"),
-    )
-
-
-def _of_loop(model: MeasurementModel, found: ClosedLoop) -> SimulatedAgain:
-    def lines(kind: str) -> FloatArray:
-        return np.concatenate([_broken(getattr(trace, kind)[None]) for trace in found.traces])
-
-    return SimulatedAgain(
-        kind="closed_loop",
-        sentence=SENTENCES["closed_loop"],
-        errors={"before": found.before, "after": found.after},
-        joints=model.robot.joint_names,
-        units=[joint.unit for joint in model.robot.joints],
-        times=_in_a_row([_ends_repeated(trace.times[None]) for trace in found.traces]),
-        measured=lines("effort"),
-        before=lines("effort_before"),
-        after=lines("effort_after"),
-    )
+def _again(kind: Kind, found: Resimulated, joints: Sequence[str], units: Sequence[str]) -> SimulatedAgain:
+    lines = {
+        name: np.concatenate([_broken(getattr(trace, name)) for trace in found.traces])
+        for name in ("measured", "before", "after")
+    }
+    times = _in_a_row([_ends_repeated(trace.times) for trace in found.traces])
+    errors = {"before": found.before, "after": found.after}
+    return SimulatedAgain(kind=kind, errors=errors, joints=joints, units=units, times=times, **lines)
 
 
 def position_units(model: MeasurementModel) -> list[str]:

@@ -11,6 +11,7 @@ from geomid_ros.files.models.written_model import ModelFiles
 from geomid_ros.model.effects import Motion
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
+from geomid_ros.resimulation.resimulate import Resimulated, SimulatedTrace
 from geomid_ros.resimulation.windows import (
     Noise,
     Stretch,
@@ -26,34 +27,6 @@ from geomid_ros.types import BoolArray, FloatArray
 
 _SEPARATIONS = (0.03, 0.05, 0.08)  # [s] at which the noise of filtered samples is another, and the motion the same
 _EXPLAINED = 0.9  # share of an effort's variance that a controller has to explain
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class LoopTrace:
-    """One stretch in closed loop: ``times (N,)`` [s], and the joints' efforts ``(N, J)``, measured and simulated with
-    the models before and after the findings."""
-
-    times: FloatArray
-    effort: FloatArray
-    effort_before: FloatArray
-    effort_after: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class ClosedLoop:
-    """Errors of the efforts that the controller needs.
-
-    Attributes:
-        before, after: Root mean square in units of the noise floor, by joint; without the joints whose efforts do not
-            follow from the commands.
-        traces: The stretches.
-        skipped: Why there is nothing, else empty.
-    """
-
-    before: Mapping[str, float]
-    after: Mapping[str, float]
-    traces: tuple[LoopTrace, ...]
-    skipped: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +78,7 @@ def closed_loop(
     *,
     noise: Noise,
     cutoff: float,
-) -> ClosedLoop:
+) -> Resimulated:
     """Simulate recordings under their commands.
 
     The controller is the one that explains the measured efforts best, ``u = feed-forward + k (q_d - q) + d (v_d - v) +
@@ -119,23 +92,27 @@ def closed_loop(
             settings.
         noise: An example of the sensors' noise.
         cutoff: Errors are judged below it [Hz]; that of ``noise``.
+
+    Returns:
+        Errors of the efforts that the controller needs, without the joints whose efforts do not follow from the
+        commands.
     """
     try:
         parts, robots, controller = _prepared(model, (before, after), recordings, commands)
     except _NotSimulatedError as reason:
-        return ClosedLoop({}, {}, (), str(reason))
+        return Resimulated({}, {}, (), str(reason))
     joints = model.robot.joint_names
     traces = [_simulated(part, controller, *robots) for part in parts]
     floor = np.sqrt(np.mean(noise.only(joints).values ** 2, axis=0))
     known = controller.found & (floor > 0.0)
 
     def ratios(kind: str) -> dict[str, float]:
-        errors = [trace.effort - getattr(trace, kind) for trace in traces]
+        errors = [(trace.measured - getattr(trace, kind))[0] for trace in traces]
         low = [filtered(e, cutoff, p.stretch.period)[0] for e, p in zip(errors, parts, strict=True)]
         ratio = root_mean_square(low) / np.where(known, floor, 1.0)
         return {name: float(value) for name, value, good in zip(joints, ratio, known, strict=True) if good}
 
-    return ClosedLoop(ratios("effort_before"), ratios("effort_after"), tuple(traces))
+    return Resimulated(ratios("before"), ratios("after"), tuple(traces))
 
 
 def tracking(
@@ -239,13 +216,10 @@ def _true_time(stretch: Stretch, robot: WrittenRobot) -> FloatArray:
     return np.where(np.all(np.isfinite(effort), axis=0), shifted, np.nan)
 
 
-def _simulated(part: _Commanded, controller: FittedController, before: WrittenRobot, after: WrittenRobot) -> LoopTrace:
-    return LoopTrace(
-        times=part.stretch.times,
-        effort=part.stretch.samples.effort,
-        effort_before=_simulated_effort(part, controller, before),
-        effort_after=_simulated_effort(part, controller, after),
-    )
+def _simulated(part: _Commanded, controller: FittedController, *robots: WrittenRobot) -> SimulatedTrace:
+    """The efforts of a stretch, as one window, of the robots before and after."""
+    efforts = (_simulated_effort(part, controller, robot)[None] for robot in robots)
+    return SimulatedTrace(part.stretch.times[None], part.stretch.samples.effort[None], *efforts)
 
 
 def _simulated_effort(part: _Commanded, controller: FittedController, robot: WrittenRobot) -> FloatArray:

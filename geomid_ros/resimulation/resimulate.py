@@ -30,9 +30,9 @@ _STILL = 1e-3  # [rad, m] a joint that moves less is held by forces that are not
 
 
 @dataclass(frozen=True, eq=False)
-class WindowTrace:
-    """The joints in the windows of one stretch: ``times (W, K)`` [s] and the velocities that were ``measured`` and come
-    ``before, after`` the findings, each ``(W, K, J)``."""
+class SimulatedTrace:
+    """The joints in the windows of one stretch: ``times (W, K)`` [s] and the velocities (in closed loop, the efforts)
+    that were ``measured`` and come ``before, after`` the findings, each ``(W, K, J)``."""
 
     times: FloatArray
     measured: FloatArray
@@ -42,18 +42,18 @@ class WindowTrace:
 
 @dataclass(frozen=True, eq=False)
 class Resimulated:
-    """Errors of the simulation in short windows.
+    """Errors of a simulation, in short windows or in closed loop.
 
     Attributes:
-        before, after: Root mean square by joint (velocity at the window's end) or wrench channel (mean), in units of
-            the errors that noise alone causes; without those that cannot be judged.
+        before, after: Root mean square by joint (velocity at the window's end, or effort in closed loop) or wrench
+            channel (mean), in units of the errors that noise alone causes; without those that cannot be judged.
         traces: The windows of each stretch.
         skipped: Why there is nothing, else empty.
     """
 
     before: Mapping[str, float]
     after: Mapping[str, float]
-    traces: tuple[WindowTrace, ...]
+    traces: tuple[SimulatedTrace, ...]
     skipped: str = ""
 
 
@@ -101,14 +101,14 @@ class _Run:
     before: FloatArray
     after: FloatArray
     noise: FloatArray
-    trace: WindowTrace
+    trace: SimulatedTrace
 
 
 def _simulated(stretch: Stretch, errors: Errors, before: WrittenRobot, after: WrittenRobot) -> _Run:
     windows = Windows.of(stretch, min(before.step, after.step))
     first, last = WindowSimulation(before, windows), WindowSimulation(after, windows)
     of_first, of_last = first.run(), last.run()
-    trace = WindowTrace(
+    trace = SimulatedTrace(
         stretch.times[windows.samples], stretch.samples.velocity[windows.samples], of_first.velocity, of_last.velocity
     )
     return _Run(

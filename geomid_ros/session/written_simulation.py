@@ -20,7 +20,7 @@ from geomid_ros.files.models.written_model import ModelFiles, NoiseFloor, Writte
 from geomid_ros.gap.result import GapResult
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.samples import Samples
-from geomid_ros.resimulation.closed_loop import ClosedLoop, Tracking, closed_loop, tracking
+from geomid_ros.resimulation.closed_loop import Tracking, closed_loop, tracking
 from geomid_ros.resimulation.resimulate import Resimulated, resimulate
 from geomid_ros.resimulation.windows import Noise
 from geomid_ros.session.gap import GapReader
@@ -43,7 +43,7 @@ class Simulations:
     """
 
     windows: Resimulated | None = None
-    closed_loop: ClosedLoop | None = None
+    closed_loop: Resimulated | None = None
     skipped: str = ""
 
 

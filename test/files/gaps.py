@@ -188,7 +188,6 @@ def _simulated_again(joints: Sequence[str], trace: Trace) -> SimulatedAgain:
     times = (trace.stamps - trace.stamps[0]) * 1e-9
     return SimulatedAgain(
         kind="closed_loop",
-        sentence="Under its commands.",
         errors=errors,
         joints=joints,
         units=["rad"] * len(joints),

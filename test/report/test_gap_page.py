@@ -163,7 +163,7 @@ def test_an_ambiguity_names_rivals_and_what_would_settle_it(drawn: Draw) -> None
 
 def test_simulated_again(drawn: Draw) -> None:
     text = drawn(NAMED).text
-    assert "Resimulation In closed loop Under its commands." in text
+    assert "Resimulation In closed loop Efforts simulated in MuJoCo" in text
     assert "before 10.9" in text
     assert "No resimulation" not in text
     assert "No resimulation: MuJoCo has the day off." in drawn(PAGES["ambiguous"]).text

@@ -13,7 +13,8 @@ from geomid_ros.files.models.written_model import ModelFiles
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.resimulation.closed_loop import ClosedLoop, closed_loop
+from geomid_ros.resimulation.closed_loop import closed_loop
+from geomid_ros.resimulation.resimulate import Resimulated
 from geomid_ros.types import FloatArray
 
 from .recordings import ARM, JOINTS, MODEL, PERIOD, files, motion, noise_example, recording
@@ -34,7 +35,7 @@ def commands(samples: Samples, effort: FloatArray, seed: int = 5) -> Samples:
     )
 
 
-def simulated(before: ModelFiles, after: ModelFiles, data: Samples, wanted: Samples) -> ClosedLoop:
+def simulated(before: ModelFiles, after: ModelFiles, data: Samples, wanted: Samples) -> Resimulated:
     return closed_loop(MODEL, before, after, [data], [wanted], noise=noise_example(), cutoff=CUTOFF)
 
 
@@ -45,7 +46,7 @@ def test_a_right_model_needs_the_measured_efforts(tmp_path: Path) -> None:
     assert found.after == found.before
     assert {**found.after} == pytest.approx(dict.fromkeys(JOINTS, 1.0), rel=SCATTER)
     (trace,) = found.traces
-    np.testing.assert_array_equal(trace.effort_after, trace.effort_before)
+    np.testing.assert_array_equal(trace.after, trace.before)
 
 
 def test_a_wrong_one_needs_others_in_proportion(tmp_path: Path) -> None:
