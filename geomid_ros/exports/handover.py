@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from geomid_ros.checks.unexplained import WORSE
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.exports.descriptions import DESCRIPTIONS, RobotToDescribe, Whole
@@ -30,7 +31,6 @@ from geomid_ros.resimulation.written_robot import load_mujoco
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
-_WORSE = 1.05  # RMS over that of what was given: less is of no account
 MUJOCO = "mujoco"
 
 
@@ -135,7 +135,7 @@ class JudgedFile:
             f"'{name}' is predicted worse by {self.name} than by the given description: RMS {own:.3g} "
             f"instead of {self.given[name]:.3g}{self._why(name)}; {_ADVICE}"
             for name, own in self.alone.items()
-            if min(own, self.corrected[name]) > _WORSE * self.given[name]
+            if min(own, self.corrected[name]) > WORSE * self.given[name]
         ]
 
     def _why(self, channel: str) -> str:

@@ -18,6 +18,7 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.population import RobotLikelihood
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.files.models.readers import READERS
+from geomid_ros.files.schema import FORMAT
 from geomid_ros.fleet.kept import BagSummary, RobotResults, summarise, total
 from geomid_ros.fleet.recordings import FleetBag, on_this_disk
 from geomid_ros.fleet.store import Store
@@ -26,8 +27,6 @@ from geomid_ros.session.recordings import Bags, Topics, with_locked
 from geomid_ros.session.session import Session
 from geomid_ros.session.version import installed_version
 from geomid_ros.types import FloatArray
-
-_FORMAT = 1  # of what is kept
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +79,7 @@ class FleetPlan:
 
 
 def _checksum(content: Any) -> str:
-    text = json.dumps([_FORMAT, content], sort_keys=True)
+    text = json.dumps([FORMAT, content], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 

@@ -17,7 +17,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.report.ellipsoids import BodyDrawing, Ellipsoid
 from geomid_ros.report.page import number
 from geomid_ros.report.robot_drawing import draw_bodies
-from geomid_ros.report.series import Clock, Series, limits, thinned
+from geomid_ros.report.series import MOST_DRAWN, Clock, Series, limits, thinned
 from geomid_ros.report.sheet import (
     CHANNELS,
     FAINT,
@@ -102,9 +102,6 @@ def _middle(batches: Sequence[Samples]) -> Samples:
     return batches[batch].select(slice(place, place + 1))
 
 
-MOST_PANELS = 12
-
-
 def draw_series(figure: Figure, series: Sequence[Series]) -> None:
     """Draw the most improved channels into their place."""
     shown = _most_improved(series)
@@ -126,9 +123,9 @@ def draw_series(figure: Figure, series: Sequence[Series]) -> None:
 
 
 def _most_improved(series: Sequence[Series]) -> list[Series]:
-    """At most ``MOST_PANELS``, in their own order."""
+    """At most ``MOST_DRAWN``, in their own order."""
     ratios = np.array([channel.ratio for channel in series])
-    best = np.argsort(np.where(np.isfinite(ratios), ratios, np.inf), kind="stable")[:MOST_PANELS]
+    best = np.argsort(np.where(np.isfinite(ratios), ratios, np.inf), kind="stable")[:MOST_DRAWN]
     return [series[k] for k in np.sort(best)]
 
 

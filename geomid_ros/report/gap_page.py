@@ -28,11 +28,11 @@ from geomid_ros.report.gap_figures import (
     remainder_picture,
 )
 from geomid_ros.report.page import Bars, write_page
+from geomid_ros.report.series import MOST_DRAWN
 from geomid_ros.report.simulated_again import SimulatedAgain
 from geomid_ros.types import FloatArray
 
 _MOST_CHANNELS = 6  # whose remainder is drawn
-_MOST_OVERLAYS = 12
 _SECONDS = {"efforts": 10.0, "closed_loop": 10.0, "windows": 2.0}  # of held-out data, in a panel
 _MOST_CANDIDATES = 15
 _CHANGED = 0.01  # geodesic distance from which on a link's inertia has changed
@@ -180,7 +180,7 @@ def _variables(page: GapPage, channel: int) -> Iterator[Against]:
 def _overlay_channels(result: GapResult) -> list[int]:
     """Measured channels, the worst before first."""
     order = np.argsort(-np.nan_to_num(result.gap.before), kind="stable")
-    return [int(k) for k in order if np.any(np.isfinite(result.trace.measured[:, k]))][:_MOST_OVERLAYS]
+    return [int(k) for k in order if np.any(np.isfinite(result.trace.measured[:, k]))][:MOST_DRAWN]
 
 
 def _overlay(page: GapPage, channel: int) -> Picture:
@@ -196,7 +196,7 @@ def _worst_joints(again: SimulatedAgain) -> list[int]:
     """Joints whose simulation was judged, the worst before first."""
     before = again.errors["before"]
     judged = [index for index, joint in enumerate(again.joints) if joint in before]
-    return sorted(judged, key=lambda index: -before[again.joints[index]])[:_MOST_OVERLAYS]
+    return sorted(judged, key=lambda index: -before[again.joints[index]])[:MOST_DRAWN]
 
 
 def _motion(again: SimulatedAgain, joint: int) -> Picture:

@@ -13,6 +13,8 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.session.session import Session
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
+MOST_DRAWN = 12
+"""Channels of which lines over time are drawn."""
 BINS = 500
 """Stretches of a long line; each keeps its smallest and largest value."""
 

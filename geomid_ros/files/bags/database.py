@@ -27,14 +27,13 @@ from urllib.parse import quote
 from geomid_ros.files.bags.storage import MOST_BYTES, FaultError, Part, RawMessage, TornError, cut_off, damaged
 
 _MAGIC = b"SQLite format 3\0"
-_HEADER = 100  # bytes
+_HEADER = struct.Struct(">16xH6xII60xI4x")  # page size, changes, pages, changes when the pages were counted
 _COLUMN = r"\s*\w+(?: (?:INTEGER|TEXT|BLOB|PRIMARY|KEY|AUTOINCREMENT|NOT|NULL))*\s*"
 _PLAIN = re.compile(
     rf"CREATE TABLE \w+ ?\((?:{_COLUMN},)*{_COLUMN}\)|CREATE INDEX \w+ ON \w+ ?\( ?\w+(?: ASC| DESC)? ?\)"
 )
 _MOST_SCHEMA = 10_000  # characters of one statement
 _STEPS = 100_000  # of SQLite's machine, between two looks at how many there were
-_MORE_STEPS = 10_000  # bytes of the file that are worth as many more
 _RESCUE = "'sqlite3 FILE .recover' may save it"
 # What rosbag2 has had from its first version on.
 _NEEDED = {"topics": {"id", "name", "type", "serialization_format"}, "messages": {"topic_id", "timestamp", "data"}}
@@ -129,7 +128,7 @@ class Database:
 
     def _query(self, text: str, *values: int) -> Generator[Any, None, None]:
         """The rows of a query, which may take as many steps as the file's size is worth. Raises FaultError."""
-        self._steps = 10 + self._size // _MORE_STEPS
+        self._steps = 10 + 10 * self._size // _STEPS  # ten steps for a byte
         try:
             for row in self._database.execute(text, values):  # noqa: UP028 that closes what is closed already
                 yield row
@@ -145,16 +144,16 @@ class Database:
 
     def _header(self) -> bytes:
         with self._path.open("rb") as file:
-            header = file.read(_HEADER)
+            header = file.read(_HEADER.size)
         if not (header.startswith(_MAGIC) or _MAGIC.startswith(header)):
             raise damaged(self._path, FaultError("it does not begin with an SQLite header", 0), Part(0, 0, ""))
         return header
 
     def _check_size(self, header: bytes) -> None:
         """Check the file's size against the header's page count, unless an old program changed the file."""
-        if len(header) < _HEADER:
+        if len(header) < _HEADER.size:
             raise TornError("the file is empty" if not header else "the file ends in its first bytes", 0)
-        page_size, changes, pages, changes_then = struct.unpack_from(">16xH6xII60xI", header)
+        page_size, changes, pages, changes_then = _HEADER.unpack(header)
         whole = pages * (page_size if page_size > 1 else 1 << 16)
         if changes == changes_then and whole > self._size:
             raise TornError(f"of {whole} bytes, {self._size} are there", self._size)
