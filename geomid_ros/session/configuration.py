@@ -351,14 +351,10 @@ class Configuration:
                 sigma or None,
                 self["objective"],
                 self["solver"],
-                known=self._known,
+                known=tuple(map(WeighedMass.parse, self["known"])),
                 cutoff=self["filter.cutoff"],
             ),
         )
-
-    @property
-    def _known(self) -> tuple[WeighedMass, ...]:
-        return tuple(WeighedMass.parse(text) for text in self["known"])
 
     @property
     def buffer(self) -> BufferSettings:
