@@ -190,7 +190,7 @@ def floor_below(points: FloatArray, solids: Sequence[Ellipsoid]) -> tuple[FloatA
     halves = np.array([np.linalg.norm(solid.axes * solid.semi_axes, axis=1) for solid in solids]).reshape(-1, 3)
     centres = np.array([solid.centre for solid in solids]).reshape(-1, 3)
     ends = np.vstack([points, centres - halves, centres + halves])
-    step = round_step((float(np.max(np.ptp(ends, axis=0))) or 1.0) / 7.0)
+    step = round_step((float(np.max(np.ptp(ends, axis=0))) or 1.0) / 10.0)
     low, high = np.floor(ends.min(axis=0) / step), np.ceil(ends.max(axis=0) / step)
     x, y = (step * np.arange(low[k], high[k] + 1.0) for k in range(2))
     return np.stack(np.broadcast_arrays(x[:, None], y[None, :], ends[:, 2].min()), axis=-1), step
