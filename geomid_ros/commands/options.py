@@ -61,9 +61,35 @@ UNTRIED_OUT = OUT | {"type": click.Path(path_type=Path, file_okay=False)}
 """The same for commands that do not always write: they try it themselves."""
 
 
+def description_options(command: Callable[..., None]) -> Callable[..., None]:
+    """The options that say which robot it is, as :class:`~geomid_ros.api.options.RobotOptions` has them."""
+    for option in (
+        click.option("--lock", type=Names(), metavar="JOINTS", help="Joints that stay at zero, separated by commas."),
+        click.option(
+            "--gain",
+            multiple=True,
+            metavar="[JOINT=]FACTOR",
+            help="Factor from message efforts to N m (or N), for all joints or one; may be repeated.",
+        ),
+        click.option(
+            "--gravity", nargs=3, type=float, metavar="X Y Z", help="Gravity in the base frame.  [default: 0 0 -9.81]"
+        ),
+        click.option("--config", type=click.Path(path_type=Path), help="The node's parameter file (YAML)."),
+        click.option(
+            "--xacro-arg", "xacro_args", multiple=True, metavar="NAME:=VALUE", help="Xacro argument; may be repeated."
+        ),
+        click.option(
+            "--urdf",
+            type=click.Path(path_type=Path),
+            help="Robot description, URDF or .xacro.  [default: robot_description in the bags]",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
 def robot_options(command: Callable[..., None]) -> Callable[..., None]:
-    """The options that say which robot it is, what is measured on it, and how that is read: as
-    :class:`~geomid_ros.api.options.RobotOptions` has them."""
+    """The same, and what is measured on the robot and how that is read."""
     for option in (
         click.option("--odom-topic", default="odom", show_default=True, help="Topic of the base pose."),
         click.option("--floating-base", is_flag=True, help="The base moves; its pose is read from the odometry topic."),
@@ -75,26 +101,8 @@ def robot_options(command: Callable[..., None]) -> Callable[..., None]:
         ),
         click.option("--joint-topic", default="joint_states", show_default=True, help="Topic of the joint states."),
         click.option("--merge", is_flag=True, help="Several publishers send joint states, each for some joints."),
-        click.option("--lock", type=Names(), metavar="JOINTS", help="Joints that stay at zero, separated by commas."),
-        click.option(
-            "--gain",
-            multiple=True,
-            metavar="[JOINT=]FACTOR",
-            help="Factor from message efforts to N m (or N), for all joints or one; may be repeated.",
-        ),
-        click.option(
-            "--gravity", nargs=3, type=float, metavar="X Y Z", help="Gravity in the base frame.  [default: 0 0 -9.81]"
-        ),
         click.option("--cutoff", type=float, metavar="HZ", help="Cutoff of the low-pass filter on all signals."),
-        click.option("--config", type=click.Path(path_type=Path), help="The node's parameter file (YAML)."),
-        click.option(
-            "--xacro-arg", "xacro_args", multiple=True, metavar="NAME:=VALUE", help="Xacro argument; may be repeated."
-        ),
-        click.option(
-            "--urdf",
-            type=click.Path(path_type=Path),
-            help="Robot description, URDF or .xacro.  [default: robot_description in the bags]",
-        ),
+        description_options,
     ):
         command = option(command)
     return command
