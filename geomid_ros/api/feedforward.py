@@ -88,11 +88,15 @@ def feedforward(
         InputError: a file or an argument cannot be used; the trajectory is of another robot; a joint would need more
             effort than it has; the model is doubtful.
     """
-    if not 0.0 < tolerance < 1.0:
-        raise InputError(f"tolerance is {tolerance:g}, expected a share above 0 and below 1")
     source = "the trajectory" if isinstance(trajectory, Trajectory) else str(trajectory)
     given = trajectory if isinstance(trajectory, Trajectory) else _read(Path(trajectory), topic)
-    session = _session(RobotOptions(**options), model, force)
+    return filled(robot_to_move(RobotOptions(**options), model, force=force), given, tolerance, source)
+
+
+def filled(session: Session, given: Trajectory, tolerance: float, source: str) -> Feedforward:
+    """The same for a session of :func:`robot_to_move` and a trajectory from a ``source``. Raises InputError."""
+    if not 0.0 < tolerance < 1.0:
+        raise InputError(f"tolerance is {tolerance:g}, expected a share above 0 and below 1")
     efforts = MotorEfforts(session.model, identified(session), session.effort_gains, given.joints, source)
     found = with_efforts(given, efforts, tolerance)
     _check_limits(found, efforts.limits, source)
@@ -105,7 +109,8 @@ def _read(path: Path, topic: str | None) -> Trajectory:
     return read_trajectory(path) if path.suffix in _YAML else trajectory_in_bag(path, topic)
 
 
-def _session(options: RobotOptions, model: PathLike | None, force: bool) -> Session:
+def robot_to_move(options: RobotOptions, model: PathLike | None, *, force: bool) -> Session:
+    """The robot with its model. Raises InputError where none is given, and unless ``force`` for a doubtful one."""
     if model is None and options.urdf is None:
         raise InputError("no robot is given: add --model estimate.json, or --urdf ROBOT.urdf for the URDF alone")
     robot = options.description([], model)

@@ -118,5 +118,5 @@ def test_one_without_velocities_is_refused(tmp_path: Path) -> None:
     for point in document["points"]:
         del point["velocities"], point["accelerations"]
     (tmp_path / "plan.yaml").write_text(yaml.safe_dump(document))
-    with pytest.raises(InputError, match="plan.yaml: point 0 has no velocities: from position to position the speed"):
+    with pytest.raises(InputError, match=r"plan\.yaml: point 0 has no velocities: from position to position the speed"):
         read_trajectory(tmp_path / "plan.yaml")
