@@ -101,6 +101,7 @@ setup(
         "console_scripts": [
             f"geomid = {NAME}.commands.root:main",
             f"geomid_node = {NAME}.ros.main:main",
+            f"geomid_feedforward = {NAME}.ros.feedforward:main",
         ],
     },
 )

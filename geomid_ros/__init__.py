@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from geomid_ros.api.compare import Comparison, compare
     from geomid_ros.api.excite import MotionDesign, excite
     from geomid_ros.api.export import Exported, export
+    from geomid_ros.api.feedforward import Feedforward, feedforward
     from geomid_ros.api.fleet import FleetIdentification, identify_fleet
     from geomid_ros.api.gap import Gap, find_gap
     from geomid_ros.api.identify import Identification, identify
@@ -48,6 +49,7 @@ __all__ = [
     "Comparison",
     "Effect",
     "Exported",
+    "Feedforward",
     "FleetIdentification",
     "Gap",
     "GeomidError",
@@ -66,6 +68,7 @@ __all__ = [
     "compare",
     "excite",
     "export",
+    "feedforward",
     "find_gap",
     "identify",
     "identify_fleet",
@@ -81,6 +84,7 @@ _NAMES = {
     "geomid_ros.api.compare": ("Comparison", "compare"),
     "geomid_ros.api.excite": ("MotionDesign", "excite"),
     "geomid_ros.api.export": ("Exported", "export"),
+    "geomid_ros.api.feedforward": ("Feedforward", "feedforward"),
     "geomid_ros.api.fleet": ("FleetIdentification", "identify_fleet"),
     "geomid_ros.api.gap": ("Gap", "find_gap"),
     "geomid_ros.api.identify": ("Identification", "identify"),

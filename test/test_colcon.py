@@ -15,7 +15,7 @@ import tree
 import geomid_ros
 
 ROOT = tree.ROOT
-EXECUTABLES = ("geomid", "geomid_node")
+EXECUTABLES = ("geomid", "geomid_node", "geomid_feedforward")
 QUICK = "test/test_launch.py"  # what `colcon test` runs here: every test runs without it anyway
 
 pytest.importorskip("colcon_core", reason="colcon is not installed")

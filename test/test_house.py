@@ -31,6 +31,7 @@ FLOORS = {
     "checks": 4,
     "gap": 4,
     "excitation": 3,
+    "control": 4,
     "files": 5,
     "simulation": 5,
     "resimulation": 6,

@@ -349,7 +349,7 @@ def _judged_faults() -> Iterator[Case]:
     for name in _PLANTED:
         recording = Recording.read(SOURCES[name])
         for fault in FAULTS:
-            if fault.kind not in ("", "stream") and not fault.refused and (recording.source.wrench or not fault.wrench):
+            if fault.kind not in ("", "stream") and not fault.refused and fault.fits(recording):
                 planted = _planted(recording, fault, fault.sizes[0])
                 samples = _samples(planted.session(), planted.bag)
 

@@ -106,10 +106,8 @@ def cases(names: list[str], text: str) -> Iterator[tuple[str, Recording, Fault]]
     """Every recording with every fault that can be planted in it."""
     for name in names:
         recording = recording_of(name)
-        slides = any(joint.unit == "N" for joint in recording.robot.joints)
         for fault in FAULTS:
-            fits = (recording.source.wrench or not fault.wrench) and (slides or not fault.slides)
-            if text in fault.name and fits:
+            if text in fault.name and fault.fits(recording):
                 yield name, recording, fault
 
 

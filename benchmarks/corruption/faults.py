@@ -54,6 +54,11 @@ class Fault:
     slides: bool = False
     doubted: bool = False
 
+    def fits(self, recording: Recording) -> bool:
+        """Whether it can be planted in a recording."""
+        slides = any(joint.unit == "N" for joint in recording.robot.joints)
+        return bool(recording.source.wrench or not self.wrench) and (slides or not self.slides)
+
 
 def _efforts(recording: Recording, effort: FloatArray) -> Recording:
     return replace(recording, effort=effort)

@@ -90,6 +90,29 @@ lock_option = click.option(
 xacro_option = click.option(
     "--xacro-arg", "xacro_args", multiple=True, metavar="NAME:=VALUE", help="Xacro argument; may be repeated."
 )
+description_options = together(
+    [
+        lock_option,
+        click.option(
+            "--gain",
+            multiple=True,
+            metavar="[JOINT=]FACTOR",
+            help="Factor from message efforts to N m (or N), for all joints or one; may be repeated.",
+        ),
+        click.option(
+            "--gravity", nargs=3, type=float, metavar="X Y Z", help="Gravity in the base frame.  [default: 0 0 -9.81]"
+        ),
+        click.option("--config", type=PATH, help="The node's parameter file (YAML)."),
+        xacro_option,
+        click.option(
+            "--urdf",
+            type=PATH,
+            help="Robot description, URDF or .xacro.  [default: robot_description in the bags]",
+        ),
+    ]
+)
+"""The options that say which robot it is, as :class:`~geomid_ros.api.options.RobotOptions` has them."""
+
 robot_options = together(
     [
         click.option("--odom-topic", default="odom", show_default=True, help="Topic of the base pose."),
@@ -102,29 +125,11 @@ robot_options = together(
         ),
         joint_topic_option,
         click.option("--merge", is_flag=True, help="Several publishers send joint states, each for some joints."),
-        lock_option,
-        click.option(
-            "--gain",
-            multiple=True,
-            metavar="[JOINT=]FACTOR",
-            help="Factor from message efforts to N m (or N), for all joints or one; may be repeated.",
-        ),
-        click.option(
-            "--gravity", nargs=3, type=float, metavar="X Y Z", help="Gravity in the base frame.  [default: 0 0 -9.81]"
-        ),
         click.option("--cutoff", type=float, metavar="HZ", help="Cutoff of the low-pass filter on all signals."),
-        click.option("--config", type=PATH, help="The node's parameter file (YAML)."),
-        xacro_option,
-        click.option(
-            "--urdf",
-            type=PATH,
-            help="Robot description, URDF or .xacro.  [default: robot_description in the bags]",
-        ),
+        description_options,
     ]
 )
-"""The options that say which robot it is, what is measured on it, and how that is read: as
-:class:`~geomid_ros.api.options.RobotOptions` has them."""
-
+"""The same, and what is measured on the robot and how that is read."""
 
 recording_options = together(
     [

@@ -25,6 +25,7 @@ COMMANDS = {
     "demo": "Watch a live identification of a simulated arm.",
     "excite": "Design an exciting trajectory.",
     "export": "Print an estimate in the format of other software.",
+    "feedforward": "Fill the efforts of a trajectory.",
     "fleet": "Identify many robots of a type from many bags.",
     "gap": "Diagnose the gap between simulation and robot.",
     "identify": "Identify link inertias from rosbags.",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,14 +12,15 @@ from geomid_ros.types import FloatArray, frozen
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """Positions, velocities and accelerations of ``joints`` at N instants; quintic polynomials lead from one to the
-    next. Arrays are read-only.
+    next, cubic ones where there are no accelerations. Arrays are read-only.
 
     Attributes:
         joints: Names, in the order of the columns.
         times: ``(N,)`` [s] after the start, increasing.
         positions: ``(N, joints)`` [rad, m].
         velocities: ``(N, joints)`` [rad/s, m/s].
-        accelerations: ``(N, joints)`` [rad/s^2, m/s^2].
+        accelerations: ``(N, joints)`` [rad/s^2, m/s^2], or ``(N, 0)``.
+        efforts: ``(N, joints)`` [N m, N], between which they are linear, or ``(N, 0)``.
     """
 
     joints: tuple[str, ...]
@@ -27,9 +28,12 @@ class Trajectory:
     positions: FloatArray
     velocities: FloatArray
     accelerations: FloatArray
+    efforts: FloatArray = field(default=None)  # type: ignore[arg-type]  # replaced by an array without columns
 
     def __post_init__(self) -> None:
-        for name in ("times", "positions", "velocities", "accelerations"):
+        if self.efforts is None:
+            object.__setattr__(self, "efforts", np.zeros((len(self.times), 0)))
+        for name in ("times", "positions", "velocities", "accelerations", "efforts"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @property
@@ -43,12 +47,13 @@ class Trajectory:
         return np.asarray(np.max(np.abs(self.velocities), axis=0))
 
     def at_speed(self, factor: float) -> Trajectory:
-        """The same path, ``factor`` times as fast."""
-        return replace(
-            self,
-            times=self.times / factor,
-            velocities=self.velocities * factor,
-            accelerations=self.accelerations * factor**2,
+        """The same path, ``factor`` times as fast, without efforts."""
+        return Trajectory(
+            self.joints,
+            self.times / factor,
+            self.positions,
+            self.velocities * factor,
+            self.accelerations * factor**2,
         )
 
     def followed_by(self, other: Trajectory) -> Trajectory:
@@ -74,7 +79,8 @@ class Trajectory:
         pairs = np.array([after - 1, after])
         span, passed = np.diff(self.times[pairs], axis=0)[0], times - self.times[after - 1]
         powers = np.arange(6)
-        coefficients = _quintic(span[:, None], self.positions[pairs], self.velocities[pairs], self.accelerations[pairs])
+        ends = span[:, None], self.positions[pairs], self.velocities[pairs]
+        coefficients = _quintic(*ends, self.accelerations[pairs]) if self.accelerations.shape[1] else _cubic(*ends)
         found, factors = [], np.ones(6)
         for order in range(4):
             terms = factors * passed[:, None] ** np.maximum(powers - order, 0)
@@ -100,3 +106,11 @@ def _quintic(span: FloatArray, positions: FloatArray, velocities: FloatArray, ac
             (6.0 * rest - 3.0 * speed + bend / 2.0) / span**4,
         ]
     )
+
+
+def _cubic(span: FloatArray, positions: FloatArray, velocities: FloatArray) -> FloatArray:
+    """The same of the polynomials of order three, without accelerations at the points."""
+    (p, end), (v, last_v) = positions, velocities
+    rest, speed = (end - p) / span - v, last_v - v
+    nothing = np.zeros_like(p)
+    return np.array([p, v, (3.0 * rest - speed) / span, (speed - 2.0 * rest) / span**2, nothing, nothing])

@@ -1,29 +1,27 @@
-"""Trajectories on disk: ``trajectory.yaml``, ``trajectory.csv`` and a rosbag for a joint trajectory controller; and
-``joint_limits.yaml`` as MoveIt and ros2_control write it.
+"""Trajectories on disk: ``trajectory.yaml``, ``trajectory.csv`` and a rosbag for a joint trajectory controller.
 
 ``trajectory.yaml`` has the fields of ``trajectory_msgs/JointTrajectory``: ``joint_names`` and ``points`` of
-``positions``, ``velocities``, ``accelerations`` and ``time_from_start`` {``sec``, ``nanosec``}.
+``positions``, ``velocities``, ``accelerations``, ``effort`` and ``time_from_start`` {``sec``, ``nanosec``}.
 """
 
 from __future__ import annotations
 
-import math
 import shutil
 import tempfile
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import yaml
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from geomid_ros.errors import GeomidError, InputError, unknown_name
-from geomid_ros.excitation.limits import JointLimits
+from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.disk import read_text, write_text
-from geomid_ros.files.parameter_file import read_yaml
 from geomid_ros.types import FloatArray
 
 TOPIC = "/joint_trajectory_controller/joint_trajectory"
@@ -31,26 +29,28 @@ _TYPES = get_typestore(Stores.ROS2_JAZZY)
 _KIND = "trajectory_msgs/msg/JointTrajectory"
 
 
+def save_trajectory(path: Path, trajectory: Trajectory) -> None:
+    """Write YAML or CSV by the suffix of ``path``, else a rosbag in this folder. Raises GeomidError naming the file."""
+    writers = {".yaml": write_yaml, ".yml": write_yaml, ".csv": write_csv}
+    writers.get(path.suffix, write_bag)(path, trajectory)
+
+
 def write_yaml(path: Path, trajectory: Trajectory) -> None:
     """Write ``trajectory.yaml``. Raises GeomidError naming the file."""
     lines = [f"joint_names: [{', '.join(map(_quoted, trajectory.joints))}]", "points:"]
     for row, (seconds, nanoseconds) in enumerate(_stamps(trajectory)):
-        position, velocity, acceleration = (_numbers(own[row]) for own in _states(trajectory))
-        lines += [
-            f"- positions: [{position}]",
-            f"  velocities: [{velocity}]",
-            f"  accelerations: [{acceleration}]",
-            f"  time_from_start: {{sec: {seconds}, nanosec: {nanoseconds}}}",
-        ]
+        fields = [f"{name}: [{_numbers(own[row])}]" for name, own in _fields(trajectory).items()]
+        fields.append(f"time_from_start: {{sec: {seconds}, nanosec: {nanoseconds}}}")
+        lines += [f"{'  ' if place else '- '}{text}" for place, text in enumerate(fields)]
     write_text(path, "\n".join(lines) + "\n")
 
 
 def write_csv(path: Path, trajectory: Trajectory) -> None:
-    """Write one line per point: time, then positions, velocities and accelerations. Raises GeomidError."""
-    kinds = ("position", "velocity", "acceleration")
-    lines = [",".join(["time", *(f"{name} {kind}" for kind in kinds for name in trajectory.joints)])]
+    """Write one line per point: time, then positions, velocities, accelerations and efforts. Raises GeomidError."""
+    fields = _fields(trajectory)
+    lines = [",".join(["time", *(f"{name} {_ONE_OF[kind]}" for kind in fields for name in trajectory.joints)])]
     for row, time in enumerate(trajectory.times.tolist()):
-        lines.append(f"{time!r},{_numbers(np.concatenate([own[row] for own in _states(trajectory)]), ',')}")
+        lines.append(f"{time!r},{_numbers(np.concatenate([own[row] for own in fields.values()]), ',')}")
     write_text(path, "\n".join(lines) + "\n")
 
 
@@ -65,7 +65,7 @@ def write_bag(folder: Path, trajectory: Trajectory) -> None:
             positions=np.array(trajectory.positions[row]),
             velocities=np.array(trajectory.velocities[row]),
             accelerations=np.array(trajectory.accelerations[row]),
-            effort=np.zeros(0),
+            effort=np.array(trajectory.efforts[row]),
             time_from_start=types["builtin_interfaces/msg/Duration"](sec=seconds, nanosec=nanoseconds),
         )
         for row, (seconds, nanoseconds) in enumerate(_stamps(trajectory))
@@ -89,8 +89,18 @@ def _write(folder: Path, message: Any) -> None:
         raise GeomidError(f"{folder}: the bag cannot be written ({error})") from error
 
 
-def _states(trajectory: Trajectory) -> tuple[FloatArray, FloatArray, FloatArray]:
-    return trajectory.positions, trajectory.velocities, trajectory.accelerations
+_ONE_OF = {
+    "positions": "position",
+    "velocities": "velocity",
+    "accelerations": "acceleration",
+    "effort": "effort",
+}
+
+
+def _fields(trajectory: Trajectory) -> dict[str, FloatArray]:
+    """What a trajectory has, each ``(N, joints)``, by the name of the message's field."""
+    arrays = trajectory.positions, trajectory.velocities, trajectory.accelerations, trajectory.efforts
+    return {name: array for name, array in zip(_ONE_OF, arrays, strict=True) if array.shape[1]}
 
 
 def _stamps(trajectory: Trajectory) -> list[tuple[int, int]]:
@@ -108,33 +118,89 @@ def _quoted(name: str) -> str:
 
 
 _WHAT = "trajectory"
-_NUMBERS = ("positions", "velocities", "accelerations")
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast, where there is libyaml
 
 
 def read_trajectory(path: Path) -> Trajectory:
-    """Read ``trajectory.yaml``.
+    """Read ``trajectory.yaml``, or what ``ros2 topic echo`` prints of a ``trajectory_msgs/JointTrajectory``, or of a
+    message of MoveIt's that holds one.
 
-    It has ``joint_names`` and ``points``, each of ``positions``, ``velocities``, ``accelerations`` and
-    ``time_from_start`` with ``sec`` and ``nanosec``.
+    It has ``joint_names`` and ``points``, each of ``positions``, ``velocities``, ``accelerations`` (or none at any
+    point) and ``time_from_start`` with ``sec`` and ``nanosec``.
 
     Raises:
         InputError: naming the file, and the point that cannot be used.
     """
     document = _document(path)
-    joints = tuple(map(str, document["joint_names"]))
-    points = document["points"]
+    rows = list(_rows(path, document["points"]))
+    return _trajectory(str(path), tuple(map(str, document["joint_names"])), rows)
+
+
+def trajectory_in_bag(path: Path, topic: str | None) -> Trajectory:
+    """The last ``trajectory_msgs/JointTrajectory`` with points in a rosbag.
+
+    Args:
+        path: of the bag.
+        topic: on which; None for the only one that has such messages.
+
+    Raises:
+        InputError: naming the bag, and what of the trajectory cannot be used.
+    """
+    with Bag(path) as bag:
+        topics = [name for name, kind in bag.topics.items() if kind == _KIND]
+        if topic is None and len(topics) != 1:
+            listing = ", ".join(topics) or "none"
+            raise InputError(f"{path}: expected one topic of type {_KIND}, found {listing}; --topic names one")
+        chosen = topics[0] if topic is None else bag.find_topic(topic, _KIND, "--topic")
+        messages = [message for _, _, message in bag.messages([chosen]) if len(message.points)]
+    if not messages:
+        raise InputError(f"{path}: no message on {chosen} has points")
+    return trajectory_of(messages[-1], f"{path}: {chosen}")
+
+
+def trajectory_of(message: Any, source: str) -> Trajectory:
+    """The trajectory of a ``trajectory_msgs/JointTrajectory``. Raises InputError naming the ``source``."""
+    rows = [
+        (
+            float(point.time_from_start.sec) + 1e-9 * float(point.time_from_start.nanosec),
+            [list(getattr(point, name)) for name in _MOTION],
+        )
+        for point in message.points
+    ]
+    return _trajectory(source, tuple(message.joint_names), rows)
+
+
+_MOTION = ("positions", "velocities", "accelerations")
+_Row: TypeAlias = tuple[float, list[list[float]]]
+"""Time [s]; positions, velocities and accelerations, none of which there need be."""
+
+
+def _trajectory(source: str, joints: tuple[str, ...], rows: Sequence[_Row]) -> Trajectory:
+    """The checked trajectory of its points. Raises InputError naming the source."""
     if not joints or len(set(joints)) != len(joints):
-        raise InputError(f"{path}: joint_names must name every joint once, and at least one")
-    if len(points) < 2:
-        raise InputError(f"{path}: {len(points)} points, expected at least two")
-    rows = list(_rows(path, points, len(joints)))
+        raise InputError(f"{source}: joint_names must name every joint once, and at least one")
+    if len(rows) < 2:
+        raise InputError(f"{source}: {len(rows)} points, expected at least two")
+    accelerated = bool(rows[0][1][2])
+    widths = [len(joints), len(joints), len(joints) if accelerated else 0]
+    for index, (time, numbers) in enumerate(rows):
+        if not numbers[1]:
+            raise InputError(
+                f"{source}: point {index} has no velocities: from position to position the speed would jump. Have the "
+                "planner add times and velocities (in MoveIt: AddTimeOptimalParameterization)"
+            )
+        if [*map(len, numbers)] != widths or not np.all(np.isfinite([time, *chain(*numbers)])):
+            more = ", accelerations" if accelerated else ""
+            raise InputError(
+                f"{source}: point {index} must have {len(joints)} finite positions, velocities{more}, one for each "
+                "joint, and accelerations at every point or at none"
+            )
     times = np.array([time for time, _ in rows])
     late = np.flatnonzero(np.diff(times, prepend=-1e-9) <= 0.0)
     if len(late):
-        raise InputError(f"{path}: point {late[0]} is at {times[late[0]]:g} s, not after the previous one")
-    positions, velocities, accelerations = np.moveaxis(np.array([numbers for _, numbers in rows]), 1, 0)
-    return Trajectory(joints, times, positions, velocities, accelerations)
+        raise InputError(f"{source}: point {late[0]} is at {times[late[0]]:g} s, not after the previous one")
+    motion = [np.array([numbers[kind] for _, numbers in rows], dtype=np.float64) for kind in range(len(_MOTION))]
+    return Trajectory(joints, times, *motion)
 
 
 def _document(path: Path) -> Mapping[str, Any]:
@@ -142,71 +208,28 @@ def _document(path: Path) -> Mapping[str, Any]:
     try:
         if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text, _Loader)):
             raise InputError(f"{path}: the {_WHAT} has aliases, which are not allowed")
-        document = yaml.load(text, _Loader)  # noqa: S506 it is a safe loader
+        document: Any = next(iter(yaml.load_all(text, _Loader)), None)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: the {_WHAT} cannot be read ({' '.join(str(error).split())})") from error
+    for name in _AROUND:
+        inner = document.get(name) if isinstance(document, dict) else None
+        document = inner[0] if isinstance(inner, list) and len(inner) == 1 else inner or document
     lists = isinstance(document, dict) and all(isinstance(document.get(key), list) for key in ("joint_names", "points"))
     if not lists:
         raise InputError(f"{path}: not a {_WHAT}: expected the lists joint_names and points, as 'geomid excite' writes")
     return dict(document)
 
 
-def _rows(path: Path, points: list[Any], joints: int) -> Iterator[tuple[float, FloatArray]]:
-    """The time of each point, and its numbers ``(3, joints)``."""
+_AROUND = ("trajectory", "joint_trajectory")
+"""Fields of moveit_msgs/DisplayTrajectory and of RobotTrajectory, one in the other."""
+
+
+def _rows(path: Path, points: list[Any]) -> Iterator[_Row]:
     for index, point in enumerate(points):
         try:
             time = point["time_from_start"]
             seconds = float(time["sec"]) + 1e-9 * float(time["nanosec"])
-            numbers = np.array([point[name] for name in _NUMBERS], dtype=np.float64)
-        except (KeyError, TypeError, ValueError) as error:
-            expected = f"{', '.join(_NUMBERS)} of {joints} numbers, and time_from_start: {{sec, nanosec}}"
+            yield seconds, [[float(number) for number in point.get(name) or ()] for name in _MOTION]
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            expected = f"lists of numbers ({', '.join(_MOTION)}), and time_from_start: {{sec, nanosec}}"
             raise InputError(f"{path}: point {index} is incomplete; expected {expected}") from error
-        if numbers.shape != (3, joints) or not np.all(np.isfinite([seconds, *numbers.ravel()])):
-            raise InputError(
-                f"{path}: point {index} must have {joints} finite {', '.join(_NUMBERS)}, one for each joint"
-            )
-        yield seconds, numbers
-
-
-_KINDS = ("velocity", "acceleration", "jerk", "effort")
-
-
-def read_joint_limits(path: Path, joints: Collection[str]) -> dict[str, JointLimits]:
-    """The limits of a robot's ``joints`` in a file, by name; other joints may be in it.
-
-    Raises InputError naming the file and the key.
-    """
-    document = read_yaml(path, "file of joint limits")
-    entries = document.get("joint_limits") if isinstance(document, dict) else None
-    if not isinstance(entries, dict):
-        raise InputError(f"{path}: has no 'joint_limits' by joint, as MoveIt's joint_limits.yaml has")
-    if not set(entries) & set(joints):
-        named = [str(name) for name in entries]
-        raise InputError(f"{path}: {unknown_name('joint', named[0] if named else '', joints)}")
-    return {name: _limits(entries[name], f"{path}: joint '{name}'") for name in joints if name in entries}
-
-
-def _limits(entry: Any, where: str) -> JointLimits:
-    if not isinstance(entry, dict):
-        raise InputError(f"{where} is no mapping of limits")
-    found = {kind: _number(entry, f"max_{kind}", f"has_{kind}_limits", where) for kind in _KINDS}
-    for kind, value in found.items():
-        if value is not None and not value > 0.0:
-            raise InputError(f"{where}: max_{kind} is {value:g}, expected a number greater than zero")
-    ends = {end: _number(entry, f"{key}_position", "has_position_limits", where) for end, key in _ENDS.items()}
-    return JointLimits(**ends, **found)
-
-
-_ENDS = {"lower": "min", "upper": "max"}
-
-
-def _number(entry: Mapping[str, Any], key: str, switch: str, where: str) -> float | None:
-    """The number of a limit; None where it is absent or switched off."""
-    if entry.get(switch) is False or entry.get(key) is None:
-        if entry.get(switch) is True:
-            raise InputError(f"{where}: {switch} is true and {key} is absent; give it a number")
-        return None
-    value = entry[key]
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"{where}: {key} is {value!r}, expected a finite number")
-    return float(value)

@@ -34,27 +34,33 @@ _PAUSE = 0.1  # [s]
 
 def main() -> None:
     """Run the node until SIGINT or SIGTERM; exit status 0, or 2 with one message when it cannot start."""
-    # Imports take longer than a user who ends the node may want to wait; there is nothing to lose yet.
-    _on_signal(lambda: os._exit(0))
     # So long, not the usual 5 ms, a solver in the middle of Python code may keep the intake waiting.
     sys.setswitchinterval(_SWITCH_INTERVAL)
+    started("geomid_node", _run)
+
+
+def started(name: str, run: Callable[[], None]) -> None:
+    """Run a program of this ``name``; what keeps it from starting is one message, and exit status 2."""
+    # Imports take longer than a user who ends the node may want to wait; there is nothing to lose yet.
+    on_signal(lambda: os._exit(0))
     try:
         check_memory()
         load_hashes()
-        _run()
+        run()
     except GeomidError as error:
-        print(f"geomid_node: {error}", file=sys.stderr)
+        print(f"{name}: {error}", file=sys.stderr)
         sys.exit(2)
     except (MemoryError, ImportError, OSError) as error:
         sentence = TOO_LITTLE_MEMORY if is_lack_of_memory(error) else missing_library(error)
         if not sentence:
             raise
-        print(f"geomid_node: {sentence}", file=sys.stderr)
+        print(f"{name}: {sentence}", file=sys.stderr)
         sys.stderr.flush()
         os._exit(2)  # libraries that are half loaded crash when they are unloaded
 
 
-def _on_signal(act: Callable[[], object]) -> None:
+def on_signal(act: Callable[[], object]) -> None:
+    """What SIGINT and SIGTERM do from now on."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: act())
 
@@ -77,7 +83,7 @@ def _run_node(solving: SolvingProcess) -> None:
 
     # rclpy's own handlers would invalidate the publishers before the last estimate is out.
     stopping = threading.Event()
-    _on_signal(stopping.set)
+    on_signal(stopping.set)
     with starting_ros():
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:

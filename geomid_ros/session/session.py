@@ -347,6 +347,12 @@ class Session:
         """The URDF's parameters ``(D,)``: its inertias and no effects."""
         return self.model.nominal_parameters
 
+    @property
+    def effort_gains(self) -> FloatArray:
+        """Factors ``(joints,)`` from the messages' efforts to N m (or N), with what is known of the sensors."""
+        joints = self.robot.joint_names
+        return self.loaded.signals(self.configuration.signals(joints), joints).effort_gains(joints)
+
     def new_pipeline(
         self,
         settings: SignalSettings | None = None,

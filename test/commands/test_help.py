@@ -29,7 +29,8 @@ def command(name: str) -> click.Command:
 
 def test_the_commands() -> None:
     text = done("--help")
-    names = "compare dashboard demo excite export fleet gap identify payload play prior report sample simulate verify"
+    names = "compare dashboard demo excite export feedforward fleet gap identify payload play prior report sample"
+    names += " simulate verify"
     assert names.split() == NAMES
     assert "..." not in text.partition("Commands:")[2], "a command's first sentence is too long for the list"
     assert all(f"  {name} " in text for name in NAMES)

@@ -54,6 +54,8 @@ def check_motion(motion: Trajectory, limits: RobotLimits, source: str) -> None:
     Raises:
         InputError: naming ``source`` and the joint.
     """
+    if not motion.accelerations.shape[1]:
+        raise InputError(f"{source}: no point has accelerations; expected a motion as 'geomid excite' writes it")
     for index, when in ((0, "begins"), (-1, "ends")):
         fast = int(np.argmax(np.abs(motion.velocities[index])))
         if abs(motion.velocities[index, fast]) > _AT_REST:

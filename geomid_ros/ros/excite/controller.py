@@ -106,6 +106,7 @@ def message_of(trajectory: Trajectory) -> JointTrajectory:
                 positions=trajectory.positions[row].tolist(),
                 velocities=trajectory.velocities[row].tolist(),
                 accelerations=trajectory.accelerations[row].tolist(),
+                effort=trajectory.efforts[row].tolist(),
                 time_from_start=Duration(sec=seconds, nanosec=nanoseconds),
             )
         )

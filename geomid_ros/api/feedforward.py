@@ -1,0 +1,130 @@
+"""A trajectory with the efforts that an identified robot takes for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Unpack
+
+import numpy as np
+
+from geomid_ros.api.options import PathLike, RobotKeywords, RobotOptions
+from geomid_ros.api.verify import identified
+from geomid_ros.control.feedforward import interpolation_errors, with_efforts
+from geomid_ros.control.motor_efforts import MotorEfforts
+from geomid_ros.errors import InputError
+from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.files.trajectories import read_trajectory, save_trajectory, trajectory_in_bag
+from geomid_ros.session.session import Session
+from geomid_ros.types import FloatArray
+
+TOLERANCE = 0.01
+"""Of a joint's largest effort, by which straight lines between efforts may be off."""
+_YAML = (".yaml", ".yml")
+
+
+@dataclass(frozen=True, eq=False)
+class Feedforward:
+    """A ``trajectory`` with efforts in the unit of the robot's messages; ``given`` points of it were there before.
+
+    Attributes:
+        session: the robot and its model.
+        limits: the joints' largest efforts ``(joints,)`` in that unit, infinite where the URDF has none.
+        errors: by how much straight lines between the efforts are off at most ``(joints,)``, in that unit.
+        notes: what to know of the efforts, in sentences.
+    """
+
+    trajectory: Trajectory
+    given: int
+    session: Session
+    limits: FloatArray
+    errors: FloatArray
+    notes: tuple[str, ...]
+
+    @property
+    def largest(self) -> FloatArray:
+        """The largest effort of each joint ``(joints,)``."""
+        return np.asarray(np.max(np.abs(self.trajectory.efforts), axis=0))
+
+    def save(self, path: PathLike) -> Path:
+        """Write the trajectory: YAML or CSV by the suffix, else a rosbag in a folder.
+
+        Returns:
+            The path.
+
+        Raises:
+            GeomidError: it cannot be written.
+        """
+        save_trajectory(Path(path), self.trajectory)
+        return Path(path)
+
+
+def feedforward(
+    trajectory: PathLike | Trajectory,
+    model: PathLike | None,
+    *,
+    topic: str | None = None,
+    tolerance: float = TOLERANCE,
+    force: bool = False,
+    **options: Unpack[RobotKeywords],
+) -> Feedforward:
+    """Fill the efforts of a trajectory, for a controller that adds them to its feedback.
+
+    ``geomid feedforward`` calls this; its options have the same names. Positions stay what they are; points are added
+    where straight lines between the efforts would be off by more than ``tolerance``.
+
+    Args:
+        trajectory: a ``trajectory_msgs/JointTrajectory``: YAML, as 'geomid excite' writes or 'ros2 topic echo' prints
+            it, or a rosbag.
+        model: an estimate.json; None for the URDF alone.
+        topic: of the bag, if several have trajectories.
+        tolerance: as a share of each joint's largest effort.
+        force: take a model whose verdict is doubtful, too.
+        options: which robot it is, see :class:`~geomid_ros.RobotOptions`; without ``urdf`` the identified.urdf beside
+            the model.
+
+    Raises:
+        InputError: a file or an argument cannot be used; the trajectory is of another robot; a joint would need more
+            effort than it has; the model is doubtful.
+    """
+    source = "the trajectory" if isinstance(trajectory, Trajectory) else str(trajectory)
+    given = trajectory if isinstance(trajectory, Trajectory) else _read(Path(trajectory), topic)
+    return filled(robot_to_move(RobotOptions(**options), model, force=force), given, tolerance, source)
+
+
+def filled(session: Session, given: Trajectory, tolerance: float, source: str) -> Feedforward:
+    """The same for a session of :func:`robot_to_move` and a trajectory from a ``source``. Raises InputError."""
+    if not 0.0 < tolerance < 1.0:
+        raise InputError(f"tolerance is {tolerance:g}, expected a share above 0 and below 1")
+    efforts = MotorEfforts(session.model, identified(session), session.effort_gains, given.joints, source)
+    found = with_efforts(given, efforts, tolerance)
+    _check_limits(found, efforts.limits, source)
+    errors = np.max(interpolation_errors(found, efforts), axis=0)
+    notes = tuple(filter(None, [session.loaded.doubt, session.loaded.not_predicted]))
+    return Feedforward(found, len(given.times), session, efforts.limits, errors, notes)
+
+
+def _read(path: Path, topic: str | None) -> Trajectory:
+    return read_trajectory(path) if path.suffix in _YAML else trajectory_in_bag(path, topic)
+
+
+def robot_to_move(options: RobotOptions, model: PathLike | None, *, force: bool) -> Session:
+    """The robot with its model. Raises InputError where none is given, and unless ``force`` for a doubtful one."""
+    if model is None and options.urdf is None:
+        raise InputError("no robot is given: add --model estimate.json, or --urdf ROBOT.urdf for the URDF alone")
+    robot = options.description([], model)
+    session = Session(robot.text, options.configuration(model, candidates=[]), robot.source)
+    if session.loaded.doubt and not force:
+        raise InputError(f"{session.loaded.doubt}; to move a robot by it all the same, add --force")
+    return session
+
+
+def _check_limits(found: Trajectory, limits: FloatArray, source: str) -> None:
+    over = np.abs(found.efforts) / limits
+    point, joint = np.unravel_index(int(np.argmax(over)), over.shape)
+    if over[point, joint] > 1.0:
+        raise InputError(
+            f"{source}: joint '{found.joints[joint]}' would need {abs(found.efforts[point, joint]):.4g} at "
+            f"{found.times[point]:.3f} s, {100.0 * (over[point, joint] - 1.0):.0f} % more than its limit of "
+            f"{limits[joint]:.4g}; make the motion slower"
+        )

@@ -1,0 +1,49 @@
+"""``geomid feedforward``: a trajectory with the efforts that an identified robot takes for it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+import geomid_ros
+from geomid_ros.commands.options import Output, description_options
+
+
+@click.command()
+@click.argument("trajectory", type=click.Path(path_type=Path))
+@click.option("--model", type=click.Path(path_type=Path), help="An estimate.json.  [default: the URDF alone]")
+@description_options
+@click.option("--topic", metavar="TOPIC", help="Topic of the trajectory, if TRAJECTORY is a bag with several.")
+@click.option(
+    "--tolerance",
+    type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
+    default=0.01,
+    show_default=True,
+    metavar="SHARE",
+    help="How far straight lines between efforts may be off, as a share of the joint's largest effort.",
+)
+@click.option("--force", is_flag=True, help="Take a model whose verdict is not 'usable', too.")
+@click.option(
+    "--out",
+    type=Output(within=True),
+    default=Path("trajectory_ff.yaml"),
+    show_default=True,
+    help="Where it goes: .yaml, .csv, or a folder for a rosbag.",
+)
+def feedforward(out: Path, **options: Any) -> None:
+    """Fill the efforts of a trajectory.
+
+    TRAJECTORY is a trajectory_msgs/JointTrajectory with velocities: YAML, as 'geomid excite' writes and 'ros2 topic
+    echo' prints it (also of MoveIt's messages), or a rosbag. It comes back with the efforts of the identified model at
+    every point, in the unit of the robot's messages, for a controller that adds them to its feedback, as the
+    joint_trajectory_controller does. The motion stays what it is; points are added on it where the efforts need them.
+    Refuses a trajectory that takes more effort than the URDF allows, and a model whose verdict is not 'usable'.
+    """
+    from geomid_ros.commands.results import feedforward as results
+
+    found = geomid_ros.feedforward(**options)
+    found.save(out)
+    results.show(found)
+    click.echo(f"\nWritten: {out}")

@@ -1,0 +1,1 @@
+"""What was identified moves the robot: efforts for trajectories."""

@@ -1,0 +1,65 @@
+"""What a robot's motors have to do for a motion, as it was identified."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.samples import samples_of
+from geomid_ros.types import FloatArray
+
+
+class MotorEfforts:
+    """Efforts of ``joints``, in the unit of the robot's messages, from their motion.
+
+    What was found of the sensors (offsets) is no effort, and is left out; a gain stays in the unit. Dry friction goes
+    with the commanded speed, and is none at rest.
+    """
+
+    def __init__(
+        self,
+        model: MeasurementModel,
+        parameters: FloatArray,
+        gains: FloatArray,
+        joints: Sequence[str],
+        source: str,
+    ) -> None:
+        """
+        Args:
+            model: of the robot.
+            parameters: of the model ``(D,)``.
+            gains: factors ``(all joints,)`` from the messages' efforts to N m (or N).
+            joints: in the order of the motion.
+            source: of the motion, for messages.
+
+        Raises:
+            InputError: the joints are not those of the robot, or not all efforts can be predicted.
+        """
+        robot = model.robot
+        if robot.floating_base:
+            raise InputError("the base floats: what its legs have to do depends on their contacts")
+        for joint in joints:
+            if joint not in robot.joint_names:
+                raise InputError(f"{source}: {unknown_name('joint', joint, robot.joint_names)}")
+        if missing := [joint for joint in robot.joint_names if joint not in joints]:
+            names = ",".join(missing)
+            raise InputError(f"{source}: says nothing of {names}; if they stand at zero, --lock {names}")
+        self._model = model
+        self._order = np.array([robot.joint_names.index(joint) for joint in joints])
+        self._gains = gains[self._order]
+        of_sensors = np.array([c.effect.of_sensor for c in model.coefficients], dtype=bool)
+        self._parameters = parameters.copy()
+        self._parameters[len(model.nominal_inertias) :][of_sensors] = 0.0
+        self.limits = robot.effort_limits[self._order] / np.abs(self._gains)
+        """The largest efforts ``(joints,)`` in the URDF, infinite where it has none."""
+
+    def __call__(self, motion: FloatArray) -> FloatArray:
+        """Efforts ``(N, joints)`` of positions, velocities and accelerations ``(3, N, joints)``."""
+        own = np.empty_like(motion)
+        own[:, :, self._order] = motion
+        samples = samples_of(own, len(self._model.sensors))
+        efforts = self._model.predicted_efforts(samples, self._parameters)
+        return np.asarray(efforts[:, self._order] / self._gains)

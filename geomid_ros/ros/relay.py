@@ -1,0 +1,66 @@
+"""A relay to a joint_trajectory_controller that fills the efforts of trajectories."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rclpy.node import Node
+from trajectory_msgs.msg import JointTrajectory
+
+from geomid_ros.api.feedforward import TOLERANCE, filled, robot_to_move
+from geomid_ros.api.options import RobotOptions
+from geomid_ros.errors import GeomidError
+from geomid_ros.files.trajectories import trajectory_of
+from geomid_ros.ros.excite.controller import message_of
+from geomid_ros.session.session import Session
+
+_IN = "~/joint_trajectory"
+_CONTROLLER = "/joint_trajectory_controller"
+
+
+class FeedforwardRelay:
+    """Sends on what it hears on ``~/joint_trajectory``, with efforts, to ``CONTROLLER/joint_trajectory``.
+
+    Parameters of its node: ``model`` (an estimate.json, which is read again when it has changed), ``urdf``, ``config``,
+    ``tolerance`` and ``force``, as of :func:`geomid_ros.feedforward`; ``controller``. What is refused is not sent on.
+    """
+
+    def __init__(self, node: Node) -> None:
+        """Raises InputError if the robot or its model cannot be used."""
+        self._log = node.get_logger()
+        self._model, urdf, config, controller = (
+            str(node.declare_parameter(name, default).value)
+            for name, default in (("model", ""), ("urdf", ""), ("config", ""), ("controller", _CONTROLLER))
+        )
+        self._tolerance = float(node.declare_parameter("tolerance", TOLERANCE).value)
+        self._force = bool(node.declare_parameter("force", False).value)
+        self._options = RobotOptions(urdf=urdf or None, config=config or None)
+        self._read_at = self._changed_at()
+        self._session = self._read()
+        self._publisher = node.create_publisher(JointTrajectory, f"{controller}/joint_trajectory", 10)
+        node.create_subscription(JointTrajectory, _IN, self._relay, 10)
+        self._log.info(f"fills the efforts of {node.resolve_topic_name(_IN)} for {self._publisher.topic_name}")
+
+    def _changed_at(self) -> int:
+        path = Path(self._model)
+        return path.stat().st_mtime_ns if path.is_file() else 0
+
+    def _read(self) -> Session:
+        return robot_to_move(self._options, self._model or None, force=self._force)
+
+    def _relay(self, message: JointTrajectory) -> None:
+        try:
+            if self._changed_at() != self._read_at:
+                self._read_at, self._session = self._changed_at(), self._read()
+                self._log.info(f"{self._model} has changed and is read again")
+            if not message.points:  # tells the controller to stop
+                self._publisher.publish(message)
+                return
+            found = filled(self._session, trajectory_of(message, "trajectory"), self._tolerance, "trajectory")
+        except GeomidError as error:
+            self._log.error(f"a trajectory is not sent on: {error}")
+            return
+        filled_message = message_of(found.trajectory)
+        filled_message.header = message.header
+        self._publisher.publish(filled_message)
+        self._log.info(f"{len(message.points)} points are sent on with efforts, as {len(filled_message.points)}")

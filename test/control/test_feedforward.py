@@ -1,0 +1,147 @@
+"""Efforts of trajectories: what they are by an independent route, between points, and on a simulated robot."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from excitation.motions import lively
+from files.recordings import BAGS
+
+import geomid_ros
+from benchmarks.feedforward import errors
+from geomid_ros.api.verify import identified
+from geomid_ros.control.feedforward import SHORTEST, with_efforts
+from geomid_ros.control.motor_efforts import MotorEfforts
+from geomid_ros.errors import InputError
+from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.types import FloatArray
+
+URDF = BAGS / "arm3.urdf"
+JOINTS = ("joint1", "joint2", "joint3")
+
+
+def motion(accelerated: bool = True, points: int = 12) -> Trajectory:
+    times = np.linspace(0.0, 4.0, points)
+    positions, velocities, accelerations = (lively(JOINTS, 4.0, 0.4).rows(times, derivative) for derivative in range(3))
+    return Trajectory(JOINTS, times, positions, velocities, accelerations if accelerated else np.zeros((points, 0)))
+
+
+def rnea(states: FloatArray) -> FloatArray:
+    """Efforts ``(N, joints)`` of the URDF by the recursive Newton-Euler algorithm."""
+    model = pin.buildModelFromUrdf(str(URDF))
+    data, places = model.createData(), [model.joints[model.getJointId(joint)].idx_v for joint in JOINTS]
+    efforts = []
+    for row in states.transpose(1, 0, 2):
+        q, v, a = np.zeros((3, model.nv))
+        q[places], v[places], a[places] = row
+        efforts.append(np.array(pin.rnea(model, data, q, v, a))[places])
+    return np.array(efforts)
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1)])
+def test_without_a_model_they_are_those_of_the_urdf(order: tuple[int, ...]) -> None:
+    """In the order of the trajectory's joints."""
+    given, places = motion(), list(order)
+    columns = {name: getattr(given, name)[:, places] for name in ("positions", "velocities", "accelerations")}
+    other = replace(given, joints=tuple(JOINTS[place] for place in order), efforts=None, **columns)
+    found = geomid_ros.feedforward(other, None, urdf=URDF).trajectory
+    np.testing.assert_allclose(found.efforts, rnea(given.states(found.times)[:3])[:, places], atol=1e-9)
+
+
+def test_they_are_in_the_unit_of_the_messages() -> None:
+    """A driver that says half of the torque, with the other sign at one joint, takes commands in the same unit."""
+    plain = geomid_ros.feedforward(motion(), None, urdf=URDF)
+    found = geomid_ros.feedforward(motion(), None, urdf=URDF, gain={"joint1": 2.0, "joint2": -0.5, "joint3": 1.0})
+    np.testing.assert_allclose(found.trajectory.efforts * [2.0, -0.5, 1.0], plain.trajectory.efforts)
+    np.testing.assert_allclose(found.limits * [2.0, 0.5, 1.0], plain.limits)
+
+
+@pytest.mark.parametrize("accelerated", [True, False])
+def test_the_motion_stays_what_it_is(accelerated: bool) -> None:
+    given = motion(accelerated, 6)
+    found = geomid_ros.feedforward(given, None, urdf=URDF, tolerance=1e-3).trajectory
+    assert len(found.times) > 3 * len(given.times)
+    assert set(given.times) <= set(found.times)
+    assert found.accelerations.shape[1] == given.accelerations.shape[1]
+    times = np.linspace(0.0, 4.0, 997)
+    np.testing.assert_allclose(found.states(times)[0], given.states(times)[0], atol=1e-10)
+    np.testing.assert_allclose(found.states(times)[1], given.states(times)[1], atol=1e-8)
+
+
+@pytest.mark.parametrize("tolerance", [0.1, 0.01, 0.001])
+def test_straight_lines_between_them_are_as_near_as_asked_for(tolerance: float) -> None:
+    given = motion()
+    found = with_efforts(given, rnea, tolerance)
+    times = np.linspace(0.0, 4.0, 3001)
+    between = np.array([np.interp(times, found.times, own) for own in found.efforts.T]).T
+    off = np.max(np.abs(between - rnea(given.states(times)[:3])), axis=0)
+    assert np.all(off < 1.2 * tolerance * np.max(np.abs(found.efforts), axis=0))
+
+
+def test_no_more_points_than_they_need() -> None:
+    """Efforts that are straight lines need none; a jump needs some, until it is as short as a controller's cycle."""
+    given = motion()
+    straight = with_efforts(given, lambda states: states[0], 0.5)
+    assert len(straight.times) == len(given.times)
+    steep = with_efforts(given, lambda states: np.sign(states[0] - 0.25), 0.01)
+    assert SHORTEST <= np.min(np.diff(steep.times)) < 2.0 * SHORTEST
+    assert len(steep.times) < len(given.times) + 12 * 3 * np.count_nonzero(
+        np.diff(np.sign(given.positions - 0.25), axis=0)
+    )
+
+
+def test_a_motion_of_a_trapezoid_of_speed_is_cubic() -> None:
+    """q = t^2 / 2: by positions and velocities alone the acceleration is 1 between all points."""
+    times = np.array([0.0, 0.5, 2.0])
+    given = Trajectory(("a",), times, 0.5 * times[:, None] ** 2, times[:, None], np.zeros((3, 0)))
+    position, velocity, acceleration, _ = given.states(np.array([0.1, 0.7, 1.9]))
+    np.testing.assert_allclose(position[:, 0], [0.005, 0.245, 1.805])
+    np.testing.assert_allclose(velocity[:, 0], [0.1, 0.7, 1.9])
+    np.testing.assert_allclose(acceleration, 1.0)
+
+
+REFUSED = {
+    "another robot": (lambda t: replace(t, joints=("joint1", "joint2", "elbow")), {}, "unknown joint 'elbow'"),
+    "a joint is missing": (
+        lambda t: Trajectory(JOINTS[:2], t.times, t.positions[:, :2], t.velocities[:, :2], t.accelerations[:, :2]),
+        {},
+        "says nothing of joint3; if they stand at zero, --lock joint3",
+    ),
+    "too fast": (lambda t: t.at_speed(40.0), {}, r"joint 'joint\d' would need .* % more than its limit"),
+    "no robot": (lambda t: t, {"urdf": None}, "no robot is given: add --model"),
+    "tolerance": (lambda t: t, {"tolerance": 0.0}, "tolerance is 0, expected a share"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_moved_is_refused(case: str) -> None:
+    change, options, said = REFUSED[case]
+    with pytest.raises(InputError, match=said):
+        geomid_ros.feedforward(change(motion()), None, **({"urdf": URDF} | options))
+
+
+def test_a_simulated_robot_tracks_with_what_was_identified(tmp_path: Path) -> None:
+    """Its URDF is wrong, its joints have friction and rotors: a fiftieth of the error of PD alone is left."""
+    alone, urdf, identified = errors("arm3", 1, False, tmp_path).values()
+    assert identified < alone / 50.0
+    assert identified < urdf / 10.0
+
+
+def test_only_what_the_motors_do_is_commanded(tmp_path: Path) -> None:
+    """An offset of the effort's sensor moves nothing; friction has to be overcome."""
+    estimate = geomid_ros.identify(BAGS / "arm3", URDF, candidates=[]).save(tmp_path, report=False)[0]
+    session = geomid_ros.feedforward(motion(), estimate, force=True).session
+    model, states = session.model, motion().states(np.linspace(0.0, 4.0, 50))[:3]
+
+    def efforts(added: str) -> FloatArray:
+        parameters = identified(session).copy()
+        first = len(model.nominal_inertias)
+        parameters[first:] += [5.0 * (c.effect.name == added) for c in model.coefficients]
+        return MotorEfforts(model, parameters, session.effort_gains, JOINTS, "a motion")(states)
+
+    np.testing.assert_array_equal(efforts("effort_offset"), efforts("nothing"))
+    np.testing.assert_allclose(efforts("viscous_friction") - efforts("nothing"), 5.0 * states[1], atol=1e-9)

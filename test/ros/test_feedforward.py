@@ -1,0 +1,69 @@
+"""The relay: trajectories go on to the controller with efforts, or not at all."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from excitation.motions import lively
+from files.recordings import BAGS
+from trajectory_msgs.msg import JointTrajectory
+
+import geomid_ros
+from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.ros.excite.controller import message_of
+
+from .stage import Stage
+
+JOINTS = ("joint1", "joint2", "joint3")
+OUT = "/arm_controller/joint_trajectory"
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    found = geomid_ros.identify(BAGS / "arm3", BAGS / "arm3.urdf", candidates=[])
+    return found.save(tmp_path_factory.mktemp("model"), report=False)[0]
+
+
+def motion(joints: tuple[str, ...] = JOINTS, duration: float = 4.0) -> Trajectory:
+    times = np.linspace(0.0, duration, 40)
+    return Trajectory(joints, times, *(lively(joints, duration, 0.4).rows(times, order) for order in range(3)))
+
+
+def test_trajectories_go_on_with_efforts_or_not_at_all(stage: Stage, model: Path) -> None:
+    """One of another robot and one that is too fast are said, and the next one goes on; a model that has changed counts
+    from then on."""
+    observer = stage.observer
+    parameters = {"model": str(model), "controller": "/arm_controller"}
+    relay = stage.node(parameters, module="geomid_ros.ros.feedforward", ready=False)
+    sent = observer.node.create_publisher(JointTrajectory, "/geomid_feedforward/joint_trajectory", 10)
+    heard = observer.collect(JointTrajectory, OUT)
+    observer.wait_for(lambda: sent.get_subscription_count() > 0, "the relay")
+    for refused in (motion(("a", "b", "c")), motion(duration=0.05)):
+        sent.publish(message_of(refused))
+    message = message_of(motion())
+    message.header.frame_id = "kept"
+    sent.publish(message)
+    observer.wait_for(lambda: len(heard) == 1, "a trajectory with efforts")
+    expected = geomid_ros.feedforward(motion(), model).trajectory
+    assert heard[0].header.frame_id == "kept"
+    np.testing.assert_allclose([point.effort for point in heard[0].points], expected.efforts, atol=1e-6)
+    assert "unknown joint 'a'" in relay.output
+    assert "more than its limit" in relay.output
+    document = json.loads(model.read_text())
+    for effect in document["effects"]:
+        effect["value"] *= 2.0 if effect["name"] == "viscous_friction" else 1.0
+    model.write_text(json.dumps(document))
+    sent.publish(message)
+    observer.wait_for(lambda: len(heard) == 2, "a trajectory with other efforts")
+    assert not np.allclose(heard[1].points[10].effort, heard[0].points[10].effort)
+    sent.publish(JointTrajectory(joint_names=list(JOINTS)))  # which tells a controller to stop
+    observer.wait_for(lambda: len(heard) == 3, "an order to stop")
+
+
+def test_without_a_model_it_does_not_start(stage: Stage) -> None:
+    relay = stage.node({"controller": "/arm_controller"}, module="geomid_ros.ros.feedforward", ready=False)
+    assert relay.status() == 2
+    assert "geomid_feedforward: no robot is given" in relay.output
