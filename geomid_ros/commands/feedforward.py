@@ -8,12 +8,12 @@ from typing import Any
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import Output, description_options
+from geomid_ros.commands.options import PATH, Output, description_options
 
 
 @click.command()
-@click.argument("trajectory", type=click.Path(path_type=Path))
-@click.option("--model", type=click.Path(path_type=Path), help="An estimate.json.  [default: the URDF alone]")
+@click.argument("trajectory", type=PATH)
+@click.option("--model", type=PATH, help="An estimate.json.  [default: the URDF alone]")
 @description_options
 @click.option("--topic", metavar="TOPIC", help="Topic of the trajectory, if TRAJECTORY is a bag with several.")
 @click.option(
@@ -41,9 +41,9 @@ def feedforward(out: Path, **options: Any) -> None:
     joint_trajectory_controller does. The motion stays what it is; points are added on it where the efforts need them.
     Refuses a trajectory that takes more effort than the URDF allows, and a model whose verdict is not 'usable'.
     """
-    from geomid_ros.commands.results import feedforward as results
+    from geomid_ros.commands.results.tables import show_feedforward
 
     found = geomid_ros.feedforward(**options)
     found.save(out)
-    results.show(found)
+    show_feedforward(found)
     click.echo(f"\nWritten: {out}")

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import click
+import numpy as np
 from rich.table import Table
 
 from geomid_ros.commands.terminal import (
@@ -22,6 +23,7 @@ from geomid_ros.model import shapes
 
 if TYPE_CHECKING:
     from geomid_ros.api.compare import Comparison
+    from geomid_ros.api.feedforward import Feedforward
     from geomid_ros.api.fleet import FleetIdentification
     from geomid_ros.api.verify import Verification
     from geomid_ros.exports.torque_spread import TorqueSpread
@@ -51,6 +53,19 @@ def show_comparison(found: Comparison) -> None:
         say(console, "RMS errors:", f" on {found.judged_on}")
     for name in found.compared.not_compared:
         say(console, "Not compared:", f" {name}, identified together with other links in the second")
+
+
+def show_feedforward(found: Feedforward) -> None:
+    """Print notes, and the efforts of each joint of a trajectory."""
+    console, trajectory = results_console(), found.trajectory
+    print_remarks(console, {"Note": found.notes})
+    console.print(f"{trajectory.duration:g} s, {len(trajectory.times)} points ({found.given} were given)")
+    headings = ["RMS", "largest", "limit", "straight lines off by"]
+    table = plain_table("Efforts of the motors [N m, N]", ["joint"], headings)
+    rms = np.sqrt(np.mean(trajectory.efforts**2, axis=0))
+    for joint, *numbers in zip(trajectory.joints, rms, found.largest, found.limits, found.errors, strict=True):
+        table.add_row(joint, *(f"{number:.4g}" if np.isfinite(number) else "-" for number in numbers))
+    console.print(table)
 
 
 def show_fleet(found: FleetIdentification) -> None:
