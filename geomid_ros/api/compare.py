@@ -127,18 +127,18 @@ def compare(
     Raises:
         InputError: a file cannot be used, or they are of different robots.
     """
-    sides = [read_side(Path(path)) for path in (first, second)]
-    results = [side for side in sides if isinstance(side, Result)]
+    sides = [_read_side(Path(path)) for path in (first, second)]
+    results = [side for side in sides if isinstance(side, _Result)]
     if not results:
         raise InputError(f"{first}, {second}: neither is an estimate.json, so that nothing says how sure a number is")
-    values = [side.values if isinstance(side, Result) else urdf_values(side, results[0]) for side in sides]
-    check_same_robot(sides, values)
+    values = [side.values if isinstance(side, _Result) else _urdf_values(side, results[0]) for side in sides]
+    _check_same_robot(sides, values)
     doubts = [f"{result.path}: {remark}" for result in results for remark in result.file.judgement.remarks]
     status = max(result.file.judgement.status for result in results)
-    errors, data = own_errors(sides), _OWN
+    errors, data = _own_errors(sides), _OWN
     if bag:
-        predicted = [judged_on(side, urdf, bag, options, progress) for side in sides]
-        errors, data = joined([each.errors for each in predicted]), ", ".join(map(str, paths(bag)))
+        predicted = [_judged_on(side, urdf, bag, options, progress) for side in sides]
+        errors, data = _joined([each.errors for each in predicted]), ", ".join(map(str, paths(bag)))
         more = [sentence for each in predicted for sentence in each.doubts]
         doubts, status = [*doubts, *more], max(status, STATUS[DOUBTFUL if more else USABLE])
     return Comparison(
@@ -148,7 +148,7 @@ def compare(
         errors=errors,
         judged_on=data,
         doubts=list(dict.fromkeys(doubts)),
-        notes=notes_on(results, own_data=not bag),
+        notes=_notes_on(results, own_data=not bag),
         status=status,
     )
 
@@ -165,7 +165,7 @@ def _entry(difference: Difference) -> dict[str, Any]:
     }
 
 
-class FileErrors(NamedTuple):
+class _FileErrors(NamedTuple):
     """RMS of what a side leaves by channel, with its unit, and why that is not to be believed."""
 
     errors: Mapping[str, tuple[float, str]]
@@ -173,7 +173,7 @@ class FileErrors(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Result:
+class _Result:
     """An estimate.json at a ``path``, and what it says of links and effects."""
 
     path: Path
@@ -189,19 +189,19 @@ class Result:
         return read_xml(read_urdf(own), str(own)).get("name", "")
 
 
-Side: TypeAlias = Result | Model
+_Side: TypeAlias = _Result | Model
 """What is compared: a result, or a URDF."""
 
 
-def read_side(path: Path) -> Side:
+def _read_side(path: Path) -> _Side:
     """A result, or a URDF. Raises InputError naming the file."""
     if path.suffix != ".json":
         return read_model(path)
     file = EstimateFile.read(path)
-    return Result(path=path, file=file, values=file.values)
+    return _Result(path=path, file=file, values=file.values)
 
 
-def urdf_values(model: Model, result: Result) -> RobotValues:
+def _urdf_values(model: Model, result: _Result) -> RobotValues:
     """What a URDF says of the bodies of a result, exactly.
 
     Raises:
@@ -222,18 +222,18 @@ def urdf_values(model: Model, result: Result) -> RobotValues:
     return RobotValues(links=links, effects=model.effects)
 
 
-def check_same_robot(sides: Sequence[Side], values: Sequence[RobotValues]) -> None:
+def _check_same_robot(sides: Sequence[_Side], values: Sequence[RobotValues]) -> None:
     """Refuse results of different robots: no link in common, or other names and other bodies. Raises InputError."""
     first, second = values
-    names = {side.robot for side in sides if isinstance(side, Result) and side.robot}
+    names = {side.robot for side in sides if isinstance(side, _Result) and side.robot}
     bodies = [{name: link.merged for name, link in each.links.items()} for each in values]
     if not first.links.keys() & second.links.keys() or (len(names) > 1 and bodies[0] != bodies[1]):
-        ours, theirs = (side.path if isinstance(side, Result) else Path(side.source) for side in sides)
+        ours, theirs = (side.path if isinstance(side, _Result) else Path(side.source) for side in sides)
         raise _other_robot(_named(theirs, sides[1]), second.links, _named(ours, sides[0]), first.links)
 
 
-def _named(path: Path, side: Side) -> str:
-    return f"{path} ('{side.robot}')" if isinstance(side, Result) and side.robot else str(path)
+def _named(path: Path, side: _Side) -> str:
+    return f"{path} ('{side.robot}')" if isinstance(side, _Result) and side.robot else str(path)
 
 
 def _other_robot(source: str, links: Iterable[str], other: str, others: Iterable[str]) -> InputError:
@@ -243,7 +243,7 @@ def _other_robot(source: str, links: Iterable[str], other: str, others: Iterable
     )
 
 
-def notes_on(results: Sequence[Result], *, own_data: bool) -> list[str]:
+def _notes_on(results: Sequence[_Result], *, own_data: bool) -> list[str]:
     """What is worth knowing of the comparison; ``own_data``: of the errors, too, each on its own recording."""
     exact = [r.path for r in results if not any(np.any(np.isfinite(link.std)) for link in r.values.links.values())]
     fitted = [r.path for r in results if own_data and r.file.rms.train and not r.file.rms.held_out]
@@ -253,9 +253,9 @@ def notes_on(results: Sequence[Result], *, own_data: bool) -> list[str]:
     ]
 
 
-def own_errors(sides: Sequence[Side]) -> list[ChannelErrors]:
+def _own_errors(sides: Sequence[_Side]) -> list[ChannelErrors]:
     """What each result leaves of its own recording."""
-    return joined([_said(side.file) if isinstance(side, Result) else {} for side in sides])
+    return _joined([_said(side.file) if isinstance(side, _Result) else {} for side in sides])
 
 
 def _said(file: EstimateFile) -> dict[str, tuple[float, str]]:
@@ -265,7 +265,7 @@ def _said(file: EstimateFile) -> dict[str, tuple[float, str]]:
     return {name: (error, units.get(name, "")) for name, error in errors.items()}
 
 
-def joined(sides: Sequence[Mapping[str, tuple[float, str]]]) -> list[ChannelErrors]:
+def _joined(sides: Sequence[Mapping[str, tuple[float, str]]]) -> list[ChannelErrors]:
     """The errors of both, by channel."""
     first, second = sides
     nothing = (math.nan, "")
@@ -280,9 +280,11 @@ def joined(sides: Sequence[Mapping[str, tuple[float, str]]]) -> list[ChannelErro
     ]
 
 
-def judged_on(side: Side, urdf: PathLike | None, bags: Paths, options: RobotKeywords, progress: Progress) -> FileErrors:
+def _judged_on(
+    side: _Side, urdf: PathLike | None, bags: Paths, options: RobotKeywords, progress: Progress
+) -> _FileErrors:
     """What a side leaves of recordings."""
-    if isinstance(side, Result):
+    if isinstance(side, _Result):
         chosen = RobotOptions(urdf=urdf, **options)
         session, samples = read_to_judge(chosen, bags, progress, model=side.path)
         parameters = identified(session)
@@ -292,7 +294,7 @@ def judged_on(side: Side, urdf: PathLike | None, bags: Paths, options: RobotKeyw
         session, samples = read_to_judge(chosen, bags, progress, effects=names)
         parameters = _with_effects(session, side)
     errors = zip(session.model.channels, session.rms(samples, parameters).tolist(), strict=True)
-    return FileErrors({channel.name: (error, channel.unit) for channel, error in errors}, doubts_of(session))
+    return _FileErrors({channel.name: (error, channel.unit) for channel, error in errors}, doubts_of(session))
 
 
 def _with_effects(session: Session, model: Model) -> FloatArray:

@@ -17,7 +17,6 @@ from geomid_ros.report.ellipsoids import outline
 from geomid_ros.report.sheet import IDENTIFIED, URDF, new_figure, write_picture
 from geomid_ros.types import FloatArray, IntArray
 
-_URDF, _PRIOR = "#8a9096", "#d55e00"
 # By the axis that the viewer looks along: the axes to the right and up.
 _VIEWS = (("from the front", "yz"), ("from the right", "xz"), ("from above", "xy"))
 
@@ -53,8 +52,8 @@ def prior_picture(path: Path, title: str, links: Sequence[PlacedLink]) -> None:
         panel.set_xlabel("m")
     handles = [
         Line2D([], [], color="#c9cdd1", lw=6, label="shapes"),
-        Line2D([], [], color=_PRIOR, label="uniform ellipsoid of the same inertia, prior"),
-        Line2D([], [], color=_URDF, ls="--", label="the same for the URDF's inertial"),
+        Line2D([], [], color=IDENTIFIED, label="uniform ellipsoid of the same inertia, prior"),
+        Line2D([], [], color=URDF, ls="--", label="the same for the URDF's inertial"),
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
     write_picture(path, figure)
@@ -68,10 +67,10 @@ def _draw(axes: Axes, links: Sequence[PlacedLink], view: FloatArray) -> None:
             _draw_shape(axes, placed.in_world(placed.link.solid.vertices) @ view.T, placed.link.solid.triangles)
             reached.append((placed.in_world(placed.link.solid.vertices) @ view.T)[:, :2])
         if placed.link.before.parameters is not None and not placed.link.before.problem:
-            axes.plot(*_outline(placed.link.before.parameters, placed, view), color=_URDF, ls="--", lw=1.0)
+            axes.plot(*_outline(placed.link.before.parameters, placed, view), color=URDF, ls="--", lw=1.0)
         if placed.link.parameters is not None:
             reached.append(_outline(placed.link.parameters, placed, view).T)
-            axes.plot(*reached[-1].T, color=_PRIOR, lw=1.3)
+            axes.plot(*reached[-1].T, color=IDENTIFIED, lw=1.3)
     ends = np.concatenate(reached)
     margin = 0.05 * np.ptp(ends, axis=0).max()
     axes.set_xlim(ends[:, 0].min() - margin, ends[:, 0].max() + margin)
