@@ -19,6 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
+from geomid_ros.estimation.channel_products import ChannelProducts
 from geomid_ros.estimation.estimate import TOLD
 from geomid_ros.estimation.link_spreads import cost_of_spreads, likely_spreads
 from geomid_ros.estimation.problem import Problem
@@ -174,10 +175,10 @@ class _Rows:
         return form.above < value < form.below and (value > 0.0 or not coefficient.positive)
 
     @cached_property
-    def products(self) -> FloatArray:
-        """Of each channel: all columns and the target by each other, ``(channels, D + 1, D + 1)``; only the share of
-        the rows that is independent counts."""
-        return np.asarray(self.problem.independent * self.problem.products[: len(self.problem.model.channels)])
+    def products(self) -> ChannelProducts:
+        """Of each channel: all columns and the target by each other; only the share of the rows that is independent
+        counts."""
+        return self.problem.products.first(len(self.problem.model.channels)).times(self.problem.independent)
 
     @cached_property
     def counts(self) -> FloatArray:
@@ -212,12 +213,9 @@ class _Rows:
             before = np.zeros(self.size)
             before[start.columns] = start.fit.point.parameters
             point, spreads = manifold.point(before[columns]), start.fit.scales
-        own = np.append(columns, self.size)
-        # In the order of its axes, in which such an index leaves nothing: else it is multiplied five times as slowly.
-        products = np.ascontiguousarray(self.products[:, own[:, None], own])
         known = problem.known.rows[:, columns]
         known_rows = np.column_stack([known, known @ prior.parameters - problem.known.targets])
-        profile = Profile(manifold, products, self.counts, prior)
+        profile = Profile(manifold, self.products.select(columns), self.counts, prior)
 
         def objective(spreads: FloatArray) -> ProfileObjective:
             weights = np.append(np.repeat(spreads, 10) ** -2.0, np.full(len(manifold.scales), ROUNDING))
@@ -333,7 +331,7 @@ class _Fit:
         coefficient that would be negative and cannot be."""
         manifold = self.fit.objective.manifold
         whitener = manifold.whiten(self.fit.point, np.eye(len(self.columns)))
-        products = np.tensordot(self.weights, self.rows.products[:, columns], axes=1)
+        products = self.rows.products.weighed(self.weights)[columns]
         shared = products[:, self.columns].T
         projected = whitener @ definite.inverse(self.fit.hessian) @ whitener.T @ shared
         squares = products[np.arange(len(columns)), columns]

@@ -146,7 +146,7 @@ def settle(
 def _rough(problem: Problem, sigmas: FloatArray, spreads: FloatArray) -> ProductsObjective:
     """The objective for this noise and these spreads of the links, for the search for both."""
     precisions = sigmas**-2.0
-    products = np.tensordot(precisions, problem.products, axes=1) + problem.known_products
+    products = problem.products.weighed(precisions) + problem.known_products
     measured = float(precisions @ problem.row_weights)
     weights = _prior_weights(problem, spreads, measured)
     return ProductsObjective(problem.manifold, products, problem.prior_point, weights, measured + problem.known_weight)

@@ -1,0 +1,124 @@
+"""Products of columns by each other, of each channel in its own columns alone.
+
+An effort depends on the links behind its joint and on the joint's own effects: of a robot with many limbs a channel has
+few of all columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from geomid_ros.geometry import compiled
+from geomid_ros.types import FloatArray, IntArray
+
+
+class Packed(NamedTuple):
+    """The same as compiled loops read it: ``blocks`` one after the other; the ``places`` of their columns; for each of
+    these the end of its ``runs`` of neighbours, counted in its channel; and the ``ends (C,)`` of channels in these."""
+
+    blocks: FloatArray
+    places: IntArray
+    runs: IntArray
+    ends: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelProducts:
+    """Of C channels, products of columns and the target by each other.
+
+    Attributes:
+        size: number of columns, the target's included, which is the last one.
+        places: of each channel, which columns it has ``(m,)``, in increasing order, the target's last.
+        blocks: of each channel, their products ``(m, m)``.
+    """
+
+    size: int
+    places: tuple[IntArray, ...]
+    blocks: tuple[FloatArray, ...]
+
+    @staticmethod
+    def of(size: int, channels: Iterator[tuple[IntArray, FloatArray]]) -> ChannelProducts:
+        """Of channels' places and blocks."""
+        places, blocks = zip(*channels, strict=True)
+        return ChannelProducts(size, places, blocks)
+
+    def __len__(self) -> int:
+        return len(self.blocks)
+
+    @cached_property
+    def targets(self) -> FloatArray:
+        """Sums of squares of the targets ``(C,)``."""
+        return np.array([block[-1, -1] for block in self.blocks])
+
+    @cached_property
+    def packed(self) -> Packed:
+        """The same, packed."""
+        sizes = [len(own) for own in self.places]
+        runs = np.empty(sum(sizes), dtype=np.int64)
+        ends = np.cumsum(sizes)
+        for own, part in zip(self.places, np.split(runs, ends[:-1]), strict=True):
+            breaks = np.flatnonzero(np.diff(own) != 1) + 1
+            for begin, end in pairwise([0, *breaks.tolist(), len(own)]):
+                part[begin:end] = end
+        blocks = np.concatenate([block.ravel() for block in self.blocks])
+        return Packed(blocks, np.concatenate(self.places), runs, ends)
+
+    def first(self, count: int) -> ChannelProducts:
+        """Of the first channels."""
+        return ChannelProducts(self.size, self.places[:count], self.blocks[:count])
+
+    def times(self, factor: float) -> ChannelProducts:
+        """All of them, multiplied."""
+        return ChannelProducts(self.size, self.places, tuple(factor * block for block in self.blocks))
+
+    def select(self, columns: IntArray) -> ChannelProducts:
+        """Those of some columns, in increasing order, and of the target."""
+        new = np.full(self.size, -1)
+        new[columns], new[-1] = np.arange(len(columns)), len(columns)
+
+        def selected() -> Iterator[tuple[IntArray, FloatArray]]:
+            for places, block in zip(self.places, self.blocks, strict=True):
+                own = np.flatnonzero(new[places] >= 0)
+                yield new[places[own]], block[own[:, None], own]
+
+        return ChannelProducts.of(len(columns) + 1, selected())
+
+    def dense(self, channel: int) -> FloatArray:
+        """Of one channel, those of all columns ``(size, size)``."""
+        found, own = np.zeros((self.size, self.size)), self.places[channel]
+        found[own[:, None], own] = self.blocks[channel]
+        return found
+
+    def squares(self, vector: FloatArray) -> FloatArray:
+        """Sums of squares ``(C,)`` of the columns' sum with the factors of ``vector (size,)``."""
+        pairs = zip(self.places, self.blocks, strict=True)
+        return np.array([float(vector[own] @ block @ vector[own]) for own, block in pairs])
+
+    def moved(self, vector: FloatArray) -> list[FloatArray]:
+        """Products ``(m,)`` of each channel's columns with that sum."""
+        return [block @ vector[own] for own, block in zip(self.places, self.blocks, strict=True)]
+
+    def weighed(self, weights: Sequence[float] | FloatArray) -> FloatArray:
+        """The sum ``(size, size)`` of all channels' products with ``weights (C,)``."""
+        total = np.zeros((self.size, self.size))
+        for weight, own, block in zip(weights, self.places, self.blocks, strict=True):
+            total[own[:, None], own] += weight * block
+        return total
+
+    def weighed_by_squares(
+        self, vector: FloatArray, counts: FloatArray, least: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Sums of squares ``(C,)``, at ``least (C,)``, and the sum of the products, each with its channel's count over
+        its sum of squares."""
+        if compiled.native is None:
+            squares = np.maximum(self.squares(vector), least)
+            return squares, self.weighed(counts / squares)
+        squares, total = np.empty(len(self)), np.empty((self.size, self.size))
+        compiled.native.weigh(*self.packed, vector, counts, least, squares, total)
+        return squares, total
