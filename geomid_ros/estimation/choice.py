@@ -329,13 +329,10 @@ class _Fit:
     def gains(self, columns: IntArray) -> FloatArray:
         """By how much each of other ``columns`` would improve twice the log likelihood, by the score test; zero for a
         coefficient that would be negative and cannot be."""
-        manifold = self.fit.objective.manifold
-        whitener = manifold.whiten(self.fit.point, np.eye(len(self.columns)))
         products = self.rows.products.weighed(self.weights)[columns]
-        shared = products[:, self.columns].T
-        projected = whitener @ definite.inverse(self.fit.hessian) @ whitener.T @ shared
+        shared = self.fit.objective.manifold.whiten(self.fit.point, products[:, self.columns])
         squares = products[np.arange(len(columns)), columns]
-        left = squares - np.sum(shared * projected, axis=0)
+        left = squares - np.sum(shared.T * definite.solved_anyway(self.fit.hessian, shared.T), axis=0)
         values = -products @ self._vector
         positive = np.array([self.rows.positive(column) for column in columns])
         possible = (left > ROUNDING * squares) & ~(positive & (values < 0.0))
