@@ -13,7 +13,7 @@ link that has swallowed an effect hides it. No effect is negative that cannot be
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -74,12 +74,25 @@ def _shaped(fit: _Fit, joints: Collection[int]) -> _Fit:
         if not set(joints).intersection(joints_of(mechanism[1])):
             continue
         shapes = [column for column in rows.columns if rows.mechanism(column) == mechanism]
-        if len(shapes) > 1:
-            rest = np.setdiff1d(fit.every, shapes)
-            sets = [np.sort(np.append(rest, shape)) for shape in shapes]
-            fits = [rows.fit(columns, fit, spreads=fit.fit.scales) for columns in sets]
-            fit = min(fits, key=lambda shaped: shaped.score)
+        fit = _best_shape(fit, sorted(shapes, key=lambda column: [*vars(rows.coefficient(column).effect).values()]))
     return rows.fit(fit.every, fit)
+
+
+def _best_shape(fit: _Fit, shapes: Sequence[int]) -> _Fit:
+    """The fit in which the one effect of the columns ``shapes``, in the order of its constant, has the most likely one:
+    to either side of the one that it has, as far as each is more likely than the one before."""
+    own = next(place for place, shape in enumerate(shapes) if shape in fit.every)
+    best = fit
+    for side in (range(own + 1, len(shapes)), range(own - 1, -1, -1)):
+        before = fit
+        for place in side:
+            columns = np.sort(np.append(np.setdiff1d(fit.every, shapes), shapes[place]))
+            shaped = fit.rows.fit(columns, before, spreads=fit.fit.scales)
+            if shaped.score >= before.score:
+                break
+            before = shaped
+        best = min(best, before, key=lambda found: found.score)
+    return best
 
 
 def _without_unbelieved(fit: _Fit) -> _Fit:

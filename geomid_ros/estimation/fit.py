@@ -200,5 +200,5 @@ def _spreads(problem: Problem, objective: ProductsObjective, solution: Solution)
     manifold = problem.manifold
     links = manifold.inertial
     information = solution.evaluation.information + np.diag(objective.prior_weights)
-    unsure = np.diag(definite.inverse(problem.independent * information))[links]
+    unsure = np.sum(definite.whitener(problem.independent * information)[:, links] ** 2, axis=0)
     return likely_spreads(manifold.log(problem.prior_point, solution.point)[links], unsure, problem.usual)
