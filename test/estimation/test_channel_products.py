@@ -55,5 +55,7 @@ def test_they_are_those_of_all_columns(seed: int) -> None:
 def test_a_channel_has_no_room_for_what_it_does_not_have() -> None:
     """So that a robot of many limbs takes little: blocks of the columns that are there."""
     products = own(rows(np.random.default_rng(0)))
-    assert all(block.shape == (len(place), len(place)) for place, block in zip(products.places, products.blocks))
+    assert all(
+        block.shape == (len(place), len(place)) for place, block in zip(products.places, products.blocks, strict=True)
+    )
     assert products.packed.blocks.size == sum(len(place) ** 2 for place in products.places) < CHANNELS * SIZE**2
