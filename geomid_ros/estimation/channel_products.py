@@ -1,7 +1,7 @@
-"""Products of columns by each other, of each channel in its own columns alone.
+"""Gram matrices of the rows per channel, each on the channel's own columns.
 
-An effort depends on the links behind its joint and on the joint's own effects: of a robot with many limbs a channel has
-few of all columns.
+An effort depends on the links behind its joint and on the joint's own effects, so on a robot with many limbs a channel
+has few of all columns.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from geomid_ros.types import FloatArray, IntArray
 
 
 class Packed(NamedTuple):
-    """The same as compiled loops read it: ``blocks`` one after the other; the ``places`` of their columns; for each of
-    these the end of its ``runs`` of neighbours, counted in its channel; and the ``ends (C,)`` of channels in these."""
+    """Layout for the compiled loops: ``blocks`` one after the other; ``places`` of their columns; for each place the
+    end of its run of consecutive columns (``runs``), within the channel; ``ends (C,)`` of the channels."""
 
     blocks: FloatArray
     places: IntArray
@@ -30,12 +30,12 @@ class Packed(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ChannelProducts:
-    """Of C channels, products of columns and the target by each other.
+    """Gram matrices of the columns and the target, of C channels.
 
     Attributes:
-        size: number of columns, the target's included, which is the last one.
-        places: of each channel, which columns it has ``(m,)``, in increasing order, the target's last.
-        blocks: of each channel, their products ``(m, m)``.
+        size: number of columns, including the target, which is the last one.
+        places: columns of each channel ``(m,)``, increasing, the target last.
+        blocks: Gram matrix of each channel ``(m, m)``.
     """
 
     size: int
@@ -44,7 +44,7 @@ class ChannelProducts:
 
     @staticmethod
     def of(size: int, channels: Iterator[tuple[IntArray, FloatArray]]) -> ChannelProducts:
-        """Of channels' places and blocks."""
+        """Gram matrices from pairs of places and blocks."""
         places, blocks = zip(*channels, strict=True)
         return ChannelProducts(size, places, blocks)
 
@@ -53,12 +53,12 @@ class ChannelProducts:
 
     @cached_property
     def targets(self) -> FloatArray:
-        """Sums of squares of the targets ``(C,)``."""
+        """Squared norm of each channel's target ``(C,)``."""
         return np.array([block[-1, -1] for block in self.blocks])
 
     @cached_property
     def packed(self) -> Packed:
-        """The same, packed."""
+        """Packed layout for the compiled loops."""
         sizes = [len(own) for own in self.places]
         runs = np.empty(sum(sizes), dtype=np.int64)
         ends = np.cumsum(sizes)
@@ -70,15 +70,15 @@ class ChannelProducts:
         return Packed(blocks, np.concatenate(self.places), runs, ends)
 
     def first(self, count: int) -> ChannelProducts:
-        """Of the first channels."""
+        """The first ``count`` channels."""
         return ChannelProducts(self.size, self.places[:count], self.blocks[:count])
 
     def times(self, factor: float) -> ChannelProducts:
-        """All of them, multiplied."""
+        """All blocks multiplied by ``factor``."""
         return ChannelProducts(self.size, self.places, tuple(factor * block for block in self.blocks))
 
     def select(self, columns: IntArray) -> ChannelProducts:
-        """Those of some columns, in increasing order, and of the target."""
+        """Gram matrices of some ``columns``, increasing, and the target."""
         new = np.full(self.size, -1)
         new[columns], new[-1] = np.arange(len(columns)), len(columns)
 
@@ -90,22 +90,22 @@ class ChannelProducts:
         return ChannelProducts.of(len(columns) + 1, selected())
 
     def dense(self, channel: int) -> FloatArray:
-        """Of one channel, those of all columns ``(size, size)``."""
+        """Gram matrix of one channel over all columns ``(size, size)``."""
         found, own = np.zeros((self.size, self.size)), self.places[channel]
         found[own[:, None], own] = self.blocks[channel]
         return found
 
     def squares(self, vector: FloatArray) -> FloatArray:
-        """Sums of squares ``(C,)`` of the columns' sum with the factors of ``vector (size,)``."""
+        """Squared norm per channel ``(C,)`` of the columns times ``vector (size,)``."""
         pairs = zip(self.places, self.blocks, strict=True)
         return np.array([float(vector[own] @ block @ vector[own]) for own, block in pairs])
 
     def moved(self, vector: FloatArray) -> list[FloatArray]:
-        """Products ``(m,)`` of each channel's columns with that sum."""
+        """Gram matrix of each channel times ``vector (size,)``, on its own columns ``(m,)``."""
         return [block @ vector[own] for own, block in zip(self.places, self.blocks, strict=True)]
 
     def weighed(self, weights: Sequence[float] | FloatArray) -> FloatArray:
-        """The sum ``(size, size)`` of all channels' products with ``weights (C,)``."""
+        """Weighted sum of the Gram matrices ``(size, size)``, for ``weights (C,)``."""
         total = np.zeros((self.size, self.size))
         for weight, own, block in zip(weights, self.places, self.blocks, strict=True):
             total[own[:, None], own] += weight * block
@@ -114,8 +114,8 @@ class ChannelProducts:
     def weighed_by_squares(
         self, vector: FloatArray, counts: FloatArray, least: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Sums of squares ``(C,)``, at ``least (C,)``, and the sum of the products, each with its channel's count over
-        its sum of squares."""
+        """Squared norms ``(C,)`` at ``vector (size,)``, with the lower bound ``least (C,)``; and the sum of the Gram
+        matrices weighted by ``counts`` over these."""
         if compiled.native is None:
             squares = np.maximum(self.squares(vector), least)
             return squares, self.weighed(counts / squares)

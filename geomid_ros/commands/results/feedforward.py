@@ -17,7 +17,7 @@ def show(found: Feedforward) -> None:
     console.print(f"{trajectory.duration:g} s, {len(trajectory.times)} points ({found.given} were given)")
     table = plain_table("Efforts of the motors [N m, N]")
     table.add_column("joint", overflow="fold")
-    number_columns(table, ["RMS", "largest", "limit", "straight lines off by"])
+    number_columns(table, ["RMS", "largest", "limit", "interpolation error"])
     rms = np.sqrt(np.mean(trajectory.efforts**2, axis=0))
     for joint, *numbers in zip(trajectory.joints, rms, found.largest, found.limits, found.errors, strict=True):
         table.add_row(joint, *(f"{number:.4g}" if np.isfinite(number) else "-" for number in numbers))
