@@ -1,4 +1,4 @@
-"""A trajectory with the efforts that an identified robot takes for it."""
+"""Feed-forward efforts for a trajectory, from an identified model."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
 TOLERANCE = 0.01
-"""Of a joint's largest effort, by which straight lines between efforts may be off."""
+"""Largest error of linearly interpolated efforts, as a share of the joint's largest effort."""
 _YAML = (".yaml", ".yml")
 
 
 @dataclass(frozen=True, eq=False)
 class Feedforward:
-    """A ``trajectory`` with efforts in the unit of the robot's messages; ``given`` points of it were there before.
+    """Result: the ``trajectory`` with efforts in the unit of the robot's messages, made of ``given`` points.
 
     Attributes:
         session: the robot and its model.
-        limits: the joints' largest efforts ``(joints,)`` in that unit, infinite where the URDF has none.
-        errors: by how much straight lines between the efforts are off at most ``(joints,)``, in that unit.
+        limits: effort limits of the URDF ``(joints,)`` in that unit, infinite where it has none.
+        errors: largest error of linearly interpolated efforts ``(joints,)``, in that unit.
         notes: what to know of the efforts, in sentences.
     """
 

@@ -31,7 +31,8 @@ def gravity_rows(robot: Robot, samples: Samples) -> tuple[FloatArray, FloatArray
 
 def effort_rows(robot: Robot, samples: Samples, gravity: FloatArray) -> FloatArray:
     """The rows ``(N, joints, D)`` of efforts over all links' parameters."""
-    robot = robot.with_gravity(gravity)
+    if gravity is not robot.gravity:
+        robot = robot.with_gravity(gravity)
     rows = robot.joint_effort_rows(*robot.configuration(samples))
     return rows.reshape(len(samples), len(robot.joints), -1)
 

@@ -179,7 +179,8 @@ class Subject:
     @cached_property
     def predicted(self) -> FloatArray:
         """Efforts of the URDF's links ``(N, C)``."""
-        return np.asarray(self.regressor @ self.prior)
+        motion = self.robot.configuration(self.samples)
+        return self.robot.joint_efforts(self.prior.reshape(-1, 10), *motion)[:, self.joints]
 
     @cached_property
     def weight(self) -> FloatArray:

@@ -22,7 +22,7 @@ from geomid_ros.commands.options import PATH, Output, description_options
     default=0.01,
     show_default=True,
     metavar="SHARE",
-    help="How far straight lines between efforts may be off, as a share of the joint's largest effort.",
+    help="Largest error of linearly interpolated efforts, as a share of the joint's largest effort.",
 )
 @click.option("--force", is_flag=True, help="Take a model whose verdict is not 'usable', too.")
 @click.option(

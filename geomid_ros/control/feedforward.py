@@ -1,8 +1,8 @@
-"""Feed-forward: a trajectory with the efforts that it takes.
+"""Feed-forward efforts for a trajectory.
 
-A controller leads positions from point to point by polynomials, and efforts by straight lines (ros2_controllers'
-joint_trajectory_controller adds them to its feedback since 4.22). So points are added where straight lines are too far
-from the efforts; they lie on the polynomials, and the motion stays what it is.
+A joint_trajectory_controller interpolates positions by polynomials and efforts linearly (ros2_controllers adds them to
+its feedback since 4.22). Points are added where linear interpolation of the efforts is too coarse. They lie on the same
+polynomials, so the motion does not change.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.types import BoolArray, FloatArray
 
 EffortsOf: TypeAlias = Callable[[FloatArray], FloatArray]
-"""Efforts ``(N, joints)`` [N m, N] of positions, velocities and accelerations ``(3, N, joints)``."""
+"""Inverse dynamics: efforts ``(N, joints)`` [N m, N] at positions, velocities and accelerations ``(3, N, joints)``."""
 SHORTEST = 1e-3
-"""[s] between two points: usual controllers look no more often."""
-_INSIDE = np.array([0.25, 0.5, 0.75])  # of the time from one point to the next, where efforts are compared
+"""Shortest time between two points [s]: the cycle time of usual controllers."""
+_INSIDE = np.array([0.25, 0.5, 0.75])  # between two points, where the interpolation is checked
 
 
 def with_efforts(trajectory: Trajectory, efforts_of: EffortsOf, tolerance: float) -> Trajectory:
-    """The same motion with efforts at its points, and with as many more points as these ask for.
+    """Add efforts at all points, and further points where they are needed.
 
     Args:
         trajectory: the motion.
-        efforts_of: the efforts of a motion.
-        tolerance: of straight lines between the efforts, as a share of each joint's largest one. Where efforts jump,
-            as those of cubic polynomials do at a point, they may be further off for :data:`SHORTEST`.
+        efforts_of: inverse dynamics.
+        tolerance: largest interpolation error, as a share of each joint's largest effort. Where the effort jumps, as
+            at the points of cubic polynomials, the error may be larger for :data:`SHORTEST`.
     """
     times = trajectory.times
     found = sampled(trajectory, efforts_of, times)
@@ -43,7 +43,7 @@ def with_efforts(trajectory: Trajectory, efforts_of: EffortsOf, tolerance: float
 
 
 def sampled(trajectory: Trajectory, efforts_of: EffortsOf, times: FloatArray) -> Trajectory:
-    """The same motion with points and efforts at other ``times (N,)`` [s], those of its own points among them."""
+    """The same motion sampled at ``times (N,)`` [s], which include those of its own points, with efforts."""
     motion = trajectory.states(times)[:3]
     accelerations = motion[2] if trajectory.accelerations.shape[1] else np.zeros((len(times), 0))
     efforts = efforts_of(motion)
@@ -53,7 +53,7 @@ def sampled(trajectory: Trajectory, efforts_of: EffortsOf, times: FloatArray) ->
 
 
 def interpolation_errors(found: Trajectory, efforts_of: EffortsOf) -> FloatArray:
-    """By how much straight lines between efforts are off ``(N - 1, joints)`` [N m, N], between two points at most."""
+    """Largest error of linearly interpolated efforts between two points ``(N - 1, joints)`` [N m, N]."""
     steps = np.diff(found.times)
     errors = np.zeros((len(steps), len(found.joints)))
     for share in _INSIDE.tolist():
@@ -63,7 +63,7 @@ def interpolation_errors(found: Trajectory, efforts_of: EffortsOf) -> FloatArray
 
 
 def _far(found: Trajectory, efforts_of: EffortsOf, tolerance: float) -> BoolArray:
-    """Between which points ``(N - 1,)`` straight lines are too far from the efforts."""
+    """True where a further point is needed ``(N - 1,)``."""
     largest = np.max(np.abs(found.efforts), axis=0)
     bounds = np.maximum(tolerance * largest, ROUNDING * np.max(largest))
     off = np.any(interpolation_errors(found, efforts_of) > bounds, axis=1)

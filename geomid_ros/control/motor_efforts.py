@@ -1,4 +1,4 @@
-"""What a robot's motors have to do for a motion, as it was identified."""
+"""Inverse dynamics of an identified robot, in the unit of its effort interface."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from geomid_ros.types import FloatArray
 
 
 class MotorEfforts:
-    """Efforts of ``joints``, in the unit of the robot's messages, from their motion.
+    """Motor efforts for a motion of ``joints``, in the unit of the robot's messages.
 
-    What was found of the sensors (offsets) is no effort, and is left out; a gain stays in the unit. Dry friction goes
-    with the commanded speed, and is none at rest.
+    Offsets of effort sensors are left out: they move nothing. Gains of effort sensors are part of the unit. Dry
+    friction follows the commanded velocity and is zero at rest.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class MotorEfforts:
         self._parameters = parameters.copy()
         self._parameters[len(model.nominal_inertias) :][of_sensors] = 0.0
         self.limits = robot.effort_limits[self._order] / np.abs(self._gains)
-        """The largest efforts ``(joints,)`` in the URDF, infinite where it has none."""
+        """Effort limits of the URDF ``(joints,)`` in that unit, infinite where it has none."""
 
     def __call__(self, motion: FloatArray) -> FloatArray:
         """Efforts ``(N, joints)`` of positions, velocities and accelerations ``(3, N, joints)``."""

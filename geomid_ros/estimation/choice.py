@@ -13,12 +13,13 @@ link that has swallowed an effect hides it. No effect is negative that cannot be
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
+from geomid_ros.estimation.channel_products import ChannelProducts
 from geomid_ros.estimation.estimate import TOLD
 from geomid_ros.estimation.link_spreads import cost_of_spreads, likely_spreads
 from geomid_ros.estimation.problem import Problem
@@ -73,12 +74,25 @@ def _shaped(fit: _Fit, joints: Collection[int]) -> _Fit:
         if not set(joints).intersection(joints_of(mechanism[1])):
             continue
         shapes = [column for column in rows.columns if rows.mechanism(column) == mechanism]
-        if len(shapes) > 1:
-            rest = np.setdiff1d(fit.every, shapes)
-            sets = [np.sort(np.append(rest, shape)) for shape in shapes]
-            fits = [rows.fit(columns, fit, spreads=fit.fit.scales) for columns in sets]
-            fit = min(fits, key=lambda shaped: shaped.score)
+        fit = _best_shape(fit, sorted(shapes, key=lambda column: [*vars(rows.coefficient(column).effect).values()]))
     return rows.fit(fit.every, fit)
+
+
+def _best_shape(fit: _Fit, shapes: Sequence[int]) -> _Fit:
+    """The fit in which the one effect of the columns ``shapes``, in the order of its constant, has the most likely one:
+    to either side of the one that it has, as far as each is more likely than the one before."""
+    own = next(place for place, shape in enumerate(shapes) if shape in fit.every)
+    best = fit
+    for side in (range(own + 1, len(shapes)), range(own - 1, -1, -1)):
+        before = fit
+        for place in side:
+            columns = np.sort(np.append(np.setdiff1d(fit.every, shapes), shapes[place]))
+            shaped = fit.rows.fit(columns, before, spreads=fit.fit.scales)
+            if shaped.score >= before.score:
+                break
+            before = shaped
+        best = min(best, before, key=lambda found: found.score)
+    return best
 
 
 def _without_unbelieved(fit: _Fit) -> _Fit:
@@ -174,10 +188,10 @@ class _Rows:
         return form.above < value < form.below and (value > 0.0 or not coefficient.positive)
 
     @cached_property
-    def products(self) -> FloatArray:
-        """Of each channel: all columns and the target by each other, ``(channels, D + 1, D + 1)``; only the share of
-        the rows that is independent counts."""
-        return np.asarray(self.problem.independent * self.problem.products[: len(self.problem.model.channels)])
+    def products(self) -> ChannelProducts:
+        """Of each channel: all columns and the target by each other; only the share of the rows that is independent
+        counts."""
+        return self.problem.products.first(len(self.problem.model.channels)).times(self.problem.independent)
 
     @cached_property
     def counts(self) -> FloatArray:
@@ -212,12 +226,9 @@ class _Rows:
             before = np.zeros(self.size)
             before[start.columns] = start.fit.point.parameters
             point, spreads = manifold.point(before[columns]), start.fit.scales
-        own = np.append(columns, self.size)
-        # In the order of its axes, in which such an index leaves nothing: else it is multiplied five times as slowly.
-        products = np.ascontiguousarray(self.products[:, own[:, None], own])
         known = problem.known.rows[:, columns]
         known_rows = np.column_stack([known, known @ prior.parameters - problem.known.targets])
-        profile = Profile(manifold, products, self.counts, prior)
+        profile = Profile(manifold, self.products.select(columns), self.counts, prior)
 
         def objective(spreads: FloatArray) -> ProfileObjective:
             weights = np.append(np.repeat(spreads, 10) ** -2.0, np.full(len(manifold.scales), ROUNDING))
@@ -331,13 +342,10 @@ class _Fit:
     def gains(self, columns: IntArray) -> FloatArray:
         """By how much each of other ``columns`` would improve twice the log likelihood, by the score test; zero for a
         coefficient that would be negative and cannot be."""
-        manifold = self.fit.objective.manifold
-        whitener = manifold.whiten(self.fit.point, np.eye(len(self.columns)))
-        products = np.tensordot(self.weights, self.rows.products[:, columns], axes=1)
-        shared = products[:, self.columns].T
-        projected = whitener @ definite.inverse(self.fit.hessian) @ whitener.T @ shared
+        products = self.rows.products.weighed(self.weights)[columns]
+        shared = self.fit.objective.manifold.whiten(self.fit.point, products[:, self.columns])
         squares = products[np.arange(len(columns)), columns]
-        left = squares - np.sum(shared * projected, axis=0)
+        left = squares - np.sum(shared.T * definite.solved_anyway(self.fit.hessian, shared.T), axis=0)
         values = -products @ self._vector
         positive = np.array([self.rows.positive(column) for column in columns])
         possible = (left > ROUNDING * squares) & ~(positive & (values < 0.0))

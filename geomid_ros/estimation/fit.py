@@ -146,7 +146,7 @@ def settle(
 def _rough(problem: Problem, sigmas: FloatArray, spreads: FloatArray) -> ProductsObjective:
     """The objective for this noise and these spreads of the links, for the search for both."""
     precisions = sigmas**-2.0
-    products = np.tensordot(precisions, problem.products, axes=1) + problem.known_products
+    products = problem.products.weighed(precisions) + problem.known_products
     measured = float(precisions @ problem.row_weights)
     weights = _prior_weights(problem, spreads, measured)
     return ProductsObjective(problem.manifold, products, problem.prior_point, weights, measured + problem.known_weight)
@@ -200,5 +200,5 @@ def _spreads(problem: Problem, objective: ProductsObjective, solution: Solution)
     manifold = problem.manifold
     links = manifold.inertial
     information = solution.evaluation.information + np.diag(objective.prior_weights)
-    unsure = np.diag(definite.inverse(problem.independent * information))[links]
+    unsure = np.sum(definite.whitener(problem.independent * information)[:, links] ** 2, axis=0)
     return likely_spreads(manifold.log(problem.prior_point, solution.point)[links], unsure, problem.usual)

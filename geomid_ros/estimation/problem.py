@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from geomid_ros.estimation.channel_products import ChannelProducts
 from geomid_ros.estimation.objective import dual_square
 from geomid_ros.estimation.starting_point import (
     USUAL_SPREAD_OF_LINKS,
@@ -106,14 +107,12 @@ class Problem:
         return self.manifold.point(self.prior)
 
     @cached_property
-    def products(self) -> FloatArray:
-        """The columns ``[A b]`` of each group by each other, ``(groups, D + 1, D + 1)``."""
-        size = self.manifold.dimension + 1
-        products = np.zeros((len(self.summary.groups), size, size))
-        for group, factor, own in zip(self.summary.groups, self.summary.factors(), products, strict=True):
-            columns = np.append(group.columns, size - 1)
-            own[columns[:, None], columns] = factor.T @ factor
-        return products
+    def products(self) -> ChannelProducts:
+        """The columns ``[A b]`` of each group by each other."""
+        last = self.manifold.dimension
+        pairs = zip(self.summary.groups, self.summary.factors(), strict=True)
+        own = ((np.append(group.columns, last), factor.T @ factor) for group, factor in pairs)
+        return ChannelProducts.of(last + 1, own)
 
     @cached_property
     def known_products(self) -> FloatArray:
@@ -123,7 +122,8 @@ class Problem:
     @cached_property
     def row_weights(self) -> FloatArray:
         """Of each group: the sum of the weights (Remark 2) of its rows, if their standard deviation is 1."""
-        return np.array([dual_square(self.manifold, self.prior_point, own) for own in self.products])
+        every = map(self.products.dense, range(len(self.products)))
+        return np.array([dual_square(self.manifold, self.prior_point, own) for own in every])
 
     @cached_property
     def known_weight(self) -> float:
@@ -146,8 +146,7 @@ class Problem:
 
     def squares(self, parameters: FloatArray) -> FloatArray:
         """Sums of squares of each group's residuals."""
-        vector = np.append(parameters, -1.0)
-        return np.asarray(np.maximum((self.products @ vector) @ vector, 0.0))
+        return np.maximum(self.products.squares(np.append(parameters, -1.0)), 0.0)
 
     def noise(self, parameters: FloatArray) -> FloatArray:
         """The standard deviation of each group that is most likely at ``parameters (D,)``.

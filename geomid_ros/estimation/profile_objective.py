@@ -9,13 +9,14 @@ from functools import cached_property
 import numpy as np
 from numpy.linalg import LinAlgError
 
+from geomid_ros.estimation.channel_products import ChannelProducts
 from geomid_ros.estimation.objective import Evaluation, with_prior
 from geomid_ros.estimation.solvers import ENDS, GRADIENT, Solution, trust_region
 from geomid_ros.estimation.tolerances import ROUNDS
 from geomid_ros.geometry import compiled, definite
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.geometry.pseudo_inertia import COEFFICIENTS_TO_COORDINATES
-from geomid_ros.types import FloatArray, IntArray
+from geomid_ros.types import FloatArray
 
 _STEPS = 40
 _RADIUS = 16.0  # of the first step: as an effect comes or goes, others move as far as it reached
@@ -35,42 +36,27 @@ class StraightManifold(ParameterManifold):
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Channels of unknown noise: ``products (C, D + 1, D + 1)`` of all columns and the target, ``counts (C,)`` of rows;
-    and the ``prior``."""
+    """C channels of unknown noise: ``products`` of the D columns and the target, ``counts (C,)`` of rows; and the
+    ``prior``."""
 
     manifold: ParameterManifold
-    products: FloatArray
+    products: ChannelProducts
     counts: FloatArray
     prior: Point
 
     @cached_property
     def least(self) -> FloatArray:
         """What a sum of squares is at least ``(C,)``."""
-        return np.asarray(_LEAST_SHARE * self.products[:, -1, -1] + np.finfo(float).tiny)
+        return np.asarray(_LEAST_SHARE * self.products.targets + np.finfo(float).tiny)
 
     def squares(self, point: Point) -> FloatArray:
         """Sums of squares ``(C,)`` of the channels at ``point``, at least ``least (C,)``."""
-        return self.weighed(np.append(point.parameters, -1.0))[0]
+        return np.maximum(self.products.squares(np.append(point.parameters, -1.0)), self.least)
 
     def weighed(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Sums of squares ``(C,)`` at the parameters and -1, ``vector (D + 1,)``, and the sum ``(D + 1, D + 1)`` of the
         products, each with its channel's count over its sum of squares."""
-        if compiled.native is None:
-            squares = np.maximum((self.products @ vector) @ vector, self.least)
-            return squares, np.tensordot(self.counts / squares, self.products, axes=1)
-        squares, total = np.empty(len(self.products)), np.empty(self.products.shape[1:])
-        compiled.native.weigh(*self.by_channel, vector, self.counts, self.least, squares, total)
-        return squares, total
-
-    @cached_property
-    def by_channel(self) -> tuple[FloatArray, IntArray, IntArray]:
-        """The products; the columns that each channel has, one channel after the other; and where each channel's end.
-
-        An effort depends only on the links behind its joint, and on the joint's own effects.
-        """
-        channels, columns = np.nonzero(np.diagonal(self.products, axis1=1, axis2=2))
-        ends = np.searchsorted(channels, np.arange(len(self.products)), side="right")
-        return np.ascontiguousarray(self.products), columns.copy(), ends
+        return self.products.weighed_by_squares(vector, self.counts, self.least)
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +163,7 @@ def minimum(objective: ProfileObjective, start: Point) -> Solution:
     gradient, information, hessian = np.empty(size), np.empty((size, size)), np.empty((size, size))
     reason, steps = native.descend(
         *(COEFFICIENTS_TO_COORDINATES, prior.pseudo_inertias, prior.reals, manifold.scales, objective.weights),
-        *(*profile.by_channel, profile.counts, profile.least, objective.known_products),
+        *(*profile.products.packed, profile.counts, profile.least, objective.known_products),
         np.array([GRADIENT * objective.scale, _RADIUS, _LEAST_DECREASE]),
         *(inertias, reals, gradient, information, hessian, values),
     )

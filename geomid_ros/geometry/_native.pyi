@@ -44,6 +44,7 @@ def second_order(
 def weigh(
     products: FloatArray,
     places: IntArray,
+    runs: IntArray,
     ends: IntArray,
     vector: FloatArray,
     counts: FloatArray,

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from geomid_ros.estimation.channel_products import ChannelProducts
 from geomid_ros.inference.hypothesis import Hypothesis
 from geomid_ros.inference.remainder import Marginal, Remainder
-from geomid_ros.types import FloatArray, IntArray, frozen
+from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
 BLOCKS = 8  # of time, whose scatter shows how far rows are independent
 _LEAST_SIZE = 1e-4  # a mean square of whitened features: those of what hardly occurs are not made large
@@ -56,6 +57,11 @@ class ChannelRows:
     def products(self) -> FloatArray:
         """Of the columns ``(K + 2, K + 2)``; the last row is zero, for what does not reach the channel."""
         return np.pad(self.columns.T @ self.columns, ((0, 1), (0, 1)))
+
+    @cached_property
+    def there(self) -> BoolArray:
+        """Which columns ``(K + 2,)`` reach the channel."""
+        return np.asarray(np.diag(self.products) > 0.0)
 
     @cached_property
     def remainder(self) -> Remainder:
@@ -168,17 +174,18 @@ class Design:
             self._known_trust[candidate] = np.array([std or USUAL_SHARE * scale for std, scale in usual]) ** -2.0
         return self._known_trust[candidate]
 
-    def gather(self, bodies: Sequence[int], terms: Sequence[Any]) -> FloatArray:
-        """Products ``(C, n, n)`` of the inertial columns, once more those of each link of ``bodies``, the terms'
-        and the target's."""
+    def gather(self, bodies: Sequence[int], terms: Sequence[Any]) -> ChannelProducts:
+        """Products of the inertial columns, once more those of each link of ``bodies``, the terms' and the target's."""
         places = self.places(bodies, terms)
-        found, first = np.empty((*places.shape, places.shape[1])), self.dimension
-        for each, own, into in zip(self._marginalised, places[:, first:], found, strict=True):
-            into[:first, :first] = each.products[:first, :first]
-            into[first:, :first] = each.products[own, :first]
-            into[:first, first:] = into[first:, :first].T
-            into[first:, first:] = each.products[own[:, None], own]
-        return found
+
+        def gathered() -> Iterator[tuple[IntArray, FloatArray]]:
+            for channel, each, taken in zip(self.channels, self._marginalised, places, strict=True):
+                there = channel.there[taken]
+                there[-1] = True
+                own = taken[there]
+                yield np.flatnonzero(there), each.products[own[:, None], own]
+
+        return ChannelProducts.of(places.shape[1], gathered())
 
     def settled(
         self,

@@ -107,10 +107,11 @@ class JointFit(Generic[Chosen, Term]):
 
     def parameters_by_channel(self, design: Design) -> FloatArray:
         """How many parameters each channel determined, ``(C,)``: the trace of its share of the information."""
-        weights = design.counts / self.squares
         products = design.gather(self.bodies, self.terms)
-        traces = np.einsum("cij,ji->c", products[:, :-1, :-1], self.covariance)
-        return np.asarray(weights * traces)
+        covariance = np.pad(self.covariance, (0, 1))  # of the target, too
+        pairs = zip(products.places, products.blocks, strict=True)
+        traces = [float(np.sum(block * covariance[own[:, None], own])) for own, block in pairs]
+        return np.asarray(design.counts / self.squares * traces)
 
     def value(self, term: Term) -> float:
         """A coefficient."""

@@ -56,9 +56,10 @@ class _Test(Generic[Chosen]):
         self._vector = np.append(current.point.parameters, -1.0)
         self._covariance = current.covariance
         products = design.gather(current.bodies, current.terms)
-        self._moved = products @ self._vector
-        reached = [np.flatnonzero(np.diag(own)) for own in products]
-        self._by_channel = [(at, own[np.ix_(at, at)]) for at, own in zip(reached, products, strict=True)]
+        self._moved = np.zeros((len(products), len(self._vector)))
+        for into, places, own in zip(self._moved, products.places, products.moved(self._vector), strict=True):
+            into[places] = own
+        self._by_channel = list(zip(products.places, products.blocks, strict=True))
         self._values = dict(zip(current.terms, current.point.reals.tolist(), strict=True))
 
     def of(self, alike: Sequence[Chosen]) -> dict[Chosen, Trial[Chosen]]:

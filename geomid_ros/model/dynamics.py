@@ -26,6 +26,7 @@ class Dynamics:
     def __init__(self, model: MeasurementModel, inertias: FloatArray) -> None:
         self._model = model
         self._robot = model.robot
+        self._inertias = inertias
         self._coupling = self._robot.coupling
         self._whole = self._robot.with_inertias(inertias, range(len(inertias)))
         self._data = self._whole.createData()
@@ -37,8 +38,7 @@ class Dynamics:
 
     def efforts(self, samples: Samples) -> FloatArray:
         """Efforts ``(N, J)`` of the joints."""
-        motion = zip(*self._robot.configuration(samples), strict=True)
-        return np.array([pin.rnea(self._whole, self._data, q, v, a) @ self._coupling for q, v, a in motion])
+        return self._robot.joint_efforts(self._inertias, *self._robot.configuration(samples))
 
     def sensitivity(self, samples: Samples) -> Sensitivity:
         """Derivatives of all channels at N instants."""

@@ -329,6 +329,13 @@ class Robot:
         found[:, :, self._moved] = (by_joint.transpose(0, 2, 1, 3) @ self._to_joints).transpose(0, 2, 1, 3)
         return found
 
+    def joint_efforts(self, inertias: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        """The joints' efforts ``(N, joints)`` at N instants, with ``inertias (all bodies, 10)``, by the recursive
+        Newton-Euler algorithm."""
+        model = self.with_inertias(inertias, range(len(inertias)))
+        data = model.createData()
+        return np.array([pin.rnea(model, data, *state) for state in zip(q, v, a, strict=True)]) @ self.coupling
+
     @cached_property
     def coupling(self) -> FloatArray:
         """How fast all of pinocchio's ``nv`` velocities are, by those of the joints, ``(nv, joints)``."""

@@ -9,6 +9,7 @@ import pytest
 from geometry import bodies
 from numpy.linalg import LinAlgError
 
+from geomid_ros.estimation.channel_products import ChannelProducts
 from geomid_ros.estimation.objective import Evaluation, ProductsObjective
 from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, minimum
 from geomid_ros.geometry import compiled
@@ -36,14 +37,16 @@ ROUNDING = 1e-9  # of the largest entry; bodies are as much as 1e5 times as larg
 def sparse(rng: np.random.Generator, manifold: ParameterManifold, point: Point, channels: int = 4) -> Profile:
     """Channels that have fewer and fewer of the columns, as efforts along an arm."""
     size = manifold.dimension
-    products = np.zeros((channels, size + 1, size + 1))
+    own = []
     for channel in range(channels):
         rows = bodies.rows(rng, manifold, point, 2 * size + 3)
         rows[:, channel * size // channels :: 2] = 0.0
         columns = np.column_stack([rows, rows @ point.parameters * (1.0 + 0.1 * rng.normal(size=len(rows)))])
-        products[channel] = columns.T @ columns
+        products = columns.T @ columns
+        places = np.flatnonzero(np.diag(products))
+        own.append((places, products[places[:, None], places]))
     prior = bodies.point(rng, manifold)
-    return Profile(manifold, products, 100.0 + np.arange(channels), prior)
+    return Profile(manifold, ChannelProducts.of(size + 1, iter(own)), 100.0 + np.arange(channels), prior)
 
 
 def without(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -86,7 +89,7 @@ def test_an_objective_of_products_is_the_same(
 ) -> None:
     rng = np.random.default_rng(seed)
     point = bodies.point(rng, manifold)
-    products = sparse(rng, manifold, point).products[0]
+    products = sparse(rng, manifold, point).products.dense(0)
     objective = ProductsObjective(manifold, products, bodies.point(rng, manifold), weights(rng, manifold), 1.0)
     own = objective.evaluate(point)
     without(monkeypatch)
@@ -115,7 +118,9 @@ def test_what_is_no_number_is_no_sum_of_squares() -> None:
     rng = np.random.default_rng(0)
     profile = sparse(rng, manifold, bodies.point(rng, manifold))
     nowhere = replace(bodies.point(rng, manifold), reals=np.full(1, np.nan))
-    assert np.all(np.isnan(profile.squares(nowhere)[:1]))
+    has_it = [10 in places for places in profile.products.places]
+    assert any(has_it)
+    assert np.isnan(profile.squares(nowhere)).tolist() == has_it
 
 
 @pytest.mark.usefixtures("either")
@@ -124,7 +129,10 @@ def test_a_column_that_a_channel_does_not_have_does_not_matter_to_it() -> None:
     rng = np.random.default_rng(1)
     point = bodies.point(rng, manifold)
     profile = sparse(rng, manifold, point)
-    profile.products[1, 11] = profile.products[1, :, 11] = 0.0
+    places, blocks = [*profile.products.places], [*profile.products.blocks]
+    left = np.flatnonzero(places[1] != 11)
+    places[1], blocks[1] = places[1][left], blocks[1][left[:, None], left]
+    profile = replace(profile, products=replace(profile.products, places=tuple(places), blocks=tuple(blocks)))
     other = replace(point, reals=point.reals + np.array([0.0, 5.0]))
     before, after = profile.squares(point), profile.squares(other)
     assert after[1] == pytest.approx(before[1], rel=1e-12)

@@ -84,10 +84,8 @@ def test_the_information_is_that_of_gaussian_rows() -> None:
     start = own.manifold.point(np.append(1.1 * LINK, [0.2, -0.1]))
     jacobian = own.manifold.whiten(start, np.eye(own.manifold.dimension))
     of_rows = sum(
-        count / squares * products[:-1, :-1]
-        for count, squares, products in zip(
-            own.profile.counts, own.profile.squares(start), own.profile.products, strict=True
-        )
+        count / squares * own.profile.products.dense(channel)[:-1, :-1]
+        for channel, (count, squares) in enumerate(zip(own.profile.counts, own.profile.squares(start), strict=True))
     )
     of_known = own.known[:, :-1].T @ own.known[:, :-1]
     expected = jacobian.T @ (of_rows + of_known) @ jacobian
@@ -101,10 +99,10 @@ def test_no_sum_of_squares_is_less_than_the_least() -> None:
     start = own.manifold.point(np.append(LINK, [0.2, -0.1]))
     rows = np.random.default_rng(3).normal(size=(30, own.manifold.dimension))
     columns = np.column_stack([rows, rows @ start.parameters])
-    exact = own.products.copy()
-    exact[0] = columns.T @ columns
+    every = own.products
+    exact = replace(every, blocks=(columns.T @ columns, *every.blocks[1:]))
     first, second = replace(own, products=exact).squares(start)
-    assert first == pytest.approx(1e-10 * exact[0, -1, -1], rel=1e-9)
+    assert first == pytest.approx(1e-10 * exact.targets[0], rel=1e-9)
     assert second == own.squares(start)[1]
 
 

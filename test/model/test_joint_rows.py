@@ -53,7 +53,9 @@ def test_any_bodies_give_the_efforts_of_a_robot_made_of_them(name: str) -> None:
     reference.set_inertias(dict(zip(robot.body_names, parameters, strict=True)))
     samples = random_samples(robot, seed=3)
     predicted = MeasurementModel(robot, []).predict(samples, parameters.ravel())[1]
-    assert_equal(predicted, reference.inverse_dynamics(samples, robot.joint_names)[1])
+    expected = reference.inverse_dynamics(samples, robot.joint_names)[1]
+    assert_equal(predicted, expected)
+    assert_equal(robot.joint_efforts(parameters, *robot.configuration(samples)), expected)
 
 
 @pytest.mark.parametrize(

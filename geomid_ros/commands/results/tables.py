@@ -60,7 +60,7 @@ def show_feedforward(found: Feedforward) -> None:
     console, trajectory = results_console(), found.trajectory
     print_remarks(console, {"Note": found.notes})
     console.print(f"{trajectory.duration:g} s, {len(trajectory.times)} points ({found.given} were given)")
-    headings = ["RMS", "largest", "limit", "straight lines off by"]
+    headings = ["RMS", "largest", "limit", "interpolation error"]
     table = plain_table("Efforts of the motors [N m, N]", ["joint"], headings)
     rms = np.sqrt(np.mean(trajectory.efforts**2, axis=0))
     for joint, *numbers in zip(trajectory.joints, rms, found.largest, found.limits, found.errors, strict=True):

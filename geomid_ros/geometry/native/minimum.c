@@ -215,38 +215,42 @@ FOR_EACH_PROCESSOR static double second_order(const Problem *p) {
     return value;
 }
 
-/* Of channels' products (channels, size, size): the sums of squares at `vector`, and the sum of the products with each
- * channel's count over them. A channel has no products but those of its `places`: other rows are left out, and of these
- * what lies before the diagonal. */
+/* Of channels' products the sums of squares at `vector` (size,), and the sum of the products with each channel's count
+ * over them. A channel has those of its own columns, (m, m) for the m `places` of these, one channel after the other;
+ * neighbours among the places are next to each other in `total`, too, up to the end of their run. */
 FOR_EACH_PROCESSOR static void weigh(
-    const double *restrict products, const long long *places, const long long *ends, const double *restrict vector,
-    const double *counts, const double *least, int channels, int size, double *squares, double *restrict total) {
+    const double *restrict products, const long long *places, const long long *runs, const long long *ends,
+    const double *restrict vector, const double *counts, const double *least, int channels, int size,
+    double *restrict own, double *squares, double *restrict total) {
     memset(total, 0, sizeof(double) * size * size);
     long long begin = 0;
     for (int channel = 0; channel < channels; begin = ends[channel++]) {
-        const double *own = products + (long)channel * size * size;
+        const long long m = ends[channel] - begin, *at = places + begin, *until = runs + begin;
         double square = 0.0;
-        for (long long k = begin; k < ends[channel]; k++) {
-            const long long i = places[k], last = places[ends[channel] - 1];
-            const double *row = own + i * size;
+        for (long long k = 0; k < m; k++) own[k] = vector[at[k]];
+        for (long long k = 0; k < m; k++) {
+            const double *row = products + k * m;
             Lane moved = {0.0};
-            long long j = i + 1;
-            for (; j + LANES <= last + 1; j += LANES)
-                for (int lane = 0; lane < LANES; lane++) moved[lane] += row[j + lane] * vector[j + lane];
-            for (; j <= last; j++) moved[0] += row[j] * vector[j];
+            long long j = k + 1;
+            for (; j + LANES <= m; j += LANES)
+                for (int lane = 0; lane < LANES; lane++) moved[lane] += row[j + lane] * own[j + lane];
+            for (; j < m; j++) moved[0] += row[j] * own[j];
             double sum = 0.0;
             for (int lane = 0; lane < LANES; lane++) sum += moved[lane];
-            square += vector[i] * (row[i] * vector[i] + 2.0 * sum);
+            square += own[k] * (row[k] * own[k] + 2.0 * sum);
         }
         square = square < least[channel] ? least[channel] : square; /* not a number stays that */
         squares[channel] = square;
         const double weight = counts[channel] / square;
-        for (long long k = begin; k < ends[channel]; k++) {
-            const long long i = places[k], last = places[ends[channel] - 1];
-            const double *row = own + i * size;
-            double *into = total + i * size;
-            for (long long j = i; j <= last; j++) into[j] += weight * row[j];
+        for (long long k = 0; k < m; k++) {
+            const double *row = products + k * m;
+            for (long long j = k; j < m;) {
+                const long long end = until[j];
+                double *into = total + at[k] * size + at[j] - j;
+                for (; j < end; j++) into[j] += weight * row[j];
+            }
         }
+        products += m * m;
     }
     for (int i = 0; i < size; i++)
         for (int j = 0; j < i; j++) total[(long)i * size + j] = total[(long)j * size + i];
@@ -257,7 +261,7 @@ typedef struct {
     Problem problem;
     int channels, knows; /* whether there are `known` products (D + 1, D + 1) of rows at the prior */
     const double *products, *counts, *least, *known;
-    const long long *places, *ends;
+    const long long *places, *runs, *ends;
     double *squares, *total, *vector, *off, *slope;
 } Profile;
 
@@ -294,8 +298,8 @@ FOR_EACH_PROCESSOR static void evaluate(const Profile *profile, State *at) {
     parameters_of(&problem, at->inertias, at->rest, vector);
     vector[size] = -1.0;
     weigh(
-        profile->products, profile->places, profile->ends, vector, profile->counts, profile->least, profile->channels,
-        stride, profile->squares, total);
+        profile->products, profile->places, profile->runs, profile->ends, vector, profile->counts, profile->least,
+        profile->channels, stride, slope, profile->squares, total);
     for (int channel = 0; channel < profile->channels; channel++)
         value += 0.5 * profile->counts[channel] * log(profile->squares[channel]);
     for (int k = 0; k < size; k++) slope[k] = dot(total + (long)k * stride, vector, stride);
@@ -493,26 +497,31 @@ PyObject *native_second_order(PyObject *module, PyObject *arguments) {
 }
 
 PyObject *native_weigh(PyObject *module, PyObject *arguments) {
-    Py_buffer products, places, ends, vector, counts, least, squares, total;
+    Py_buffer products, places, runs, ends, vector, counts, least, squares, total;
     (void)module;
     if (!PyArg_ParseTuple(
-            arguments, "y*y*y*y*y*y*w*w*", &products, &places, &ends, &vector, &counts, &least, &squares, &total))
+            arguments, "y*y*y*y*y*y*y*w*w*", &products, &places, &runs, &ends, &vector, &counts, &least, &squares, &total))
         return NULL;
-    weigh(
-        products.buf, places.buf, ends.buf, vector.buf, counts.buf, least.buf, (int)(counts.len / sizeof(double)),
-        (int)(vector.len / sizeof(double)), squares.buf, total.buf);
-    release(8, (Py_buffer *[]){&products, &places, &ends, &vector, &counts, &least, &squares, &total});
+    double *own = PyMem_Malloc(vector.len);
+    if (own)
+        weigh(
+            products.buf, places.buf, runs.buf, ends.buf, vector.buf, counts.buf, least.buf,
+            (int)(counts.len / sizeof(double)), (int)(vector.len / sizeof(double)), own, squares.buf, total.buf);
+    const int failed = own == NULL;
+    PyMem_Free(own);
+    release(9, (Py_buffer *[]){&products, &places, &runs, &ends, &vector, &counts, &least, &squares, &total});
+    if (failed) return PyErr_NoMemory();
     Py_RETURN_NONE;
 }
 
 PyObject *native_descend(PyObject *module, PyObject *arguments) {
-    Py_buffer basis, priors, prior_rest, scales, weights, products, places, ends, counts, least, known, limits;
+    Py_buffer basis, priors, prior_rest, scales, weights, products, places, runs, ends, counts, least, known, limits;
     Py_buffer inertias, rest, gradient, information, hessian, values;
     (void)module;
     if (!PyArg_ParseTuple(
-            arguments, "y*y*y*y*y*y*y*y*y*y*y*y*w*w*w*w*w*w*", &basis, &priors, &prior_rest, &scales, &weights, &products,
-            &places, &ends, &counts, &least, &known, &limits, &inertias, &rest, &gradient, &information, &hessian,
-            &values))
+            arguments, "y*y*y*y*y*y*y*y*y*y*y*y*y*w*w*w*w*w*w*", &basis, &priors, &prior_rest, &scales, &weights,
+            &products, &places, &runs, &ends, &counts, &least, &known, &limits, &inertias, &rest, &gradient, &information,
+            &hessian, &values))
         return NULL;
     const int size = (int)(weights.len / sizeof(double)), channels = (int)(counts.len / sizeof(double));
     const long square = (long)size * size, stride = size + 1;
@@ -532,6 +541,7 @@ PyObject *native_descend(PyObject *module, PyObject *arguments) {
         .least = least.buf,
         .known = known.buf,
         .places = places.buf,
+        .runs = runs.buf,
         .ends = ends.buf,
     };
     double *room = PyMem_Malloc(sizeof(double) * (3 * square + stride * stride + 8 * stride + 16 * stride + channels));
@@ -569,8 +579,8 @@ PyObject *native_descend(PyObject *module, PyObject *arguments) {
     PyMem_Free(room);
     PyMem_Free(terms);
     release(
-        18, (Py_buffer *[]){
-                &basis, &priors, &prior_rest, &scales, &weights, &products, &places, &ends, &counts, &least, &known,
+        19, (Py_buffer *[]){
+                &basis, &priors, &prior_rest, &scales, &weights, &products, &places, &runs, &ends, &counts, &least, &known,
                 &limits, &inertias, &rest, &gradient, &information, &hessian, &values});
     return failed ? PyErr_NoMemory() : Py_BuildValue("ii", reason, steps);
 }

@@ -1,0 +1,124 @@
+"""Gram matrices of the rows per channel, each on the channel's own columns.
+
+An effort depends on the links behind its joint and on the joint's own effects, so on a robot with many limbs a channel
+has few of all columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from geomid_ros.geometry import compiled
+from geomid_ros.types import FloatArray, IntArray
+
+
+class Packed(NamedTuple):
+    """Layout for the compiled loops: ``blocks`` one after the other; ``places`` of their columns; for each place the
+    end of its run of consecutive columns (``runs``), within the channel; ``ends (C,)`` of the channels."""
+
+    blocks: FloatArray
+    places: IntArray
+    runs: IntArray
+    ends: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelProducts:
+    """Gram matrices of the columns and the target, of C channels.
+
+    Attributes:
+        size: number of columns, including the target, which is the last one.
+        places: columns of each channel ``(m,)``, increasing, the target last.
+        blocks: Gram matrix of each channel ``(m, m)``.
+    """
+
+    size: int
+    places: tuple[IntArray, ...]
+    blocks: tuple[FloatArray, ...]
+
+    @staticmethod
+    def of(size: int, channels: Iterator[tuple[IntArray, FloatArray]]) -> ChannelProducts:
+        """Gram matrices from pairs of places and blocks."""
+        places, blocks = zip(*channels, strict=True)
+        return ChannelProducts(size, places, blocks)
+
+    def __len__(self) -> int:
+        return len(self.blocks)
+
+    @cached_property
+    def targets(self) -> FloatArray:
+        """Squared norm of each channel's target ``(C,)``."""
+        return np.array([block[-1, -1] for block in self.blocks])
+
+    @cached_property
+    def packed(self) -> Packed:
+        """Packed layout for the compiled loops."""
+        sizes = [len(own) for own in self.places]
+        runs = np.empty(sum(sizes), dtype=np.int64)
+        ends = np.cumsum(sizes)
+        for own, part in zip(self.places, np.split(runs, ends[:-1]), strict=True):
+            breaks = np.flatnonzero(np.diff(own) != 1) + 1
+            for begin, end in pairwise([0, *breaks.tolist(), len(own)]):
+                part[begin:end] = end
+        blocks = np.concatenate([block.ravel() for block in self.blocks])
+        return Packed(blocks, np.concatenate(self.places), runs, ends)
+
+    def first(self, count: int) -> ChannelProducts:
+        """The first ``count`` channels."""
+        return ChannelProducts(self.size, self.places[:count], self.blocks[:count])
+
+    def times(self, factor: float) -> ChannelProducts:
+        """All blocks multiplied by ``factor``."""
+        return ChannelProducts(self.size, self.places, tuple(factor * block for block in self.blocks))
+
+    def select(self, columns: IntArray) -> ChannelProducts:
+        """Gram matrices of some ``columns``, increasing, and the target."""
+        new = np.full(self.size, -1)
+        new[columns], new[-1] = np.arange(len(columns)), len(columns)
+
+        def selected() -> Iterator[tuple[IntArray, FloatArray]]:
+            for places, block in zip(self.places, self.blocks, strict=True):
+                own = np.flatnonzero(new[places] >= 0)
+                yield new[places[own]], block[own[:, None], own]
+
+        return ChannelProducts.of(len(columns) + 1, selected())
+
+    def dense(self, channel: int) -> FloatArray:
+        """Gram matrix of one channel over all columns ``(size, size)``."""
+        found, own = np.zeros((self.size, self.size)), self.places[channel]
+        found[own[:, None], own] = self.blocks[channel]
+        return found
+
+    def squares(self, vector: FloatArray) -> FloatArray:
+        """Squared norm per channel ``(C,)`` of the columns times ``vector (size,)``."""
+        pairs = zip(self.places, self.blocks, strict=True)
+        return np.array([float(vector[own] @ block @ vector[own]) for own, block in pairs])
+
+    def moved(self, vector: FloatArray) -> list[FloatArray]:
+        """Gram matrix of each channel times ``vector (size,)``, on its own columns ``(m,)``."""
+        return [block @ vector[own] for own, block in zip(self.places, self.blocks, strict=True)]
+
+    def weighed(self, weights: Sequence[float] | FloatArray) -> FloatArray:
+        """Weighted sum of the Gram matrices ``(size, size)``, for ``weights (C,)``."""
+        total = np.zeros((self.size, self.size))
+        for weight, own, block in zip(weights, self.places, self.blocks, strict=True):
+            total[own[:, None], own] += weight * block
+        return total
+
+    def weighed_by_squares(
+        self, vector: FloatArray, counts: FloatArray, least: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Squared norms ``(C,)`` at ``vector (size,)``, with the lower bound ``least (C,)``; and the sum of the Gram
+        matrices weighted by ``counts`` over these."""
+        if compiled.native is None:
+            squares = np.maximum(self.squares(vector), least)
+            return squares, self.weighed(counts / squares)
+        squares, total = np.empty(len(self)), np.empty((self.size, self.size))
+        compiled.native.weigh(*self.packed, vector, counts, least, squares, total)
+        return squares, total
