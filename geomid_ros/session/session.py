@@ -41,6 +41,7 @@ from geomid_ros.files.models.readers import ELEMENTS, URDF
 from geomid_ros.files.models.urdf import inertia_of, with_effects, with_inertials
 from geomid_ros.model.absent_joints import lockable
 from geomid_ros.model.columns import Columns
+from geomid_ros.model.imu import ImuMount
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -49,7 +50,7 @@ from geomid_ros.session.ledger_findings import faulty_streams, peculiarities
 from geomid_ros.session.recording_facts import Recorded
 from geomid_ros.session.solidity import impossible_links
 from geomid_ros.signals.ledger import Account, Ledger
-from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted
+from geomid_ros.signals.messages import IMU, JOINT_STATES, ODOM, Accepted
 from geomid_ros.signals.pipeline import SignalPipeline, ignore
 from geomid_ros.signals.recent import Recent
 from geomid_ros.signals.settings import SignalSettings
@@ -100,6 +101,7 @@ class Session:
             local,
             candidates=configuration.candidates,
             behind_gear=configuration.behind_gear(self.robot.joint_names),
+            contacts=configuration.contacts,
         )
         self.model = model.with_known_loads(self.loaded.parameters(model))
         self._settings = self._estimator_settings()
@@ -136,7 +138,7 @@ class Session:
         configuration = self.configuration
         return Robot(
             urdf,
-            floating_base=configuration["floating_base"],
+            floating_base=configuration.floating_base,
             cuts=[sensor.frame for sensor in self._sensors if sensor.role == "mounted"],
             locked_joints=configuration["locked_joints"],
             gravity=self.loaded.gravity(configuration.gravity),
@@ -325,7 +327,7 @@ class Session:
     @property
     def topics(self) -> tuple[str, ...]:
         """The topics that data are expected on, as the pipeline calls them."""
-        base = (ODOM,) if self.robot.floating_base else ()
+        base = (self.base_topic,) if self.robot.floating_base else ()
         return (JOINT_STATES, *base, *(sensor.topic for sensor in self.model.sensors))
 
     @property
@@ -376,7 +378,26 @@ class Session:
             on_accepted=on_accepted,
             ledger=ledger,
             joints_heard=self.joints_heard,
+            mount=self._imu_mount,
+            loads=None if self.model.legs is None else self.model.legs.loads,
         )
+
+    @property
+    def base_topic(self) -> str:
+        """On which a floating base's motion comes, as the pipeline calls it."""
+        return IMU if self.configuration["imu.frame"] else ODOM
+
+    @property
+    def _imu_mount(self) -> ImuMount | None:
+        """Where the IMU is. Raises InputError if it is not on the base."""
+        frame = self.configuration["imu.frame"]
+        if not frame:
+            return None
+        try:
+            placement = self.robot.base_placement(frame)
+        except InputError as error:
+            raise InputError(f"{self.configuration.source}: imu.frame: {error}") from error
+        return ImuMount(placement[:3, :3], placement[:3, 3], self.robot.gravity)
 
     def rms(self, batches: Iterable[Samples], parameters: FloatArray) -> FloatArray:
         """RMS residual of each channel over samples at parameters ``(D,)``; NaN where nothing was measured."""

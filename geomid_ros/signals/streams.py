@@ -17,6 +17,7 @@ import numpy as np
 from geomid_ros.model import se3
 from geomid_ros.model.columns import Entries
 from geomid_ros.model.effects import Motion
+from geomid_ros.model.imu import ImuMount
 from geomid_ros.signals.grid_values import GridValues
 from geomid_ros.signals.kernels import cubic_weights, derivative_kernels
 from geomid_ros.signals.limits import MEAN_STEPS, MEAN_TOLERANCE
@@ -260,3 +261,17 @@ class PoseSegment(Segment):
         if surplus > 0:
             del self._stamps[:surplus]
             del self._poses[:surplus]
+
+
+class ImuSegment(VectorSegment):
+    """Angular velocity and specific force of an IMU on the base, which make the base's motion."""
+
+    def __init__(self, grid: Grid, mount: ImuMount) -> None:
+        super().__init__(grid)
+        self._mount = mount
+
+    def filtered(self, instants: range) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Poses ``(N, 7)``, velocities and accelerations ``(N, 6)`` of the base, as a :class:`PoseSegment` has them."""
+        value, first, _ = super().filtered(instants)
+        up = value[:, 3:] / np.linalg.norm(value[:, 3:], axis=1, keepdims=True)
+        return self._mount.base_motion(value[:, :3], first[:, :3], value[:, 3:], up)
