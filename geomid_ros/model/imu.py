@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.errors import InputError
+from geomid_ros.model import se3
 from geomid_ros.types import FloatArray
 
 
@@ -59,8 +60,8 @@ class ImuMount:
         turning, tilting = angular_velocity @ self.rotation.T, angular_acceleration @ self.rotation.T
         lever = np.cross(tilting, self.origin) + np.cross(turning, np.cross(turning, self.origin))
         against = -self.gravity / np.linalg.norm(self.gravity)
-        quaternions = shortest_rotation(up @ self.rotation.T, against)
-        falling = rotated(quaternions * [-1.0, -1.0, -1.0, 1.0], self.gravity)
+        quaternions = se3.shortest_rotation(up @ self.rotation.T, against)
+        falling = se3.turned_back(quaternions, self.gravity)
         acceleration = specific_force @ self.rotation.T - lever + falling
         still = np.zeros_like(turning)
         return (
@@ -68,21 +69,3 @@ class ImuMount:
             np.concatenate([still, turning], axis=1),
             np.concatenate([acceleration, tilting], axis=1),
         )
-
-
-def shortest_rotation(vectors: FloatArray, onto: FloatArray) -> FloatArray:
-    """Unit quaternions ``(N, 4)``, xyzw, of the smallest rotations that take unit ``vectors (N, 3)`` to the unit vector
-    ``onto (3,)``; about any axis across where they are opposite."""
-    axis, cosine = np.cross(vectors, onto), vectors @ onto
-    opposite = cosine < -1.0 + 1e-9
-    across = np.cross(onto, np.eye(3)[np.argmin(np.abs(onto))])
-    axis[opposite], cosine[opposite] = across, -1.0
-    quaternions = np.concatenate([axis, 1.0 + cosine[:, None]], axis=1)
-    return np.asarray(quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True))
-
-
-def rotated(quaternions: FloatArray, vector: FloatArray) -> FloatArray:
-    """A ``vector (3,)`` turned by unit quaternions ``(N, 4)``, xyzw: ``(N, 3)``."""
-    axis, real = quaternions[:, :3], quaternions[:, 3:]
-    once = np.cross(axis, vector)
-    return np.asarray(vector + 2.0 * (real * once + np.cross(axis, once)))

@@ -12,7 +12,7 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _LIFTED = 0.1
 """A foot in the air seems to bear less, as a share of what each bears when all stand: inertias are not known yet."""
-_SPAN_IN_CUTOFF_PERIODS = 0.6
+_SPAN_IN_CUTOFF_PERIODS = 1.0
 """The low-pass smears what a foot bears over so much to both sides of the change."""
 
 
