@@ -42,6 +42,10 @@ class ImuMount:
     origin: FloatArray
     gravity: FloatArray
 
+    def weighed(self, specific_force: FloatArray) -> FloatArray:
+        """Lengths of ``specific_force (N, 3)`` as multiples of gravity ``(N,)``: about one, on average over time."""
+        return np.asarray(np.linalg.norm(specific_force, axis=1) / np.linalg.norm(self.gravity))
+
     def base_motion(
         self, angular_velocity: FloatArray, angular_acceleration: FloatArray, specific_force: FloatArray, up: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -16,7 +16,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import TrainingData
 from geomid_ros.signals.decoding import Decoder
-from geomid_ros.signals.ledger import meaning_of
+from geomid_ros.signals.ledger import Reason, meaning_of
 from geomid_ros.signals.messages import IMU, JOINT_STATES, message_type
 from geomid_ros.signals.pipeline import SignalPipeline
 
@@ -268,6 +268,12 @@ def _why_no_samples(bag: Bag, session: Session, pipeline: SignalPipeline) -> str
         f"{topic}: {count} of {account.received} messages rejected, {reason}"
         for topic, account in pipeline.ledger.topics.items()
         for reason, count in account.rejected.most_common(2)
+    ]
+    reasons += [
+        f"{topic}: {remark.sentence}"
+        for topic, account in pipeline.ledger.topics.items()
+        for remark in account.noted
+        if isinstance(remark, Reason) and remark.meaning == "driver error"
     ]
     reasons += [f"{topic}: no messages" for topic in session.topics if topic not in pipeline.ledger.topics]
     if not reasons:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from geomid_ros.checks.causes import Finding
+from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.check import Judge, JudgementTask, RecordingCheck, efforts_alone
 from geomid_ros.checks.unexplained import unexplained
 from geomid_ros.checks.verdict import (
@@ -50,7 +50,7 @@ from geomid_ros.session.ledger_findings import faulty_streams, peculiarities
 from geomid_ros.session.recording_facts import Recorded
 from geomid_ros.session.solidity import impossible_links
 from geomid_ros.signals.ledger import Account, Ledger
-from geomid_ros.signals.messages import IMU, JOINT_STATES, ODOM, Accepted
+from geomid_ros.signals.messages import IMU, JOINT_STATES, ODOM, Accepted, message_type
 from geomid_ros.signals.pipeline import SignalPipeline, ignore
 from geomid_ros.signals.recent import Recent
 from geomid_ros.signals.settings import SignalSettings
@@ -128,6 +128,7 @@ class Session:
         """The names of joints in all messages."""
         self._incomplete: list[str] = []  # sentences on the recordings that were read
         self._unchecked: list[str] = []  # their names
+        self._imus: list[str] = []  # topics in the recordings
         self._elsewhere = Recorded()  # of recordings that were read elsewhere
         self.recent = Recent(configuration["gap.memory"])
         self.pipeline = self.new_pipeline(on_accepted=self.recent, ledger=ledger)
@@ -177,7 +178,19 @@ class Session:
         found = check.findings()
         if check is self.check:  # nothing was forgotten meanwhile
             found = (*self._kept, *found, *faulty_streams(self.pipeline.ledger.topics, self._forgotten))
+            found = (*(self._moving_base() if found else ()), *found)
             self.findings = tuple({finding.sentence: finding for finding in found}.values())
+
+    def _moving_base(self) -> tuple[Finding, ...]:
+        """That the base may move, if it counts as fixed and an IMU was recorded."""
+        if self.robot.floating_base or not self._imus:
+            return ()
+        imu = self._imus[0]
+        sentence = (
+            f"the bag has an IMU ({imu}), and efforts are not those of a robot whose base is fixed: if the base moves, "
+            f"say so with --imu {imu}:FRAME and --contacts FOOT:RADIUS,..."
+        )
+        return (Finding(cause=Cause(kind="base", sentence=sentence, places=(imu,))),)
 
     def judge_with(self, judge: Judge) -> None:
         """Judge by ``judge`` instead of :meth:`JudgementTask.judge`, in another process for example, before there are
@@ -293,6 +306,7 @@ class Session:
     def begin_recording(self, bag: Bag) -> None:
         """Note that the samples to come are of another recording, and what is missing of it."""
         self.check.begin_recording()
+        self._imus += [topic for topic, kind in bag.topics.items() if kind == message_type(IMU)]
         self._incomplete += [warning for warning in bag.warnings if warning not in self._incomplete]
         self._unchecked += [] if bag.checked else [bag.path.name]
 

@@ -209,7 +209,8 @@ class Sampler:
             start = max([self._next_instant, *(r.start for r in ranges)])
             instants = range(-(-start // grid.stride) * grid.stride, min(r.stop for r in ranges), grid.stride)
             if instants:
-                self._pending.append(self._samples(grid, instants))
+                samples = self._samples(grid, instants)
+                self._pending += [samples] if len(samples) else []
                 self._next_instant = instants[-1] + 1
                 for stream in streams:
                     stream.drop_before(self._next_instant)
@@ -236,7 +237,7 @@ class Sampler:
         wrenches = np.zeros((count, len(self._wrenches), 6))
         for index, topic in enumerate(self._wrenches):
             wrenches[:, index] = self._streams[topic].segment.filtered(instants)[0]
-        return Samples(
+        samples = Samples(
             stamps=np.array([instant * grid.period for instant in instants], dtype=np.int64),
             position=position,
             velocity=velocity,
@@ -249,3 +250,11 @@ class Sampler:
             effects=self._joint_stream.segment.effects(instants),
             entries=self._entries,
         )
+        return samples if self._mount is None else samples.select(self._with_gravity(instants))
+
+    def _with_gravity(self, instants: range) -> BoolArray:
+        """Those of ``instants`` at which the IMU's specific force is gravity on average; what else it is is noted."""
+        faults = self._streams[IMU].segment.faults(instants)
+        for fault in dict.fromkeys(filter(None, faults)):
+            self._ledger.note(IMU, fault)
+        return np.array([not fault for fault in faults], dtype=np.bool_)
