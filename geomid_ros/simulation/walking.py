@@ -110,6 +110,18 @@ def simulate_walk(out: Path, options: WalkOptions) -> tuple[Path, Path]:
     return out, truth
 
 
+def parse_feet(texts: Sequence[str]) -> dict[str, float]:
+    """Radii by link, of ``LINK:RADIUS`` [m]. Raises InputError for another form."""
+    feet = {}
+    for text in texts:
+        link, _, radius = text.partition(":")
+        try:
+            feet[link] = float(radius)
+        except ValueError as error:
+            raise InputError(f"foot '{text}' is not of the form LINK:RADIUS, e.g. FL_foot:0.022 [m]") from error
+    return feet
+
+
 def true_bodies(robot: Description, options: WalkOptions) -> list[LinkInertia]:
     """The robot's links as they are: the URDF's with an error, and the payload on the root link."""
     numbers = generator(options.seed, RandomStream.INERTIA)
@@ -127,6 +139,11 @@ def walk(robot: Description, bodies: Sequence[LinkInertia], options: WalkOptions
     for link in (*options.feet, options.imu):
         if link not in robot.links:
             raise unknown_name("link", link, robot.links)
+    if len(robot.joints) != len(_STANCE) * len(options.feet):
+        raise InputError(
+            f"the robot has {len(robot.joints)} moving joints and {len(options.feet)} feet; a robot that walks has "
+            f"{len(_STANCE)} at each leg and no others"
+        )
     model = _compiled(mujoco, robot, bodies, options)
     data = mujoco.MjData(model)
     position, velocity = _set_points(mujoco, model, options)
