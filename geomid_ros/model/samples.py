@@ -45,8 +45,8 @@ class Samples:
     base_acceleration: FloatArray
     wrenches: FloatArray
     effects: FloatArray = None  # type: ignore[assignment]  # replaced by an array without columns
-    standing: BoolArray = None  # type: ignore[assignment]  # the same
     entries: Entries = NO_ENTRIES
+    standing: BoolArray = None  # type: ignore[assignment]  # the same
 
     def __post_init__(self) -> None:
         if self.effects is None:

@@ -10,7 +10,7 @@ import sys
 from binascii import crc32
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
@@ -18,12 +18,9 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 
 from geomid_ros.simulation.effects.choice import WRENCH_TOPIC
-from geomid_ros.simulation.motion import RunTrace
+from geomid_ros.simulation.motion import RunTrace, WalkTrace
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.types import FloatArray
-
-if TYPE_CHECKING:
-    from geomid_ros.simulation.walking import WalkTrace
 
 if sys.version_info >= (3, 14):
     from compression import zstd

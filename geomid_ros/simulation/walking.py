@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.simulation.bag import write_walk
 from geomid_ros.simulation.description import Description, LinkInertia, read_description
 from geomid_ros.simulation.inertias import body_of, perturbed, pseudo_inertia, set_inertia
+from geomid_ros.simulation.motion import WalkTrace
 from geomid_ros.simulation.plant import GRAVITY, load_mujoco
 from geomid_ros.simulation.robots import robot_description
 from geomid_ros.simulation.seeds import RandomStream, generator
@@ -75,20 +76,6 @@ class WalkOptions:
     gyroscope_bias: float = 0.003
     accelerometer_noise: float = 0.05
     accelerometer_bias: float = 0.02
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class WalkTrace:
-    """N instants: ``time (N,)``; ``position, velocity, effort (N, joints)``; ``angular_velocity``, ``specific_force``
-    ``(N, 3)`` in the IMU's axes; ``contact (N, feet)`` forces normal to the ground [N], which are not recorded."""
-
-    time: FloatArray
-    position: FloatArray
-    velocity: FloatArray
-    effort: FloatArray
-    angular_velocity: FloatArray
-    specific_force: FloatArray
-    contact: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 def simulate_walk(out: Path, options: WalkOptions) -> tuple[Path, Path]:
