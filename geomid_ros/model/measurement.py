@@ -195,7 +195,7 @@ class MeasurementModel:
         forms = effect.own
         if isinstance(place, AtSensor):
             by_axis = {form.name: form for form in forms}
-            axes = next(sensor.axes for sensor in self.sensors if sensor.topic == place.topic)
+            axes = next((sensor.axes for sensor in self.sensors if sensor.topic == place.topic), tuple(by_axis))
             forms = tuple(by_axis[axis] for axis in axes)
         for index, form in enumerate(forms):
             yield Coefficient(
