@@ -18,7 +18,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray, IntArray
 
 _DIRECTIONS = 3
-_NEARLY_SINGULAR = 0.05
+_NEARLY_SINGULAR = 0.1
 """Smallest singular value of a leg's Jacobian as a share of the largest: beyond it noise of efforts is magnified."""
 
 
@@ -80,16 +80,25 @@ class Legs:
         return joints
 
     def loads(self, samples: Samples) -> FloatArray:
-        """Forces of the ground on each foot ``(N, feet)`` by the efforts and the URDF, as shares of what each foot
-        bears when all stand; NaN where they are not known."""
+        """Sizes of the :meth:`forces` on each foot ``(N, feet)``, as shares of what each bears when all stand."""
+        share = self._robot.weight / len(self.contacts)
+        return np.asarray(np.linalg.norm(self.forces(samples), axis=2) / share)
+
+    def carried(self, samples: Samples) -> FloatArray:
+        """The forces on all feet against gravity ``(N,)``, as shares of the robot's weight by the URDF."""
+        up = -self._robot.gravity / np.linalg.norm(self._robot.gravity)
+        return np.asarray(np.sum(self.forces(samples), axis=1) @ up / self._robot.weight)
+
+    def forces(self, samples: Samples) -> FloatArray:
+        """Forces of the ground on each foot ``(N, feet, 3)`` [N] in the world's axes, by the efforts and the URDF; NaN
+        where they are not known."""
         q, v, a = self._robot.configuration(samples)
         missing = self._robot.described_efforts(q, v, a) - samples.effort
-        share = self._robot.weight / len(self.contacts)
         found = [
-            np.linalg.norm(inverse @ missing[:, joints, None], axis=(1, 2)) / share
+            (inverse @ missing[:, joints, None])[:, :, 0]
             for joints, (_, inverse) in zip(self.joints, self._transmissions(q), strict=True)
         ]
-        return np.array(found).T
+        return np.stack(found, axis=1)
 
     def eliminate(self, samples: Samples, base: IntArray, coefficients: FloatArray, targets: FloatArray) -> None:
         """Put what the legs' rows say of the ground's forces into those of the base, in place; NaN in what that leaves
