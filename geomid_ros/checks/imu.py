@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.model.effects.imu_offset import ImuOffset
+from geomid_ros.model.effects import effect_class
 from geomid_ros.model.robot import Robot
 
 _TURNED = 1.0  # [deg]
@@ -21,7 +21,7 @@ def turned_imu(estimate: Estimate, robot: Robot) -> list[str]:
         estimate: what was found.
         robot: whose weight by the URDF serves.
     """
-    offsets = [effect for effect in estimate.effects if effect.name == ImuOffset.name]
+    offsets = [effect for effect in estimate.effects if effect_class(effect.name).place == "base"]
     force = math.hypot(*(offset.value for offset in offsets))
     std = math.hypot(*(offset.std for offset in offsets))
     share = force / robot.weight
