@@ -6,7 +6,7 @@ Nothing measures the base's pose or the forces of the ground.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.simulation.bag import write_walk
 from geomid_ros.simulation.description import Description, LinkInertia, read_description
+from geomid_ros.simulation.gaits import GAITS
 from geomid_ros.simulation.inertias import body_of, perturbed, pseudo_inertia, set_inertia
 from geomid_ros.simulation.motion import WalkTrace
 from geomid_ros.simulation.plant import GRAVITY, load_mujoco
@@ -28,16 +29,12 @@ _STEP = 1e-3  # [s]
 _PER_SET_POINT = 10  # steps
 _STANCE = (0.0, 0.8, -1.6)  # [rad] hip, thigh and knee of a leg that stands
 _STIFFNESS, _DAMPING = 250.0, 5.0  # of the joints' controllers [N m/rad], [N m s/rad]
+_SHORTEST = 4.0  # [s] of a gait
 _SETTLING = 1.0  # [s] before the motion begins, not recorded
-_FADE = 0.7  # [s] from one gait to the next
 _CONTACT = (0.006, 1.0)  # MuJoCo's solref of the ground: time constant [s], damping ratio
 _FRICTION_TIME = 0.004  # [s] as of arms, see plant.py
 _SETTLED = 1e-6  # [m] at which the inverse kinematics stop
 _UPRIGHT = 0.7  # cosine of the trunk's tilt; beyond it the robot has fallen
-
-Gait = Callable[[FloatArray, FloatArray, np.random.Generator], tuple[FloatArray, FloatArray]]
-"""From times ``(N,)`` and feet where they stand ``(feet, 3)``: the trunk's way ``(N, 6)``, translation and rotation
-vector, and the feet's ``(N, feet, 3)``, both added to where they are at rest."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,6 +73,21 @@ class WalkOptions:
     gyroscope_bias: float = 0.003
     accelerometer_noise: float = 0.05
     accelerometer_bias: float = 0.02
+
+    def __post_init__(self) -> None:
+        for gait in self.gaits:
+            if gait not in GAITS:
+                raise unknown_name("gait", gait, GAITS)
+        ranges = {
+            "duration": (self.duration, _SHORTEST * len(self.gaits), np.inf),
+            "rate": (self.rate, 1.0, 1.0 / _STEP),
+            "payload": (self.payload, 0.0, np.inf),
+            "inertia_error": (self.inertia_error, 0.0, 1.0),
+            **{f"radius of {foot}": (radius, 1e-3, 1.0) for foot, radius in self.feet.items()},
+        }
+        for name, (value, low, high) in ranges.items():
+            if not low <= value <= high or np.isinf(value):
+                raise InputError(f"{name} is {value:g}; it has to be from {low:g} to {high:g}")
 
 
 def simulate_walk(out: Path, options: WalkOptions) -> tuple[Path, Path]:
@@ -205,10 +217,9 @@ def _compiled(mujoco: Any, robot: Description, bodies: Sequence[LinkInertia], op
         spec.body(foot).add_site(name=foot, size=[2.0 * radius, 0.0, 0.0])
         spec.add_sensor(name=foot, type=mujoco.mjtSensor.mjSENS_TOUCH, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=foot)
     spec.body(options.imu).add_site(name="imu")
-    for name in ("GYRO", "ACCELEROMETER"):
-        kind = getattr(mujoco.mjtSensor, f"mjSENS_{name}")
-        label = {"GYRO": "gyroscope"}.get(name, name.lower())
-        spec.add_sensor(name=label, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="imu")
+    kinds = {"gyroscope": mujoco.mjtSensor.mjSENS_GYRO, "accelerometer": mujoco.mjtSensor.mjSENS_ACCELEROMETER}
+    for name, kind in kinds.items():
+        spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="imu")
     try:
         return spec.compile()
     except ValueError as error:
@@ -259,50 +270,3 @@ def _joints_at(mujoco: Any, model: Any, data: Any, wanted: FloatArray, feet: Seq
             mujoco.mj_jacBody(model, data, jacobian, None, model.body(foot).id)
         data.qpos[7:] += np.linalg.lstsq(jacobians.reshape(-1, model.nv)[:, 6:], missing.ravel(), rcond=None)[0]
     raise InputError("the feet do not reach where the gait wants them: the legs are too short")
-
-
-def _faded(time: FloatArray, wait: float = 0.0) -> FloatArray:
-    """From 0 to 1 and back ``(N, 1)``, smoothly, after a ``wait`` [s] at both ends."""
-    share = np.clip((np.minimum(time, time[-1] - time) - wait) / _FADE, 0.0, 1.0)
-    return np.asarray(share**2 * (3.0 - 2.0 * share))[:, None]
-
-
-def _sway(time: FloatArray, size: FloatArray, numbers: np.random.Generator) -> FloatArray:
-    """Sums of sines ``(N, len(size))``."""
-    frequency = numbers.uniform(0.3, 1.5, (4, len(size)))
-    phase = numbers.uniform(0.0, 2.0 * np.pi, frequency.shape)
-    waves = np.sin(2.0 * np.pi * frequency * time[:, None, None] + phase)
-    return np.asarray(_faded(time) * size * np.sum(waves, axis=1) / 3.0)
-
-
-def _wobble(time: FloatArray, home: FloatArray, numbers: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    trunk = _sway(time, np.array([0.025, 0.02, 0.02, 0.08, 0.08, 0.08]), numbers)
-    return trunk, np.zeros((len(time), *home.shape))
-
-
-def _lift(time: FloatArray, home: FloatArray, numbers: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Each foot in turn leaves the ground and moves, the trunk over the other feet."""
-    trunk = _sway(time, np.array([0.005, 0.005, 0.01, 0.03, 0.03, 0.04]), numbers)
-    feet = np.zeros((len(time), *home.shape))
-    for foot, part in enumerate(np.array_split(np.arange(len(time)), len(home))):
-        own = time[part] - time[part[0]]
-        trunk[part, :2] -= 0.3 * home[foot, :2] * _faded(own)
-        high = np.array([0.0, 0.0, 0.09])
-        feet[part, foot] = _faded(own, _FADE) * (high + _sway(own, np.array([0.05, 0.04, 0.02]), numbers))
-    return trunk, feet
-
-
-def _trot(time: FloatArray, home: FloatArray, numbers: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Diagonal feet step together, on the spot."""
-    period = 0.6
-    trunk = _sway(time, np.array([0.005, 0.005, 0.005, 0.02, 0.02, 0.02]), numbers)
-    feet = np.zeros((len(time), *home.shape))
-    for foot, (x, y, _) in enumerate(home):
-        phase = (time / period + (0.5 if x * y > 0.0 else 0.0)) % 1.0
-        swing = np.clip(phase / 0.4, 0.0, 1.0)
-        feet[:, foot, 2] = 0.05 * np.sin(np.pi * swing) ** 2 * _faded(time)[:, 0]
-    return trunk, feet
-
-
-GAITS: dict[str, Gait] = {"wobble": _wobble, "lift": _lift, "trot": _trot}
-"""What a robot can do: sway with all feet down, lift its feet one by one, trot on the spot."""
