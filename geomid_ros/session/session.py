@@ -14,7 +14,7 @@ import numpy as np
 
 from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.check import Judge, JudgementTask, RecordingCheck, efforts_alone
-from geomid_ros.checks.imu import turned_imu
+from geomid_ros.checks.imu import displaced_imu, turned_imu
 from geomid_ros.checks.unexplained import unexplained
 from geomid_ros.checks.verdict import (
     HEAVIER,
@@ -250,8 +250,9 @@ class Session:
         samples = () if isinstance(judged, RowSummary) else judged
         named = any(finding.cause.kind != "unexplained" for finding in self.findings)
         findings = self.findings if named else self._unexplained(estimate, samples) or self.findings
+        findings = (*findings, *displaced_imu(self.model, samples, estimate.parameters))
         peculiar = [*peculiarities(recorded.accounts), *self.remarks]
-        peculiar += turned_imu(estimate, self.robot)
+        peculiar += turned_imu(self.model, estimate)
         peculiar += [] if held_out is None else unlike(estimate, held_out)
         impossible = tuple(impossible_links(self.urdf, self._source, self._suspects(estimate)))
         return verdict(

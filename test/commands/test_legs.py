@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,9 @@ import pytest
 from files.recordings import Recorded, altered
 from model.robots import urdf
 
-from benchmarks.legs import CONTACTS, FEET, IMU, true_parameters
+from benchmarks.legs import CONTACTS, FEET, IMU, misplaced, true_parameters
+from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
+from geomid_ros.model.robot import Robot
 from geomid_ros.simulation.walking import WalkOptions, simulate_walk
 
 from .running import NO_CHOICE, done, geomid, read, refused
@@ -48,8 +51,6 @@ def test_masses_are_found(folder: Path, tmp_path: Path) -> None:
     done("identify", folder / "walk", "--urdf", folder / "go2.urdf", *LEGS, "--hold-out", "0", "--out", tmp_path)
     document = read(tmp_path)
     assert document["verdict"]["result"] == "usable", document["verdict"]
-    from geomid_ros.model.robot import Robot  # noqa: PLC0415
-
     robot = Robot(urdf("go2.urdf"), floating_base=True)
     truth = dict(zip(robot.body_names, true_parameters(robot, folder / "walk.truth.json"), strict=True))
     links = {link["name"]: link for link in document["links"]}
@@ -69,15 +70,29 @@ def test_masses_are_found(folder: Path, tmp_path: Path) -> None:
 
 def test_an_imu_that_is_turned_is_told(folder: Path, tmp_path: Path) -> None:
     """By the angle, and the total mass is as right as without."""
-    from benchmarks.legs import misplaced  # noqa: PLC0415
-
     (tmp_path / "turned.urdf").write_text(misplaced(urdf("go2.urdf"), np.deg2rad(4.0), 0.0), encoding="utf-8")
     result = geomid("identify", folder / "walk", "--urdf", tmp_path / "turned.urdf", *LEGS, "--out", tmp_path)
     document = read(tmp_path)
     (sentence,) = (each for each in document["warnings"] if "IMU" in each)
     angle = float(sentence.partition("turned by ")[2].partition(" degrees")[0])
-    assert result.exit_code in (0, 3), result.output
+    assert result.exit_code == STATUS[USABLE], result.output
     assert angle == pytest.approx(4.0, abs=1.0)
+
+
+def test_an_imu_elsewhere_is_told(folder: Path, tmp_path: Path) -> None:
+    """By how far and where: it is doubted, as the centre of mass is off."""
+    (tmp_path / "moved.urdf").write_text(misplaced(urdf("go2.urdf"), 0.0, 0.1), encoding="utf-8")
+    result = geomid("identify", folder / "walk", "--urdf", tmp_path / "moved.urdf", *LEGS, "--out", tmp_path)
+    assert result.exit_code == STATUS[DOUBTFUL], result.output
+    (sentence,) = (each for each in read(tmp_path)["verdict"]["reasons"] if "IMU" in each)
+    place = [float(number) for number in re.findall(r"[+-]\d+", sentence)]
+    np.testing.assert_allclose(place, [-100.0, 0.0, 0.0], atol=15.0)
+
+
+def test_gaps_are_refused(folder: Path, tmp_path: Path) -> None:
+    """What acts in a leg that stands is not told from the ground's forces."""
+    said = refused("gap", folder / "walk", "--urdf", folder / "go2.urdf", *LEGS[:-2], "--out", tmp_path / "out")
+    assert "gaps are not found while forces of the ground are found from efforts" in " ".join(said.split())
 
 
 def scaled(key: str, factor: float) -> Callable[[Recorded], Recorded]:
