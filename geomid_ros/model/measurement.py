@@ -255,7 +255,8 @@ class MeasurementModel:
 
     def with_gravity(self, gravity: FloatArray) -> MeasurementModel:
         """The same model under another ``gravity (3,)`` in the base frame [m/s^2]."""
-        return self._replaced(robot=self.robot.with_gravity(gravity))
+        robot = self.robot.with_gravity(gravity)
+        return self._replaced(robot=robot, legs=self.legs and Legs(robot, self.legs.contacts))
 
     def with_known_loads(self, known: FloatArray | None) -> MeasurementModel:
         """The same model, whose gears transmit what ``known (D,)`` parameters say, NaN where nothing is known: efforts

@@ -94,6 +94,19 @@ def test_a_foot_bears_what_its_leg_says() -> None:
     np.testing.assert_allclose(loads[:, [0, 2, 3]], 0.0, atol=1e-8)
 
 
+def test_under_another_gravity_legs_are_of_that_robot() -> None:
+    """Nothing is shared with the model that it is made of: both may be used at the same time."""
+    robot = Robot(urdf("go2.urdf"), floating_base=True)
+    model = MeasurementModel(robot, [], contacts=[Contact("FL_foot")])
+    samples = bent(robot, seed=7)
+    moon = model.with_gravity(np.array([0.0, 0.0, -1.62]))
+    direct = Robot(urdf("go2.urdf"), floating_base=True, gravity=np.array([0.0, 0.0, -1.62]))
+    expected = MeasurementModel(direct, [], contacts=[Contact("FL_foot")])
+    assert moon.legs is not None
+    assert expected.legs is not None
+    np.testing.assert_allclose(moon.legs.loads(samples), expected.legs.loads(samples))
+
+
 def test_a_stretched_leg_says_nothing() -> None:
     """Its Jacobian is singular: no base rows there, and no number that is not finite in any coefficient."""
     robot = Robot(urdf("go2.urdf"), floating_base=True)
