@@ -49,7 +49,8 @@ _CHANGED = "the robot description has changed; it is used after ~/reset"
 
 
 class GeomidNode(Node):
-    """Subscribes to ``joint_states``, wrench topics, ``odom`` or ``imu`` and ``robot_description``; publishes what it finds."""
+    """Subscribes to ``joint_states``, wrench topics, ``odom`` or ``imu``, and ``robot_description``; publishes what it
+    finds."""
 
     def __init__(self, solving: SolvingProcess | None = None) -> None:
         """

@@ -153,4 +153,5 @@ class TestPolicy:
                 assert rule == "ALLOW"
                 allowed[how] += [full(str(entry.text)) for entry in group]
         for how, names in allowed.items():
-            assert sorted(names) == sorted(name for name, _ in seen["everything"][how])
+            with_imu = {full(IMU[0])} if how == "subscribe" else set()
+            assert sorted(names) == sorted({name for name, _ in seen["everything"][how]} | with_imu)
