@@ -13,13 +13,14 @@ from geomid_ros.errors import InputError
 from geomid_ros.model.columns import Columns, Entries
 from geomid_ros.model.imu import ImuMount
 from geomid_ros.model.samples import Samples
+from geomid_ros.signals.imu_segment import ImuSegment
 from geomid_ros.signals.joint_messages import FROZEN
 from geomid_ros.signals.ledger import Account, Ledger, driver_error
 from geomid_ros.signals.limits import HORIZON, MOST_WAITING, PERIOD_ROUNDING
 from geomid_ros.signals.messages import IMU, JOINT_STATES, ODOM, Accepted
 from geomid_ros.signals.periods import FEWEST, FEWEST_IN_BURSTS, RegularClock, in_bursts
 from geomid_ros.signals.settings import SignalSettings
-from geomid_ros.signals.streams import Grid, ImuSegment, JointSegment, PoseSegment, Stream, VectorSegment
+from geomid_ros.signals.streams import Grid, JointSegment, PoseSegment, Stream, VectorSegment
 from geomid_ros.signals.velocity_choice import VelocityChoice
 from geomid_ros.types import BoolArray, IntArray
 
