@@ -299,7 +299,9 @@ class Configuration:
         """The feet whose forces the efforts of their legs tell. Raises InputError where nothing tells how the base
         moves."""
         if self["contacts"] and not self.floating_base:
-            raise InputError(f"{self.source}: contacts need an IMU on the base (--imu TOPIC:FRAME, imu.frame)")
+            raise InputError(
+                f"{self.source}: contacts need an IMU on the base (--imu TOPIC:FRAME, imu.frame) or its pose"
+            )
         return [self._naming_source("", partial(Contact.parse, text)) for text in self["contacts"]]
 
     @property

@@ -250,9 +250,10 @@ class Session:
         samples = () if isinstance(judged, RowSummary) else judged
         named = any(finding.cause.kind != "unexplained" for finding in self.findings)
         findings = self.findings if named else self._unexplained(estimate, samples) or self.findings
-        findings = (*findings, *displaced_imu(self.model, samples, estimate.parameters))
         peculiar = [*peculiarities(recorded.accounts), *self.remarks]
-        peculiar += turned_imu(self.model, estimate)
+        if self.base_topic == IMU:
+            peculiar += turned_imu(self.model, estimate)
+            findings = (*findings, *displaced_imu(self.model, samples, estimate.parameters))
         peculiar += [] if held_out is None else unlike(estimate, held_out)
         impossible = tuple(impossible_links(self.urdf, self._source, self._suspects(estimate)))
         return verdict(

@@ -138,7 +138,7 @@ def test_recordings_that_cannot_be_used_are_refused(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--contacts", "FL_fot"), "contacts need an IMU on the base (--imu TOPIC:FRAME, imu.frame)"),
+        (("--contacts", "FL_fot"), "contacts need an IMU on the base (--imu TOPIC:FRAME, imu.frame) or its pose"),
         (("--imu", "/imu:imu", "--contacts", "FL_fot"), "unknown link of a contact 'FL_fot'"),
         (("--imu", "/imu:imo", "--contacts", "FL_foot"), "imu.frame: unknown link 'imo'. Did you mean 'imu'"),
         (("--imu", "/imu:FL_calf", "--contacts", "FL_foot"), "link 'FL_calf' moves against the base"),
