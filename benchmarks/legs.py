@@ -122,6 +122,9 @@ def main() -> None:
             for label, parameters in (("URDF", model.nominal_parameters), ("found", result.estimate.parameters)):
                 found = errors(robot, parameters[: true.size].reshape(-1, 10), true, samples)
                 print(f"seed {seed} {label:6}", "  ".join(f"{key} {value:7.3f}" for key, value in found.items()))
+            (trunk,) = (link for link in result.links if link.name == robot.tree.root)
+            off = (trunk.mass - true[robot.body_names.index(trunk.name), 0]) / trunk.std_mass
+            print(f"the trunk's mass is off by {off:.1f} of its standard deviations")
             print(result.verdict.word, *result.verdict.reasons, *result.warnings, sep="\n   ", flush=True)
 
 
