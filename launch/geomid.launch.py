@@ -32,6 +32,7 @@ def generate_launch_description() -> LaunchDescription:
                 "joint_states", default_value="joint_states", description="Topic of the joints' states."
             ),
             DeclareLaunchArgument("odom", default_value="odom", description="Topic of a floating base's pose."),
+            DeclareLaunchArgument("imu", default_value="imu", description="Topic of an IMU on a moving base."),
             DeclareLaunchArgument(
                 "urdf", default_value="", description="URDF or xacro for robot_state_publisher, where none runs yet."
             ),
@@ -49,7 +50,11 @@ def generate_launch_description() -> LaunchDescription:
                 executable="geomid_node",
                 namespace=namespace,
                 parameters=[LaunchConfiguration("params_file"), sim_time],
-                remappings=[("joint_states", joint_states), ("odom", LaunchConfiguration("odom"))],
+                remappings=[
+                    ("joint_states", joint_states),
+                    ("odom", LaunchConfiguration("odom")),
+                    ("imu", LaunchConfiguration("imu")),
+                ],
                 output="screen",
             ),
             Node(

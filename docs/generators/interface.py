@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import rclpy
@@ -16,14 +16,16 @@ from rclpy.signals import SignalHandlerOptions
 from geomid_ros.ros.node import GeomidNode
 
 _NAMESPACE, _NAME = "/namespace", "geomid"
-# With these the node opens all that it ever opens: a floating base, a wrench sensor, simulated time.
-_ARGUMENTS = ["--ros-args", "-r", f"__ns:={_NAMESPACE}", "-p", "use_sim_time:=true", "-p", "floating_base:=true"]
+# With these the node opens all that it ever opens: simulated time, a wrench sensor, a floating base in two ways.
+_ARGUMENTS = ["--ros-args", "-r", f"__ns:={_NAMESPACE}", "-p", "use_sim_time:=true"]
+_BASES = (["-p", "floating_base:=true"], ["-p", "imu.frame:=LINK"])
 _SENSOR = ["-p", "wrenches:=['NAME']", "-p", "wrench.NAME.frame:=LINK"]
 
 _MEANINGS = {
     "joint_states": "joints in any order; velocity is used if present and consistent with the position",
     "robot_description": "the URDF, unless it is given as a parameter",
     "odom": "pose of a floating base, with `floating_base`",
+    "imu": "angular velocity and acceleration of a floating base, with `imu.frame`",
     "NAME": "one for every sensor in `wrenches`, here `NAME`; `wrench.NAME.topic` sets another topic",
     "~/inertias": "one message per link; `frame_id` is the link, `com` in its frame, "
     "the inertia about the centre of mass in the link's axes",
@@ -70,7 +72,17 @@ class Interface:
 
 def of_the_node() -> Interface:
     """The interface of the node. Raises KeyError for what has no meaning here, or a meaning and does not exist."""
-    with _ros():
+    with_odometry, with_imu = map(_opened, _BASES)
+    inputs = list(dict.fromkeys([*with_odometry.inputs, *with_imu.inputs]))
+    unused = _MEANINGS.keys() - {entry.name for entry in (*inputs, *with_imu.outputs, *with_imu.services)}
+    if unused:
+        raise KeyError(f"the node does not open {', '.join(sorted(unused))}")
+    return replace(with_imu, inputs=inputs)
+
+
+def _opened(base: list[str]) -> Interface:
+    """What the node opens with these arguments."""
+    with _ros(base):
         of_every_node = _of_every_node()
         node = GeomidNode()
         try:
@@ -81,16 +93,13 @@ def of_the_node() -> Interface:
         finally:
             node.close()
             node.destroy_node()
-    unused = _MEANINGS.keys() - {entry.name for entry in (*inputs, *outputs, *services)}
-    if unused:
-        raise KeyError(f"the node does not open {', '.join(sorted(unused))}")
     return Interface(inputs, outputs, services, of_every_node)
 
 
 @contextmanager
-def _ros() -> Iterator[None]:
+def _ros(base: list[str]) -> Iterator[None]:
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "OFF"  # nobody hears of this node
-    rclpy.init(args=[*_ARGUMENTS, *_SENSOR], signal_handler_options=SignalHandlerOptions.NO)
+    rclpy.init(args=[*_ARGUMENTS, *_SENSOR, *base], signal_handler_options=SignalHandlerOptions.NO)
     try:
         yield
     finally:

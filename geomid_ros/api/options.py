@@ -11,6 +11,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import bags_in
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.models.xacro import SUFFIX, urdf_of_xacro
+from geomid_ros.model.imu import Imu
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, Topics, recorded_description
@@ -113,6 +114,8 @@ class RobotKeywords(TypedDict, total=False):
     joint_topic: str
     floating_base: bool
     odom_topic: str
+    imu: str | None
+    contacts: Texts | None
 
 
 class RecordingKeywords(RobotKeywords, total=False):
@@ -144,6 +147,8 @@ class RobotOptions:
         joint_topic: topic of the joint states.
         floating_base: whether the base moves; its pose is read from ``odom_topic``.
         odom_topic: topic of the base's pose.
+        imu: an IMU on the base in place of its pose, as ``TOPIC:FRAME``.
+        contacts: feet on the ground, as ``FRAME`` or ``FRAME:RADIUS`` [m], whose forces the legs' efforts tell.
     """
 
     urdf: PathLike | None = None
@@ -158,11 +163,14 @@ class RobotOptions:
     joint_topic: str = "joint_states"
     floating_base: bool = False
     odom_topic: str = "odom"
+    imu: str | None = None
+    contacts: Texts | None = None
 
     @property
     def topics(self) -> Topics:
         """The topics that recordings are read from."""
-        return Topics(self.joint_topic, self.odom_topic)
+        imu = () if self.imu is None else (Imu.parse(self.imu).topic,)
+        return Topics(self.joint_topic, self.odom_topic, *imu)
 
     def description(self, bags: Sequence[Path], model: PathLike | None = None) -> DescribedRobot:
         """The robot description, see :func:`~geomid_ros.api.options.description`."""
@@ -185,6 +193,8 @@ class RobotOptions:
             "locked_joints": entries("lock", self.lock or ()) or None,
             "merge_joint_states": self.merge or None,
             "floating_base": self.floating_base or None,
+            "imu.frame": None if self.imu is None else Imu.parse(self.imu).frame,
+            "contacts": entries("contacts", self.contacts or ()) or None,
         }
         said = {name: value for name, value in own.items() if value is not None}
         result = _base(self.config)

@@ -15,6 +15,7 @@ from geomid_ros.checks.changes import changes, lags
 from geomid_ros.checks.description import impossible_description
 from geomid_ros.checks.evidence import FOLLOWS, HALF, LEAST_SIGMA
 from geomid_ros.checks.instants import FEWEST, Instants, Kept, Stretch
+from geomid_ros.checks.legs import carried_weight
 from geomid_ros.checks.stuck import frozen_position, held_efforts
 from geomid_ros.checks.subject import Subject
 from geomid_ros.checks.transforms import transforms
@@ -65,8 +66,11 @@ class JudgementTask:
         if efforts_alone(self.model):
             check = EffortCheck(self.model, excerpt.kept, self.gains)
             findings, remarks = check.findings(), check.remarks
+        elif self.model.legs is not None and (found := carried_weight(self.model.legs, excerpt.kept.samples)):
+            findings = [found]
         if not findings:  # a motion that is not the robot's would be the sensors' fault, too
-            findings = [found for sensor in self.model.mounted if (found := self._wrench(sensor, excerpt))]
+            wrong = (self._wrench(sensor, excerpt) for sensor in self.model.mounted)
+            findings = [finding for finding in wrong if finding is not None]
         return Judgement(tuple(findings), tuple(remarks))
 
     def _wrench(self, sensor: WrenchSensor, excerpt: Excerpt) -> Finding | None:

@@ -118,6 +118,14 @@ robot_options = together(
         click.option("--odom-topic", default="odom", show_default=True, help="Topic of the base pose."),
         click.option("--floating-base", is_flag=True, help="The base moves; its pose is read from the odometry topic."),
         click.option(
+            "--contacts",
+            type=Names(),
+            metavar="FEET",
+            help="Feet on the ground, FRAME or FRAME:RADIUS [m], separated by commas; the efforts of their legs tell "
+            "their forces.",
+        ),
+        click.option("--imu", metavar="TOPIC:FRAME", help="IMU on a moving base, in place of its pose."),
+        click.option(
             "--wrench",
             multiple=True,
             metavar="TOPIC:FRAME:ROLE[:AXES]",

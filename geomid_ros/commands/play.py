@@ -33,8 +33,8 @@ from geomid_ros.errors import InputError, printable
 def play(bag: Path, rate: float, wait: float, topic: tuple[str, ...], config: Path | None) -> None:
     """Play a rosbag on live topics.
 
-    Publishes only the topics of BAG that geomid reads: joint_states, odom and robot_description in any namespace, and
-    /clock.
+    Publishes only the topics of BAG that geomid reads: joint_states, odom, imu and robot_description in any
+    namespace, and /clock.
     """
     from geomid_ros.commands.terminal import progress_bar
     from geomid_ros.session.configuration import Configuration

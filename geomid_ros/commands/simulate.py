@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
-from geomid_ros.commands.options import Output
+from geomid_ros.commands.options import Names, Output
+from geomid_ros.errors import InputError
 from geomid_ros.simulation import (
     EFFECTS,
     LINK_MASS,
@@ -24,6 +26,8 @@ if TYPE_CHECKING:
     from geomid_ros.simulation import SimulationResult
 
 _DEFAULT = SimulationOptions()
+_SAID = ParameterSource.COMMANDLINE
+_OF_WALKS = ("robot", "duration", "rate", "seed", "motion_seed", "inertia_error")
 _HIDE = f"""\b
 Hide a physical effect; may be repeated:
   --hide spring                               random joint and size
@@ -78,8 +82,23 @@ Hide a physical effect; may be repeated:
 @click.option(
     "--effort-step", default=_DEFAULT.effort_step, help="Resolution of efforts, as a share of the effort limit."
 )
+@click.option(
+    "--feet",
+    type=Names(),
+    metavar="LINK:RADIUS,...",
+    help="The robot is a quadruped that sways, lifts its legs and trots on these round feet [m], with an IMU, and a "
+    "payload that its URDF lacks; needs a URDF file.",
+)
+@click.option("--imu", metavar="LINK", help="Link of the IMU of a robot with feet.")
 def simulate(
-    out: Path, hide: tuple[str, ...], wrench: bool, wrench_frame: str | None, period: float, **options: Any
+    out: Path,
+    hide: tuple[str, ...],
+    wrench: bool,
+    wrench_frame: str | None,
+    period: float,
+    feet: list[str] | None,
+    imu: str | None,
+    **options: Any,
 ) -> None:
     """Record a rosbag of a simulated robot.
 
@@ -90,11 +109,30 @@ def simulate(
     from geomid_ros.commands.terminal import progress_bar
     from geomid_ros.simulation import simulate as record
 
+    if feet or imu:
+        context = click.get_current_context()
+        given = {name: value for name, value in context.params.items() if name not in ("out", "feet", "imu")}
+        said = {name: value for name, value in given.items() if context.get_parameter_source(name) is _SAID}
+        click.echo(_walked(out, feet or [], imu or "", said))
+        return
     frame = wrench_frame or (WRIST_FRAME if wrench else None)
     chosen = SimulationOptions(hide=_requests(hide), wrench_frame=frame, motion_period=period, **options)
     with progress_bar() as progress:
         result = record(out, chosen, lambda share: progress(f"simulating {chosen.duration:g} s", share))
     click.echo(_written(result, bool(hide)))
+
+
+def _walked(out: Path, feet: list[str], imu: str, options: dict[str, Any]) -> str:
+    """Record a robot with feet. Returns what was written."""
+    from geomid_ros.simulation.walking import WalkOptions, parse_feet, simulate_walk
+
+    if not (feet and imu and "robot" in options):
+        raise InputError("a robot that walks needs --feet, --imu and --robot, its URDF file")
+    unknown = [f"--{name.replace('_', '-')}" for name in options if name not in _OF_WALKS]
+    if unknown:
+        raise InputError(f"{', '.join(unknown)}: not for a robot that walks; leave it out")
+    bag, truth = simulate_walk(out, WalkOptions(feet=parse_feet(feet), imu=imu, **options))
+    return f"Written: {bag}\n         {truth} (the true links)"
 
 
 def _requests(texts: tuple[str, ...]) -> tuple[Hidden, ...] | None:

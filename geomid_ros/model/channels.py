@@ -25,19 +25,30 @@ class Channel:
 
 @dataclass(frozen=True)
 class ChannelLayout:
-    """The order of the channels: the joints' ``efforts``, all or none, then the axes of ``wrenches`` by topic."""
+    """The order of the channels: the joints' ``efforts``, all or none, the axes of ``wrenches`` by topic, and the six
+    of a floating ``base``, if what touches the ground is known."""
 
     efforts: range
     wrenches: Mapping[str, range]
+    base: range
 
     @staticmethod
-    def of(joints: int, sensors: Sequence[WrenchSensor]) -> ChannelLayout:
-        """Of the efforts of so many joints, and of sensors in their order."""
+    def of(joints: int, sensors: Sequence[WrenchSensor], base: int = 0) -> ChannelLayout:
+        """Of the efforts of so many joints, of sensors in their order, and of so many axes of the base."""
         wrenches, first = {}, joints
         for sensor in sensors:
             wrenches[sensor.topic] = range(first, first + len(sensor.axes))
             first = wrenches[sensor.topic].stop
-        return ChannelLayout(range(joints), wrenches)
+        return ChannelLayout(range(joints), wrenches, range(first, first + base))
+
+
+BASE = "base"
+"""The topic, so to say, of the channels of a floating base."""
+
+
+def unit_of_axis(axis: str) -> str:
+    """Of one of the axes of a wrench."""
+    return "N" if axis[0] == "f" else "N m"
 
 
 def wrench_channel(topic: str, axis: str) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from geomid_ros.errors import unknown_name
-from geomid_ros.model.channels import ChannelLayout
+from geomid_ros.model.channels import BASE, ChannelLayout
 from geomid_ros.model.effects import AtJoint, AtJoints, AtSensor, Effect, OnLink, OnRobot, Place, joints_of
 from geomid_ros.model.effects.places import pair_name
 from geomid_ros.model.robot import Robot
@@ -35,6 +35,8 @@ class EffectPlaces:
                 return [OnLink(place, self._mover(link)) for place, link in enumerate(self.links)]
             case "sensor":
                 return [AtSensor(topic, tuple(self.layout.wrenches[topic])) for topic in self.topics]
+            case "base":
+                return [AtSensor(BASE, tuple(self.layout.base[: effect.count]))] if self.layout.base else []
         return []
 
     def name(self, place: Place) -> str:

@@ -20,8 +20,9 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.geometry.manifold import ParameterManifold
-from geomid_ros.model.channels import Channel, ChannelLayout, wrench_channel
+from geomid_ros.model.channels import BASE, Channel, ChannelLayout, unit_of_axis, wrench_channel
 from geomid_ros.model.columns import Columns, Entries, column_of, reached_joints
+from geomid_ros.model.contacts import Contact, Legs
 from geomid_ros.model.effect_places import EffectPlaces
 from geomid_ros.model.effects import (
     AtSensor,
@@ -38,7 +39,7 @@ from geomid_ros.model.effects.parameters import quantities
 from geomid_ros.model.moving import REST, SIGN
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import PIECE, Samples
-from geomid_ros.model.sensors import WORLD_FRAMES, WrenchSensor
+from geomid_ros.model.sensors import AXES, WORLD_FRAMES, WrenchSensor
 from geomid_ros.types import FloatArray, IntArray
 
 Mechanism: TypeAlias = tuple[str, Place, int]
@@ -109,6 +110,7 @@ class MeasurementModel:
         local_effects: Mapping[str, Sequence[IdentifiedEffect]] = MappingProxyType({}),
         candidates: Sequence[IdentifiedEffect] = (),
         behind_gear: Collection[str] = (),
+        contacts: Sequence[Contact] = (),
     ) -> None:
         """A model of a robot.
 
@@ -120,6 +122,7 @@ class MeasurementModel:
             local_effects: act only at the place by whose name they are given.
             behind_gear: names of the joints whose efforts are measured behind the gear, where a motor is not felt.
             candidates: may act at every usual place of their kind where none of the same name is known.
+            contacts: the feet of a floating base, whose forces the efforts of their legs tell.
 
         Raises:
             InputError: for a link or sensor that does not fit the robot, or where nothing measured can be predicted.
@@ -138,8 +141,11 @@ class MeasurementModel:
         self._behind_gear = frozenset(behind_gear)
         self._loading = np.array([body.parameters for body in robot.bodies])
         self._resisting: tuple[tuple[MotionEffect, Place, float], ...] = ()
+        self.legs = Legs(robot, contacts) if contacts else None
+        """What stands on the ground, if its forces are found from efforts."""
         self._check_sensors()
-        self.layout = ChannelLayout.of(len(robot.joints) if self._efforts_usable else 0, self._row_sensors)
+        joints, base = len(robot.joints) if self._efforts_usable else 0, len(AXES) if self.legs else 0
+        self.layout = ChannelLayout.of(joints, self._row_sensors, base)
         topics = [sensor.topic for sensor in self._row_sensors]
         self.places = EffectPlaces(robot, self.body_names, topics, self.layout)
         self.coefficients = self._coefficients()
@@ -147,8 +153,8 @@ class MeasurementModel:
         if not self.channels:
             raise InputError(
                 "no measured channel can be predicted: joint efforts need every external wrench sensor to be on a "
-                "link and to measure all six axes; a floating base needs at least one wrench sensor of role external "
-                "(a force plate, or contact sensors on all that touches the ground)"
+                "link and to measure all six axes; a floating base needs --contacts, the feet on the ground, or at "
+                "least one wrench sensor of role external (a force plate, or sensors on all that touches the ground)"
             )
 
     def _identified_bodies(self, links: Sequence[str] | None) -> tuple[int, ...]:
@@ -189,7 +195,7 @@ class MeasurementModel:
         forms = effect.own
         if isinstance(place, AtSensor):
             by_axis = {form.name: form for form in forms}
-            axes = next(sensor.axes for sensor in self.sensors if sensor.topic == place.topic)
+            axes = next((sensor.axes for sensor in self.sensors if sensor.topic == place.topic), tuple(by_axis))
             forms = tuple(by_axis[axis] for axis in axes)
         for index, form in enumerate(forms):
             yield Coefficient(
@@ -214,6 +220,11 @@ class MeasurementModel:
         if len(set(topics)) < len(topics):
             raise InputError(f"two wrench sensors have the same topic: {', '.join(topics)}")
         external = self._external
+        if external and self.legs:
+            raise InputError(
+                f"contacts and an external wrench sensor, '{external[0].topic}': the forces of the ground are either "
+                "found from efforts or measured; leave one of them out"
+            )
         if len(external) > 1 and any(len(sensor.axes) < 6 for sensor in external):
             raise InputError("of several external wrench sensors each must measure all six axes: their loads are added")
 
@@ -236,7 +247,7 @@ class MeasurementModel:
         """Whether all loads that reach the joints are known: not those of a force plate, which rest on some link, nor
         those of a floating base without sensors."""
         on_robot = all(s.frame in self.robot.tree.links and len(s.axes) == 6 for s in self._external)
-        return on_robot and (not self.robot.floating_base or bool(self._external))
+        return on_robot and (not self.robot.floating_base or bool(self._external) or self.legs is not None)
 
     def without_effects(self) -> MeasurementModel:
         """The same channels and bodies, with no effects."""
@@ -244,7 +255,8 @@ class MeasurementModel:
 
     def with_gravity(self, gravity: FloatArray) -> MeasurementModel:
         """The same model under another ``gravity (3,)`` in the base frame [m/s^2]."""
-        return self._replaced(robot=self.robot.with_gravity(gravity))
+        robot = self.robot.with_gravity(gravity)
+        return self._replaced(robot=robot, legs=self.legs and Legs(robot, self.legs.contacts))
 
     def with_known_loads(self, known: FloatArray | None) -> MeasurementModel:
         """The same model, whose gears transmit what ``known (D,)`` parameters say, NaN where nothing is known: efforts
@@ -287,7 +299,7 @@ class MeasurementModel:
         """How many of the effects' coefficients are positive; they come first."""
         self.dimension = 10 * len(self.identified) + len(self.coefficients)
         """D, the number of parameters."""
-        self.channels = (*self._joint_channels(), *self._wrench_channels())
+        self.channels = (*self._joint_channels(), *self._wrench_channels(), *self._base_channels())
 
     @property
     def nominal_inertias(self) -> FloatArray:
@@ -337,13 +349,20 @@ class MeasurementModel:
         return [
             Channel(
                 name=wrench_channel(sensor.topic, axis),
-                unit="N" if axis[0] == "f" else "N m",
+                unit=unit_of_axis(axis),
                 columns=self._columns(index, self._loaded_bodies(sensor)),
                 topic=sensor.topic,
                 axis=axis,
             )
             for sensor in self._row_sensors
             for index, axis in zip(self.layout.wrenches[sensor.topic], sensor.axes, strict=True)
+        ]
+
+    def _base_channels(self) -> list[Channel]:
+        every = np.arange(self.dimension)
+        return [
+            Channel(name=wrench_channel(BASE, axis), unit=unit_of_axis(axis), columns=every, topic=BASE, axis=axis)
+            for _, axis in zip(self.layout.base, AXES, strict=False)
         ]
 
     @property
@@ -373,15 +392,21 @@ class MeasurementModel:
         bodies = np.zeros((len(samples), len(self.channels), len(self.robot.bodies), 10))
         targets = np.empty((len(samples), len(self.channels)))
         wrenches = self._measured_wrenches(samples)
-        motion, joints = self.robot.configuration(samples), len(self.layout.efforts)
+        motion, joints, base = self.robot.configuration(samples), len(self.layout.efforts), list(self.layout.base)
         if joints:
-            bodies[:, :joints] = self.robot.joint_effort_rows(*motion)
+            by_efforts = [*self.layout.efforts, *base]
+            bodies[:, by_efforts] = self.robot.joint_effort_rows(*motion, base=bool(base))
             targets[:, :joints] = samples.effort
+            targets[:, base] = 0.0
+        sensed = slice(joints, len(self.channels) - len(base))
         for index, (q, v, a) in enumerate(zip(*motion, strict=True) if self.sensors else ()):
             self.robot.update_motion(q, v, a)
             targets[index, :joints] += self._external_efforts(q, wrenches[index], joints)
-            bodies[index, joints:], targets[index, joints:] = self._wrench_rows(wrenches[index])
-        return self._assemble(samples, bodies, targets)
+            bodies[index, sensed], targets[index, sensed] = self._wrench_rows(wrenches[index])
+        coefficients, targets = self._assemble(samples, bodies, targets)
+        if self.legs is not None:
+            self.legs.eliminate(samples, np.array(base), coefficients, targets)
+        return coefficients, targets
 
     def _measured_wrenches(self, samples: Samples) -> FloatArray:
         """The wrenches ``(N, sensors, 6)`` with the sensors' signs, and zero where an axis is not measured."""

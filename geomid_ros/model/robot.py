@@ -317,15 +317,20 @@ class Robot:
             position, velocity, acceleration = follower.factor * motions[:, :, follower.master]
             yield follower.joint, position + follower.offset, velocity, acceleration
 
-    def joint_effort_rows(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """Regressors of the joints' efforts at N instants, ``(N, joints, bodies, 10)``, in the bodies' link frames."""
+    def joint_effort_rows(self, q: FloatArray, v: FloatArray, a: FloatArray, *, base: bool = False) -> FloatArray:
+        """Regressors of the joints' efforts at N instants, ``(N, joints, bodies, 10)``, in the bodies' link frames.
+
+        With ``base`` six more follow, ``(N, joints + 6, bodies, 10)``: those of the wrench on a floating base, in the
+        axes and about the origin of the root link.
+        """
         # Instant by instant only what pinocchio does: the rest takes twice as long, unless it is done for all at once.
         full = np.empty((len(q), self._model.nv, 10 * (self._model.njoints - 1)))
         for rows, *state in zip(full, q, v, a, strict=True):
             # Of a robot with one joint pinocchio returns arrays that have lost a dimension.
             rows[:] = pin.computeJointTorqueRegressor(self._model, self._data, *state).reshape(rows.shape)
-        by_joint = self._of_joints(full).reshape(len(q), len(self.joints), -1, 10)[:, :, self._moved_by]
-        found = np.zeros((len(q), len(self.joints), len(self.bodies), 10))
+        rows = np.concatenate([self._of_joints(full), full[:, :6]], axis=1) if base else self._of_joints(full)
+        by_joint = rows.reshape(len(q), rows.shape[1], -1, 10)[:, :, self._moved_by]
+        found = np.zeros((len(q), rows.shape[1], len(self.bodies), 10))
         found[:, :, self._moved] = (by_joint.transpose(0, 2, 1, 3) @ self._to_joints).transpose(0, 2, 1, 3)
         return found
 
@@ -422,6 +427,41 @@ class Robot:
         index = self._model.getFrameId(frame, pin.BODY)
         jacobian = pin.computeFrameJacobian(self._model, self._data, q, index, pin.LOCAL)
         return self._of_joints(jacobian.reshape(6, self._model.nv).T).T
+
+    def contact_jacobians(self, q: FloatArray, frame: str, radius: float) -> FloatArray:
+        """Jacobians ``(N, 3, 6 + joints)`` of the lowest point of a ball around the origin of a link, in the world's
+        axes: by the velocity of a floating base, in its own axes, and by those of the joints."""
+        index = self._model.getFrameId(frame, pin.BODY)
+        full = np.empty((len(q), 6, self._model.nv))
+        for jacobian, state in zip(full, q, strict=True):
+            jacobian[:] = pin.computeFrameJacobian(self._model, self._data, state, index, pin.LOCAL_WORLD_ALIGNED)
+        down = radius * self.gravity / np.linalg.norm(self.gravity)
+        rows = full[:, :3] - pin.skew(down) @ full[:, 3:]
+        return np.concatenate([rows[:, :, :6], self._of_joints(rows.transpose(0, 2, 1)).transpose(0, 2, 1)], axis=2)
+
+    def described_efforts(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        """Efforts ``(N, joints)`` that the motion takes by the URDF."""
+        motion = zip(q, v, a, strict=True)
+        return (
+            np.array([pin.rnea(self._model, self._data, *state) for state in motion]).reshape(len(q), -1)
+            @ self.coupling
+        )
+
+    @property
+    def weight(self) -> float:
+        """Of all links by the URDF [N]."""
+        return float(sum(body.parameters[0] for body in self.bodies) * np.linalg.norm(self.gravity))
+
+    def base_placement(self, frame: str) -> FloatArray:
+        """The homogeneous matrix ``(4, 4)`` from the coordinates of a link to those of the root, to which it is fixed.
+
+        Raises InputError for a link that there is not, or that moves against the root.
+        """
+        if frame not in self.tree.links:
+            raise unknown_name("link", frame, self.tree.links)
+        if not all(map(self._is_fixed, self.tree.joints_above(frame))):
+            raise InputError(f"{self.source}: link '{frame}' moves against the base, expected one that is fixed to it")
+        return self.fixed_placement(frame, self.tree.root)
 
     def with_gravity(self, gravity: FloatArray) -> Robot:
         """The same robot under another ``gravity (3,)`` in the base (world) frame [m/s^2]."""

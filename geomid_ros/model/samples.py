@@ -11,7 +11,7 @@ import numpy as np
 
 from geomid_ros.model.columns import NO_ENTRIES, Column, Columns, Entries, column_of, reached_joints
 from geomid_ros.model.effects import Motion, MotionEffect, Place
-from geomid_ros.types import AnyArray, FloatArray, IntArray
+from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 _PAUSE = 1.5  # sampling periods
 WIDEST = np.pi
@@ -32,7 +32,7 @@ class Samples:
     (linear, angular), all with 0 columns for a fixed base; ``wrenches (N, sensors, 6)`` force and torque.
     ``effects (N, entries)`` are the ``entries`` of effects' columns, computed before the filter and filtered as the
     efforts were; a column that is not among them is computed from the motion given here, which is right when that is
-    exact.
+    exact. ``standing (N, feet)``: which feet may touch the ground, none if it has no columns.
     """
 
     stamps: IntArray
@@ -46,10 +46,13 @@ class Samples:
     wrenches: FloatArray
     effects: FloatArray = None  # type: ignore[assignment]  # replaced by an array without columns
     entries: Entries = NO_ENTRIES
+    standing: BoolArray = None  # type: ignore[assignment]  # the same
 
     def __post_init__(self) -> None:
         if self.effects is None:
             object.__setattr__(self, "effects", np.zeros((len(self.position), 0)))
+        if self.standing is None:
+            object.__setattr__(self, "standing", np.zeros((len(self.position), 0), dtype=np.bool_))
         if self.effects.shape[1] != len(self.entries):
             raise ValueError(f"{self.effects.shape[1]} entries of effects' columns, expected {len(self.entries)}")
         for name, values in self.arrays.items():

@@ -8,6 +8,7 @@ import pinocchio as pin
 from geomid_ros.types import FloatArray
 
 _SMALL_ANGLE = 0.1
+_OPPOSITE = 1e-9  # of a cosine
 
 
 def relative_log(reference: FloatArray, poses: FloatArray) -> FloatArray:
@@ -35,6 +36,30 @@ def _second_coefficient(angle: FloatArray) -> FloatArray:
 def compose_exp(reference: FloatArray, twist: FloatArray) -> FloatArray:
     """The pose ``reference exp(twist)`` ``(7,)``, for a twist ``(6,)``."""
     return np.array(pin.SE3ToXYZQUAT(pin.XYZQUATToSE3(reference) * pin.exp6(twist)))
+
+
+def rotations(vectors: FloatArray) -> FloatArray:
+    """The rotations ``(N, 3, 3)`` by rotation vectors ``(N, 3)`` [rad]."""
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 of floating bases alone
+
+    return np.asarray(Rotation.from_rotvec(vectors).as_matrix())
+
+
+def turned_back(quaternions: FloatArray, vector: FloatArray) -> FloatArray:
+    """A ``vector (3,)`` in each of the axes that quaternions ``(N, 4)``, xyzw, are turned by: ``(N, 3)``."""
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 of floating bases alone
+
+    return np.asarray(Rotation.from_quat(quaternions).inv().as_matrix() @ vector)
+
+
+def shortest_rotation(vectors: FloatArray, onto: FloatArray) -> FloatArray:
+    """Unit quaternions ``(N, 4)``, xyzw, of the smallest rotations that take unit ``vectors (N, 3)`` to the unit vector
+    ``onto (3,)``; about any axis across where they are opposite."""
+    axis, cosine = np.cross(vectors, onto), vectors @ onto
+    opposite = cosine < -1.0 + _OPPOSITE
+    axis[opposite], cosine[opposite] = np.cross(onto, np.eye(3)[np.argmin(np.abs(onto))]), -1.0
+    quaternions = np.concatenate([axis, 1.0 + cosine[:, None]], axis=1)
+    return np.asarray(quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True))
 
 
 def quaternion(axes: FloatArray) -> FloatArray:

@@ -7,11 +7,12 @@ from typing import Any
 from geometry_msgs.msg import WrenchStamped
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Imu, JointState
 
 _CLASSES = {
     "geometry_msgs/msg/WrenchStamped": WrenchStamped,
     "nav_msgs/msg/Odometry": Odometry,
+    "sensor_msgs/msg/Imu": Imu,
     "sensor_msgs/msg/JointState": JointState,
 }
 

@@ -17,6 +17,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import BufferSettings
 from geomid_ros.files.parameter_file import read_parameter_file
+from geomid_ros.model.contacts import Contact
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS, IdentifiedEffect, identified_effect
 from geomid_ros.model.sensors import AXES, WrenchSensor
 from geomid_ros.model.weighed_masses import WeighedMass
@@ -63,6 +64,10 @@ PARAMETERS = (
     Parameter("effects", list(DEFAULT_EFFECTS), "effects identified at every joint and wrench sensor"),
     Parameter("candidates", list(DEFAULT_CANDIDATES), "effects added where the data need them"),
     Parameter("floating_base", False, "the base moves; its pose is read from the topic odom"),
+    Parameter(
+        "imu.frame", "", "link of an IMU on the base; its messages come on the topic imu and replace odom; empty: none"
+    ),
+    Parameter("contacts", _NONE, "feet on the ground, as FRAME or FRAME:RADIUS [m]; efforts of legs tell their forces"),
     Parameter("locked_joints", _NONE, "joints of the URDF that never move and are in no message, assumed at zero"),
     Parameter("gravity", [0.0, 0.0, -9.81], "gravity in the base (world) frame [m/s^2]"),
     Parameter("wrenches", _NONE, "names of wrench sensors; each is described under wrench.NAME"),
@@ -172,6 +177,7 @@ class Configuration:
             self.behind_gear(()),
             self.candidates,
             self.sensors,
+            self.contacts,
             self.gravity,
             self.buffer,
             self.signals(()),
@@ -282,6 +288,21 @@ class Configuration:
         if len(self["gravity"]) != 3:
             raise InputError(f"{self.source}: gravity has {len(self['gravity'])} entries, expected 3")
         return np.array(self["gravity"])
+
+    @property
+    def floating_base(self) -> bool:
+        """Whether the base moves, as its odometry or its IMU tells."""
+        return bool(self["floating_base"] or self["imu.frame"])
+
+    @property
+    def contacts(self) -> list[Contact]:
+        """The feet whose forces the efforts of their legs tell. Raises InputError where nothing tells how the base
+        moves."""
+        if self["contacts"] and not self.floating_base:
+            raise InputError(
+                f"{self.source}: contacts need an IMU on the base (--imu TOPIC:FRAME, imu.frame) or its pose"
+            )
+        return [self._naming_source("", partial(Contact.parse, text)) for text in self["contacts"]]
 
     @property
     def sensors(self) -> list[WrenchSensor]:

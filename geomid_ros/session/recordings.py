@@ -17,8 +17,8 @@ from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import TrainingData
 from geomid_ros.signals.decoding import Decoder
-from geomid_ros.signals.ledger import meaning_of
-from geomid_ros.signals.messages import JOINT_STATES, ODOM, message_type
+from geomid_ros.signals.ledger import Reason, meaning_of
+from geomid_ros.signals.messages import IMU, JOINT_STATES, message_type
 from geomid_ros.signals.pipeline import SignalPipeline
 
 HELD_OUT = 0.3
@@ -50,6 +50,7 @@ class Topics:
 
     joint_states: str
     odom: str
+    imu: str = IMU
     joint_option: str = "--joint-topic"
 
 
@@ -62,7 +63,7 @@ class Bags:
         validate: bags to judge on.
         hold_out: share of each fitted bag's time, at the end, to judge on as well, 0 to 0.9; None for
             :data:`HELD_OUT`, or for nothing if there are bags to validate on.
-        topics: topics of the joint states and of the base's pose.
+        topics: topics of the joint states and of the base's pose or IMU.
 
     Raises:
         InputError: there is no bag, or one is given twice, or ``hold_out`` is out of range.
@@ -257,7 +258,8 @@ def _resolved_topics(bag: Bag, session: Session, topics: Topics) -> dict[str, st
     """The topics of the bag that are needed, and how the pipeline calls each."""
     asked = {JOINT_STATES: (topics.joint_states, topics.joint_option)}
     if session.robot.floating_base:
-        asked[ODOM] = (topics.odom, "--odom-topic")
+        imu = session.base_topic == IMU
+        asked[session.base_topic] = (topics.imu, "--imu") if imu else (topics.odom, "--odom-topic")
     asked |= {sensor.topic: (sensor.topic, _WRENCH_OPTION) for sensor in session.model.sensors}
     return {bag.find_topic(name, message_type(own), option): own for own, (name, option) in asked.items()}
 
@@ -267,6 +269,12 @@ def _why_no_samples(bag: Bag, session: Session, pipeline: SignalPipeline) -> str
         f"{topic}: {count} of {account.received} messages rejected, {reason}"
         for topic, account in pipeline.ledger.topics.items()
         for reason, count in account.rejected.most_common(2)
+    ]
+    reasons += [
+        f"{topic}: {remark.sentence}"
+        for topic, account in pipeline.ledger.topics.items()
+        for remark in account.noted
+        if isinstance(remark, Reason) and remark.meaning == "driver error"
     ]
     reasons += [f"{topic}: no messages" for topic in session.topics if topic not in pipeline.ledger.topics]
     if not reasons:

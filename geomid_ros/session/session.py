@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from geomid_ros.checks.causes import Finding
+from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.check import Judge, JudgementTask, RecordingCheck, efforts_alone
+from geomid_ros.checks.imu import displaced_imu, turned_imu
 from geomid_ros.checks.unexplained import unexplained
 from geomid_ros.checks.verdict import (
     HEAVIER,
@@ -41,6 +42,7 @@ from geomid_ros.files.models.urdf import inertia_of, with_effects, with_inertial
 from geomid_ros.files.models.written_model import WrittenModel, handover_entry, written_model
 from geomid_ros.model.absent_joints import lockable
 from geomid_ros.model.columns import Columns
+from geomid_ros.model.imu import ImuMount
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -48,7 +50,7 @@ from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recording_facts import Recorded, faulty_streams, peculiarities
 from geomid_ros.session.solidity import impossible_links
 from geomid_ros.signals.ledger import Account, Ledger
-from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted
+from geomid_ros.signals.messages import IMU, JOINT_STATES, ODOM, Accepted, message_type
 from geomid_ros.signals.pipeline import SignalPipeline, ignore
 from geomid_ros.signals.recent import Recent
 from geomid_ros.signals.settings import SignalSettings
@@ -99,6 +101,7 @@ class Session:
             local,
             candidates=configuration.candidates,
             behind_gear=configuration.behind_gear(self.robot.joint_names),
+            contacts=configuration.contacts,
         )
         self.model = model.with_known_loads(self.loaded.parameters(model))
         self._settings = self._estimator_settings()
@@ -125,6 +128,7 @@ class Session:
         """The names of joints in all messages."""
         self._incomplete: list[str] = []  # sentences on the recordings that were read
         self._unchecked: list[str] = []  # their names
+        self._imus: list[str] = []  # topics in the recordings
         self._elsewhere = Recorded()  # of recordings that were read elsewhere
         self.recent = Recent(configuration["gap.memory"])
         self.pipeline = self.new_pipeline(on_accepted=self.recent, ledger=ledger)
@@ -135,7 +139,7 @@ class Session:
         configuration = self.configuration
         return Robot(
             urdf,
-            floating_base=configuration["floating_base"],
+            floating_base=configuration.floating_base,
             cuts=[sensor.frame for sensor in self._sensors if sensor.role == "mounted"],
             locked_joints=configuration["locked_joints"],
             gravity=self.loaded.gravity(configuration.gravity),
@@ -174,7 +178,19 @@ class Session:
         found = check.findings()
         if check is self.check:  # nothing was forgotten meanwhile
             found = (*self._kept, *found, *faulty_streams(self.pipeline.ledger.topics, self._forgotten))
+            found = (*(self._moving_base() if found else ()), *found)
             self.findings = tuple({finding.sentence: finding for finding in found}.values())
+
+    def _moving_base(self) -> tuple[Finding, ...]:
+        """That the base may move, if it counts as fixed and an IMU was recorded."""
+        if self.robot.floating_base or not self._imus:
+            return ()
+        imu = self._imus[0]
+        sentence = (
+            f"the bag has an IMU ({imu}), and efforts are not those of a robot whose base is fixed: if the base moves, "
+            f"say so with --imu {imu}:FRAME and --contacts FOOT:RADIUS,..."
+        )
+        return (Finding(cause=Cause(kind="base", sentence=sentence, places=(imu,))),)
 
     def judge_with(self, judge: Judge) -> None:
         """Judge by ``judge`` instead of :meth:`JudgementTask.judge`, in another process for example, before there are
@@ -234,6 +250,9 @@ class Session:
         named = any(finding.cause.kind != "unexplained" for finding in self.findings)
         findings = self.findings if named else self._unexplained(estimate, samples) or self.findings
         peculiar = [*peculiarities(recorded.accounts), *self.remarks]
+        if self.base_topic == IMU:
+            peculiar += turned_imu(self.model, estimate)
+            findings = (*findings, *displaced_imu(self.model, samples, estimate.parameters))
         peculiar += [] if held_out is None else unlike(estimate, held_out)
         impossible = tuple(impossible_links(self.urdf, self._source, self._suspects(estimate)))
         return verdict(
@@ -290,6 +309,7 @@ class Session:
     def begin_recording(self, bag: Bag) -> None:
         """Note that the samples to come are of another recording, and what is missing of it."""
         self.check.begin_recording()
+        self._imus += [topic for topic, kind in bag.topics.items() if kind == message_type(IMU)]
         self._incomplete += [warning for warning in bag.warnings if warning not in self._incomplete]
         self._unchecked += [] if bag.checked else [bag.path.name]
 
@@ -324,7 +344,7 @@ class Session:
     @property
     def topics(self) -> tuple[str, ...]:
         """The topics that data are expected on, as the pipeline calls them."""
-        base = (ODOM,) if self.robot.floating_base else ()
+        base = (self.base_topic,) if self.robot.floating_base else ()
         return (JOINT_STATES, *base, *(sensor.topic for sensor in self.model.sensors))
 
     @property
@@ -381,7 +401,26 @@ class Session:
             on_accepted=on_accepted,
             ledger=ledger,
             joints_heard=self.joints_heard,
+            mount=self._imu_mount,
+            loads=None if self.model.legs is None else self.model.legs.loads,
         )
+
+    @property
+    def base_topic(self) -> str:
+        """On which a floating base's motion comes, as the pipeline calls it."""
+        return IMU if self.configuration["imu.frame"] else ODOM
+
+    @property
+    def _imu_mount(self) -> ImuMount | None:
+        """Where the IMU is. Raises InputError if it is not on the base."""
+        frame = self.configuration["imu.frame"]
+        if not frame:
+            return None
+        try:
+            placement = self.robot.base_placement(frame)
+        except InputError as error:
+            raise InputError(f"{self.configuration.source}: imu.frame: {error}") from error
+        return ImuMount(placement[:3, :3], placement[:3, 3], self.robot.gravity)
 
     def rms(self, batches: Iterable[Samples], parameters: FloatArray) -> FloatArray:
         """RMS residual of each channel over samples at parameters ``(D,)``; NaN where nothing was measured."""

@@ -63,7 +63,7 @@ class TrainingData:
         """
         self._session = session
         self._fit = fit
-        self._any = self._measured = False
+        self._any = self._measured = self._stands = False
         self._low, self._high = np.inf, -np.inf  # positions, of each joint
 
     def add(self, samples: Samples) -> None:
@@ -72,6 +72,7 @@ class TrainingData:
             return
         self._any = True
         self._measured = self._measured or any(map(self._is_measured, samples.in_pieces()))
+        self._stands = self._stands or bool(np.any(samples.standing))
         self._low = np.minimum(self._low, np.min(samples.position, axis=0))
         self._high = np.maximum(self._high, np.max(samples.position, axis=0))
         self._fit(samples)
@@ -84,6 +85,18 @@ class TrainingData:
         named = ", ".join(map(str, bags))
         if not self._any:
             raise InputError(f"{named}: too short, no data left to identify from")
+        legs = self._session.model.legs
+        if legs is not None and not self._stands:
+            feet = ", ".join(contact.frame for contact in legs.contacts)
+            raise InputError(
+                f"{named}: by their legs' efforts none of the feet {feet} ever stands. If the robot stands, check that "
+                "efforts are in N m (--gain); if it hangs or lies on a stand, leave out --imu and --contacts"
+            )
+        if legs is not None and not self._measured:
+            raise InputError(
+                f"{named}: at no instant the efforts tell the forces of the ground: not all joints of a leg have "
+                "efforts, or legs are always stretched. Let the driver publish the efforts of all joints"
+            )
         if not self._measured:
             channels = ", ".join(channel.name for channel in self._session.model.channels)
             raise InputError(

@@ -15,6 +15,7 @@ from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 NO_STAMP = "stamp is zero: whoever publishes has to fill in header.stamp"
 NOT_VALID = "stamp is not valid"
+_NOT_MEASURED = -1.0  # first entry of a covariance, see sensor_msgs/Imu
 
 
 def plausible(values: FloatArray) -> BoolArray:
@@ -93,3 +94,14 @@ def wrenches(block: Block, sensor: WrenchSensor) -> tuple[FloatArray, AnyArray]:
     if frame and frame != declared:
         refusals[:] = Reason(f"frame '{frame}' is not the declared '{declared}'", "frame")
     return values - sensor.sign * np.array(sensor.offset), refusals
+
+
+def inertial(block: Block) -> tuple[FloatArray, AnyArray]:
+    """An IMU's angular velocities and specific forces ``(N, 6)``, and why some cannot be used."""
+    numbers, refusals = block.arrays[0], np.full(len(block.stamps), None)
+    values = numbers[:, [13, 14, 15, 25, 26, 27]]
+    refusals[~plausible(values).all(axis=1)] = "angular velocity or acceleration not finite"
+    refusals[np.any(numbers[:, [16, 28]] == _NOT_MEASURED, axis=1)] = (
+        "no angular velocity or no acceleration is measured"
+    )
+    return values, refusals

@@ -11,7 +11,12 @@ from geomid_ros.types import FloatArray, IntArray, frozen
 
 JOINT_STATES = "joint_states"
 ODOM = "odom"
-_TYPES = {JOINT_STATES: "sensor_msgs/msg/JointState", ODOM: "nav_msgs/msg/Odometry"}
+IMU = "imu"
+_TYPES = {
+    JOINT_STATES: "sensor_msgs/msg/JointState",
+    ODOM: "nav_msgs/msg/Odometry",
+    IMU: "sensor_msgs/msg/Imu",
+}
 _WRENCH_TYPE = "geometry_msgs/msg/WrenchStamped"
 
 
@@ -70,7 +75,18 @@ class WrenchMessage(_ReadOnly):
     wrench: FloatArray
 
 
-Message: TypeAlias = JointMessage | PoseMessage | WrenchMessage
+@dataclass(frozen=True, eq=False, slots=True)
+class ImuMessage(_ReadOnly):
+    """All ``numbers (37,)`` of an IMU's message: orientation (4), angular velocity (3) [rad/s] and linear acceleration
+    (3) [m/s^2], each followed by its covariance (9); ``stamp`` as of joints."""
+
+    topic: ClassVar[str] = IMU
+    _arrays: ClassVar[tuple[str, ...]] = ("numbers",)
+    stamp: int
+    numbers: FloatArray
+
+
+Message: TypeAlias = JointMessage | PoseMessage | WrenchMessage | ImuMessage
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -79,7 +95,8 @@ class Block:
 
     ``order (N,)`` says in which order the messages of several blocks came; ``stamps (N,)`` [ns] are -1 where they are
     not valid; ``names`` are those of the joints, or the frame of a wrench. ``arrays`` are positions, velocities and
-    efforts ``(N, names)``, each of which may have no columns, poses ``(N, 7)`` or wrenches ``(N, 6)``.
+    efforts ``(N, names)``, each of which may have no columns, poses ``(N, 7)``, wrenches ``(N, 6)`` or all of an IMU
+    ``(N, 37)``.
     """
 
     topic: str
@@ -102,7 +119,7 @@ class Accepted:
     """N messages that were accepted: their topic, stamps [ns] and checked numbers in the robot's order, read-only.
 
     ``stamps (N,)``; ``values (N, numbers)`` are positions, velocities and efforts of all joints, one after the other, a
-    pose (7 numbers) or a wrench (6).
+    pose (7 numbers), a wrench (6), or an IMU's angular velocity and specific force (6).
     """
 
     topic: str
@@ -131,7 +148,7 @@ class Accepted:
 
 
 def message_type(topic: str) -> str:
-    """The ROS type of a topic's messages; all topics but two are of wrench sensors."""
+    """The ROS type of a topic's messages; all topics but these are of wrench sensors."""
     return _TYPES.get(topic, _WRENCH_TYPE)
 
 
@@ -139,7 +156,7 @@ def parse(topic: str, message: Any) -> Message:
     """The value of a ROS message, read by attribute: rclpy's messages and those of rosbags look the same.
 
     Args:
-        topic: the name by which the pipeline knows it: JOINT_STATES, ODOM, or that of a declared wrench sensor.
+        topic: the name by which the pipeline knows it: JOINT_STATES, ODOM, IMU, or that of a declared wrench sensor.
         message: of the type :func:`message_type` of this topic.
 
     Raises:
@@ -151,9 +168,21 @@ def parse(topic: str, message: Any) -> Message:
     if topic == ODOM:
         p, q = message.pose.pose.position, message.pose.pose.orientation
         return PoseMessage(_stamp(header), np.array((p.x, p.y, p.z, q.x, q.y, q.z, q.w)))
+    if topic == IMU:
+        return ImuMessage(_stamp(header), _imu_numbers(message))
     force, torque = message.wrench.force, message.wrench.torque
     wrench = np.array((force.x, force.y, force.z, torque.x, torque.y, torque.z))
     return WrenchMessage(topic, _stamp(header), header.frame_id, wrench)
+
+
+def _imu_numbers(message: Any) -> FloatArray:
+    q, w, a = message.orientation, message.angular_velocity, message.linear_acceleration
+    parts = (
+        *((q.x, q.y, q.z, q.w), message.orientation_covariance),
+        *((w.x, w.y, w.z), message.angular_velocity_covariance),
+        *((a.x, a.y, a.z), message.linear_acceleration_covariance),
+    )
+    return np.concatenate(parts)
 
 
 def _stamp(header: Any) -> int:

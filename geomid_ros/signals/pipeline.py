@@ -16,19 +16,21 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.model.columns import NO_COLUMNS, Columns
+from geomid_ros.model.imu import ImuMount
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.signals.admission import Admission, Source
-from geomid_ros.signals.arrived import NO_STAMP, NOT_VALID, Arrived, poses, without_refusal, wrenches
+from geomid_ros.signals.arrived import NO_STAMP, NOT_VALID, Arrived, inertial, poses, without_refusal, wrenches
 from geomid_ros.signals.gate import Gate
 from geomid_ros.signals.joint_gate import JointGate
 from geomid_ros.signals.joint_messages import JointReader, RejectedError
 from geomid_ros.signals.joint_parts import SILENT, JointParts, Part
 from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.limits import MOST_JOINTS
-from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted, Block, Message
+from geomid_ros.signals.messages import IMU, JOINT_STATES, ODOM, Accepted, Block, Message
 from geomid_ros.signals.sampler import Sampler
 from geomid_ros.signals.settings import SignalSettings
+from geomid_ros.signals.stance import Stance
 from geomid_ros.types import AnyArray, FloatArray, IntArray
 
 _DEFAULTS = SignalSettings()
@@ -57,11 +59,13 @@ class SignalPipeline:
         on_accepted: Callable[[Accepted], None] = ignore,
         ledger: Ledger | None = None,
         joints_heard: set[str] | None = None,
+        mount: ImuMount | None = None,
+        loads: Callable[[Samples], FloatArray] | None = None,
     ) -> None:
         """
         Args:
             joints: the robot's, in its order.
-            floating_base: whether the base's pose comes on ODOM.
+            floating_base: whether the base moves: its pose comes on ODOM, unless it has an IMU.
             sensors: the wrench sensors, in the order of samples.
             settings: of the filter and of efforts.
             continuous: the joints without end: their positions may jump by whole turns between messages, and are given
@@ -72,15 +76,19 @@ class SignalPipeline:
             on_accepted: is told of every message that is accepted, as :meth:`push_accepted` takes it.
             ledger: is told what becomes of every message.
             joints_heard: the names of joints in messages are added to it.
+            mount: of the IMU on a floating base, whose messages come on IMU.
+            loads: of the feet, whose stance samples carry; see :class:`~geomid_ros.signals.stance.Stance`.
 
         Raises:
             InputError: two topics have the same name, a gain is of an unknown joint, or the cutoff is too high.
         """
         self._joints = tuple(joints)
         self._sensors = {sensor.topic: sensor for sensor in sensors}
-        if len({JOINT_STATES, ODOM, *self._sensors}) < 2 + len(sensors):
+        if len({JOINT_STATES, ODOM, IMU, *self._sensors}) < 3 + len(sensors):
             named = ", ".join(sensor.topic for sensor in sensors)
-            raise InputError(f"wrench topics must differ from each other, '{JOINT_STATES}' and '{ODOM}': {named}")
+            raise InputError(
+                f"wrench topics must differ from each other, '{JOINT_STATES}', '{ODOM}' and '{IMU}': {named}"
+            )
         self._max_gap = settings.max_gap_ns
         self._gains = settings.effort_gains(self._joints)
         self._continuous = np.array([joint in continuous for joint in self._joints], dtype=bool)
@@ -99,8 +107,9 @@ class SignalPipeline:
         self._arrived = 0  # messages
         self._open: Counter[str] = Counter()  # messages of which nothing has become yet
         self._joined: list[tuple[Source, IntArray, IntArray, FloatArray]] = []  # that wait for the other parts
-        topics = (*self._sensors, ODOM) if floating_base else tuple(self._sensors)
-        self._sampler = Sampler(settings, self._continuous, topics, effect_columns, self.ledger)
+        base = [ODOM if mount is None else IMU] if floating_base else []
+        self._sampler = Sampler(settings, self._continuous, (*self._sensors, *base), effect_columns, self.ledger, mount)
+        self._stance = Stance(loads, settings.cutoff) if loads is not None else None
 
     def _new_reader(self, joints: Sequence[str]) -> JointReader:
         places = [self._joints.index(joint) for joint in joints]
@@ -213,6 +222,8 @@ class SignalPipeline:
             return self._reader_of(source).numbers(block)
         if block.topic == ODOM:
             return poses(block)
+        if block.topic == IMU:
+            return inertial(block)
         if block.topic not in self._sensors:
             raise unknown_name("wrench topic", block.topic, self._sensors)
         return wrenches(block, self._sensors[block.topic])
@@ -292,4 +303,5 @@ class SignalPipeline:
 
     def collect(self) -> Samples | None:
         """The samples that have become ready since the last call, oldest first; None if there are none."""
-        return self._sampler.collect()
+        samples = self._sampler.collect()
+        return samples if samples is None or self._stance is None else self._stance.known(samples)

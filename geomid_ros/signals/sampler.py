@@ -11,11 +11,13 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.model.columns import Columns, Entries
+from geomid_ros.model.imu import ImuMount
 from geomid_ros.model.samples import Samples
+from geomid_ros.signals.imu_segment import ImuSegment
 from geomid_ros.signals.joint_messages import FROZEN
 from geomid_ros.signals.ledger import Account, Ledger, driver_error
 from geomid_ros.signals.limits import HORIZON, MOST_WAITING, PERIOD_ROUNDING
-from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted
+from geomid_ros.signals.messages import IMU, JOINT_STATES, ODOM, Accepted
 from geomid_ros.signals.periods import FEWEST, FEWEST_IN_BURSTS, RegularClock, in_bursts
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.signals.streams import Grid, JointSegment, PoseSegment, Stream, VectorSegment
@@ -45,19 +47,22 @@ class Sampler:
         topics: Sequence[str],
         effect_columns: Columns,
         ledger: Ledger,
+        mount: ImuMount | None = None,
     ) -> None:
         """
         Args:
             settings: of the filter.
             continuous: ``(joints,)`` which joints have no end; their positions are from -pi to pi in samples.
-            topics: of the numbers beside joints': those of the wrench sensors, and ODOM of a floating base.
+            topics: of the numbers beside joints': those of the wrench sensors, and ODOM or IMU of a floating base.
             effect_columns: those of effects that samples carry.
             ledger: is told of accepted messages that are given up.
+            mount: of the IMU.
         """
         self._settings = settings
         self._continuous = continuous
-        self._wrenches = [topic for topic in topics if topic != ODOM]
-        self._floating_base = ODOM in topics
+        self._wrenches = [topic for topic in topics if topic not in (ODOM, IMU)]
+        self._base = next((topic for topic in topics if topic in (ODOM, IMU)), None)
+        self._mount = mount
         self._max_gap = settings.max_gap_ns
         self._effort_delay = settings.effort_delay_ns
         self._entries = Entries(effect_columns, len(continuous))
@@ -184,7 +189,9 @@ class Sampler:
         self._streams |= {topic: Stream(self._max_gap, partial(VectorSegment, grid)) for topic in self._wrenches}
         if self._effort_delay:
             self._streams[_EFFORTS] = Stream(self._max_gap, partial(VectorSegment, grid))
-        if self._floating_base:
+        if self._mount is not None:
+            self._streams[IMU] = Stream(self._max_gap, partial(ImuSegment, grid, self._mount))
+        elif self._base is not None:
             self._streams[ODOM] = Stream(self._max_gap, partial(PoseSegment, grid))
 
     def collect(self) -> Samples | None:
@@ -203,7 +210,8 @@ class Sampler:
             start = max([self._next_instant, *(r.start for r in ranges)])
             instants = range(-(-start // grid.stride) * grid.stride, min(r.stop for r in ranges), grid.stride)
             if instants:
-                self._pending.append(self._samples(grid, instants))
+                samples = self._samples(grid, instants)
+                self._pending += [samples] if len(samples) else []
                 self._next_instant = instants[-1] + 1
                 for stream in streams:
                     stream.drop_before(self._next_instant)
@@ -225,12 +233,12 @@ class Sampler:
             self._ledger.note(JOINT_STATES, remark)
         effort = self._streams[_EFFORTS].segment.filtered(instants)[0] if self._effort_delay else value[:, 2]
         pose = base_velocity = base_acceleration = np.zeros((count, 0))
-        if self._floating_base:
-            pose, base_velocity, base_acceleration = self._streams[ODOM].segment.filtered(instants)
+        if self._base is not None:
+            pose, base_velocity, base_acceleration = self._streams[self._base].segment.filtered(instants)
         wrenches = np.zeros((count, len(self._wrenches), 6))
         for index, topic in enumerate(self._wrenches):
             wrenches[:, index] = self._streams[topic].segment.filtered(instants)[0]
-        return Samples(
+        samples = Samples(
             stamps=np.array([instant * grid.period for instant in instants], dtype=np.int64),
             position=position,
             velocity=velocity,
@@ -243,3 +251,11 @@ class Sampler:
             effects=self._joint_stream.segment.effects(instants),
             entries=self._entries,
         )
+        return samples if self._mount is None else samples.select(self._with_gravity(instants))
+
+    def _with_gravity(self, instants: range) -> BoolArray:
+        """Those of ``instants`` at which the IMU's specific force is gravity on average; what else it is is noted."""
+        faults = self._streams[IMU].segment.faults(instants)
+        for fault in dict.fromkeys(filter(None, faults)):
+            self._ledger.note(IMU, fault)
+        return np.array([not fault for fault in faults], dtype=np.bool_)

@@ -18,7 +18,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 
 from geomid_ros.simulation.effects.choice import WRENCH_TOPIC
-from geomid_ros.simulation.motion import RunTrace
+from geomid_ros.simulation.motion import RunTrace, WalkTrace
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.types import FloatArray
 
@@ -64,6 +64,21 @@ def write_bag(path: Path, trace: RunTrace, names: Sequence[str], urdf: str, opti
                 commands.write(stamp, _joint_state(stamp, names, *wanted))
             if wrenches is not None:
                 wrenches.write(wrench_stamp, _wrench(trace.wrench[row], wrench_stamp, frame))
+    add_checksums(path / f"{path.name}.mcap")
+
+
+def write_walk(path: Path, trace: WalkTrace, names: Sequence[str], urdf: str, imu: str) -> None:
+    """Write ``/robot_description``, ``/joint_states`` and ``/imu``, measured at the link ``imu``, to a new bag."""
+    writer = Writer(path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
+    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    with writer:
+        description = _Topic(writer, "/robot_description", "std_msgs/msg/String", QosDurability.TRANSIENT_LOCAL)
+        states = _Topic(writer, "/joint_states", "sensor_msgs/msg/JointState")
+        imus = _Topic(writer, "/imu", "sensor_msgs/msg/Imu")
+        description.write(START * _NANO, _message("std_msgs/msg/String", data=urdf))
+        for row, stamp in enumerate(_stamps(trace.time)):
+            states.write(stamp, _joint_state(stamp, names, trace.position[row], trace.velocity[row], trace.effort[row]))
+            imus.write(stamp, _imu(trace.angular_velocity[row], trace.specific_force[row], stamp, imu))
     add_checksums(path / f"{path.name}.mcap")
 
 
@@ -125,10 +140,28 @@ def _joint_state(
     )
 
 
-def _wrench(wrench: FloatArray, stamp: int, frame: str | None) -> Any:
-    force, torque = (
-        _message("geometry_msgs/msg/Vector3", x=x, y=y, z=z) for x, y, z in np.reshape(wrench, (2, 3)).tolist()
+def _vector(values: FloatArray) -> Any:
+    x, y, z = values.tolist()
+    return _message("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+
+def _imu(angular_velocity: FloatArray, specific_force: FloatArray, stamp: int, frame: str) -> Any:
+    """Without an orientation, which a covariance of -1 says."""
+    unknown = np.append(-1.0, np.zeros(8))
+    return _message(
+        "sensor_msgs/msg/Imu",
+        header=_header(stamp, frame),
+        orientation=_message("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+        orientation_covariance=unknown,
+        angular_velocity=_vector(angular_velocity),
+        angular_velocity_covariance=np.zeros(9),
+        linear_acceleration=_vector(specific_force),
+        linear_acceleration_covariance=np.zeros(9),
     )
+
+
+def _wrench(wrench: FloatArray, stamp: int, frame: str | None) -> Any:
+    force, torque = map(_vector, np.split(wrench, 2))
     return _message(
         "geometry_msgs/msg/WrenchStamped",
         header=_header(stamp, frame or ""),

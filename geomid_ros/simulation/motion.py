@@ -175,3 +175,17 @@ class RunTrace:
         """The same samples with the joints in another ``order (n,)``."""
         commands = SetPoints(*(values[:, order] for values in vars(self.commands).values()))
         return replace(self, commands=commands, **{name: getattr(self, name)[:, order] for name in _PER_JOINT})
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class WalkTrace:
+    """N instants: ``time (N,)``; ``position, velocity, effort (N, joints)``; ``angular_velocity``, ``specific_force``
+    ``(N, 3)`` in the IMU's axes; ``contact (N, feet)`` forces normal to the ground [N], which are not recorded."""
+
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    effort: FloatArray
+    angular_velocity: FloatArray
+    specific_force: FloatArray
+    contact: FloatArray

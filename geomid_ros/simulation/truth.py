@@ -67,7 +67,7 @@ def write_truth(
         "seed": options.seed,
         "motion_seed": options.recording_seed,
         "gravity": [0.0, 0.0, -GRAVITY],
-        "links": [_link(body, robot.plant.moves(body.name)) for body in robot.bodies],
+        "links": [link_entry(body, robot.plant.moves(body.name)) for body in robot.bodies],
         "effects": [effect_document(effect) for effect in robot.effects],
         "contributions": {channel: values.tolist() for channel, values in added.items()},
         "joints": robot.plant.joints,
@@ -85,7 +85,7 @@ def effect_document(effect: TrueEffect) -> dict[str, Any]:
     return {"effect": effect.name, **named, "parameters": dict(effect.parameters)}
 
 
-def _link(body: LinkInertia, moves: bool) -> dict[str, Any]:
+def link_entry(body: LinkInertia, moves: bool) -> dict[str, Any]:
     return {
         "name": body.name,
         "mass": body.mass,

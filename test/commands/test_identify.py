@@ -16,7 +16,7 @@ from files.recordings import BAGS, QUICK
 
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS
+from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS, effect_class
 from geomid_ros.model.robot import Robot
 from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.simulation.options import Hidden
@@ -84,7 +84,8 @@ def test_the_estimate_is_whole(run: tuple[str, Path, str]) -> None:
     assert document["rows"]["accepted"] > 1000
     assert document["rms"]["held_out"].keys() == document["rms"]["nominal"].keys()
     joints = Robot(read_urdf(BAGS / f"{robot}.urdf")).joint_names
-    of_joints = {(name, joint) for name in DEFAULT_EFFECTS if name != "wrench_offset" for joint in joints}
+    at_joints = [name for name in DEFAULT_EFFECTS if effect_class(name).place == "joint"]
+    of_joints = {(name, joint) for name in at_joints for joint in joints}
     found = {(entry["name"], entry["joint"]) for entry in document["effects"]}
     assert of_joints <= found
     assert {name for name, _ in found - of_joints} <= set(DEFAULT_CANDIDATES)

@@ -172,6 +172,29 @@ class InMotion:
             for stamp, pose in zip(self.stamps, self.samples.base_pose, strict=True)
         ]
 
+    def imu(self, topic: str, frame: str) -> list[Recorded]:
+        """What an IMU on a link measures; its orientation is left out, which a covariance of -1 says."""
+        found = []
+        for index, stamp in enumerate(self.stamps):
+            rotation = self.reference.placement(self.samples, index, self.joints, frame).rotation
+            velocity, acceleration = self.reference.motion(self.samples, index, self.joints, frame)
+            force = acceleration[:3] + np.cross(velocity[3:], velocity[:3]) + rotation.T @ np.array([0.0, 0.0, 9.81])
+            found.append(
+                _recorded(
+                    topic,
+                    "sensor_msgs/msg/Imu",
+                    stamp,
+                    header=_header(stamp, frame),
+                    orientation=_message("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+                    orientation_covariance=np.append(-1.0, np.zeros(8)),
+                    angular_velocity=_vector(velocity[3:]),
+                    angular_velocity_covariance=np.zeros(9),
+                    linear_acceleration=_vector(force),
+                    linear_acceleration_covariance=np.zeros(9),
+                )
+            )
+        return found
+
 
 def noisy(values: FloatArray, level: float, seed: int) -> FloatArray:
     """With white noise of this standard deviation."""

@@ -25,6 +25,8 @@ EVERYTHING = {
     "wrench": {"wrench": {"frame": "flange"}},
     "use_sim_time": True,
 }
+WITH_IMU = {key: value for key, value in EVERYTHING.items() if key != "floating_base"} | {"imu": {"frame": "base_link"}}
+ODOMETRY, IMU = ("odom", "nav_msgs/msg/Odometry"), ("imu", "sensor_msgs/msg/Imu")
 SETTLING = 1.0  # [s] in which what should not be there would be discovered
 
 Opened: TypeAlias = dict[str, set[tuple[str, str]]]
@@ -45,13 +47,16 @@ def opened_by(observer: Observer, name: str, namespace: str) -> Opened:
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Opened]]:
-    """What two nodes have opened: one that uses everything, one with the defaults alone."""
+    """What nodes have opened: one that uses everything, one with an IMU in place of odometry, and one with the defaults
+    alone."""
     with staged(tmp_path_factory.mktemp("interface")) as stage:
         stage.node(EVERYTHING)
+        stage.node(WITH_IMU, "-r", "__ns:=/legged", name="legged/geomid")
         stage.node({}, "-r", "__ns:=/plain", name="plain/geomid")
         stage.observer.spin(SETTLING)
         yield {
             "everything": opened_by(stage.observer, "geomid", "/"),
+            "imu": opened_by(stage.observer, "geomid", "/legged"),
             "defaults": opened_by(stage.observer, "geomid", "/plain"),
         }
 
@@ -91,12 +96,15 @@ def test_tables_are_what_the_code_makes_of_them() -> None:
 
 
 def test_the_running_node_opens_what_is_documented(seen: dict[str, Opened]) -> None:
-    assert seen["everything"] == documented()
+    for kind, namespace, other in (("everything", "", IMU), ("imu", "/legged", ODOMETRY)):
+        expected = documented(namespace)
+        expected["subscribe"].remove((full(other[0], namespace), other[1]))
+        assert seen[kind] == expected
 
 
 def test_with_the_defaults_it_opens_no_more_than_it_needs(seen: dict[str, Opened]) -> None:
-    needless = {("/plain/odom", "nav_msgs/msg/Odometry"), ("/plain/wrench", "geometry_msgs/msg/WrenchStamped")}
-    needless |= {("/clock", "rosgraph_msgs/msg/Clock")}
+    needless = {("/plain/wrench", "geometry_msgs/msg/WrenchStamped"), ("/clock", "rosgraph_msgs/msg/Clock")}
+    needless |= {(full(name, "/plain"), kind) for name, kind in (ODOMETRY, IMU)}
     expected = documented("/plain")
     expected["subscribe"] -= needless
     assert seen["defaults"] == expected
@@ -145,4 +153,5 @@ class TestPolicy:
                 assert rule == "ALLOW"
                 allowed[how] += [full(str(entry.text)) for entry in group]
         for how, names in allowed.items():
-            assert sorted(names) == sorted(name for name, _ in seen["everything"][how])
+            with_imu = {full(IMU[0])} if how == "subscribe" else set()
+            assert sorted(names) == sorted({name for name, _ in seen["everything"][how]} | with_imu)

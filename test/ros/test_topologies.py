@@ -24,7 +24,7 @@ from nav_msgs.msg import Odometry
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import String
 from test_configs import in_force
 
@@ -41,6 +41,7 @@ KINDS = {
     "sensor_msgs/msg/JointState": JointState,
     "geometry_msgs/msg/WrenchStamped": WrenchStamped,
     "nav_msgs/msg/Odometry": Odometry,
+    "sensor_msgs/msg/Imu": Imu,
 }
 BEST_EFFORT = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT)
 FAR = 6.0  # standard deviations; links have ten quantities each, and friction is not the only thing that is simplified
@@ -229,6 +230,20 @@ def test_a_quadruped(stage: Stage) -> None:
     links = setup.saved()
     assert_masses_are_true(links, robot.truth)
     assert "mass" not in links["base"]["cannot_tell"]
+    assert total(links) == pytest.approx(sum(body[0] for body in robot.truth.values()), rel=0.01)
+
+
+def test_a_quadruped_without_force_sensors(stage: Stage) -> None:
+    """An IMU in place of the odometry, and the efforts of the legs in place of sensors under the feet."""
+    text = urdf("go2.urdf")
+    robot = InMotion(text, duration=12.0, rate=100.0, seed=1, floating_base=True)
+    feet = ["FL_foot", "FR_foot", "RL_foot", "RR_foot"]
+    states = robot.joint_states(noisy(robot.efforts(robot.on_feet(feet)), 0.1, seed=9))
+    setup = Setup(stage, CONFIG / "quadruped.yaml", text, "-p", f"contacts:={json.dumps(feet)}")
+    setup.publish(in_time(states, robot.imu("/imu", "imu")))
+    setup.told()
+    links = setup.saved()
+    assert_masses_are_true(links, robot.truth)
     assert total(links) == pytest.approx(sum(body[0] for body in robot.truth.values()), rel=0.01)
 
 

@@ -76,7 +76,7 @@ def test_what_is_surely_fitted_is_passed_on_while_the_bag_is_read(
 
     monkeypatch.setattr(recordings, "Bag", MagicMock())
     monkeypatch.setattr(recordings, "read_samples", read)
-    session = MagicMock(findings=(), configuration={"still_distance": 0.1})
+    session = MagicMock(findings=(), configuration={"still_distance": 0.1}, **{"model.legs": None})
     session.robot.floating_base = True
     session.model.rows.return_value.targets = np.zeros(1)
     held_out = recordings.read_bags(session, Bags(fitted=[BAG], hold_out=share), lambda s: fitted.extend(s.stamps))
@@ -119,7 +119,7 @@ def test_what_is_measured_late_is_measured(monkeypatch: pytest.MonkeyPatch) -> N
         seen.append(len(samples))
         return MagicMock(targets=np.where(samples.stamps >= since, 1.0, np.nan))
 
-    session = MagicMock()
+    session = MagicMock(**{"model.legs": None})
     monkeypatch.setattr(session.model, "rows", rows)
     whole = recording(2500)
     for place, pieces in ((2400, 3), (0, 1)):

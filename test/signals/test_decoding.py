@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from files.recordings import BAGS, TYPES, recorded
 
+from geomid_ros.signals.arrived import inertial
 from geomid_ros.signals.decoding import Decoder, Raw
-from geomid_ros.signals.messages import JOINT_STATES, ODOM, Block, message_type, parse
+from geomid_ros.signals.messages import IMU, JOINT_STATES, ODOM, Block, message_type, parse
 
 NAMES = {"/joint_states": JOINT_STATES, "/wrench": "/wrench"}
 ITEMS = [item for item in recorded(BAGS / "arm3")[:200] if item.topic in NAMES]
@@ -90,6 +91,32 @@ def test_a_pose_is_read_whatever_its_velocity_is() -> None:
     assert_read(decoder.blocks(raw, fail), expected)
     (block,) = decoder.blocks(raw, fail)
     assert block.arrays[0].shape == (5, 7)
+
+
+def test_an_imu_is_read_with_all_its_numbers() -> None:
+    """Angular velocity and acceleration stand between orientation and covariances."""
+    kind = TYPES.types
+    vector, quaternion = kind["geometry_msgs/msg/Vector3"], kind["geometry_msgs/msg/Quaternion"]
+    header = replace(ITEMS[0].message.header, frame_id="imu_link")
+    imus = [
+        kind["sensor_msgs/msg/Imu"](
+            header,
+            quaternion(0.0, 0.0, 0.6, 0.8),
+            np.full(9, 0.1),
+            vector(1.0, 2.0, float(index)),
+            np.full(9, 0.2 * index),
+            vector(4.0, 5.0, 6.0 + index),
+            np.full(9, 0.3),
+        )
+        for index in range(5)
+    ]
+    decoder, expected = Decoder(), [(IMU, imu) for imu in imus]
+    raw = [serialised(*item) for item in expected]
+    assert_read(decoder.blocks(raw, fail), expected)
+    (block,) = decoder.blocks(raw, fail)
+    values, refusals = inertial(block)
+    np.testing.assert_array_equal(values[3], [1.0, 2.0, 3.0, 4.0, 5.0, 9.0])
+    assert set(refusals) == {None}
 
 
 @pytest.mark.parametrize(("seconds", "nanoseconds"), [(1, 1_000_000_000), (-1, 5), (-(2**31), 0), (2**31 - 1, 7)])

@@ -17,7 +17,7 @@ from geomid_ros.commands.demo import shared_file
 from geomid_ros.errors import GeomidError
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
-from geomid_ros.signals.messages import JOINT_STATES, ODOM, parse
+from geomid_ros.signals.messages import IMU, JOINT_STATES, ODOM, parse
 from geomid_ros.signals.pipeline import SignalPipeline
 
 _START = 1_700_000_000_000_000_000
@@ -31,6 +31,7 @@ _VALUES: tuple[dict[str, Any], ...] = (
     {"floating_base": True, "wrenches": [_WRENCH], "wrench.wrist.frame": "world", "wrench.wrist.role": "external"},
     {"wrenches": [_WRENCH], "wrench.wrist.frame": "tool", "wrench.wrist.sign": -1.0, "joint.joint2.effort_gain": -0.5},
     {"locked_joints": ["joint1"]},
+    {"imu.frame": "base_link", "contacts": ["tool:0.02"]},
 )
 
 
@@ -105,6 +106,8 @@ def _advance(source: _Source, random: Random) -> None:
 def _message(topic: str, session: Session, source: _Source, random: Random) -> Any:
     if topic == JOINT_STATES:
         return _joint_state(session, source, random)
+    if topic == IMU:
+        return _imu(source, random)
     return _odometry(source, random) if topic == ODOM else _wrench(session, source, random)
 
 
@@ -149,6 +152,24 @@ def _odometry(source: _Source, random: Random) -> Any:
         x, qw = random.choice(_ODD), random.choice(_ODD)
     pose = SimpleNamespace(position=SimpleNamespace(x=x, y=y, z=z), orientation=SimpleNamespace(x=qx, y=qy, z=qz, w=qw))
     return SimpleNamespace(header=_header(source, random), pose=SimpleNamespace(pose=pose))
+
+
+def _imu(source: _Source, random: Random) -> Any:
+    values = [random.uniform(-1.0, 1.0) for _ in range(6)]
+    values[5] += 9.81
+    if random.random() < source.faults:
+        values[random.randrange(6)] = random.choice(_ODD)
+    turning, force = (SimpleNamespace(x=v[0], y=v[1], z=v[2]) for v in (values[:3], values[3:]))
+    covariance = np.full(9, random.choice((0.0, 0.0, -1.0)) if random.random() < source.faults else 0.0)
+    return SimpleNamespace(
+        header=_header(source, random),
+        orientation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0),
+        orientation_covariance=covariance,
+        angular_velocity=turning,
+        angular_velocity_covariance=covariance,
+        linear_acceleration=force,
+        linear_acceleration_covariance=covariance,
+    )
 
 
 def _wrench(session: Session, source: _Source, random: Random) -> Any:

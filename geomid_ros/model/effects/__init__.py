@@ -32,8 +32,15 @@ from geomid_ros.model.effects.situation import JointMotion as JointMotion
 from geomid_ros.model.effects.situation import Motion as Motion
 from geomid_ros.model.effects.situation import Situation as Situation
 
-DEFAULT_EFFECTS = ("viscous_friction", "coulomb_friction", "rotor_inertia", "effort_offset", "wrench_offset")
-"""Names of the effects that are identified at every joint and wrench sensor unless the user says otherwise."""
+DEFAULT_EFFECTS = (
+    "viscous_friction",
+    "coulomb_friction",
+    "rotor_inertia",
+    "effort_offset",
+    "wrench_offset",
+    "imu_offset",
+)
+"""Names of the effects that are identified at every joint and sensor unless the user says otherwise."""
 
 DEFAULT_CANDIDATES = (
     "load_friction",
@@ -61,6 +68,7 @@ _FILES = (
     "gravity_tilt",
     "payload",
     "wrench_offset",
+    "imu_offset",
     "saturating_friction",
     "quadratic_friction",
     "coupled_motor",

@@ -369,7 +369,7 @@ class SensorEffect(Effect):
     Its parameters are named after the axes, fx to tz, that they are coefficients of, one each.
     """
 
-    place = "sensor"
+    place: ClassVar[PlaceKind] = "sensor"
     count = 6
     of_sensor = True
 

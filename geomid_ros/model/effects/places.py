@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-PlaceKind: TypeAlias = Literal["joint", "joints", "robot", "link", "sensor"]
+PlaceKind: TypeAlias = Literal["joint", "joints", "robot", "link", "sensor", "base"]
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,8 @@ class OnLink:
 
 @dataclass(frozen=True)
 class AtSensor:
-    """At a wrench sensor, by its topic, whose axes are the ``channels`` (range of indices) of the measurement model."""
+    """At a wrench sensor, by its topic, or on a floating base: some of its axes are the ``channels`` (range of indices)
+    of the measurement model."""
 
     topic: str
     channels: tuple[int, ...]

@@ -1,0 +1,172 @@
+"""A quadruped without force sensors and odometry, from a simulated recording to its links; and what is refused."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from files.recordings import Recorded, altered
+from model.robots import urdf
+
+from benchmarks.legs import CONTACTS, FEET, IMU, misplaced, true_parameters
+from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
+from geomid_ros.model.robot import Robot
+from geomid_ros.simulation.walking import WalkOptions, simulate_walk
+
+from .running import NO_CHOICE, done, geomid, read, refused
+
+LEGS = ("--imu", f"/imu:{IMU}", "--contacts", ",".join(CONTACTS), "--cutoff", "15", "--no-report", *NO_CHOICE)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """With ``walk``, its truth, and the robot's description ``go2.urdf``."""
+    folder = tmp_path_factory.mktemp("legs")
+    description = folder / "go2.urdf"
+    description.write_text(urdf("go2.urdf"), encoding="utf-8")
+    gaits = ("wobble", "lift")
+    simulate_walk(
+        folder / "walk", WalkOptions(robot=str(description), feet=FEET, imu=IMU, gaits=gaits, duration=20.0, rate=250.0)
+    )
+    return folder
+
+
+def spoiled(folder: Path, out: Path, change: Callable[[Recorded], Recorded | None]) -> tuple[str | Path, ...]:
+    """The beginning of the recording with changed messages, as arguments."""
+
+    def early(item: Recorded) -> Recorded | None:
+        return change(item) if item.time < 1_700_000_006_000_000_000 else None
+
+    return "identify", altered(folder / "walk", out / "spoiled", early), "--urdf", folder / "go2.urdf"
+
+
+def test_masses_are_found(folder: Path, tmp_path: Path) -> None:
+    """The total mass to a hundredth and the trunk's with its payload as surely as is said; all links are possible."""
+    done("identify", folder / "walk", "--urdf", folder / "go2.urdf", *LEGS, "--hold-out", "0", "--out", tmp_path)
+    document = read(tmp_path)
+    assert document["verdict"]["result"] == "usable", document["verdict"]
+    robot = Robot(urdf("go2.urdf"), floating_base=True)
+    truth = dict(zip(robot.body_names, true_parameters(robot, folder / "walk.truth.json"), strict=True))
+    links = {link["name"]: link for link in document["links"]}
+    total = sum(link["mass"] for link in links.values())
+    assert total == pytest.approx(sum(body[0] for body in truth.values()), abs=0.15)
+    trunk, true = links["base"], truth["base"]
+    assert trunk["mass"] - 2.5 > robot.bodies[robot.body_names.index("base")].parameters[0], "the payload is found"
+    assert abs(trunk["mass"] - true[0]) < 3.0 * trunk["std"]["mass"]
+    np.testing.assert_allclose(trunk["com"], true[1:4] / true[0], atol=0.015)
+    model = pin.buildModelFromUrdf(str(tmp_path / "identified.urdf"), pin.JointModelFreeFlyer())
+    for inertia in model.inertias[1:]:
+        moments = np.linalg.eigvalsh(inertia.inertia)
+        assert inertia.mass > 0.0
+        assert moments[0] > 0.0
+        assert moments[0] + moments[1] > moments[2]
+
+
+def test_an_imu_that_is_turned_is_told(folder: Path, tmp_path: Path) -> None:
+    """By the angle, and the total mass is as right as without."""
+    (tmp_path / "turned.urdf").write_text(misplaced(urdf("go2.urdf"), np.deg2rad(4.0), 0.0), encoding="utf-8")
+    result = geomid("identify", folder / "walk", "--urdf", tmp_path / "turned.urdf", *LEGS, "--out", tmp_path)
+    document = read(tmp_path)
+    (sentence,) = (each for each in document["warnings"] if "IMU" in each)
+    angle = float(sentence.partition("turned by ")[2].partition(" degrees")[0])
+    assert result.exit_code == STATUS[USABLE], result.output
+    assert angle == pytest.approx(4.0, abs=1.0)
+
+
+def test_an_imu_elsewhere_is_told(folder: Path, tmp_path: Path) -> None:
+    """By how far and where: it is doubted, as the centre of mass is off."""
+    (tmp_path / "moved.urdf").write_text(misplaced(urdf("go2.urdf"), 0.0, 0.1), encoding="utf-8")
+    result = geomid("identify", folder / "walk", "--urdf", tmp_path / "moved.urdf", *LEGS, "--out", tmp_path)
+    assert result.exit_code == STATUS[DOUBTFUL], result.output
+    (sentence,) = (each for each in read(tmp_path)["verdict"]["reasons"] if "IMU" in each)
+    place = [float(number) for number in re.findall(r"[+-]\d+", sentence)]
+    np.testing.assert_allclose(place, [-100.0, 0.0, 0.0], atol=15.0)
+
+
+def test_gaps_are_refused(folder: Path, tmp_path: Path) -> None:
+    """What acts in a leg that stands is not told from the ground's forces."""
+    said = refused("gap", folder / "walk", "--urdf", folder / "go2.urdf", *LEGS[:-2], "--out", tmp_path / "out")
+    assert "gaps are not found while forces of the ground are found from efforts" in " ".join(said.split())
+
+
+def scaled(key: str, factor: float) -> Callable[[Recorded], Recorded]:
+    """Messages with a field multiplied."""
+
+    def change(item: Recorded) -> Recorded:
+        value = getattr(item.message, key, None)
+        if value is None:
+            return item
+        if key == "effort":
+            return item.changed(effort=factor * value)
+        return item.changed(**{key: replace(value, **{axis: factor * getattr(value, axis) for axis in "xyz"})})
+
+    return change
+
+
+def hanging(item: Recorded) -> Recorded:
+    """Messages with the efforts that hold legs which do not touch the ground."""
+    if item.topic != "/joint_states":
+        return item
+    model = pin.buildModelFromXML(urdf("go2.urdf"))
+    return item.changed(effort=pin.computeGeneralizedGravity(model, model.createData(), item.message.position))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (scaled("linear_acceleration", 1.0 / 9.81), "imu: the acceleration is in g"),
+        (scaled("linear_acceleration", 0.0), "the driver has removed gravity"),
+        (hanging, "none of the feet FL_foot, FR_foot, RL_foot, RR_foot ever stands"),
+        (scaled("effort", np.nan), "at no instant the efforts tell the forces of the ground"),
+        (lambda item: None if item.topic == "/imu" else item, "has no topic /imu; --imu names another"),
+    ],
+)
+def test_recordings_that_cannot_be_used_are_refused(
+    folder: Path, tmp_path: Path, change: Callable[[Recorded], Recorded | None], message: str
+) -> None:
+    said = refused(*spoiled(folder, tmp_path, change), *LEGS, "--out", tmp_path / "out")
+    assert message in " ".join(said.split())
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--contacts", "FL_fot"), "contacts need an IMU on the base (--imu TOPIC:FRAME, imu.frame) or its pose"),
+        (("--imu", "/imu:imu", "--contacts", "FL_fot"), "unknown link of a contact 'FL_fot'"),
+        (("--imu", "/imu:imo", "--contacts", "FL_foot"), "imu.frame: unknown link 'imo'. Did you mean 'imu'"),
+        (("--imu", "/imu:FL_calf", "--contacts", "FL_foot"), "link 'FL_calf' moves against the base"),
+        (("--imu", "/imu:imu", "--contacts", "FL_foot:1cm"), "FRAME or FRAME:RADIUS"),
+        (("--imu", "/imu:imu", "--contacts", "FL_hip"), "expected at least 3"),
+        (("--imu", "/imu:imu"), "a floating base needs --contacts"),
+        (("--imu", "imu"), "TOPIC:FRAME"),
+    ],
+)
+def test_options_that_cannot_be_are_refused(folder: Path, tmp_path: Path, options: Sequence[str], message: str) -> None:
+    said = refused("identify", folder / "walk", "--urdf", folder / "go2.urdf", *options, "--out", tmp_path / "out")
+    assert message in " ".join(said.split())
+
+
+@pytest.mark.parametrize(("factor", "share"), [(1e-3, "0.0"), (-1.0, "-1"), (10.0, "1")])
+def test_efforts_that_do_not_carry_the_robot_are_doubted(
+    folder: Path, tmp_path: Path, factor: float, share: str
+) -> None:
+    """Of another unit, or with another sign."""
+    arguments = spoiled(folder, tmp_path, scaled("effort", factor))
+    result = geomid(*arguments, *LEGS, "--hold-out", "0", "--json", "--out", tmp_path / "out")
+    reasons = json.loads(result.stdout)["verdict"]["reasons"]
+    assert f"the feet carry {share}" in reasons[0]
+
+
+def test_a_base_that_is_said_to_be_fixed_is_doubted(folder: Path, tmp_path: Path) -> None:
+    """The bag has an IMU: the first reason says how to name it."""
+    arguments = ("--no-report", *NO_CHOICE, "--json", "--out", tmp_path)
+    result = geomid(*spoiled(folder, tmp_path, lambda item: item), *arguments)
+    reasons = json.loads(result.stdout)["verdict"]["reasons"]
+    assert "say so with --imu /imu:FRAME and --contacts FOOT:RADIUS" in reasons[0]

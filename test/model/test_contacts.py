@@ -1,0 +1,149 @@
+"""Feet whose forces nobody measures: rows that hold whatever the ground does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from geomid_ros.errors import InputError
+from geomid_ros.model.contacts import Contact
+from geomid_ros.model.effects import identified_effect
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import Robot
+from geomid_ros.model.samples import Samples
+from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.types import FloatArray
+
+from .robots import GRAVITY, Reference, random_parameters, random_samples, urdf, with_values
+from .test_joint_rows import assert_equal
+
+QUADRUPEDS = pytest.mark.parametrize(
+    ("name", "feet"),
+    [
+        ("go2.urdf", ("FL_foot", "FR_foot", "RL_foot", "RR_foot")),
+        ("solo12.urdf", ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")),
+    ],
+)
+RADIUS = 0.03
+
+
+def bent(robot: Robot, seed: int) -> Samples:
+    """Random samples with all knees bent."""
+    samples = random_samples(robot, seed)
+    knees = [1.4 * name.endswith(("calf_joint", "KFE")) for name in robot.joint_names]
+    return with_values(samples, position=0.2 * samples.position - knees)
+
+
+def on_the_ground(reference: Reference, samples: Samples, joints: tuple[str, ...], foot: str, seed: int) -> FloatArray:
+    """Random forces of the ground at the lowest point of a round foot, as wrenches ``(N, 6)`` in the foot's frame."""
+    forces = 50.0 * np.random.default_rng(seed).normal(size=(len(samples), 3))
+    found = np.empty((len(samples), 6))
+    for index, force in enumerate(forces):
+        rotation = reference.placement(samples, index, joints, foot).rotation
+        down, pushed = rotation.T @ [0.0, 0.0, -RADIUS], rotation.T @ force
+        found[index] = [*pushed, *np.cross(down, pushed)]
+    return found
+
+
+@QUADRUPEDS
+def test_forces_of_the_ground_drop_out_of_the_rows(name: str, feet: tuple[str, ...]) -> None:
+    """Whatever the ground does to feet that stand, the base's rows say what else acts on the base, and the rows of the
+    other legs say their efforts; with friction in the joints."""
+    robot = Robot(urdf(name), floating_base=True)
+    model = MeasurementModel(
+        robot, [identified_effect("viscous_friction")], contacts=[Contact(foot, RADIUS) for foot in feet]
+    )
+    assert [channel.name for channel in model.channels[-6:]] == [
+        f"base/{axis}" for axis in ("fx", "fy", "fz", "tx", "ty", "tz")
+    ]
+    bodies, friction = random_parameters(robot, seed=1), 0.3
+    reference = Reference(urdf(name), floating_base=True)
+    reference.set_inertias(dict(zip(robot.body_names, bodies, strict=True)))
+    samples = bent(robot, seed=2)
+    standing = np.random.default_rng(3).random((len(samples), len(feet))) < 0.6
+    wrenches = {
+        foot: on_the_ground(reference, samples, robot.joint_names, foot, seed) * stands[:, None]
+        for seed, (foot, stands) in enumerate(zip(feet, standing.T, strict=True))
+    }
+    base, efforts = reference.inverse_dynamics(samples, robot.joint_names, wrenches)
+    samples = replace(with_values(samples, effort=efforts + friction * samples.velocity), standing=standing)
+    measured, predicted = model.predict(samples, np.append(bodies, np.full(len(robot.joints), friction)))
+    assert_equal((predicted - measured)[:, -6:], base)
+    assert model.legs is not None
+    for joints, stands in zip(model.legs.joints, standing.T, strict=True):
+        assert np.all(np.isnan(measured[:, joints]) == stands[:, None])
+        assert_equal(predicted[~stands][:, joints], measured[~stands][:, joints])
+
+
+def test_a_foot_bears_what_its_leg_says() -> None:
+    """By the URDF; a share of what each foot bears when all stand."""
+    robot = Robot(urdf("go2.urdf"), floating_base=True)
+    feet = ("FL_foot", "FR_foot", "RL_foot", "RR_foot")
+    model = MeasurementModel(robot, [], contacts=[Contact(foot, RADIUS) for foot in feet])
+    reference = Reference(urdf("go2.urdf"), floating_base=True)
+    samples = bent(robot, seed=4)
+    wrench = on_the_ground(reference, samples, robot.joint_names, "FR_foot", 5)
+    efforts = reference.inverse_dynamics(samples, robot.joint_names, {"FR_foot": wrench})[1]
+    assert model.legs is not None
+    loads = model.legs.loads(with_values(samples, effort=efforts))
+    share = pin.computeTotalMass(reference.model) * -GRAVITY[2] / 4
+    np.testing.assert_allclose(loads[:, 1], np.linalg.norm(wrench[:, :3], axis=1) / share, rtol=1e-8)
+    np.testing.assert_allclose(loads[:, [0, 2, 3]], 0.0, atol=1e-8)
+
+
+def test_under_another_gravity_legs_are_of_that_robot() -> None:
+    """Nothing is shared with the model that it is made of: both may be used at the same time."""
+    robot = Robot(urdf("go2.urdf"), floating_base=True)
+    model = MeasurementModel(robot, [], contacts=[Contact("FL_foot")])
+    samples = bent(robot, seed=7)
+    moon = model.with_gravity(np.array([0.0, 0.0, -1.62]))
+    direct = Robot(urdf("go2.urdf"), floating_base=True, gravity=np.array([0.0, 0.0, -1.62]))
+    expected = MeasurementModel(direct, [], contacts=[Contact("FL_foot")])
+    assert moon.legs is not None
+    assert expected.legs is not None
+    np.testing.assert_allclose(moon.legs.loads(samples), expected.legs.loads(samples))
+
+
+def test_a_stretched_leg_says_nothing() -> None:
+    """Its Jacobian is singular: no base rows there, and no number that is not finite in any coefficient."""
+    robot = Robot(urdf("go2.urdf"), floating_base=True)
+    model = MeasurementModel(robot, [], contacts=[Contact("FL_foot")])
+    samples = bent(robot, seed=6)
+    position = samples.position.copy()
+    position[1, robot.joint_names.index("FL_calf_joint")] = 0.0
+    rows = model.rows(replace(with_values(samples, position=position), standing=np.ones((len(samples), 1), dtype=bool)))
+    assert np.isnan(rows.targets[:, -6:]).any(axis=1).tolist() == [False, True, False, False, False]
+    assert np.isfinite(rows.coefficients).all()
+
+
+@pytest.mark.parametrize(
+    ("feet", "sensors", "message"),
+    [
+        (["FL_fot"], [], "unknown link of a contact 'FL_fot'. Did you mean 'FL_foot'"),
+        (["FL_hip"], [], "1 moving joints are between the base and 'FL_hip', expected at least 3"),
+        (["FL_foot", "FL_calf"], [], "'FL_foot' and 'FL_calf' both move with joint 'FL_hip_joint'"),
+        (
+            ["FL_foot"],
+            [WrenchSensor("/foot", "FR_foot", "external")],
+            "contacts and an external wrench sensor, '/foot'",
+        ),
+    ],
+)
+def test_feet_that_cannot_be_are_refused(feet: list[str], sensors: list[WrenchSensor], message: str) -> None:
+    robot = Robot(urdf("go2.urdf"), floating_base=True)
+    with pytest.raises(InputError, match=message):
+        MeasurementModel(robot, [], sensors, contacts=[Contact(foot) for foot in feet])
+
+
+@pytest.mark.parametrize(("text", "contact"), [("foot", Contact("foot")), ("foot:0.02", Contact("foot", 0.02))])
+def test_a_contact_is_parsed(text: str, contact: Contact) -> None:
+    assert Contact.parse(text) == contact
+
+
+@pytest.mark.parametrize("text", ["", ":0.02", "foot:", "foot:wide", "foot:-1", "foot:nan", "foot:inf"])
+def test_another_form_of_a_contact_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="FRAME or FRAME:RADIUS"):
+        Contact.parse(text)

@@ -1,0 +1,118 @@
+"""A quadruped on its feet: the simulator's own laws, and what is recorded of them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from files.recordings import recorded
+from model.robots import urdf
+
+from geomid_ros.errors import InputError
+from geomid_ros.simulation.description import read_description
+from geomid_ros.simulation.motion import WalkTrace
+from geomid_ros.simulation.walking import WalkOptions, parse_feet, simulate_walk, true_bodies, walk
+
+FEET = {f"{leg}_foot": 0.022 for leg in ("FL", "FR", "RL", "RR")}
+OPTIONS = WalkOptions(robot="", feet=FEET, imu="imu", duration=24.0, rate=250.0)
+
+
+@cache
+def walked() -> WalkTrace:
+    """The true motion."""
+    robot = read_description(urdf("go2.urdf"))
+    return walk(robot, true_bodies(robot, OPTIONS), OPTIONS)
+
+
+def test_the_ground_carries_the_robot_with_its_payload() -> None:
+    """On average over time, whatever the gait; as the accelerometer shows."""
+    bodies = true_bodies(read_description(urdf("go2.urdf")), OPTIONS)
+    weight = 9.81 * sum(body.mass for body in bodies)
+    nominal = 9.81 * sum(body.mass for body in read_description(urdf("go2.urdf")).inertias)
+    assert weight > nominal + 9.81 * 2.5
+    assert np.mean(np.sum(walked().contact, axis=1)) == pytest.approx(weight, rel=0.01)
+    assert np.mean(walked().specific_force[:, 2]) == pytest.approx(9.81, rel=0.02)
+
+
+def test_each_gait_lifts_the_feet_that_it_should() -> None:
+    """None when swaying, one at a time, two at a time."""
+    lifted = walked().contact < 1e-3
+    sway, lift, trot = np.split(np.sum(lifted, axis=1), 3)
+    assert np.mean(sway == 0) > 0.99
+    assert np.mean(lift == 1) > 0.15
+    assert np.mean(lift <= 1) > 0.95
+    assert np.max(trot) >= 2
+    assert np.split(lifted, 3)[1].any(axis=0).all()
+
+
+def test_velocities_are_those_of_positions() -> None:
+    trace = walked()
+    between = 0.5 * (trace.velocity[1:] + trace.velocity[:-1])
+    found = np.diff(trace.position, axis=0) / np.diff(trace.time)[:, None]
+    assert np.sqrt(np.mean((found - between) ** 2)) < 0.05 * np.sqrt(np.mean(between**2))
+
+
+@pytest.fixture
+def options(tmp_path: Path) -> WalkOptions:
+    (tmp_path / "go2.urdf").write_text(urdf("go2.urdf"), encoding="utf-8")
+    return replace(OPTIONS, robot=str(tmp_path / "go2.urdf"), gaits=("wobble",), duration=4.0)
+
+
+def messages(bag: Path, topic: str) -> list[Any]:
+    return [item.message for item in recorded(bag) if item.topic == topic]
+
+
+def test_what_is_recorded(options: WalkOptions, tmp_path: Path) -> None:
+    """The joints, the IMU, and the description that lacks the payload; the truth lies beside."""
+    bag, truth = simulate_walk(tmp_path / "bag", options)
+    joints, imu = messages(bag, "/joint_states"), messages(bag, "/imu")
+    assert len(joints) == len(imu) == 1000
+    assert {len(joint.effort) for joint in joints} == {12}
+    assert {each.header.frame_id for each in imu} == {"imu"}
+    assert np.mean([each.linear_acceleration.z for each in imu]) == pytest.approx(9.81, abs=0.2)
+    assert {each.orientation_covariance[0] for each in imu} == {-1.0}, "no orientation"
+    (description,) = messages(bag, "/robot_description")
+    assert description.data == urdf("go2.urdf")
+    links = {link["name"]: link["mass"] for link in json.loads(truth.read_text())["links"]}
+    assert links["base"] > 6.921 + 2.0
+    with pytest.raises(InputError, match="exists already"):
+        simulate_walk(tmp_path / "bag", options)
+
+
+def test_another_motion_is_one_of_the_same_robot(options: WalkOptions, tmp_path: Path) -> None:
+    runs = [simulate_walk(tmp_path / str(seed), replace(options, motion_seed=seed)) for seed in (options.seed, 7)]
+    first, other = (messages(bag, "/joint_states")[500].position for bag, _ in runs)
+    assert np.max(np.abs(first - other)) > 0.01
+    links = [json.loads(truth.read_text())["links"] for _, truth in runs]
+    assert links[0] == links[1]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"gaits": ("run",)}, "unknown gait 'run'"),
+        ({"duration": 1.0}, "duration is 1; it has to be from 4"),
+        ({"rate": 0.0}, "rate is 0"),
+        ({"feet": {"FL_foot": 0.022}}, "12 moving joints and 1 feet"),
+        ({"feet": {**FEET, "RR_foot": 0.0}}, "radius of RR_foot is 0"),
+        ({"feet": {"FL_fot": 0.022}}, "unknown link 'FL_fot'"),
+        ({"imu": "head"}, "unknown link 'head'"),
+        ({"robot": "none.urdf"}, "cannot read the URDF none.urdf"),
+    ],
+)
+def test_what_cannot_walk_is_refused(
+    options: WalkOptions, tmp_path: Path, changes: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        simulate_walk(tmp_path / "bag", replace(options, **changes))
+
+
+def test_feet_are_parsed() -> None:
+    assert parse_feet(["a:0.02", "b:1"]) == {"a": 0.02, "b": 1.0}
+    with pytest.raises(InputError, match="LINK:RADIUS"):
+        parse_feet(["a"])
