@@ -18,6 +18,7 @@ BAG, URDF, OUT = BAGS / "arm3", BAGS / "arm3.urdf", ("--out", "nowhere")
 EMPTY = {
     "effects": ("identify", BAG, "--urdf", URDF, *OUT, "--effects"),
     "candidates": ("identify", BAG, "--urdf", URDF, *OUT, "--candidates"),
+    "contacts": ("identify", BAG, "--urdf", URDF, *OUT, "--contacts"),
     "links": ("identify", BAG, "--urdf", URDF, *OUT, "--links"),
     "lock": ("gap", BAG, "--urdf", URDF, *OUT, "--lock"),
     "lock of a motion": ("excite", "--urdf", URDF, *OUT, "--lock"),
@@ -42,7 +43,7 @@ def test_every_option_that_takes_names_takes_them_in_the_same_way() -> None:
         for option in command.params
         if isinstance(option, click.Option) and "separated by commas" in (option.help or "") and option.name != "start"
     ]
-    assert {option.name for option in lists} == {"effects", "candidates", "links", "lock", "keep"}
+    assert {option.name for option in lists} == {"effects", "candidates", "links", "lock", "keep", "contacts"}
     assert all(isinstance(option.type, Names) for option in lists)
     assert all(
         ("'none'" in (option.help or "")) == (option.type.convert("none", option, None) == []) for option in lists

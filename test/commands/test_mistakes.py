@@ -143,7 +143,10 @@ REFUSED: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     ),
     "30 no role": (typed(*ROBOT, "--wrench", "/wrench:wrist_ft"), r"not of the form TOPIC:FRAME:ROLE\[:AXES\], e.g."),
     "31 known": (typed(*ROBOT, "--known", "total=23"), r"'total=23' is not of the form LINK=MASS:STD"),
-    "32 floating": (typed(*ROBOT, "--floating-base"), r"needs at least one wrench sensor of role external"),
+    "32 floating": (
+        typed(*ROBOT, "--floating-base"),
+        r"needs --contacts, the feet on the ground, or at least one wrench sensor of role external",
+    ),
     "36 fitted and judged": (
         typed(*ROBOT, "--validate", BAG),
         r"given twice\. .*without --validate the end of each bag",

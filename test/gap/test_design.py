@@ -65,9 +65,10 @@ def stacked(channel: int, bodies: list[int], terms: list[EffectTerm]) -> FloatAr
 
 def test_products_are_those_of_the_whitened_columns() -> None:
     bodies, terms = [1], [FIRST, BOTH, SECOND]
-    for channel, products in enumerate(DESIGN.gather(bodies, terms)):
+    products = DESIGN.gather(bodies, terms)
+    for channel in range(CHANNELS):
         columns = stacked(channel, bodies, terms)
-        np.testing.assert_allclose(products, columns.T @ columns, atol=1e-10)
+        np.testing.assert_allclose(products.dense(channel), columns.T @ columns, atol=1e-10)
         assert DESIGN.counts[channel] == len(columns)
 
 

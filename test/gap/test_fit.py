@@ -70,7 +70,7 @@ def objective(design: Design, found: JointFit, tangent: FloatArray, known: Links
     """The posterior without the spread's own terms, from its definition."""
     point = found.manifold.exp(found.point, tangent)
     vector = np.append(point.parameters, -1.0)
-    squares = [vector @ products @ vector for products in design.gather(found.bodies, found.terms)]
+    squares = design.gather(found.bodies, found.terms).squares(vector)
     links = found.manifold.log(found.manifold.point(np.append(MODEL.nominal_inertias, point.reals)), point)[:-1]
     inertias = vector[:30] - MODEL.nominal_inertias
     off = np.zeros(1) if known is None else known.residuals + known.rows @ inertias
@@ -84,9 +84,10 @@ def said(found: JointFit, design: Design) -> LinksInformation:
     count = len(MODEL.nominal_inertias)
     weights, vector = design.counts / found.squares, np.append(found.point.parameters, -1.0)
     products = design.gather(found.bodies, found.terms)
-    values, vectors = np.linalg.eigh(np.einsum("c,cij->ij", weights, products[:, :count, :count]))
+    weighed = products.weighed(weights)
+    values, vectors = np.linalg.eigh(weighed[:count, :count])
     rows = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-    slope = np.einsum("c,ci->i", weights, products[:, :count] @ vector)
+    slope = weighed[:count] @ vector
     residuals = vectors.T @ slope / np.sqrt(np.maximum(values, 1e-9 * values[-1]))
     return LinksInformation(rows, residuals - rows @ (vector[:count] - MODEL.nominal_inertias))
 
