@@ -75,7 +75,7 @@ def tracked(robot: TrueRobot, loop: ControlLoop, options: SimulationOptions, tra
 
 
 def hand_error(urdf: str, joints: tuple[str, ...], positions: FloatArray) -> float:
-    """Root mean square distance [mm] of the last link's origin between two motions ``(2, N, joints)``."""
+    """Root mean square distance [mm], between two motions ``(2, N, joints)``, of a point .1 m from the last joint."""
     model = pin.buildModelFromXML(urdf)
     data, last = model.createData(), model.njoints - 1
     places = [model.joints[model.getJointId(name)].idx_q for name in joints]

@@ -8,12 +8,13 @@ from typing import Unpack
 
 import numpy as np
 
-from geomid_ros.api.options import PathLike, RobotKeywords, RobotOptions
+from geomid_ros.api.options import PathLike, RobotKeywords, RobotOptions, beside
 from geomid_ros.api.verify import identified
 from geomid_ros.control.feedforward import interpolation_errors, with_efforts
 from geomid_ros.control.motor_efforts import MotorEfforts
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.trajectories import read_trajectory, save_trajectory, trajectory_in_bag
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
@@ -21,6 +22,8 @@ from geomid_ros.types import FloatArray
 TOLERANCE = 0.01
 """Largest error of linearly interpolated efforts, as a share of the joint's largest effort."""
 _YAML = (".yaml", ".yml")
+LONGEST = 600.0
+"""Longest trajectory [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +97,9 @@ def feedforward(
 
 def filled(session: Session, given: Trajectory, tolerance: float, source: str) -> Feedforward:
     """The same for a session of :func:`robot_to_move` and a trajectory from a ``source``. Raises InputError."""
-    if not 0.0 < tolerance < 1.0:
-        raise InputError(f"tolerance is {tolerance:g}, expected a share above 0 and below 1")
+    check_tolerance(tolerance)
+    if given.duration > LONGEST:
+        raise InputError(f"{source}: takes {given.duration:.4g} s, expected at most {LONGEST:g} s")
     efforts = MotorEfforts(session.model, identified(session), session.effort_gains, given.joints, source)
     found = with_efforts(given, efforts, tolerance)
     _check_limits(found, efforts.limits, source)
@@ -104,19 +108,42 @@ def filled(session: Session, given: Trajectory, tolerance: float, source: str) -
     return Feedforward(found, len(given.times), session, efforts.limits, errors, notes)
 
 
+def check_tolerance(tolerance: float) -> None:
+    """Raises InputError for a tolerance that is no share."""
+    if not 0.0 < tolerance < 1.0:
+        raise InputError(f"tolerance is {tolerance:g}, expected a share above 0 and below 1")
+
+
 def _read(path: Path, topic: str | None) -> Trajectory:
-    return read_trajectory(path) if path.suffix in _YAML else trajectory_in_bag(path, topic)
+    if path.suffix not in _YAML:
+        return trajectory_in_bag(path, topic)
+    if topic is not None:
+        raise InputError(f"{path}: is no rosbag; --topic names a topic of one")
+    return read_trajectory(path)
 
 
 def robot_to_move(options: RobotOptions, model: PathLike | None, *, force: bool) -> Session:
     """The robot with its model. Raises InputError where none is given, and unless ``force`` for a doubtful one."""
     if model is None and options.urdf is None:
         raise InputError("no robot is given: add --model estimate.json, or --urdf ROBOT.urdf for the URDF alone")
+    if model is not None:
+        _check_model(options, EstimateFile.read(Path(model)))
     robot = options.description([], model)
     session = Session(robot.text, options.configuration(model, candidates=[]), robot.source)
     if session.loaded.doubt and not force:
         raise InputError(f"{session.loaded.doubt}; to move a robot by it all the same, add --force")
     return session
+
+
+def _check_model(options: RobotOptions, file: EstimateFile) -> None:
+    """Raises InputError for a model of a robot that stands on the ground, or without its description."""
+    if any(channel.channel.startswith("base/") for channel in file.channels):
+        raise InputError(
+            f"{file.source}: its base floats: efforts of legs depend on the forces of the ground, which no trajectory "
+            "says"
+        )
+    if options.urdf is None and not beside(file.source).is_file():
+        raise InputError(f"{file.source}: there is no identified.urdf beside it; add --urdf ROBOT.urdf")
 
 
 def _check_limits(found: Trajectory, limits: FloatArray, source: str) -> None:

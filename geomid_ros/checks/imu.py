@@ -67,7 +67,8 @@ def displaced_imu(model: MeasurementModel, batches: Sequence[Samples], parameter
     x, y, z = (1e3 * place).round().astype(int)
     sentence = (
         f"the IMU seems to be {1e3 * distance:.0f} mm from its place in the URDF, by ({x:+d}, {y:+d}, {z:+d}) mm in "
-        "the axes of the base: the inertia and the centre of mass of the base are off. Measure its place"
+        "the axes of the base, or a foot that stands is missing in --contacts: the inertia and the centre of mass of "
+        "the base are off. Measure its place, and name all feet"
     )
     return (Finding(cause=Cause(kind="imu", sentence=sentence)),)
 

@@ -20,6 +20,7 @@ def carried_weight(legs: Legs, samples: Samples) -> Finding | None:
         return None
     sentence = (
         f"by the efforts of their legs the feet carry {share:.2g} of the robot's weight on average, expected about 1: "
-        "check that efforts are in N m with their sign (effort_gain, --gain), and that all feet are named (contacts)"
+        "check that efforts are in N m with their sign (effort_gain, --gain), that all feet are named (contacts), and "
+        "that the IMU's frame is not upside down"
     )
     return Finding(cause=Cause(kind="legs", sentence=sentence))

@@ -15,6 +15,11 @@ from geomid_ros.commands.options import PATH, Output, description_options
 @click.argument("trajectory", type=PATH)
 @click.option("--model", type=PATH, help="An estimate.json.  [default: the URDF alone]")
 @description_options
+@click.option(
+    "--urdf",
+    type=click.Path(path_type=Path),
+    help="Robot description, URDF or .xacro.  [default: identified.urdf beside the model]",
+)
 @click.option("--topic", metavar="TOPIC", help="Topic of the trajectory, if TRAJECTORY is a bag with several.")
 @click.option(
     "--tolerance",

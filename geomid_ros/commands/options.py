@@ -104,14 +104,9 @@ description_options = together(
         ),
         click.option("--config", type=PATH, help="The node's parameter file (YAML)."),
         xacro_option,
-        click.option(
-            "--urdf",
-            type=PATH,
-            help="Robot description, URDF or .xacro.  [default: robot_description in the bags]",
-        ),
     ]
 )
-"""The options that say which robot it is, as :class:`~geomid_ros.api.options.RobotOptions` has them."""
+"""The options that say which robot it is, but ``--urdf``, as :class:`~geomid_ros.api.options.RobotOptions` has them."""
 
 robot_options = together(
     [
@@ -135,6 +130,11 @@ robot_options = together(
         click.option("--merge", is_flag=True, help="Several publishers send joint states, each for some joints."),
         click.option("--cutoff", type=float, metavar="HZ", help="Cutoff of the low-pass filter on all signals."),
         description_options,
+        click.option(
+            "--urdf",
+            type=PATH,
+            help="Robot description, URDF or .xacro.  [default: robot_description in the bags]",
+        ),
     ]
 )
 """The same, and what is measured on the robot and how that is read."""

@@ -21,7 +21,8 @@ EffortsOf: TypeAlias = Callable[[FloatArray], FloatArray]
 """Inverse dynamics: efforts ``(N, joints)`` [N m, N] at positions, velocities and accelerations ``(3, N, joints)``."""
 SHORTEST = 1e-3
 """Shortest time between two points [s]: the cycle time of usual controllers."""
-_INSIDE = np.array([0.25, 0.5, 0.75])  # between two points, where the interpolation is checked
+_PROBED = 10.0 * SHORTEST  # [s] at least so often the interpolation is checked
+_INSIDE = (0.25, 0.5, 0.75)  # and there between two points
 
 
 def with_efforts(trajectory: Trajectory, efforts_of: EffortsOf, tolerance: float) -> Trajectory:
@@ -54,11 +55,14 @@ def sampled(trajectory: Trajectory, efforts_of: EffortsOf, times: FloatArray) ->
 
 def interpolation_errors(found: Trajectory, efforts_of: EffortsOf) -> FloatArray:
     """Largest error of linearly interpolated efforts between two points ``(N - 1, joints)`` [N m, N]."""
-    steps = np.diff(found.times)
+    times, steps = found.times, np.diff(found.times)
+    probes = [np.arange(times[0], times[-1], _PROBED), *(times[:-1] + share * steps for share in _INSIDE)]
+    at = np.concatenate(probes)
+    between = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(steps) - 1)
+    share = ((at - times[between]) / steps[between])[:, None]
+    linear = (1.0 - share) * found.efforts[between] + share * found.efforts[between + 1]
     errors = np.zeros((len(steps), len(found.joints)))
-    for share in _INSIDE.tolist():
-        true = efforts_of(found.states(found.times[:-1] + share * steps)[:3])
-        errors = np.maximum(errors, np.abs(true - (1.0 - share) * found.efforts[:-1] - share * found.efforts[1:]))
+    np.maximum.at(errors, between, np.abs(efforts_of(found.states(at)[:3]) - linear))
     return errors
 
 

@@ -41,6 +41,8 @@ class MotorEfforts:
         robot = model.robot
         if robot.floating_base:
             raise InputError("the base floats: what its legs have to do depends on their contacts")
+        if not model.layout.efforts:
+            raise InputError("efforts cannot be predicted: an external wrench sensor does not measure all six axes")
         for joint in joints:
             if joint not in robot.joint_names:
                 raise InputError(f"{source}: {unknown_name('joint', joint, robot.joint_names)}")

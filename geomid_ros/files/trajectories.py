@@ -30,9 +30,14 @@ _KIND = "trajectory_msgs/msg/JointTrajectory"
 
 
 def save_trajectory(path: Path, trajectory: Trajectory) -> None:
-    """Write YAML or CSV by the suffix of ``path``, else a rosbag in this folder. Raises GeomidError naming the file."""
-    writers = {".yaml": write_yaml, ".yml": write_yaml, ".csv": write_csv}
-    writers.get(path.suffix, write_bag)(path, trajectory)
+    """Write YAML or CSV by the suffix of ``path``, without one a rosbag in this folder.
+
+    Raises GeomidError naming the file or folder, which may be a bag, but nothing else.
+    """
+    writers = {".yaml": write_yaml, ".yml": write_yaml, ".csv": write_csv, "": write_bag}
+    if path.suffix not in writers or path.name in ("", ".."):
+        raise InputError(f"{path}: expected a name that ends in .yaml or .csv, or a folder for a rosbag")
+    writers[path.suffix](path, trajectory)
 
 
 def write_yaml(path: Path, trajectory: Trajectory) -> None:
@@ -76,6 +81,9 @@ def write_bag(folder: Path, trajectory: Trajectory) -> None:
 
 
 def _write(folder: Path, message: Any) -> None:
+    there = [*folder.iterdir()] if folder.is_dir() else []
+    if folder.exists() and not all(file.name == "metadata.yaml" or file.suffix == ".mcap" for file in there):
+        raise InputError(f"{folder}: is there already and is no bag; name another folder")
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder.parent) as temporary:
@@ -181,6 +189,8 @@ def _trajectory(source: str, joints: tuple[str, ...], rows: Sequence[_Row]) -> T
         raise InputError(f"{source}: joint_names must name every joint once, and at least one")
     if len(rows) < 2:
         raise InputError(f"{source}: {len(rows)} points, expected at least two")
+    if any(len(numbers) != len(_MOTION) for _, numbers in rows):
+        raise InputError(f"{source}: {', '.join(_MOTION)} must be lists of numbers")
     accelerated = bool(rows[0][1][2])
     widths = [len(joints), len(joints), len(joints) if accelerated else 0]
     for index, (time, numbers) in enumerate(rows):
@@ -229,7 +239,10 @@ def _rows(path: Path, points: list[Any]) -> Iterator[_Row]:
         try:
             time = point["time_from_start"]
             seconds = float(time["sec"]) + 1e-9 * float(time["nanosec"])
-            yield seconds, [[float(number) for number in point.get(name) or ()] for name in _MOTION]
+            lists = [point.get(name) or [] for name in _MOTION]
+            yield seconds, [[float(number) for number in own] for own in lists if isinstance(own, list)]
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             expected = f"lists of numbers ({', '.join(_MOTION)}), and time_from_start: {{sec, nanosec}}"
-            raise InputError(f"{path}: point {index} is incomplete; expected {expected}") from error
+            raise InputError(
+                f"{path}: point {index} is incomplete; expected {expected}. 'ros2 topic echo' needs --full-length"
+            ) from error

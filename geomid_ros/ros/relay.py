@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory
 
-from geomid_ros.api.feedforward import TOLERANCE, filled, robot_to_move
+from geomid_ros.api.feedforward import TOLERANCE, check_tolerance, filled, robot_to_move
 from geomid_ros.api.options import RobotOptions
-from geomid_ros.errors import GeomidError
+from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.files.trajectories import trajectory_of
 from geomid_ros.ros.excite.controller import message_of
 from geomid_ros.session.session import Session
@@ -26,13 +27,20 @@ class FeedforwardRelay:
     """
 
     def __init__(self, node: Node) -> None:
-        """Raises InputError if the robot or its model cannot be used."""
+        """Raises InputError if a parameter, the robot or its model cannot be used."""
         self._log = node.get_logger()
+        try:
+            self._set_up(node)
+        except (ParameterException, NameValidationException) as error:
+            raise InputError(" ".join(str(error).split())) from error
+
+    def _set_up(self, node: Node) -> None:
         self._model, urdf, config, controller = (
             str(node.declare_parameter(name, default).value)
             for name, default in (("model", ""), ("urdf", ""), ("config", ""), ("controller", _CONTROLLER))
         )
         self._tolerance = float(node.declare_parameter("tolerance", TOLERANCE).value)
+        check_tolerance(self._tolerance)
         self._force = bool(node.declare_parameter("force", False).value)
         self._options = RobotOptions(urdf=urdf or None, config=config or None)
         self._read_at = self._changed_at()
@@ -42,20 +50,23 @@ class FeedforwardRelay:
         self._log.info(f"fills the efforts of {node.resolve_topic_name(_IN)} for {self._publisher.topic_name}")
 
     def _changed_at(self) -> int:
-        path = Path(self._model)
-        return path.stat().st_mtime_ns if path.is_file() else 0
+        try:
+            return Path(self._model).stat().st_mtime_ns
+        except OSError:
+            return 0  # reading says so
 
     def _read(self) -> Session:
         return robot_to_move(self._options, self._model or None, force=self._force)
 
     def _relay(self, message: JointTrajectory) -> None:
+        if not message.points:  # tells the controller to stop
+            self._publisher.publish(message)
+            return
         try:
-            if self._changed_at() != self._read_at:
-                self._read_at, self._session = self._changed_at(), self._read()
+            if (changed_at := self._changed_at()) != self._read_at:
+                self._session = self._read()
+                self._read_at = changed_at
                 self._log.info(f"{self._model} has changed and is read again")
-            if not message.points:  # tells the controller to stop
-                self._publisher.publish(message)
-                return
             found = filled(self._session, trajectory_of(message, "trajectory"), self._tolerance, "trajectory")
         except GeomidError as error:
             self._log.error(f"a trajectory is not sent on: {error}")

@@ -252,7 +252,7 @@ class Session:
         peculiar = [*peculiarities(recorded.accounts), *self.remarks]
         if self.base_topic == IMU:
             peculiar += turned_imu(self.model, estimate)
-            findings = (*findings, *displaced_imu(self.model, samples, estimate.parameters))
+            findings = findings or displaced_imu(self.model, samples, estimate.parameters)
         peculiar += [] if held_out is None else unlike(estimate, held_out)
         impossible = tuple(impossible_links(self.urdf, self._source, self._suspects(estimate)))
         return verdict(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,12 +53,34 @@ def test_without_a_model_they_are_those_of_the_urdf(order: tuple[int, ...]) -> N
     np.testing.assert_allclose(found.efforts, rnea(given.states(found.times)[:3])[:, places], atol=1e-9)
 
 
-def test_they_are_in_the_unit_of_the_messages() -> None:
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1)])
+def test_they_are_in_the_unit_of_the_messages(order: tuple[int, ...]) -> None:
     """A driver that says half of the torque, with the other sign at one joint, takes commands in the same unit."""
-    plain = geomid_ros.feedforward(motion(), None, urdf=URDF)
-    found = geomid_ros.feedforward(motion(), None, urdf=URDF, gain={"joint1": 2.0, "joint2": -0.5, "joint3": 1.0})
-    np.testing.assert_allclose(found.trajectory.efforts * [2.0, -0.5, 1.0], plain.trajectory.efforts)
-    np.testing.assert_allclose(found.limits * [2.0, 0.5, 1.0], plain.limits)
+    given, places, gains = motion(), list(order), np.array([2.0, -0.5, 1.0])
+    columns = {name: getattr(given, name)[:, places] for name in ("positions", "velocities", "accelerations")}
+    other = replace(given, joints=tuple(JOINTS[place] for place in order), efforts=None, **columns)
+    text = URDF.read_text().replace('effort="', 'effort="1').replace('effort="1', 'effort="3', 1)  # all different
+    plain = geomid_ros.feedforward(given, None, urdf=text)
+    found = geomid_ros.feedforward(other, None, urdf=text, gain=dict(zip(JOINTS, gains, strict=True)))
+    expected = plain.trajectory.states(found.trajectory.times)[:3]
+    np.testing.assert_allclose(found.trajectory.efforts * gains[places], rnea(expected)[:, places], atol=1e-9)
+    np.testing.assert_allclose(found.limits * np.abs(gains[places]), plain.limits[places])
+    assert len(set(plain.limits.tolist())) > 1
+
+
+def test_a_reversal_between_two_points_is_seen() -> None:
+    """Dry friction of an axis without gravity turns twice between two points."""
+    times = np.array([0.0, 4.0])
+    given = Trajectory(("a",), times, np.array([[0.0], [1.0]]), np.array([[1.0], [1.0]]), np.zeros((2, 0)))
+    assert np.min(given.states(np.linspace(0.0, 4.0, 50))[1]) < 0.0 < np.max(given.states(times)[1])
+
+    def efforts(states: FloatArray) -> FloatArray:
+        return 2.0 * states[2] + 1.5 * np.sign(states[1])
+
+    found = with_efforts(given, efforts, 0.01)
+    at = np.linspace(0.0, 4.0, 4001)
+    off = np.abs(np.interp(at, found.times, found.efforts[:, 0]) - efforts(given.states(at)[:3])[:, 0])
+    assert np.mean(off > 0.1) < 0.005
 
 
 @pytest.mark.parametrize("accelerated", [True, False])
@@ -113,6 +136,7 @@ REFUSED = {
     ),
     "too fast": (lambda t: t.at_speed(40.0), {}, r"joint 'joint\d' would need .* % more than its limit"),
     "no robot": (lambda t: t, {"urdf": None}, "no robot is given: add --model"),
+    "too long": (lambda t: t.at_speed(1e-3), {}, "takes 4000 s, expected at most 600 s"),
     "tolerance": (lambda t: t, {"tolerance": 0.0}, "tolerance is 0, expected a share"),
 }
 
@@ -145,3 +169,18 @@ def test_only_what_the_motors_do_is_commanded(tmp_path: Path) -> None:
 
     np.testing.assert_array_equal(efforts("effort_offset"), efforts("nothing"))
     np.testing.assert_allclose(efforts("viscous_friction") - efforts("nothing"), 5.0 * states[1], atol=1e-9)
+
+
+def test_a_robot_on_its_legs_and_efforts_that_cannot_be_predicted_are_refused(tmp_path: Path) -> None:
+    estimate = geomid_ros.identify(BAGS / "arm3", URDF, candidates=[]).save(tmp_path, report=False)[0]
+    document = json.loads(estimate.read_text())
+    document["channels"].append({"channel": "base/fx", "unit": "N"})
+    (tmp_path / "legs.json").write_text(json.dumps(document))
+    with pytest.raises(InputError, match=r"legs\.json: its base floats"):
+        geomid_ros.feedforward(motion(), tmp_path / "legs.json", force=True)
+    (tmp_path / "identified.urdf").unlink()
+    with pytest.raises(InputError, match=r"estimate\.json: there is no identified\.urdf beside it; add --urdf"):
+        geomid_ros.feedforward(motion(), estimate, force=True)
+    sensors = ("/tip:tool:external:fx,fy,fz", "/wrench:wrist_ft:mounted")
+    with pytest.raises(InputError, match="efforts cannot be predicted"):
+        geomid_ros.feedforward(motion(), None, urdf=URDF, wrench=sensors)

@@ -16,6 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.trajectories import read_trajectory, save_trajectory, trajectory_in_bag
 
 JOINTS = ("shoulder", "elbow")
@@ -49,6 +50,9 @@ def test_a_bag_comes_back_as_it_was_written(tmp_path: Path) -> None:
     given = with_efforts()
     save_trajectory(tmp_path / "bag", given)
     found = trajectory_in_bag(tmp_path / "bag", None)
+    with Bag(tmp_path / "bag") as bag:
+        ((_, _, message),) = bag.messages([*bag.topics])
+    np.testing.assert_allclose([point.effort for point in message.points], given.efforts)
     for name in FIELDS[:-1]:
         np.testing.assert_allclose(getattr(found, name), getattr(given, name), atol=1e-9)
 
@@ -119,4 +123,31 @@ def test_one_without_velocities_is_refused(tmp_path: Path) -> None:
         del point["velocities"], point["accelerations"]
     (tmp_path / "plan.yaml").write_text(yaml.safe_dump(document))
     with pytest.raises(InputError, match=r"plan\.yaml: point 0 has no velocities: from position to position the speed"):
+        read_trajectory(tmp_path / "plan.yaml")
+
+
+def test_a_folder_that_is_no_bag_is_left_as_it_is(tmp_path: Path) -> None:
+    """A bag is replaced; results, and names of other kinds of files, are not."""
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "estimate.json").write_text("{}")
+    with pytest.raises(InputError, match="results: is there already and is no bag"):
+        save_trajectory(tmp_path / "results", with_efforts())
+    assert (tmp_path / "results" / "estimate.json").exists()
+    for name in ("x.YML", "x.mcap", ".."):
+        with pytest.raises(InputError, match=r"expected a name that ends in \.yaml or \.csv"):
+            save_trajectory(tmp_path / name, with_efforts())
+    for _ in range(2):
+        save_trajectory(tmp_path / "bag", with_efforts())
+
+
+def test_a_list_that_was_cut_by_topic_echo_says_so(tmp_path: Path) -> None:
+    document = bump(JOINTS, 4.0).document(9)
+    document["points"][5] = "..."
+    (tmp_path / "plan.yaml").write_text(yaml.safe_dump(document))
+    with pytest.raises(InputError, match=r"point 5 is incomplete.*--full-length"):
+        read_trajectory(tmp_path / "plan.yaml")
+    document = bump(JOINTS, 4.0).document(9)
+    document["points"][5]["positions"] = "12"
+    (tmp_path / "plan.yaml").write_text(yaml.safe_dump(document))
+    with pytest.raises(InputError, match="must be lists of numbers"):
         read_trajectory(tmp_path / "plan.yaml")

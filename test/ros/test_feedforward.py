@@ -59,11 +59,26 @@ def test_trajectories_go_on_with_efforts_or_not_at_all(stage: Stage, model: Path
     sent.publish(message)
     observer.wait_for(lambda: len(heard) == 2, "a trajectory with other efforts")
     assert not np.allclose(heard[1].points[10].effort, heard[0].points[10].effort)
+    document["verdict"]["result"] = "doubtful"
+    model.write_text(json.dumps(document))
+    sent.publish(message)
+    observer.wait_for(lambda: "verdict is 'doubtful'" in relay.output, "a refusal")
     sent.publish(JointTrajectory(joint_names=list(JOINTS)))  # which tells a controller to stop
     observer.wait_for(lambda: len(heard) == 3, "an order to stop")
 
 
-def test_without_a_model_it_does_not_start(stage: Stage) -> None:
-    relay = stage.node({"controller": "/arm_controller"}, module="geomid_ros.ros.feedforward", ready=False)
+REFUSED = {
+    "no robot": ({}, "no robot is given"),
+    "type": ({"tolerance": 1}, "tolerance"),
+    "tolerance": ({"tolerance": 2.0}, "tolerance is 2, expected a share"),
+    "name": ({"urdf": str(BAGS / "arm3.urdf"), "controller": "bad-name"}, "bad-name"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_is_wrong_with_its_parameters_is_said(case: str, stage: Stage) -> None:
+    parameters, said = REFUSED[case]
+    relay = stage.node(parameters, module="geomid_ros.ros.feedforward", ready=False)
     assert relay.status() == 2
-    assert "geomid_feedforward: no robot is given" in relay.output
+    assert relay.output.startswith("geomid_feedforward: ")
+    assert said in relay.output
