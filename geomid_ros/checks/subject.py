@@ -180,7 +180,7 @@ class Subject:
     def predicted(self) -> FloatArray:
         """Efforts of the URDF's links ``(N, C)``."""
         motion = self.robot.configuration(self.samples)
-        return self.robot.joint_efforts(self.prior.reshape(-1, 10), *motion)[:, self.joints]
+        return self.robot.joint_efforts(*motion, self.prior.reshape(-1, 10))[:, self.joints]
 
     @cached_property
     def weight(self) -> FloatArray:

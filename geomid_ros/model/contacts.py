@@ -93,7 +93,7 @@ class Legs:
         """Forces of the ground on each foot ``(N, feet, 3)`` [N] in the world's axes, by the efforts and the URDF; NaN
         where they are not known."""
         q, v, a = self._robot.configuration(samples)
-        missing = self._robot.described_efforts(q, v, a) - samples.effort
+        missing = self._robot.joint_efforts(q, v, a) - samples.effort
         found = [
             (inverse @ missing[:, joints, None])[:, :, 0]
             for joints, (_, inverse) in zip(self.joints, self._transmissions(q), strict=True)

@@ -38,7 +38,7 @@ class Dynamics:
 
     def efforts(self, samples: Samples) -> FloatArray:
         """Efforts ``(N, J)`` of the joints."""
-        return self._robot.joint_efforts(self._inertias, *self._robot.configuration(samples))
+        return self._robot.joint_efforts(*self._robot.configuration(samples), self._inertias)
 
     def sensitivity(self, samples: Samples) -> Sensitivity:
         """Derivatives of all channels at N instants."""

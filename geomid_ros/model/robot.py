@@ -334,12 +334,15 @@ class Robot:
         found[:, :, self._moved] = (by_joint.transpose(0, 2, 1, 3) @ self._to_joints).transpose(0, 2, 1, 3)
         return found
 
-    def joint_efforts(self, inertias: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """The joints' efforts ``(N, joints)`` at N instants, with ``inertias (all bodies, 10)``, by the recursive
-        Newton-Euler algorithm."""
-        model = self.with_inertias(inertias, range(len(inertias)))
+    def joint_efforts(
+        self, q: FloatArray, v: FloatArray, a: FloatArray, inertias: FloatArray | None = None
+    ) -> FloatArray:
+        """The joints' efforts ``(N, joints)`` at N instants by the recursive Newton-Euler algorithm, with ``inertias
+        (all bodies, 10)``; those of the URDF if None."""
+        model = self._model if inertias is None else self.with_inertias(inertias, range(len(inertias)))
         data = model.createData()
-        return np.array([pin.rnea(model, data, *state) for state in zip(q, v, a, strict=True)]) @ self.coupling
+        efforts = [pin.rnea(model, data, *state) for state in zip(q, v, a, strict=True)]
+        return np.array(efforts).reshape(len(q), model.nv) @ self.coupling
 
     @cached_property
     def coupling(self) -> FloatArray:
@@ -438,14 +441,6 @@ class Robot:
         down = radius * self.gravity / np.linalg.norm(self.gravity)
         rows = full[:, :3] - pin.skew(down) @ full[:, 3:]
         return np.concatenate([rows[:, :, :6], self._of_joints(rows.transpose(0, 2, 1)).transpose(0, 2, 1)], axis=2)
-
-    def described_efforts(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """Efforts ``(N, joints)`` that the motion takes by the URDF."""
-        motion = zip(q, v, a, strict=True)
-        return (
-            np.array([pin.rnea(self._model, self._data, *state) for state in motion]).reshape(len(q), -1)
-            @ self.coupling
-        )
 
     @property
     def weight(self) -> float:

@@ -55,7 +55,7 @@ def test_any_bodies_give_the_efforts_of_a_robot_made_of_them(name: str) -> None:
     predicted = MeasurementModel(robot, []).predict(samples, parameters.ravel())[1]
     expected = reference.inverse_dynamics(samples, robot.joint_names)[1]
     assert_equal(predicted, expected)
-    assert_equal(robot.joint_efforts(parameters, *robot.configuration(samples)), expected)
+    assert_equal(robot.joint_efforts(*robot.configuration(samples), parameters), expected)
 
 
 @pytest.mark.parametrize(
