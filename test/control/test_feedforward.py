@@ -86,7 +86,10 @@ def test_a_reversal_between_two_points_is_seen() -> None:
 @pytest.mark.parametrize("accelerated", [True, False])
 def test_the_motion_stays_what_it_is(accelerated: bool) -> None:
     given = motion(accelerated, 6)
-    found = geomid_ros.feedforward(given, None, urdf=URDF, tolerance=1e-3).trajectory
+    result = geomid_ros.feedforward(given, None, urdf=URDF, tolerance=1e-3)
+    found = result.trajectory
+    assert np.all(result.errors > 0.0)
+    assert np.all(result.errors < (1e-3 if accelerated else 1.0) * result.largest)
     assert len(found.times) > 3 * len(given.times)
     assert set(given.times) <= set(found.times)
     assert found.accelerations.shape[1] == given.accelerations.shape[1]
