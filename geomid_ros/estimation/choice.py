@@ -33,9 +33,9 @@ from geomid_ros.estimation.profile_objective import (
 from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
-from geomid_ros.model.effects import joints_of
+from geomid_ros.model.effects import Effect, Place, joints_of
 from geomid_ros.model.measurement import Coefficient, Mechanism
-from geomid_ros.types import FloatArray, IntArray
+from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _VISIBLE = 0.04
 """Share of a channel's remaining squares that an effect explains at least."""
@@ -61,7 +61,7 @@ def choose(problem: Problem, earlier: IntArray | None = None) -> IntArray:
         if larger is None:
             break
         refused.add(rows.mechanism(column))
-        if larger.possible and larger.is_visible_beside(chosen):
+        if np.all(larger.possible) and larger.is_visible_beside(chosen):
             chosen = _shaped(larger, joints_of(rows.coefficient(column).place))
     return _without_unbelieved(chosen).every
 
@@ -98,8 +98,8 @@ def _best_shape(fit: _Fit, shapes: Sequence[int]) -> _Fit:
 def _without_unbelieved(fit: _Fit) -> _Fit:
     """The fit without the optional effects that are not believed, the least one first."""
     while len(fit.chosen):
-        squares = np.max([each.squares_of(fit.chosen) for each in (fit, fit.firm)], axis=0)
-        if np.min(squares) > TOLD**2 and fit.possible:
+        squares = fit.possible * np.max([each.squares_of(fit.chosen) for each in (fit, fit.firm)], axis=0)
+        if np.min(squares) > TOLD**2:
             break
         fit = fit.rows.fit(np.setdiff1d(fit.every, fit.chosen[np.argmin(squares)]), fit)
     return fit
@@ -110,7 +110,7 @@ def _best(chosen: _Fit, left: IntArray) -> tuple[int, _Fit | None]:
     starts = (chosen, chosen.firm)
     gains = np.max([start.gains(left) for start in starts], axis=0)
     column = int(left[np.argmax(gains)])
-    if np.max(gains) < max(_VISIBLE * float(np.max(chosen.rows.counts)), TOLD**2):
+    if np.max(gains) < max(_VISIBLE * float(np.max(chosen.rows.by_channel(chosen.rows.judging))), TOLD**2):
         return column, None
     columns = np.sort(np.append(chosen.every, column))
     return column, min((chosen.rows.fit(columns, start) for start in starts), key=lambda fit: fit.score)
@@ -118,7 +118,7 @@ def _best(chosen: _Fit, left: IntArray) -> tuple[int, _Fit | None]:
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """The settled rows of a ``problem`` with all its coefficients."""
+    """The rows of a ``problem`` with all its coefficients, but those at rest and near reversals."""
 
     problem: Problem
 
@@ -135,8 +135,7 @@ class _Rows:
     @property
     def enough(self) -> bool:
         """Whether some channel has more independent rows than unknowns without a choice: fewer ask for nothing."""
-        columns = [len(np.intersect1d(channel.columns, self.standing)) for channel in self.problem.model.channels]
-        return bool(np.any(self.counts > columns))
+        return bool(np.any(self._telling))
 
     @property
     def columns(self) -> range:
@@ -189,14 +188,42 @@ class _Rows:
 
     @cached_property
     def products(self) -> ChannelProducts:
-        """Of each channel: all columns and the target by each other; only the share of the rows that is independent
+        """Of each group: all columns and the target by each other; only the share of the rows that is independent
         counts."""
-        return self.problem.products.first(len(self.problem.model.channels)).times(self.problem.independent)
+        return self.problem.products.first(len(self.counts)).times(self.problem.independent)
 
     @cached_property
     def counts(self) -> FloatArray:
-        """Independent rows of each channel."""
-        return self.problem.independent * self.problem.counts[: len(self.problem.model.channels)]
+        """Independent rows of each group."""
+        return self.problem.independent * self.problem.counts[: -len(self.problem.model.channels)]
+
+    @cached_property
+    def _telling(self) -> BoolArray:
+        """Whether each group has more independent rows than unknowns without a choice ``(groups,)``."""
+        unknowns = [len(np.intersect1d(channel.columns, self.standing)) for channel in self.problem.model.channels]
+        return np.asarray(self.counts > np.resize(unknowns, len(self.counts)))
+
+    @cached_property
+    def slower(self) -> BoolArray:
+        """Whether each group is of slow motion, beside enough rows of the same channel in fast motion ``(groups,)``."""
+        channels = len(self.problem.model.channels)
+        return (np.arange(len(self.counts)) >= channels) & np.resize(self._telling[:channels], len(self.counts))
+
+    @cached_property
+    def floors(self) -> FloatArray:
+        """Least noise of each group: a channel's in slow motion is no less than in fast motion."""
+        fast = self.problem.least_sigmas[: len(self.problem.model.channels)]
+        return np.where(self.slower, np.resize(fast, len(self.counts)), 0.0)
+
+    @cached_property
+    def judging(self) -> FloatArray:
+        """Independent rows of each group by which effects are judged: near rest the shape of dry friction may stand for
+        an effect."""
+        return np.where(self.slower, 0.0, self.counts)
+
+    def by_channel(self, groups: FloatArray) -> FloatArray:
+        """The sums ``(channels,)`` of numbers ``(groups,)``."""
+        return np.asarray(np.sum(groups.reshape(-1, len(self.problem.model.channels)), axis=0))
 
     def fit(self, columns: IntArray, start: _Fit | None = None, *, spreads: FloatArray | None = None) -> _Fit:
         """Fit these parameters, from an earlier fit where one is given; with ``spreads (links,)`` of the links, unless
@@ -228,7 +255,7 @@ class _Rows:
             point, spreads = manifold.point(before[columns]), start.fit.scales
         known = problem.known.rows[:, columns]
         known_rows = np.column_stack([known, known @ prior.parameters - problem.known.targets])
-        profile = Profile(manifold, self.products.select(columns), self.counts, prior)
+        profile = Profile(manifold, self.products.select(columns), self.counts, prior, self.floors)
 
         def objective(spreads: FloatArray) -> ProfileObjective:
             weights = np.append(np.repeat(spreads, 10) ** -2.0, np.full(len(manifold.scales), ROUNDING))
@@ -283,15 +310,24 @@ class _Fit:
 
     @cached_property
     def weights(self) -> FloatArray:
-        """Inverse variances of the channels."""
+        """Inverse variances of the groups."""
         return self.rows.counts / self.left
 
     @property
-    def possible(self) -> bool:
-        """Whether all optional coefficients are in their ranges."""
+    def possible(self) -> BoolArray:
+        """Whether each of the :attr:`chosen` is in its range, and does what it stands for beside all others at its
+        place."""
         every = np.zeros(self.rows.size)
         every[self.columns] = self.fit.point.parameters
-        return all(map(self.rows.allows, self.chosen.tolist(), every[self.chosen].tolist()))
+        there: dict[Place, dict[Effect, float]] = {}
+        for column in self.every[self.every >= self.rows.first].tolist():
+            own = self.rows.coefficient(column)
+            there.setdefault(own.place, {})[own.effect] = float(every[column])
+        pairs = [(column, self.rows.coefficient(column)) for column in self.chosen.tolist()]
+        return np.array(
+            [self.rows.allows(column, every[column]) and c.effect.is_borne_out(there[c.place]) for column, c in pairs],
+            dtype=np.bool_,
+        )
 
     @cached_property
     def chosen(self) -> IntArray:
@@ -300,13 +336,20 @@ class _Fit:
 
     @cached_property
     def left(self) -> FloatArray:
-        """Sum of squares of each channel."""
+        """Sum of squares of each group."""
         return self.fit.objective.profile.squares(self.fit.point)
 
     def is_visible_beside(self, smaller: _Fit) -> bool:
         """Whether it leaves clearly less of some channel, links as they were fitted or such as stay near the prior."""
         pairs = ((self, smaller), (self.firm, smaller.firm))
-        return any(bool(np.any(one.left < (1.0 - _VISIBLE) * other.left)) for one, other in pairs)
+        return any(bool(np.any(one.decreases(other) > -np.log(1.0 - _VISIBLE))) for one, other in pairs)
+
+    def decreases(self, other: _Fit) -> FloatArray:
+        """By how much less it leaves of each channel than another fit: logarithms ``(channels,)``, the mean over the
+        channel's rows."""
+        counts, total = self.rows.judging, self.rows.by_channel(self.rows.judging)
+        decreases = self.rows.by_channel(counts * np.log(other.left / self.left))
+        return decreases / np.where(total > 0.0, total, np.inf)
 
     @cached_property
     def _vector(self) -> FloatArray:
@@ -320,7 +363,7 @@ class _Fit:
         """Half the derivative of the squares of each fold that has rows by each of its coefficients ``(folds, k)``."""
         problem = self.rows.problem
         slopes = np.zeros((problem.summary.folds, self.rows.size + 1))
-        for channel, weight, parts in zip(problem.model.channels, self.weights, problem.summary.parts(), strict=False):
+        for channel, weight, parts in zip(problem.summary.groups, self.weights, problem.summary.parts(), strict=False):
             own = np.append(channel.columns, self.rows.size)
             residuals = [part.factor @ self._vector[own] for part in parts]
             slopes[:, own] += weight * np.array([r @ part.factor for r, part in zip(residuals, parts, strict=True)])

@@ -17,7 +17,7 @@ from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart, estima
 from geomid_ros.estimation.revocable_buffer import Instant, RevocableBuffer
 from geomid_ros.estimation.summary import RowSummary, SummaryState
 from geomid_ros.model.measurement import MeasurementModel, Rows
-from geomid_ros.model.moving import moves_one_way
+from geomid_ros.model.moving import REGIMES, regimes
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.weighed_masses import weighed_rows
 from geomid_ros.types import BoolArray, FloatArray, IntArray
@@ -151,7 +151,7 @@ class Identifier:
         rows.coefficients[:, :, without] = 0.0
         moving = np.zeros(len(samples), dtype=bool)
         elapsed = np.zeros(len(samples))
-        unsettled = self._unsettled(samples)
+        of_motion = self._regimes(samples)
         measured = usable(rows.coefficients, rows.targets)
         counts, targets = np.count_nonzero(measured, axis=1), np.where(measured, rows.targets, np.nan)
         speeds = np.max(np.abs(np.concatenate([samples.velocity, samples.base_velocity], axis=1)), axis=1)
@@ -166,26 +166,26 @@ class Identifier:
                 else:
                     moving[index] = True
             taken = Rows(rows.coefficients[moving], rows.targets[moving])
-            self._take(taken.coefficients, targets[moving], elapsed[moving], unsettled[moving])
-        return samples.stamps[moving], taken, unsettled[moving]
+            self._take(taken.coefficients, targets[moving], elapsed[moving], of_motion[moving])
+        return samples.stamps[moving], taken, of_motion[moving] == REGIMES - 1
 
-    def _take(self, coefficients: FloatArray, targets: FloatArray, elapsed: FloatArray, unsettled: BoolArray) -> None:
+    def _take(self, coefficients: FloatArray, targets: FloatArray, elapsed: FloatArray, of_motion: IntArray) -> None:
         """Take the rows of instants at which something moved."""
         if self._held == 0 and self._recent.idle:  # otherwise they would only pass through
-            self._summary.add_all(coefficients, targets, elapsed, unsettled)
+            self._summary.add_all(coefficients, targets, elapsed, of_motion)
             self.instants += len(elapsed)
             return
-        for instant in zip(coefficients, targets, elapsed.tolist(), unsettled, strict=True):
+        for instant in zip(coefficients, targets, elapsed.tolist(), of_motion, strict=True):
             self._recent.append(Instant(self.instants, *instant))
             self.instants += 1
             self._settle_before(self.instants - self._held)
 
-    def _unsettled(self, samples: Samples) -> BoolArray:
-        """Which channels are unsettled at N instants ``(N, channels)``."""
-        unsettled = np.zeros((len(samples), len(self.model.channels)), dtype=bool)
+    def _regimes(self, samples: Samples) -> IntArray:
+        """The regime of motion of each channel at N instants ``(N, channels)``: of efforts, those of their joints."""
+        found = np.zeros((len(samples), len(self.model.channels)), dtype=np.int64)
         if self.model.layout.efforts:
-            unsettled[:, self.model.layout.efforts] = ~moves_one_way(samples)
-        return unsettled
+            found[:, self.model.layout.efforts] = regimes(samples)
+        return found
 
     def _settle_before(self, number: int) -> None:
         while self._recent.first < number:
@@ -194,7 +194,7 @@ class Identifier:
     def _settle_first(self) -> None:
         instant, rejected = self._recent.pop()
         self._rejected += rejected
-        self._summary.add(instant.coefficients, instant.targets, instant.elapsed, instant.unsettled)
+        self._summary.add(instant.coefficients, instant.targets, instant.elapsed, instant.regimes)
 
     def hold(self, instants: int) -> None:
         """Hold so many last instants (none at first), whose rows can still be left out; settle earlier ones."""
@@ -317,5 +317,5 @@ class Identifier:
 def _with(summary: RowSummary, instants: Sequence[Instant]) -> RowSummary:
     """The summary, once it has these instants, too."""
     for instant in instants:
-        summary.add(instant.coefficients, instant.targets, instant.elapsed, instant.unsettled)
+        summary.add(instant.coefficients, instant.targets, instant.elapsed, instant.regimes)
     return summary

@@ -20,6 +20,7 @@ from geomid_ros.estimation.starting_point import (
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.moving import REGIMES
 from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.types import FloatArray, IntArray
 
@@ -151,16 +152,17 @@ class Problem:
     def noise(self, parameters: FloatArray) -> FloatArray:
         """The standard deviation of each group that is most likely at ``parameters (D,)``.
 
-        What is known at rest, where dry friction may have any value, is no surer than in motion. Groups that have
-        hardly more rows than unknowns say nothing of their noise.
+        Nothing is surer in slow motion, or at rest, where dry friction may have any value, than in fast motion. A
+        channel that has hardly more rows of a regime, and of faster ones, than unknowns says nothing of its noise.
         """
-        columns = np.array([len(group.columns) for group in self.summary.groups])
-        found = np.sqrt(self.squares(parameters) / np.maximum(self.counts, 1.0))
-        telling = self.counts > columns
-        sigmas = np.where(telling, np.maximum(found, self.least_sigmas), self.least_sigmas)
-        settled, unsettled = np.split(sigmas, 2)
-        least = np.where(telling[: len(settled)], settled, 0.0)
-        return self._with_given(np.concatenate([settled, np.maximum(least, unsettled)]))
+        columns = np.array([len(channel.columns) for channel in self.model.channels])
+        counts, squares, least = (
+            each.reshape(REGIMES, -1) for each in (self.counts, self.squares(parameters), self.least_sigmas)
+        )
+        found = np.maximum(np.sqrt(squares / np.maximum(counts, 1.0)), np.where(counts > columns, least, 0.0))
+        telling = np.cumsum(counts, axis=0) > columns
+        sigmas = np.maximum.accumulate(np.where(telling, found, 0.0))
+        return self._with_given(np.where(telling, sigmas, least).ravel())
 
     def _with_given(self, sigmas: FloatArray) -> FloatArray:
         given = np.resize(self.sigmas, len(sigmas))

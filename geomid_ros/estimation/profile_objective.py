@@ -36,18 +36,20 @@ class StraightManifold(ParameterManifold):
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """C channels of unknown noise: ``products`` of the D columns and the target, ``counts (C,)`` of rows; and the
-    ``prior``."""
+    """C channels of unknown noise, no less than ``floors (C,)``: ``products`` of the D columns and the target,
+    ``counts (C,)`` of rows; and the ``prior``."""
 
     manifold: ParameterManifold
     products: ChannelProducts
     counts: FloatArray
     prior: Point
+    floors: FloatArray | float = 0.0
 
     @cached_property
     def least(self) -> FloatArray:
         """What a sum of squares is at least ``(C,)``."""
-        return np.asarray(_LEAST_SHARE * self.products.targets + np.finfo(float).tiny)
+        smallest = _LEAST_SHARE * self.products.targets + np.finfo(float).tiny
+        return np.asarray(np.maximum(smallest, self.counts * np.square(self.floors)))
 
     def squares(self, point: Point) -> FloatArray:
         """Sums of squares ``(C,)`` of the channels at ``point``, at least ``least (C,)``."""

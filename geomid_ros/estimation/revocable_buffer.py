@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomid_ros.types import BoolArray, FloatArray
+from geomid_ros.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,14 +19,14 @@ class Instant:
         number: Its place in the sequence of all instants.
         coefficients, targets: ``(channels, D)`` and ``(channels,)``; a target is NaN where there is no row.
         elapsed: Time since the previous sample [s].
-        unsettled: ``(channels,)``, see :class:`RowSummary`.
+        regimes: ``(channels,)``, see :class:`RowSummary`.
     """
 
     number: int
     coefficients: FloatArray
     targets: FloatArray
     elapsed: float
-    unsettled: BoolArray
+    regimes: IntArray
 
 
 @dataclass(frozen=True)

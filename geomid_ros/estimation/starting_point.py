@@ -13,6 +13,7 @@ from geomid_ros.estimation.tolerances import ROUNDING, ROUNDING_OF_PRODUCTS
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.moving import REGIMES
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 # A positive coefficient without evidence starts where its effect is this share of the channel's size.
@@ -39,7 +40,7 @@ def channel_sizes(summary: RowSummary, dimension: int) -> FloatArray:
 
 def first_sigmas(summary: RowSummary, dimension: int) -> FloatArray:
     """Standard deviations ``(groups,)`` of the part of each group that no parameters can explain, by itself."""
-    sizes = np.tile(channel_sizes(summary, dimension), 2)
+    sizes = np.tile(channel_sizes(summary, dimension), REGIMES)
     sigmas = sizes.copy()
     for index, (factor, count) in enumerate(zip(summary.factors(), summary.counts(), strict=True)):
         columns = factor.shape[1] - 1
@@ -68,7 +69,7 @@ def scales_of_coefficients(model: MeasurementModel, summary: RowSummary) -> Floa
     largest."""
     scales = np.zeros(model.dimension)
     sizes, factors = channel_sizes(summary, model.dimension), summary.factors()
-    counts = np.sum(summary.counts().reshape(2, -1), axis=0)
+    counts = np.sum(summary.counts().reshape(REGIMES, -1), axis=0)
     for index, channel in enumerate(model.channels):
         squares = sum(np.sum(factor[:, :-1] ** 2, axis=0) for factor in factors[index :: len(sizes)])
         columns = np.sqrt(squares / max(counts[index], 1.0))
@@ -123,7 +124,7 @@ def prior_parameters(model: MeasurementModel, summary: RowSummary, given: FloatA
         inertial = given[:first]
         parameters[:first] = np.where(np.isfinite(inertial), inertial, parameters[:first])
     sizes = channel_sizes(summary, model.dimension)
-    factors, counts = summary.factors(), np.sum(summary.counts().reshape(2, -1), axis=0)
+    factors, counts = summary.factors(), np.sum(summary.counts().reshape(REGIMES, -1), axis=0)
     for group in _sharing_effects(model):
         own = [model.channels[index].columns for index in group]
         of_both = [triangular(np.concatenate(factors[index :: len(sizes)])) for index in group]

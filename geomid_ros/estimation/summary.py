@@ -2,22 +2,22 @@
 
 Factors of different channels are kept apart, because their standard deviations are only known later, and so are those
 of different *folds* of time, so that what was not used for a fit can judge it. For the same reason a channel's rows
-make two *groups*: those of instants at which its joint moves one way, and the *unsettled* ones, at rest and near
-reversals, where dry friction is not what it is in motion. Of C channels the group c is settled, the group C + c is not.
+make a *group* for each regime of its joint's motion (:func:`~geomid_ros.model.moving.regimes`): the slower a joint
+moves, the less is known of its dry friction. Of C channels the group ``C r + c`` is channel c's in regime r.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.channel_summary import ChannelSummary, joined, together, triangular, usable
 from geomid_ros.model.channels import Channel
-from geomid_ros.types import BoolArray, FloatArray, IntArray
+from geomid_ros.model.moving import REGIMES
+from geomid_ros.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +97,7 @@ class RowSummary:
     @property
     def groups(self) -> tuple[Channel, ...]:
         """The channel of each group."""
-        return (*self.channels, *self.channels)
+        return self.channels * REGIMES
 
     @property
     def period(self) -> float:
@@ -109,17 +109,17 @@ class RowSummary:
         coefficients: FloatArray,
         targets: FloatArray,
         elapsed: float = 0.0,
-        unsettled: BoolArray | Literal[False] = False,
+        regimes: IntArray | int = 0,
     ) -> None:
         """Add one instant's rows: ``coefficients (channels, D)``, ``targets (channels,)``, those that are usable.
 
-        By ``elapsed`` [s] all earlier rows grow older. ``unsettled (channels,)`` says which rows are.
+        By ``elapsed`` [s] all earlier rows grow older. ``regimes (channels,)`` of the joints' motion.
         """
-        groups = np.broadcast_to(unsettled, targets.shape)
+        groups = np.broadcast_to(regimes, targets.shape)
         self.add_all(coefficients[None], targets[None], np.array([elapsed]), groups[None])
 
-    def add_all(self, coefficients: FloatArray, targets: FloatArray, elapsed: FloatArray, unsettled: BoolArray) -> None:
-        """Add the rows of N instants: ``coefficients (N, channels, D)``, ``targets`` and ``unsettled (N, channels)``,
+    def add_all(self, coefficients: FloatArray, targets: FloatArray, elapsed: FloatArray, regimes: IntArray) -> None:
+        """Add the rows of N instants: ``coefficients (N, channels, D)``, ``targets`` and ``regimes (N, channels)``,
         ``elapsed (N,)``."""
         self._complete = False
         taken = usable(coefficients, targets)
@@ -133,8 +133,8 @@ class RowSummary:
             fold = self._fold()
             end = min(begin + self._block - self._instants % self._block, len(elapsed))
             for index, group in enumerate(self.groups):
-                second, channel = divmod(index, len(self.channels))
-                own = taken[begin:end, channel] & (unsettled[begin:end, channel] == bool(second))
+                regime, channel = divmod(index, len(self.channels))
+                own = taken[begin:end, channel] & (regimes[begin:end, channel] == regime)
                 if not np.any(own):
                     continue
                 chosen = begin + np.flatnonzero(own)
@@ -278,7 +278,7 @@ class RowSummary:
             np.sum((factor @ np.append(parameters[group.columns], -1.0)) ** 2)
             for group, factor in zip(self.groups, self.factors(folds), strict=True)
         ]
-        error, total = (np.sum(np.reshape(each, (2, -1)), axis=0) for each in (errors, self.counts(folds)))
+        error, total = (np.sum(np.reshape(each, (REGIMES, -1)), axis=0) for each in (errors, self.counts(folds)))
         return np.asarray(np.sqrt(error / np.where(total > 0.0, total, np.nan)))
 
     def products(self, sigmas: FloatArray, dimension: int) -> FloatArray:

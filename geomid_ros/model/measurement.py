@@ -36,7 +36,7 @@ from geomid_ros.model.effects import (
     joints_of,
 )
 from geomid_ros.model.effects.parameters import quantities
-from geomid_ros.model.moving import REST, SIGN
+from geomid_ros.model.moving import REST, SIGN, SMOOTH_SIGN
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import PIECE, Samples
 from geomid_ros.model.sensors import AXES, WORLD_FRAMES, WrenchSensor
@@ -514,7 +514,7 @@ class MeasurementModel:
     def columns(self) -> Columns:
         """The columns of the effects, and of what tells how joints move, as samples carry them."""
         own = [column_of(c.effect, c.place) for c in self.coefficients if isinstance(c.effect, MotionEffect)]
-        return Columns.of([*own, *((SIGN, REST) if self.layout.efforts else ())])
+        return Columns.of([*own, *((SIGN, SMOOTH_SIGN, REST) if self.layout.efforts else ())])
 
     def predict(self, samples: Samples, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Measured values of every channel ``(N, channels)``, and predicted ones at parameters ``(D,)``, or at several

@@ -1,4 +1,4 @@
-"""When a joint moves so that the direction of its dry friction is known."""
+"""How well the motion of a joint tells its dry friction."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from geomid_ros.model.columns import JointColumn
 from geomid_ros.model.effects import JointMotion
 from geomid_ros.model.samples import Samples
-from geomid_ros.types import BoolArray, FloatArray
+from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 STILL = 0.01
 """[rad/s or m/s] below this friction is no function of speed."""
@@ -48,3 +48,14 @@ def moves_one_way(samples: Samples) -> BoolArray:
     """Whether each joint moves one way at an instant ``(N, joints)``: neither at rest nor near a reversal."""
     moving: BoolArray = (np.abs(samples.column(SIGN)) > _SAME_WAY) & (samples.column(REST) < _REST_SHARE)
     return moving
+
+
+REGIMES = 3
+"""How many regimes of a joint's motion there are."""
+
+
+def regimes(samples: Samples) -> IntArray:
+    """The regime of each joint's motion at an instant ``(N, joints)``: 0 if it moves so fast that dry friction has its
+    full level, 1 if it moves one way more slowly, 2 at rest and near a reversal."""
+    fast = np.abs(samples.column(SMOOTH_SIGN)) > _SAME_WAY
+    return np.where(moves_one_way(samples), np.where(fast, 0, 1), REGIMES - 1)

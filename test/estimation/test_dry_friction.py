@@ -13,6 +13,7 @@ from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.model.dry_friction import held_from_driving
 from geomid_ros.model.effects import AtJoint
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
+from geomid_ros.model.effects.saturating_friction import SaturatingFriction
 from geomid_ros.model.effects.spring import Spring
 from geomid_ros.model.effects.stribeck_friction import StribeckFriction
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
@@ -70,3 +71,21 @@ def test_rows_are_of_driven_places_alone() -> None:
     assert held_from_driving(terms, np.array([-9.0, -1.0, -5.0, 1.0, 0.0, -0.9])).shape == (0, 6)  # one is left out
     alone = [(dry, first), (Spring(), first)]
     assert held_from_driving(alone, np.array([-1.0, -1.0])).shape == (0, 2)
+
+
+@pytest.mark.parametrize(
+    ("level", "smoothing", "excess", "speed", "made_up", "falls"),
+    [
+        (1.0, 0.003, 0.3, SPEED, 0.0, True),
+        (1.0, 0.02, 3.0, SPEED, 0.0, True),
+        (0.6, 0.003, 0.4, SPEED, 0.5, False),
+        (5.0, 0.06, 1.0, 0.06, 0.0, False),
+    ],
+)
+def test_stribeck_friction_is_friction_that_falls(
+    level: float, smoothing: float, excess: float, speed: float, made_up: float, falls: bool
+) -> None:
+    """Its excess may make up for friction that sets in with speed, or for another shape near rest: then it is none."""
+    own = StribeckFriction(speed)
+    dry = {CoulombFriction(smoothing): level, own: excess, SaturatingFriction(0.15): made_up}
+    assert own.is_borne_out({**dry, ViscousFriction(): 9.0}) == falls

@@ -16,6 +16,7 @@ from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS, USUAL_SP
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.effects import identifiable
 from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.moving import REGIMES, regimes
 from geomid_ros.model.weighed_masses import weighed_rows
 from geomid_ros.types import FloatArray
 
@@ -87,10 +88,28 @@ def test_rows_at_rest_get_their_own_noise(seed: int) -> None:
     noise = np.random.default_rng(seed).normal(size=rest.shape) * np.where(rest, 1.0, NOISE)
     case = case.with_efforts(case.noiseless + noise)
     found = fitted(case)
-    counts = found.problem.counts.reshape(2, -1)
-    np.testing.assert_array_equal(counts[1], np.count_nonzero(rest, axis=0))
-    np.testing.assert_array_equal(counts[0], np.count_nonzero(~rest, axis=0))
-    np.testing.assert_allclose(found.sigmas, [NOISE, NOISE, NOISE, 1.0, 1.0, 1.0], rtol=0.2)
+    counts, sigmas = (each.reshape(REGIMES, -1) for each in (found.problem.counts, found.sigmas))
+    np.testing.assert_array_equal(counts[-1], np.count_nonzero(rest, axis=0))
+    np.testing.assert_array_equal(np.sum(counts[:-1], axis=0), np.count_nonzero(~rest, axis=0))
+    np.testing.assert_allclose(sigmas[0], NOISE, rtol=0.2)
+    np.testing.assert_allclose(sigmas[-1], 1.0, rtol=0.2)
+    assert np.all(case.error(found.point.parameters) < NOISE)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.1])
+def test_slow_rows_get_their_own_noise_however_few(share: float) -> None:
+    """Friction near rest is not what it is in motion, which spoils nothing else; few rows say so as well as many."""
+    case = arm("arm3", 0, seconds=40)
+    rng = np.random.default_rng(0)
+    kept = (regimes(case.samples) == 0).all(axis=1) | (rng.random(len(case.samples)) < share)
+    case = replace(case, samples=case.samples.select(kept), noiseless=case.noiseless[kept])
+    slow = regimes(case.samples) > 0
+    noise = rng.normal(size=slow.shape) * np.where(slow, 20.0 * NOISE, NOISE)
+    found = fitted(case.with_efforts(case.noiseless + noise))
+    fast, slower, _ = found.sigmas.reshape(REGIMES, -1)
+    assert share == 1.0 or np.any(found.problem.counts[3:6] < len(found.problem.model.channels[0].columns))
+    np.testing.assert_allclose(fast, NOISE, rtol=0.1)
+    np.testing.assert_allclose(slower, 20.0 * NOISE, rtol=0.5)
     assert np.all(case.error(found.point.parameters) < NOISE)
 
 
@@ -99,9 +118,9 @@ def test_rows_at_rest_are_no_surer_than_those_in_motion() -> None:
     case = halting("arm3", 0)
     rest = case.samples.velocity == 0.0
     noise = NOISE * np.random.default_rng(0).normal(size=rest.shape) * ~rest
-    settled, unsettled = np.split(fitted(case.with_efforts(case.noiseless + noise)).sigmas, 2)
-    np.testing.assert_allclose(settled, NOISE, rtol=0.1)
-    np.testing.assert_allclose(unsettled, settled, rtol=1e-9)
+    fast, slow, still = np.split(fitted(case.with_efforts(case.noiseless + noise)).sigmas, REGIMES)
+    np.testing.assert_allclose(fast, NOISE, rtol=0.1)
+    np.testing.assert_allclose(still, np.maximum(fast, slow), rtol=1e-9)
 
 
 def test_a_joint_that_never_moves_tells_of_the_others_by_its_noise_at_rest() -> None:
@@ -114,7 +133,7 @@ def test_a_joint_that_never_moves_tells_of_the_others_by_its_noise_at_rest() -> 
     clean = efforts(case.model.robot, case.true, at_rest)
     noise = NOISE * np.random.default_rng(0).normal(size=clean.shape)
     found = fitted(replace(case, samples=replace(at_rest, effort=clean + noise)))
-    assert found.sigmas[5] == pytest.approx(NOISE, rel=0.1)
+    assert found.sigmas[-1] == pytest.approx(NOISE, rel=0.1)
 
 
 def test_noise_and_spreads_are_a_fixed_point() -> None:

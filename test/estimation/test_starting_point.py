@@ -21,6 +21,7 @@ from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.model.effects import identifiable, joint_of
 from geomid_ros.model.effects.effort_offset import EffortOffset
 from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.moving import REGIMES
 from geomid_ros.types import BoolArray, FloatArray
 
 from .arms import Case, arm
@@ -30,12 +31,12 @@ SEEDS = pytest.mark.parametrize("seed", range(3))
 DAMPING = 1e-2
 
 
-def summary(case: Case, unsettled: BoolArray | None = None) -> RowSummary:
+def summary(case: Case, still: BoolArray | None = None) -> RowSummary:
     rows = case.model.rows(case.samples)
     result = RowSummary(case.model.channels)
-    groups = np.zeros(rows.targets.shape, dtype=bool) if unsettled is None else unsettled
-    for coefficients, targets, group in zip(rows.coefficients, rows.targets, groups, strict=True):
-        result.add(coefficients, targets, unsettled=group)
+    regimes = np.zeros(rows.targets.shape, dtype=int) if still is None else (REGIMES - 1) * still
+    for coefficients, targets, regime in zip(rows.coefficients, rows.targets, regimes, strict=True):
+        result.add(coefficients, targets, regimes=regime)
     return result
 
 
@@ -109,18 +110,20 @@ def test_sigmas_are_those_of_the_noise(seed: int) -> None:
     for noise in (0.1, 0.5):
         case = arm("arm7", seed, noise=noise)
         found = first_sigmas(summary(case), case.model.dimension)
-        settled, unsettled = np.split(found, 2)
-        np.testing.assert_allclose(settled, noise, rtol=0.06)
-        np.testing.assert_array_equal(unsettled, channel_sizes(summary(case), case.model.dimension))
+        fast, *slower = np.split(found, REGIMES)
+        np.testing.assert_allclose(fast, noise, rtol=0.06)
+        for regime in slower:
+            np.testing.assert_array_equal(regime, channel_sizes(summary(case), case.model.dimension))
 
 
 @SEEDS
-def test_unsettled_rows_have_a_noise_of_their_own(seed: int) -> None:
+def test_rows_at_rest_have_a_noise_of_their_own(seed: int) -> None:
     case = arm("arm3", seed, noise=0.0)
-    unsettled = np.random.default_rng(seed).random(case.samples.effort.shape) < 0.3
-    noise = np.where(unsettled, 1.0, 0.1) * np.random.default_rng(seed).normal(size=unsettled.shape)
-    found = first_sigmas(summary(case.with_efforts(case.noiseless + noise), unsettled), case.model.dimension)
-    np.testing.assert_allclose(found, [0.1, 0.1, 0.1, 1.0, 1.0, 1.0], rtol=0.15)
+    still = np.random.default_rng(seed).random(case.samples.effort.shape) < 0.3
+    noise = np.where(still, 1.0, 0.1) * np.random.default_rng(seed).normal(size=still.shape)
+    found = first_sigmas(summary(case.with_efforts(case.noiseless + noise), still), case.model.dimension)
+    np.testing.assert_allclose(found[:3], 0.1, rtol=0.15)
+    np.testing.assert_allclose(found[-3:], 1.0, rtol=0.15)
 
 
 def test_sigmas_have_a_floor_and_wait_for_enough_rows() -> None:
@@ -129,9 +132,8 @@ def test_sigmas_have_a_floor_and_wait_for_enough_rows() -> None:
     np.testing.assert_allclose(sizes, np.sqrt(np.mean(case.noiseless**2, axis=0)), rtol=1e-9)
     np.testing.assert_allclose(first_sigmas(summary(case), case.model.dimension)[:3], 1e-3 * sizes)
     few = replace(case, samples=case.samples.select(slice(0, 5)))
-    np.testing.assert_array_equal(
-        first_sigmas(summary(few), case.model.dimension), np.tile(channel_sizes(summary(few), case.model.dimension), 2)
-    )
+    expected = np.tile(channel_sizes(summary(few), case.model.dimension), REGIMES)
+    np.testing.assert_array_equal(first_sigmas(summary(few), case.model.dimension), expected)
 
 
 def test_sizes_of_channels_that_say_nothing_are_one() -> None:
@@ -162,8 +164,8 @@ def test_a_coefficients_scale_is_that_with_which_it_is_as_large_as_its_channel()
     model = MeasurementModel(case.model.robot, [identifiable()["quadratic_friction"]])
     rows = model.rows(case.samples)
     halves = np.arange(len(case.samples))[:, None] % 2 == np.zeros(3)
-    for unsettled in (np.zeros_like(halves), halves):
-        found = summary(replace(case, model=model), unsettled)
+    for still in (np.zeros_like(halves), halves):
+        found = summary(replace(case, model=model), still)
         expected = [
             np.sqrt(np.mean(rows.targets[:, joint] ** 2) / np.mean(rows.coefficients[:, joint, 30 + joint] ** 2))
             for joint in range(3)

@@ -10,6 +10,7 @@ import pytest
 
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.model.channels import Channel
+from geomid_ros.model.moving import REGIMES
 from geomid_ros.types import FloatArray
 
 SEEDS = pytest.mark.parametrize("seed", range(4))
@@ -49,18 +50,18 @@ def weighted(coefficients: FloatArray, targets: FloatArray, channel: int, x: Flo
 
 
 def content(found: RowSummary, x: FloatArray, folds: list[int] | None = None) -> FloatArray:
-    """``|Ax - b|^2`` of each channel, in both of its groups."""
+    """``|Ax - b|^2`` of each channel, in all of its groups."""
     return np.sum(by_group(found, x, folds), axis=0)
 
 
 def by_group(found: RowSummary, x: FloatArray, folds: list[int] | None = None) -> FloatArray:
-    """``|Ax - b|^2`` of each channel's settled rows and of its unsettled ones ``(2, channels)``."""
+    """``|Ax - b|^2`` of each channel's rows by regime ``(regimes, channels)``."""
     chosen = range(found.folds) if folds is None else folds
     errors = [
         sum(np.sum((parts[fold].factor @ np.append(x[channel.columns], -1.0)) ** 2) for fold in chosen)
         for channel, parts in zip(found.groups, found.parts(), strict=True)
     ]
-    return np.reshape(errors, (2, -1))
+    return np.reshape(errors, (REGIMES, -1))
 
 
 @SEEDS
@@ -121,14 +122,14 @@ def test_many_instants_at_once_are_as_one_by_one(seed: int, forgetting_time: flo
     coefficients, targets = rows(seed, 900)
     coefficients[::50, 1] = np.inf
     rng = np.random.default_rng(seed)
-    unsettled, elapsed = rng.random(targets.shape) < 0.3, rng.random(len(targets))
+    regimes, elapsed = rng.integers(0, REGIMES, targets.shape), rng.random(len(targets))
     for folds, block in ((4, 20), (2, 1000)):
         alone, together = (RowSummary(CHANNELS, folds, block, forgetting_time) for _ in range(2))
-        for row, target, seconds, group in zip(coefficients, targets, elapsed, unsettled, strict=True):
+        for row, target, seconds, group in zip(coefficients, targets, elapsed, regimes, strict=True):
             alone.add(row, target, float(seconds), group)
         ends = [0, *np.sort(rng.integers(0, 900, 8)).tolist(), 900]
         for piece in map(slice, ends, ends[1:]):
-            together.add_all(coefficients[piece], targets[piece], elapsed[piece], unsettled[piece])
+            together.add_all(coefficients[piece], targets[piece], elapsed[piece], regimes[piece])
         expected, found = alone.state(), together.state()
         assert (found.instants, found.rows) == (expected.instants, expected.rows)
         np.testing.assert_allclose([found.time, found.weight], [expected.time, expected.weight], rtol=1e-13)
@@ -139,18 +140,18 @@ def test_many_instants_at_once_are_as_one_by_one(seed: int, forgetting_time: flo
 
 
 @SEEDS
-def test_unsettled_rows_are_kept_apart(seed: int) -> None:
+def test_rows_are_kept_apart_by_regime(seed: int) -> None:
     """Of each channel by itself; what is weighted alike is as if they were not."""
     coefficients, targets = rows(seed, 300)
-    unsettled = np.random.default_rng(seed).random(targets.shape) < 0.3
+    regimes = np.random.default_rng(seed).integers(0, REGIMES, targets.shape)
     found = RowSummary(CHANNELS, folds=4, block=20)
-    for row, target, group in zip(coefficients, targets, unsettled, strict=True):
+    for row, target, group in zip(coefficients, targets, regimes, strict=True):
         found.add(row, target, 1.0, group)
     x = np.random.default_rng(seed).normal(size=DIMENSION)
-    for group in (False, True):
+    for group in range(REGIMES):
         for k in range(len(CHANNELS)):
-            expected = weighted(coefficients, targets, k, x, (unsettled[:, k] == group).astype(float))
-            assert by_group(found, x)[int(group), k] == pytest.approx(expected, rel=CONTENT)
+            expected = weighted(coefficients, targets, k, x, (regimes[:, k] == group).astype(float))
+            assert by_group(found, x)[group, k] == pytest.approx(expected, rel=CONTENT)
     mixed = summary(coefficients, targets, folds=4, block=20)
     np.testing.assert_allclose(content(found, x), content(mixed, x), rtol=CONTENT)
     np.testing.assert_allclose(found.rms(x), mixed.rms(x), rtol=CONTENT)

@@ -30,6 +30,7 @@ from geomid_ros.files.checkpoints import checkpoint_folder
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded, encoded, largest_size, pack, unpack
 from geomid_ros.files.checkpoints.checkpoint_folder import CheckpointFolder
 from geomid_ros.files.models.population import write_population
+from geomid_ros.model.moving import REGIMES
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
@@ -147,7 +148,7 @@ class TestRoundTrip:
         moving = samples(known, 0, INSTANTS - 19)  # then one instant at which it stands is new
         rows = known.model.rows(moving)
         for index, channel in enumerate(known.model.channels):
-            groups = (index, index + len(known.model.channels))
+            groups = range(index, REGIMES * len(known.model.channels), len(known.model.channels))
             factors = np.concatenate([fold[k] for fold in checkpoint.memory.summary.factors for k in groups])
             matrix = np.column_stack([rows.coefficients[:, index, channel.columns], rows.targets[:, index]])
             np.testing.assert_allclose(factors.T @ factors, matrix.T @ matrix, rtol=1e-9, atol=1e-9)
@@ -197,7 +198,7 @@ class TestRoundTrip:
     def test_its_size_is_bounded_by_the_model(self) -> None:
         known, content = small()
         folds = known.configuration.buffer.folds
-        numbers = sum((len(c.columns) + 1) * (len(c.columns) + 2) // 2 for c in 2 * known.model.channels)
+        numbers = sum((len(c.columns) + 1) * (len(c.columns) + 2) // 2 for c in REGIMES * known.model.channels)
         assert len(content) < largest_size(known.model.channels, folds)
         assert 8 * folds * numbers < largest_size(known.model.channels, folds) < 8 * folds * numbers + 10e6
 
@@ -264,7 +265,7 @@ CRAFTED: dict[str, Callable[[dict[str, Any], dict[str, Any]], Any]] = {
     "new is 1, here None": lambda d, _: d["meaning"].update(new=1),
     "1000000000 folds": lambda d, _: d.update(folds=10**9),
     "0 folds": lambda d, v: (d.update(folds=0), v.update(counts=np.zeros(0))),
-    "15 folds, expected 16": lambda d, v: (d.update(folds=15), v.update(counts=np.zeros(90))),
+    "15 folds, expected 16": lambda d, v: (d.update(folds=15), v.update(counts=np.zeros(15 * 3 * REGIMES))),
     "negative or not finite": lambda _, v: v.update(counts=-v["counts"]),
     "or not finite": lambda _, v: v.update(counts=v["counts"] * np.nan),
     "'joint1' are not finite": lambda _, v: v[FIRST].__setitem__(3, np.inf),

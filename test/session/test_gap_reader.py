@@ -9,7 +9,7 @@ from files.recordings import BAGS
 from geomid_ros.checks.check import Excerpt, Judgement, JudgementTask, RecordingCheck
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.model.moving import REST, SIGN
+from geomid_ros.model.moving import REST, SIGN, SMOOTH_SIGN
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.resimulate import CUTOFF
 from geomid_ros.session.configuration import Configuration
@@ -38,7 +38,7 @@ def test_what_is_simulated_again_is_the_end_that_is_held_out(session: Session) -
     for name in ("position", "velocity", "acceleration", "effort"):
         own = expected.arrays[name]
         np.testing.assert_allclose(late.arrays[name], own, rtol=0.0, atol=1e-9 * np.max(np.abs(own)))
-    assert set(late.entries.columns.columns) == {SIGN, REST}
+    assert set(late.entries.columns.columns) == {SIGN, SMOOTH_SIGN, REST}
 
 
 def test_the_end_does_not_keep_the_whole_recording(session: Session) -> None:

@@ -27,10 +27,11 @@ from geomid_ros.estimation.identifier import Memory
 from geomid_ros.estimation.summary import SummaryState
 from geomid_ros.files.schema import plain, structured
 from geomid_ros.model.channels import Channel
+from geomid_ros.model.moving import REGIMES
 from geomid_ros.signals.ledger import Account, Meaning, Reason, meaning_of
 from geomid_ros.types import FloatArray, IntArray
 
-FORMAT = 2
+FORMAT = 3
 _DOCUMENT = "checkpoint"
 _COUNTS, _POSE, _ESTIMATE = "counts", "last_pose", "estimate"
 _MOST_HEADER = 4_000_000  # bytes
@@ -225,7 +226,7 @@ def _factor(numbers: FloatArray, channel: Channel) -> FloatArray:
 
 def _groups(channels: Sequence[Channel]) -> tuple[Channel, ...]:
     """The channel of each group of rows."""
-    return (*channels, *channels)
+    return (*channels,) * REGIMES
 
 
 def pack(texts: Mapping[str, str], vectors: Mapping[str, FloatArray]) -> bytes:

@@ -36,6 +36,7 @@ class CoulombFriction(JointEffect):
     usual_constant = SMOOTHING.name
     settled_by = "slow motion of this joint, back and forth at several constant speeds"
     is_dry_friction = True
+    levels_off = True
 
     @classmethod
     def variants(cls) -> tuple[Effect, ...]:

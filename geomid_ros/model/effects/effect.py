@@ -74,6 +74,8 @@ class Effect(ABC):
     """Whether it acts on the motor's side alone, so that a sensor behind the gear does not feel it."""
     is_dry_friction: ClassVar[bool] = False
     """Whether its coefficient counts in full in the dry friction just beside standstill."""
+    levels_off: ClassVar[bool] = False
+    """Whether it is friction that ends at a level as speed grows."""
     turns_gravity: ClassVar[bool] = False
     """Whether it turns gravity, which wrench sensors feel, too."""
     adds_up: ClassVar[bool] = True
@@ -157,6 +159,10 @@ class Effect(ABC):
     def is_absurd(self, coefficients: FloatArray) -> bool:
         """Whether no robot that works has it with these ``coefficients (k,)``, signs apart."""
         return bool(np.any(np.abs(coefficients) > self.largest))
+
+    def is_borne_out(self, beside: Mapping[Effect, float]) -> bool:  # noqa: ARG002
+        """Whether the effects at its place, it among them, with their coefficients, together do what it stands for."""
+        return True
 
     def linearised_at(self, coefficients: FloatArray) -> FloatArray:
         """The ``coefficients (k,)`` at which columns may be computed."""

@@ -33,6 +33,7 @@ class SaturatingFriction(JointEffect):
     settled_by = "this joint at several constant speeds, up to its fastest"
     constant = "speed"
     adds_up = False
+    levels_off = True
 
     @classmethod
     def variants(cls) -> tuple[Effect, ...]:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from geomid_ros.types import FloatArray
 SPEEDS = tuple(float(speed) for speed in np.geomspace(0.03, 0.6, 25).round(4))
 """[rad/s or m/s] to choose Stribeck's speed from."""
 _TRIED = (0.03, 0.06, 0.12, 0.25)  # [rad/s or m/s]
+_CURVE = np.geomspace(SMOOTHINGS[0], 2.0 * SPEEDS[-1], 100)  # [rad/s or m/s]
 _LARGEST_EXCESS = 4.0  # of the friction of a fast joint
 
 
@@ -45,6 +47,7 @@ class StribeckFriction(JointEffect):
     adds_up = False
     contains = "coulomb_friction"
     is_dry_friction = True
+    levels_off = True
 
     @classmethod
     def variants(cls) -> tuple[Effect, ...]:
@@ -74,6 +77,15 @@ class StribeckFriction(JointEffect):
     def is_absurd(self, coefficients: FloatArray) -> bool:
         """Whether the excess is many times the level."""
         return bool(coefficients[1] > _LARGEST_EXCESS * coefficients[0])
+
+    def is_borne_out(self, beside: Mapping[Effect, float]) -> bool:
+        """Whether dry friction falls with speed by more than half of the excess: otherwise it changes its shape near
+        rest, or makes up for another friction."""
+        still = np.zeros(len(_CURVE))
+        motion = JointMotion(still, _CURVE, still)
+        dry = [c * e.column(motion) for e, c in beside.items() if isinstance(e, JointEffect) and e.levels_off]
+        friction = np.sum(dry, axis=0)
+        return bool(np.max(np.maximum.accumulate(friction) - friction) > 0.5 * beside[self])
 
     def column(self, motion: JointMotion) -> FloatArray:
         return CoulombFriction(self.smoothing).column(motion) * np.exp(-((motion.velocity / self.speed) ** 2))
