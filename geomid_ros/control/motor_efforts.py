@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.model.inverse_dynamics import InverseDynamics
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.samples import samples_of
 from geomid_ros.types import FloatArray
 
 
@@ -49,12 +49,12 @@ class MotorEfforts:
         if missing := [joint for joint in robot.joint_names if joint not in joints]:
             names = ",".join(missing)
             raise InputError(f"{source}: says nothing of {names}; if they stand at zero, --lock {names}")
-        self._model = model
         self._order = np.array([robot.joint_names.index(joint) for joint in joints])
         self._gains = gains[self._order]
         of_sensors = np.array([c.effect.of_sensor for c in model.coefficients], dtype=bool)
-        self._parameters = parameters.copy()
-        self._parameters[len(model.nominal_inertias) :][of_sensors] = 0.0
+        own = parameters.copy()
+        own[len(model.nominal_inertias) :][of_sensors] = 0.0
+        self._dynamics = InverseDynamics(model, own)
         self.limits = robot.effort_limits[self._order] / np.abs(self._gains)
         """Effort limits of the URDF ``(joints,)`` in that unit, infinite where it has none."""
 
@@ -62,6 +62,4 @@ class MotorEfforts:
         """Efforts ``(N, joints)`` of positions, velocities and accelerations ``(3, N, joints)``."""
         own = np.empty_like(motion)
         own[:, :, self._order] = motion
-        samples = samples_of(own, len(self._model.sensors))
-        efforts = self._model.predicted_efforts(samples, self._parameters)
-        return np.asarray(efforts[:, self._order] / self._gains)
+        return np.asarray(self._dynamics(own)[:, self._order] / self._gains)

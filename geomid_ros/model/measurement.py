@@ -139,8 +139,10 @@ class MeasurementModel:
         self._local = local_effects
         self._candidates = tuple(candidates)
         self._behind_gear = frozenset(behind_gear)
-        self._loading = np.array([body.parameters for body in robot.bodies])
-        self._resisting: tuple[tuple[MotionEffect, Place, float], ...] = ()
+        self.loading = np.array([body.parameters for body in robot.bodies])
+        """What is known of all bodies ``(bodies, 10)``, for what the gears transmit."""
+        self.resisting: tuple[tuple[MotionEffect, Place, float], ...] = ()
+        """What else is known to act behind the gears."""
         self.legs = Legs(robot, contacts) if contacts else None
         """What stands on the ground, if its forces are found from efforts."""
         self._check_sensors()
@@ -263,7 +265,7 @@ class MeasurementModel:
         of the links, by the URDF unless they are known, and what else acts behind the gears."""
         if known is None:
             return self
-        first, loading = 10 * len(self.identified), self._loading.copy()
+        first, loading = 10 * len(self.identified), self.loading.copy()
         inertias = np.where(np.isfinite(known[:first]), known[:first], self.nominal_inertias)
         loading[list(self.identified)] = inertias.reshape(-1, 10)
         resisting = tuple(
@@ -271,7 +273,7 @@ class MeasurementModel:
             for c, value in zip(self.coefficients, known[first:], strict=True)
             if isinstance(c.effect, MotionEffect) and not c.effect.before_gear and np.isfinite(value)
         )
-        return self._replaced(_loading=loading, _resisting=resisting)
+        return self._replaced(loading=loading, resisting=resisting)
 
     def with_carried(self, link: str) -> MeasurementModel:
         """The same model with one body more, the last, which moves with the identified ``link`` and has its frame."""
@@ -475,9 +477,9 @@ class MeasurementModel:
 
     def _loads(self, samples: Samples, bodies: FloatArray) -> FloatArray:
         """What the gears transmit ``(N, J)``, by what is known."""
-        loads = np.einsum("njbk,bk->nj", bodies[:, self.layout.efforts], self._loading)
-        if self._resisting and self.layout.efforts:
-            loads += samples.efforts_of(self._resisting)
+        loads = np.einsum("njbk,bk->nj", bodies[:, self.layout.efforts], self.loading)
+        if self.resisting and self.layout.efforts:
+            loads += samples.efforts_of(self.resisting)
         return np.asarray(loads)
 
     @cached_property
