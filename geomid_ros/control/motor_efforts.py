@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -49,6 +49,7 @@ class MotorEfforts:
         if missing := [joint for joint in robot.joint_names if joint not in joints]:
             names = ",".join(missing)
             raise InputError(f"{source}: says nothing of {names}; if they stand at zero, --lock {names}")
+        self._robot = robot
         self._order = np.array([robot.joint_names.index(joint) for joint in joints])
         self._gains = gains[self._order]
         of_sensors = np.array([c.effect.of_sensor for c in model.coefficients], dtype=bool)
@@ -63,3 +64,24 @@ class MotorEfforts:
         own = np.empty_like(motion)
         own[:, :, self._order] = motion
         return np.asarray(self._dynamics(own)[:, self._order] / self._gains)
+
+    def of_body(self, name: str) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
+        """The function that makes regressors ``(joints, 10)`` of these efforts by the inertia of a body, from motions
+        ``(3, joints)``; and that inertia ``(10,)``.
+
+        Raises:
+            InputError: there is no such body, or no effort depends on it.
+        """
+        robot, own = self._robot, np.empty((3, 1, len(self._order)))
+        if name not in robot.body_names:
+            raise unknown_name("link", name, robot.body_names)
+        body = robot.body_names.index(name)
+        if robot.bodies[body].joint == 0:
+            raise InputError(f"link '{name}' does not move: no effort depends on its inertia")
+
+        def rows(motion: FloatArray) -> FloatArray:
+            own[:, 0, self._order] = motion
+            q, v, a = robot.moved(own)
+            return np.asarray(robot.body_effort_rows(q[0], v[0], a[0], body)[self._order] / self._gains[:, None])
+
+        return rows, self._dynamics.inertias[body]

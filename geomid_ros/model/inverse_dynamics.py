@@ -11,7 +11,7 @@ from geomid_ros.model.effects import LoadEffect, Motion, MotionEffect, Place, jo
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.moving import SIGN
 from geomid_ros.model.robot import Robot
-from geomid_ros.types import FloatArray
+from geomid_ros.types import FloatArray, frozen
 
 
 class InverseDynamics:
@@ -30,6 +30,8 @@ class InverseDynamics:
         inertias = np.array([body.parameters for body in model.robot.bodies])
         inertias[list(model.identified)] = 0.0
         np.add.at(inertias, list(model.identified), parameters[:first].reshape(-1, 10))
+        self.inertias = frozen(inertias)
+        """Of all bodies ``(bodies, 10)``."""
         known = [*zip(model.coefficients, parameters[first:].tolist(), strict=True)]
         moving = [(c.effect, c.place, value) for c, value in known if isinstance(c.effect, MotionEffect)]
         self._whole = _Motors(model.robot, inertias, moving)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,7 +13,7 @@ import pinocchio as pin
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model import urdf_tree
-from geomid_ros.model.samples import Samples, samples_of
+from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray, frozen
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
