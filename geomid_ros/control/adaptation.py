@@ -44,11 +44,6 @@ def needed(point: Point, rows: FloatArray, residuals: FloatArray) -> FloatArray:
     return np.asarray(weights @ whitened)
 
 
-def is_possible(tangent: FloatArray) -> bool:
-    """False if the straight step to what is ``needed`` leaves the cone: no body explains the residuals."""
-    return bool(np.linalg.eigvalsh(symmetric.to_matrix(tangent))[0] > -1.0)
-
-
 def divergence(point: Point, reference: Point) -> float:
     """Bregman divergence ``tr(P_0^-1 P) - log det(P_0^-1 P) - 4`` of the log-determinant, from the ``reference``."""
     values = np.linalg.eigvalsh(spd.congruence(reference.inverse_root, point.pseudo_inertias))
@@ -66,9 +61,10 @@ class Adaptation:
         """
         self._identified = BODY.point(identified)
         corners = FARTHEST * np.concatenate([np.eye(3), -np.eye(3)])
-        loads = [heaviest * np.outer(end, end) for end in np.append(corners, np.ones((6, 1)), axis=1)]
-        farthest = [BODY.point(identified + to_parameters(load)) for load in loads]
-        self._bound = max(divergence(end, self._identified) for end in farthest)
+        ends = np.append(corners, np.ones((6, 1)), axis=1)
+        loads = to_parameters(heaviest * ends[:, :, None] * ends[:, None, :])
+        self._bound = max(divergence(BODY.point(identified + load), self._identified) for load in loads)
+        self._spread = np.mean(loads, axis=0)
         self.point = self._identified
 
     @property
@@ -83,3 +79,13 @@ class Adaptation:
         reached = divergence(end, self._identified)
         if reached < self._bound or reached < divergence(self.point, self._identified):
             self.point = end
+
+    def explains(self, rows: FloatArray, residuals: FloatArray) -> bool:
+        """True if the body with a payload may leave the ``residuals`` of :func:`needed`.
+
+        The shortest change that explains them is sought in the metric of the body with the heaviest payload, spread as
+        far as it may lie. It must not take away more than this whole: a contact that pulls sideways or upwards does.
+        """
+        spread = BODY.point(self.point.parameters + self._spread)
+        change = symmetric.to_matrix(needed(spread, rows, residuals))
+        return bool(np.linalg.eigvalsh(change)[0] > -1.0)

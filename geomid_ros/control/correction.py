@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from geomid_ros.control.adaptation import Adaptation, is_possible, needed, share_of
+from geomid_ros.control.adaptation import Adaptation, needed, share_of
 from geomid_ros.control.guard import LASTING, Delay, Latch, Reading, faults_of
 from geomid_ros.control.motor_efforts import MotorEfforts
 from geomid_ros.errors import InputError
@@ -62,17 +62,20 @@ class Correction:
         faults = faults_of(self._joints, self._limits, reading, before, commanded[1])
         if late := self.delay.take(max(0.0, now - reading.time) + step, step):
             faults["late"] = late
-        tangent = self._needed(np.array([reading.position, *commanded[1:]]), reading.effort)
-        if not is_possible(tangent):
+        rows, residuals = self._missing(np.array([reading.position, *commanded[1:]]), reading.effort)
+        if not self.adaptation.explains(rows, residuals):
             faults["contact"] = "no payload explains the efforts; the robot may touch something"
         self.latch.take(now, faults)
         if not faults and not self.latch.reason:
+            tangent = needed(self.adaptation.point, rows, residuals)
             self.adaptation.step(share_of(step, self.delay.usual) * tangent)
 
-    def _needed(self, motion: FloatArray, effort: FloatArray) -> FloatArray:
+    def _missing(self, motion: FloatArray, effort: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Rows ``(joints, 10)`` of the body, and what it and the model leave of the ``effort (joints,)``, in units of
+        the noise."""
         rows, noise = self._rows_of(motion), _NOISE * self._limits
         residuals = effort - self._efforts(motion[:, None])[0] - rows @ self.adaptation.change
-        return needed(self.adaptation.point, rows / noise[:, None], residuals / noise)
+        return rows / noise[:, None], residuals / noise
 
     def __call__(self, now: float, commanded: FloatArray) -> FloatArray:
         """Efforts ``(joints,)`` to add to those of the identified model, at the motion ``commanded (3, joints)``."""
