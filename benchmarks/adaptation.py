@@ -1,6 +1,6 @@
 """How well simulated robots carry a payload that no model has: PD alone, with efforts of a model, and with adaptation.
 
-    python -m benchmarks.adaptation [--robots panda.urdf ur5_robot.urdf] [--seeds 1 2 3] [--realistic]
+    python -m benchmarks.adaptation [--robots panda.urdf ur5_robot.urdf] [--seeds 1 2 3]
     python -m benchmarks.adaptation --stability 20
     python -m benchmarks.adaptation --worst
 
@@ -136,11 +136,9 @@ class Run:
 class Robot:
     """A simulated robot that was identified, its controller and the trajectory to follow."""
 
-    def __init__(self, name: str, seed: int, folder: Path, realistic: bool = False) -> None:
+    def __init__(self, name: str, seed: int, folder: Path) -> None:
         self.name, self.seed = Path(name).stem, seed
-        options = SimulationOptions(
-            robot=described(name, folder), seed=seed, duration=30.0, rate=200.0, realistic=realistic
-        )
+        options = SimulationOptions(robot=described(name, folder), seed=seed, duration=30.0, rate=200.0)
         bag = folder / f"{self.name}_{seed}"
         if not bag.exists():
             simulate(bag, options)
@@ -272,12 +270,12 @@ def _direction(seed: int) -> FloatArray:
     return np.asarray(direction / np.linalg.norm(direction))
 
 
-def accuracy(names: list[str], seeds: list[int], realistic: bool, folder: Path) -> Table:
+def accuracy(names: list[str], seeds: list[int], folder: Path) -> Table:
     """Errors by robot, seed and kind of feed-forward."""
     table = Table("robot", "seed", "efforts", "before", "first 1 s", "carrying")
     for name in names:
         for seed in seeds:
-            robot = Robot(name, seed, folder, realistic)
+            robot = Robot(name, seed, folder)
             model = robot.model()(robot.commanded)
             found = {
                 "PD alone": robot.run(None),
@@ -362,7 +360,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.adaptation", description=__doc__)
     parser.add_argument("--robots", nargs="+", default=["panda.urdf", "ur5_robot.urdf"])
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3])
-    parser.add_argument("--realistic", action="store_true", help="LuGre friction, ripple")
     parser.add_argument("--stability", type=int, metavar="SEEDS", help="the worst of so many seeds")
     parser.add_argument("--worst", action="store_true", help="mishaps")
     arguments = parser.parse_args()
@@ -373,7 +370,7 @@ def main() -> None:
         elif arguments.worst:
             table = worst(arguments.robots, arguments.seeds, folder)
         else:
-            table = accuracy(arguments.robots, arguments.seeds, arguments.realistic, folder)
+            table = accuracy(arguments.robots, arguments.seeds, folder)
     Console(width=150).print(table)
 
 

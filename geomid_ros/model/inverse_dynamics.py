@@ -32,7 +32,7 @@ class InverseDynamics:
         np.add.at(inertias, list(model.identified), parameters[:first].reshape(-1, 10))
         self.inertias = frozen(inertias)
         """Of all bodies ``(bodies, 10)``."""
-        known = [*zip(model.coefficients, parameters[first:].tolist(), strict=True)]
+        known = [(c, v) for c, v in zip(model.coefficients, parameters[first:].tolist(), strict=True) if v != 0.0]
         moving = [(c.effect, c.place, value) for c, value in known if isinstance(c.effect, MotionEffect)]
         self._whole = _Motors(model.robot, inertias, moving)
         self._by_load = [(c.effect, joint_of(c.place), value) for c, value in known if isinstance(c.effect, LoadEffect)]

@@ -131,7 +131,8 @@ class MeasurementModel:
         self.sensors = tuple(sensors)
         self.mounted = [sensor for sensor in sensors if sensor.role == "mounted"]
         """The sensors inside the chain, in the order of their channels."""
-        self._external = [sensor for sensor in sensors if sensor.role == "external"]
+        self.external = [sensor for sensor in sensors if sensor.role == "external"]
+        """The sensors on what touches the robot from outside."""
         self.identified = self._identified_bodies(links)
         self.body_names = tuple(robot.bodies[index].name for index in self.identified)
         """Names of the identified bodies."""
@@ -221,7 +222,7 @@ class MeasurementModel:
         topics = [sensor.topic for sensor in self.sensors]
         if len(set(topics)) < len(topics):
             raise InputError(f"two wrench sensors have the same topic: {', '.join(topics)}")
-        external = self._external
+        external = self.external
         if external and self.legs:
             raise InputError(
                 f"contacts and an external wrench sensor, '{external[0].topic}': the forces of the ground are either "
@@ -248,8 +249,8 @@ class MeasurementModel:
     def _efforts_usable(self) -> bool:
         """Whether all loads that reach the joints are known: not those of a force plate, which rest on some link, nor
         those of a floating base without sensors."""
-        on_robot = all(s.frame in self.robot.tree.links and len(s.axes) == 6 for s in self._external)
-        return on_robot and (not self.robot.floating_base or bool(self._external) or self.legs is not None)
+        on_robot = all(s.frame in self.robot.tree.links and len(s.axes) == 6 for s in self.external)
+        return on_robot and (not self.robot.floating_base or bool(self.external) or self.legs is not None)
 
     def without_effects(self) -> MeasurementModel:
         """The same channels and bodies, with no effects."""
@@ -370,7 +371,7 @@ class MeasurementModel:
     @property
     def _row_sensors(self) -> list[WrenchSensor]:
         """Sensors that make rows: every mounted one, and with a floating base the first external one for their sum."""
-        return self.mounted + (self._external[:1] if self.robot.floating_base else [])
+        return self.mounted + (self.external[:1] if self.robot.floating_base else [])
 
     def _loaded_bodies(self, sensor: WrenchSensor) -> list[int]:
         if sensor.role == "mounted":
@@ -432,9 +433,9 @@ class MeasurementModel:
 
     def _total_external(self, wrenches: FloatArray) -> FloatArray:
         """Sum of the external wrenches, in the frame of the first."""
-        first = self.robot.placement(self._external[0].frame)
+        first = self.robot.placement(self.external[0].frame)
         total = np.zeros(6)
-        for sensor in self._external:
+        for sensor in self.external:
             move = first.actInv(self.robot.placement(sensor.frame)).toDualActionMatrix()
             total += move @ self._of(sensor, wrenches)
         return total
@@ -442,7 +443,7 @@ class MeasurementModel:
     def _external_efforts(self, q: FloatArray, wrenches: FloatArray, joints: int) -> FloatArray:
         """What the known external loads add to the joints' side of the equation, ``J^T w``, ``(joints,)``."""
         total = np.zeros(joints)
-        for sensor in self._external if joints else ():
+        for sensor in self.external if joints else ():
             total += self.robot.frame_jacobian(q, sensor.frame).T @ self._of(sensor, wrenches)
         return total
 
