@@ -12,20 +12,20 @@ from geomid_ros.model.inverse_dynamics import InverseDynamics
 from geomid_ros.session.session import Session
 from geomid_ros.signals.decoding import Decoder
 from geomid_ros.signals.joint_messages import JointReader
-from geomid_ros.signals.messages import JOINT_STATES, Block
+from geomid_ros.signals.messages import JOINT_STATES
 from geomid_ros.signals.pipeline import ignore
-from geomid_ros.types import FloatArray
+from geomid_ros.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """A message of ``joints``: its ``stamp`` [ns] and ``motion (3, joints)``, and the ``effort (joints,)`` of the model
-    in the unit of the messages."""
+    """N messages of ``joints``: ``stamps (N,)`` [ns], ``motion (3, N, joints)``, and the ``efforts (N, joints)`` of the
+    model in the unit of the messages."""
 
     joints: tuple[str, ...]
-    stamp: int
+    stamps: IntArray
     motion: FloatArray
-    effort: FloatArray
+    efforts: FloatArray
 
 
 class Stream:
@@ -60,16 +60,13 @@ class Stream:
         if model is None or not messages:
             return
         for block in self._decoder.blocks([(JOINT_STATES, data) for data in messages], ignore):
-            yield from self._predicted(model, block)
-
-    def _predicted(self, model: _Model, block: Block) -> Iterator[Predicted]:
-        numbers, refusals = model.reader.numbers(block)
-        rows = [row for row, refusal in enumerate(refusals.tolist()) if refusal is None and block.stamps[row] > 0]
-        motions = np.array([self._motion(model, int(block.stamps[row]), numbers[row]) for row in rows])
-        if rows:
-            efforts = model.dynamics(motions.transpose(1, 0, 2)) / model.gains
-            for row, motion, effort in zip(rows, motions, efforts, strict=True):
-                yield Predicted(model.joints, int(block.stamps[row]), motion, effort)
+            numbers, refusals = model.reader.numbers(block)
+            good = (refusals == None) & (block.stamps > 0)  # noqa: E711 by element
+            stamps, numbers = block.stamps[good], numbers[good]
+            if len(stamps):
+                rows = zip(stamps.tolist(), numbers, strict=True)
+                motion = np.stack([self._motion(model, *row) for row in rows], axis=1)
+                yield Predicted(model.joints, stamps, motion, model.dynamics(motion) / model.gains)
 
     def _motion(self, model: _Model, stamp: int, numbers: FloatArray) -> FloatArray:
         """Position, velocity and acceleration ``(3, joints)`` of a message."""

@@ -26,7 +26,7 @@ class FeedforwardRelay:
 
     Parameters of its node: ``model`` (an estimate.json, which is read again when it has changed), ``urdf``, ``config``,
     ``tolerance`` and ``force``, as of :func:`geomid_ros.feedforward`; ``controller``. What is refused is not sent on.
-    With ``payload``, the heaviest [kg], ``link`` adapts to it (:class:`~geomid_ros.ros.adapting.Adapting`).
+    With ``heaviest_payload`` [kg] a ``link`` adapts to one (:class:`~geomid_ros.ros.adapting.Adapting`).
     """
 
     def __init__(self, node: Node) -> None:
@@ -51,9 +51,9 @@ class FeedforwardRelay:
         self._publisher = node.create_publisher(JointTrajectory, f"{controller}/joint_trajectory", 10)
         node.create_subscription(JointTrajectory, _IN, self._relay, 10)
         link = str(node.declare_parameter("link", "").value)
-        heaviest = float(node.declare_parameter("payload", 0.0).value)
+        heaviest = float(node.declare_parameter("heaviest_payload", 0.0).value)
         if heaviest < 0.0:
-            raise InputError(f"payload is {heaviest:g}, expected the heaviest payload in kg, or 0 for no adaptation")
+            raise InputError(f"heaviest_payload is {heaviest:g}, expected a mass in kg, or 0 for no adaptation")
         self._adapting = Adapting(node, self._session, link, heaviest) if heaviest else None
         self._log.info(f"fills the efforts of {node.resolve_topic_name(_IN)} for {self._publisher.topic_name}")
 

@@ -72,7 +72,7 @@ class Lockstep:
 
 @pytest.fixture
 def relay(stage: Stage) -> Process:
-    parameters = {"urdf": str(URDF), "payload": 2.0, "use_sim_time": True}
+    parameters = {"urdf": str(URDF), "heaviest_payload": 2.0, "use_sim_time": True}
     return stage.node(parameters, module="geomid_ros.ros.feedforward", ready=False)
 
 
@@ -112,10 +112,13 @@ def test_it_ends_where_something_else_has_changed(stage: Stage, relay: Process) 
 
 @pytest.mark.parametrize(
     ("wrong", "said"),
-    [({"payload": -1.0}, "payload is -1, expected the heaviest"), ({"link": "hand"}, "unknown link 'hand'")],
+    [
+        ({"heaviest_payload": -1.0}, "heaviest_payload is -1, expected a mass"),
+        ({"link": "hand"}, "unknown link 'hand'"),
+    ],
 )
 def test_what_cannot_adapt_is_said(wrong: dict[str, object], said: str, stage: Stage) -> None:
-    parameters = {"urdf": str(URDF), "payload": 2.0} | wrong
+    parameters = {"urdf": str(URDF), "heaviest_payload": 2.0} | wrong
     relay = stage.node(parameters, module="geomid_ros.ros.feedforward", ready=False)
     assert relay.status() == 2
     assert said in relay.output
