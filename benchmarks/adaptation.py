@@ -1,6 +1,6 @@
 """How well simulated robots carry a payload that no model has: PD alone, with efforts of a model, and with adaptation.
 
-    python -m benchmarks.adaptation [--robots panda.urdf ur5_robot.urdf] [--seeds 1 2 3]
+    python -m benchmarks.adaptation [--robots panda.urdf ur5_robot.urdf] [--seeds 1 2 3] [--lacking 0.2]
     python -m benchmarks.adaptation --stability 20
     python -m benchmarks.adaptation --worst
 
@@ -136,7 +136,9 @@ class Run:
 class Robot:
     """A simulated robot that was identified, its controller and the trajectory to follow."""
 
-    def __init__(self, name: str, seed: int, folder: Path) -> None:
+    def __init__(self, name: str, seed: int, folder: Path, lacking: float = 0.0) -> None:
+        """``lacking``: share of the friction and of all other effects that the model has not."""
+        self.lacking = lacking
         self.name, self.seed = Path(name).stem, seed
         options = SimulationOptions(robot=described(name, folder), seed=seed, duration=30.0, rate=200.0)
         bag = folder / f"{self.name}_{seed}"
@@ -169,6 +171,7 @@ class Robot:
     def model(self, prior: float = 0.0) -> MotorEfforts:
         """Efforts of the identified model, whose last body has ``prior`` [kg] too much."""
         parameters = identified(self.session).copy()
+        parameters[len(self.session.model.nominal_inertias) :] *= 1.0 - self.lacking
         place = 10 * self.session.model.body_names.index(self.body)
         parameters[place : place + 10] += _dynamic(_payload(self.body, prior, self.seed))
         return MotorEfforts(self.session.model, parameters, self.session.effort_gains, self.joints, "the motion")
@@ -270,12 +273,12 @@ def _direction(seed: int) -> FloatArray:
     return np.asarray(direction / np.linalg.norm(direction))
 
 
-def accuracy(names: list[str], seeds: list[int], folder: Path) -> Table:
+def accuracy(names: list[str], seeds: list[int], folder: Path, lacking: float = 0.0) -> Table:
     """Errors by robot, seed and kind of feed-forward."""
     table = Table("robot", "seed", "efforts", "before", "first 1 s", "carrying")
     for name in names:
         for seed in seeds:
-            robot = Robot(name, seed, folder)
+            robot = Robot(name, seed, folder, lacking)
             model = robot.model()(robot.commanded)
             found = {
                 "PD alone": robot.run(None),
@@ -360,6 +363,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.adaptation", description=__doc__)
     parser.add_argument("--robots", nargs="+", default=["panda.urdf", "ur5_robot.urdf"])
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3])
+    parser.add_argument("--lacking", type=float, default=0.0, help="share of the friction that the model has not")
     parser.add_argument("--stability", type=int, metavar="SEEDS", help="the worst of so many seeds")
     parser.add_argument("--worst", action="store_true", help="mishaps")
     arguments = parser.parse_args()
@@ -370,7 +374,7 @@ def main() -> None:
         elif arguments.worst:
             table = worst(arguments.robots, arguments.seeds, folder)
         else:
-            table = accuracy(arguments.robots, arguments.seeds, folder)
+            table = accuracy(arguments.robots, arguments.seeds, folder, arguments.lacking)
     Console(width=150).print(table)
 
 

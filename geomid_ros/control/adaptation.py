@@ -27,13 +27,15 @@ BODY = ParameterManifold(1, 0, np.zeros(0))
 """The possible inertias of one body."""
 MARGIN = 0.5
 """Gain times delay: an integrator behind a delay has 61 degrees of phase left, and is unstable at pi / 2."""
+SHORTEST = 0.01
+"""Shortest delay that the gain is set for [s]: a faster loop follows friction that the model lacks."""
 FARTHEST = 0.3
 """Physical limit: a payload's centre of mass lies no farther from the origin of the link that carries it [m]."""
 
 
 def share_of(step: float, delay: float) -> float:
     """Share of the residual that a step of so many seconds takes away, at the gain ``MARGIN / delay`` [1/s]."""
-    return -math.expm1(-MARGIN * step / delay)
+    return -math.expm1(-MARGIN * step / max(delay, SHORTEST))
 
 
 def needed(point: Point, rows: FloatArray, residuals: FloatArray) -> FloatArray:

@@ -217,6 +217,12 @@ def test_what_goes_wrong_switches_it_off(case: str, arm: Arm) -> None:
     np.testing.assert_array_equal(correction(BEGIN + 0.3, arm.commanded(BEGIN)), 0.0)
 
 
+def test_a_fast_loop_learns_no_faster_than_one_of_ten_milliseconds() -> None:
+    """Else it follows friction that the model lacks."""
+    steps = [share_of(step, delay) for step, delay in ((0.001, 0.002), (0.001, 0.01), (0.001, 0.02))]
+    assert steps[0] == steps[1] == pytest.approx(2.0 * steps[2], rel=0.1)
+
+
 @pytest.mark.parametrize("force", [(40.0, 0.0, 0.0), (0.0, -40.0, 0.0), (0.0, 0.0, -80.0)])
 def test_a_contact_switches_it_off(force: tuple[float, float, float], arm: Arm) -> None:
     """No body pulls sideways for long, nor upwards by more than the heaviest payload and the link weigh."""
