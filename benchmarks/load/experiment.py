@@ -8,6 +8,8 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+
 from benchmarks.load.cycles import lives, services
 from benchmarks.load.day import day
 from benchmarks.load.endings import endings
@@ -19,6 +21,7 @@ from benchmarks.load.watched import QUANTILES, Account
 from benchmarks.report import Report
 
 _KILLS = 50
+_QUANTILES = {"p50": 0.5, "p99": 0.99}
 _COUNTS = ["sent", "received", "accepted", "lost", "unaccounted", "rejected or dropped"]
 
 
@@ -47,6 +50,17 @@ def _plain(report: Report, seconds: float) -> None:
 
 def _body(report: Report, seconds: float) -> None:
     _steady(report, "body", "body30", {}, seconds)
+
+
+def _stream(report: Report, seconds: float) -> None:
+    """Predictions of every message, beside what is identified from them."""
+    outcome = steady(robots()["arm7"], {}, seconds, 1000.0, streamed=True)
+    headings = ["", *_COUNTS, "streamed", *(f"{q} [ms]" for q in _QUANTILES), "us per message"]
+    ages = [f"{np.quantile(outcome.streamed, share):.2f}" for share in _QUANTILES.values()]
+    row = ["arm7", *_counts(outcome), str(len(outcome.streamed)), *ages, f"{outcome.microseconds:.0f}"]
+    caption = "Ages of predictions when they arrive; processor time of the node alone. "
+    report.table(f"Streamed efforts, {seconds:g} s at 1 kHz", headings, [row], caption + _machine())
+    report.result("stream", {"received": outcome.account.received, "ages": ages, "us": outcome.microseconds})
 
 
 def _steady(
@@ -154,6 +168,7 @@ SCENARIOS = {
     "plain": Scenario(_plain, 300.0, "seconds", 60.0),
     "calm": Scenario(_calm, 300.0, "seconds", 60.0),
     "body": Scenario(_body, 300.0, "seconds", 60.0),
+    "stream": Scenario(_stream, 60.0, "seconds", 30.0),
     "overload": Scenario(_overload, 10.0, "seconds", 5.0),
     "kills": Scenario(_kills, 600.0, "seconds", 300.0),
     "day": Scenario(_day, 24.0, "hours", 2.0),

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import struct
+import time
 from dataclasses import dataclass
 from typing import Any
+
+from sensor_msgs.msg import JointState
 
 from benchmarks.load.robots import Robot
 from benchmarks.load.watched import QUANTILES, Account, sent_by, watched
@@ -15,7 +19,8 @@ _FULL = 150.0  # [s] after which all that the node remembers for a while is ther
 class Steady:
     """Messages ``sent`` in ``seconds`` and what became of them; ``latency`` [ms] from receipt to row, ``longest_queue``
     and ``solves``; resident ``memory`` [MB] at the start, when the buffer was full, and in the end; shares of one core
-    that node and solving process took, and the node alone; the ``latest`` [ms] that the publisher was behind."""
+    that node and solving process took, and the node alone; the ``latest`` [ms] that the publisher was behind.
+    ``streamed``: ages [ms] of predictions when they arrive, empty if nobody subscribed."""
 
     robot: str
     seconds: float
@@ -28,6 +33,7 @@ class Steady:
     processor: float
     node_processor: float
     latest: float
+    streamed: tuple[float, ...] = ()
 
     @property
     def unaccounted(self) -> int:
@@ -40,9 +46,14 @@ class Steady:
         return 1e6 * self.node_processor * self.seconds / max(self.account.received, 1)
 
 
-def steady(robot: Robot, parameters: dict[str, Any], seconds: float, rate: float) -> Steady:
-    """Let a node take a robot's messages, ``rate`` [Hz] of each topic, for some time."""
+def steady(robot: Robot, parameters: dict[str, Any], seconds: float, rate: float, *, streamed: bool = False) -> Steady:
+    """Let a node take a robot's messages, ``rate`` [Hz] of each topic, for some time; predict each if ``streamed``."""
     with watched(robot, parameters) as node:
+        ages: list[float] = []
+        if streamed:
+            node.stage.observer.node.create_subscription(
+                JointState, "geomid/streamed_joint_states", lambda message: ages.append(_age(message)), 10_000, raw=True
+            )
         start, processor, own = node.memory, node.processor, node.own_processor
         publisher = node.publish((seconds, rate))
         full, begin = 0.0, None
@@ -68,4 +79,11 @@ def steady(robot: Robot, parameters: dict[str, Any], seconds: float, rate: float
             processor,
             own,
             1e3 * sent.late,
+            tuple(ages),
         )
+
+
+def _age(message: bytes) -> float:
+    """Time [ms] since the stamp of a serialised message: to deserialise it takes longer than to predict it."""
+    seconds, nanoseconds = struct.unpack_from("<II", message, 4)
+    return 1e3 * (time.time() - seconds - 1e-9 * nanoseconds)

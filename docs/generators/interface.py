@@ -31,6 +31,8 @@ _MEANINGS = {
     "the inertia about the centre of mass in the link's axes",
     "~/robot_description": "the identified URDF",
     "~/predicted_joint_states": "predicted efforts, filtered motion, stamped as the data; only with a subscriber",
+    "~/streamed_joint_states": "predicted efforts of every message, milliseconds after it, and its motion; only with a "
+    "subscriber",
     "~/predicted_efforts_std": "standard deviations of the predicted efforts, from the joint posterior; only with a "
     "subscriber",
     "~/markers": "ellipsoids for RViz, blue: from the prior, orange: from the data",

@@ -131,7 +131,8 @@ class MeasurementModel:
         self.sensors = tuple(sensors)
         self.mounted = [sensor for sensor in sensors if sensor.role == "mounted"]
         """The sensors inside the chain, in the order of their channels."""
-        self._external = [sensor for sensor in sensors if sensor.role == "external"]
+        self.external = [sensor for sensor in sensors if sensor.role == "external"]
+        """The sensors on what touches the robot from outside."""
         self.identified = self._identified_bodies(links)
         self.body_names = tuple(robot.bodies[index].name for index in self.identified)
         """Names of the identified bodies."""
@@ -139,8 +140,10 @@ class MeasurementModel:
         self._local = local_effects
         self._candidates = tuple(candidates)
         self._behind_gear = frozenset(behind_gear)
-        self._loading = np.array([body.parameters for body in robot.bodies])
-        self._resisting: tuple[tuple[MotionEffect, Place, float], ...] = ()
+        self.loading = np.array([body.parameters for body in robot.bodies])
+        """What is known of all bodies ``(bodies, 10)``, for what the gears transmit."""
+        self.resisting: tuple[tuple[MotionEffect, Place, float], ...] = ()
+        """What else is known to act behind the gears."""
         self.legs = Legs(robot, contacts) if contacts else None
         """What stands on the ground, if its forces are found from efforts."""
         self._check_sensors()
@@ -219,7 +222,7 @@ class MeasurementModel:
         topics = [sensor.topic for sensor in self.sensors]
         if len(set(topics)) < len(topics):
             raise InputError(f"two wrench sensors have the same topic: {', '.join(topics)}")
-        external = self._external
+        external = self.external
         if external and self.legs:
             raise InputError(
                 f"contacts and an external wrench sensor, '{external[0].topic}': the forces of the ground are either "
@@ -246,8 +249,8 @@ class MeasurementModel:
     def _efforts_usable(self) -> bool:
         """Whether all loads that reach the joints are known: not those of a force plate, which rest on some link, nor
         those of a floating base without sensors."""
-        on_robot = all(s.frame in self.robot.tree.links and len(s.axes) == 6 for s in self._external)
-        return on_robot and (not self.robot.floating_base or bool(self._external) or self.legs is not None)
+        on_robot = all(s.frame in self.robot.tree.links and len(s.axes) == 6 for s in self.external)
+        return on_robot and (not self.robot.floating_base or bool(self.external) or self.legs is not None)
 
     def without_effects(self) -> MeasurementModel:
         """The same channels and bodies, with no effects."""
@@ -263,7 +266,7 @@ class MeasurementModel:
         of the links, by the URDF unless they are known, and what else acts behind the gears."""
         if known is None:
             return self
-        first, loading = 10 * len(self.identified), self._loading.copy()
+        first, loading = 10 * len(self.identified), self.loading.copy()
         inertias = np.where(np.isfinite(known[:first]), known[:first], self.nominal_inertias)
         loading[list(self.identified)] = inertias.reshape(-1, 10)
         resisting = tuple(
@@ -271,7 +274,7 @@ class MeasurementModel:
             for c, value in zip(self.coefficients, known[first:], strict=True)
             if isinstance(c.effect, MotionEffect) and not c.effect.before_gear and np.isfinite(value)
         )
-        return self._replaced(_loading=loading, _resisting=resisting)
+        return self._replaced(loading=loading, resisting=resisting)
 
     def with_carried(self, link: str) -> MeasurementModel:
         """The same model with one body more, the last, which moves with the identified ``link`` and has its frame."""
@@ -368,7 +371,7 @@ class MeasurementModel:
     @property
     def _row_sensors(self) -> list[WrenchSensor]:
         """Sensors that make rows: every mounted one, and with a floating base the first external one for their sum."""
-        return self.mounted + (self._external[:1] if self.robot.floating_base else [])
+        return self.mounted + (self.external[:1] if self.robot.floating_base else [])
 
     def _loaded_bodies(self, sensor: WrenchSensor) -> list[int]:
         if sensor.role == "mounted":
@@ -430,9 +433,9 @@ class MeasurementModel:
 
     def _total_external(self, wrenches: FloatArray) -> FloatArray:
         """Sum of the external wrenches, in the frame of the first."""
-        first = self.robot.placement(self._external[0].frame)
+        first = self.robot.placement(self.external[0].frame)
         total = np.zeros(6)
-        for sensor in self._external:
+        for sensor in self.external:
             move = first.actInv(self.robot.placement(sensor.frame)).toDualActionMatrix()
             total += move @ self._of(sensor, wrenches)
         return total
@@ -440,7 +443,7 @@ class MeasurementModel:
     def _external_efforts(self, q: FloatArray, wrenches: FloatArray, joints: int) -> FloatArray:
         """What the known external loads add to the joints' side of the equation, ``J^T w``, ``(joints,)``."""
         total = np.zeros(joints)
-        for sensor in self._external if joints else ():
+        for sensor in self.external if joints else ():
             total += self.robot.frame_jacobian(q, sensor.frame).T @ self._of(sensor, wrenches)
         return total
 
@@ -475,9 +478,9 @@ class MeasurementModel:
 
     def _loads(self, samples: Samples, bodies: FloatArray) -> FloatArray:
         """What the gears transmit ``(N, J)``, by what is known."""
-        loads = np.einsum("njbk,bk->nj", bodies[:, self.layout.efforts], self._loading)
-        if self._resisting and self.layout.efforts:
-            loads += samples.efforts_of(self._resisting)
+        loads = np.einsum("njbk,bk->nj", bodies[:, self.layout.efforts], self.loading)
+        if self.resisting and self.layout.efforts:
+            loads += samples.efforts_of(self.resisting)
         return np.asarray(loads)
 
     @cached_property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,7 +13,7 @@ import pinocchio as pin
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model import urdf_tree
-from geomid_ros.model.samples import Samples, samples_of
+from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray, frozen
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -123,6 +123,15 @@ class Robot:
                 "computes inertials from the shapes and the robot's mass"
             )
         self._velocity_rows = [joint.v for joint in self.joints]
+        self._neutral = pin.neutral(self._model)
+        self._straight, self._turning = (
+            np.array([(joint.q, joint.v) for joint in moving if joint.continuous == turns], dtype=np.int64)
+            .reshape(-1, 2)
+            .T
+            for turns in (False, True)
+        )
+        self._offsets = np.zeros(self._model.nv)
+        self._offsets[[f.joint.v for f in self.followers]] = [f.offset for f in self.followers]
         self._moved = [index for index, body in enumerate(self.bodies) if body.joint > 0]
         self._moved_by = [self.bodies[index].joint - 1 for index in self._moved]
         self._to_joints = np.array([self.bodies[index].to_joint for index in self._moved])
@@ -286,16 +295,23 @@ class Robot:
 
     def configuration(self, samples: Samples) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Pinocchio's q ``(N, nq)``, v and a ``(N, nv)`` of samples."""
-        q = np.tile(pin.neutral(self._model), (len(samples), 1))
-        v, a = np.zeros((len(samples), self._model.nv)), np.zeros((len(samples), self._model.nv))
+        q, v, a = self.moved(np.array([samples.position, samples.velocity, samples.acceleration]))
         if self.floating_base:
             q[:, :7], v[:, :6], a[:, :6] = samples.base_pose, samples.base_velocity, samples.base_acceleration
-        for joint, position, velocity, acceleration in self._motions(samples):
-            if joint.continuous:
-                q[:, joint.q], q[:, joint.q + 1] = np.cos(position), np.sin(position)
-            else:
-                q[:, joint.q] = position
-            v[:, joint.v], a[:, joint.v] = velocity, acceleration
+        return q, v, a
+
+    def moved(self, motion: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The same at positions, velocities and accelerations ``(3, N, joints)``, where a floating base stands still in
+        the world's origin."""
+        positions, v, a = motion @ self.coupling.T
+        positions += self._offsets
+        q = np.empty((motion.shape[1], self._model.nq))
+        q[:] = self._neutral
+        straight, turning = self._straight, self._turning
+        q[:, straight[0]] = positions[:, straight[1]]
+        if turning.size:
+            angles = positions[:, turning[1]]
+            q[:, turning[0]], q[:, turning[0] + 1] = np.cos(angles), np.sin(angles)
         return q, v, a
 
     @property
@@ -306,16 +322,7 @@ class Robot:
     def pinocchio_positions(self, position: FloatArray) -> FloatArray:
         """Pinocchio's q ``(N, nq)`` at positions ``(N, joints)``, with what follows them."""
         still = np.zeros_like(position)
-        return self.configuration(samples_of(np.array([position, still, still])))[0]
-
-    def _motions(self, samples: Samples) -> Iterator[tuple[Joint, FloatArray, FloatArray, FloatArray]]:
-        """Every moving joint's position, velocity and acceleration, each ``(N,)``."""
-        motions = np.stack([samples.position, samples.velocity, samples.acceleration])
-        for index, joint in enumerate(self.joints):
-            yield joint, *motions[:, :, index]
-        for follower in self.followers:
-            position, velocity, acceleration = follower.factor * motions[:, :, follower.master]
-            yield follower.joint, position + follower.offset, velocity, acceleration
+        return self.moved(np.array([position, still, still]))[0]
 
     def joint_effort_rows(self, q: FloatArray, v: FloatArray, a: FloatArray, *, base: bool = False) -> FloatArray:
         """Regressors of the joints' efforts at N instants, ``(N, joints, bodies, 10)``, in the bodies' link frames.
@@ -334,13 +341,26 @@ class Robot:
         found[:, :, self._moved] = (by_joint.transpose(0, 2, 1, 3) @ self._to_joints).transpose(0, 2, 1, 3)
         return found
 
+    def body_effort_rows(self, q: FloatArray, v: FloatArray, a: FloatArray, body: int) -> FloatArray:
+        """Regressor ``(joints, 10)`` of the joints' efforts by the inertia of one moving ``body``, at one instant."""
+        model, data, moved = self._model, self._data, self.bodies[body]
+        pin.forwardKinematics(model, data, q, v, a)
+        pin.computeJointJacobians(model, data)
+        jacobian = pin.getJointJacobian(model, data, moved.joint, pin.LOCAL)
+        against_gravity = data.a[moved.joint] - data.oMi[moved.joint].actInv(model.gravity)
+        regressor = pin.bodyRegressor(data.v[moved.joint], against_gravity)
+        return np.asarray(self.coupling.T @ jacobian.reshape(6, model.nv).T @ regressor @ moved.to_joint)
+
     def joint_efforts(
         self, q: FloatArray, v: FloatArray, a: FloatArray, inertias: FloatArray | None = None
     ) -> FloatArray:
         """The joints' efforts ``(N, joints)`` at N instants by the recursive Newton-Euler algorithm, with ``inertias
         (all bodies, 10)``; those of the URDF if None."""
         model = self._model if inertias is None else self.with_inertias(inertias, range(len(inertias)))
-        data = model.createData()
+        return self.efforts_of(model, model.createData(), q, v, a)
+
+    def efforts_of(self, model: pin.Model, data: pin.Data, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        """The same with the inertias of a ``model`` of :meth:`with_inertias`."""
         efforts = [pin.rnea(model, data, *state) for state in zip(q, v, a, strict=True)]
         return np.array(efforts).reshape(len(q), model.nv) @ self.coupling
 

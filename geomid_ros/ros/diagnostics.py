@@ -82,7 +82,7 @@ class Diagnostics:
         self.complaints = (*(Complaint(text, True) for text in errors), *(Complaint(text, False) for text in warnings))
         self._before = status
         level, message = _judgement(status, errors, warnings)
-        array = DiagnosticArray(status=[_status(f"{self._node}: stream", level, message, _stream(status))])
+        array = DiagnosticArray(status=[status_message(f"{self._node}: stream", level, message, _stream(status))])
         if search is not None:
             array.status.append(_search(f"{self._node}: gap finding", search))
         if checkpoints is not None:
@@ -104,7 +104,8 @@ class Diagnostics:
         return [f"messages are accepted, but have yielded no rows for {self._barren} s: {why}"]
 
 
-def _status(name: str, level: bytes, message: str, values: Mapping[str, object]) -> DiagnosticStatus:
+def status_message(name: str, level: bytes, message: str, values: Mapping[str, object]) -> DiagnosticStatus:
+    """A status of one scalar per key."""
     texts = {key: f"{value:.6g}" if isinstance(value, float) else str(value) for key, value in values.items()}
     pairs = [KeyValue(key=one_line(key), value=one_line(text)) for key, text in texts.items()]
     return DiagnosticStatus(
@@ -127,9 +128,9 @@ def _link(node: str, link: LinkEstimate) -> DiagnosticStatus:
     message = f"mass {link.mass:.3f} kg"
     if link.outlier:
         message += ", far from its prior: a payload, or an unmodelled effect; run 'geomid gap'"
-        return _status(f"{node}: {link.name}", DiagnosticStatus.WARN, message, values)
+        return status_message(f"{node}: {link.name}", DiagnosticStatus.WARN, message, values)
     alone = "" if "mass" in link.identified else ", identifiable only in combination"
-    return _status(f"{node}: {link.name}", DiagnosticStatus.OK, message + alone, values)
+    return status_message(f"{node}: {link.name}", DiagnosticStatus.OK, message + alone, values)
 
 
 _MOST_REASONS = 5  # in a sentence
@@ -210,7 +211,7 @@ def _time(stamp: int) -> str:
 
 def _search(name: str, search: SearchStatus[FoundGap]) -> DiagnosticStatus:
     if search.stage or search.result is None:
-        return _status(name, DiagnosticStatus.OK if search.stage else DiagnosticStatus.WARN, search.sentence, {})
+        return status_message(name, DiagnosticStatus.OK if search.stage else DiagnosticStatus.WARN, search.sentence, {})
     result = search.result.result
     values: dict[str, object] = {"verdict": result.verdict}
     values |= {f"finding {number}": finding.sentence for number, finding in enumerate(result.findings, start=1)}
@@ -221,15 +222,15 @@ def _search(name: str, search: SearchStatus[FoundGap]) -> DiagnosticStatus:
     for channel, before, after in zip(result.channels, result.gap.before, result.gap.after, strict=True):
         values |= {f"{channel} before": float(before), f"{channel} after": float(after)}
     level = DiagnosticStatus.OK if result.verdict == "no gap" else DiagnosticStatus.WARN
-    return _status(name, level, search.sentence, values)
+    return status_message(name, level, search.sentence, values)
 
 
 def _checkpoints(name: str, checkpoints: CheckpointStatus) -> DiagnosticStatus:
     if checkpoints.error:
-        return _status(name, DiagnosticStatus.ERROR, checkpoints.error, checkpoints.values)
+        return status_message(name, DiagnosticStatus.ERROR, checkpoints.error, checkpoints.values)
     if checkpoints.warning:
-        return _status(name, DiagnosticStatus.WARN, checkpoints.warning, checkpoints.values)
-    return _status(
+        return status_message(name, DiagnosticStatus.WARN, checkpoints.warning, checkpoints.values)
+    return status_message(
         name, DiagnosticStatus.OK, f"{checkpoints.values['rows']} rows in the checkpoint", checkpoints.values
     )
 

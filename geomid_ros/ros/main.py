@@ -6,7 +6,6 @@ import os
 import signal
 import sys
 import threading
-import time
 from contextlib import closing
 from functools import partial
 from typing import TYPE_CHECKING
@@ -94,7 +93,7 @@ def _run_node(solving: SolvingProcess) -> None:
             while ok() and not stopping.is_set():
                 _guarded(node, node.take_waiting)
                 _guarded(node, partial(executor.spin_once, timeout_sec=0.0))
-                time.sleep(_PAUSE)
+                _guarded(node, partial(node.wait, _PAUSE))
             _guarded(node, node.take_waiting)
         finally:
             node.close()

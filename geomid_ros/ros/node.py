@@ -39,6 +39,7 @@ from geomid_ros.ros.inputs import Inputs
 from geomid_ros.ros.outputs import Outputs, latched
 from geomid_ros.ros.serialized import RosTypes
 from geomid_ros.ros.starting import starting_ros
+from geomid_ros.ros.streaming import Streaming
 from geomid_ros.session.configuration import PARAMETERS, Configuration, Parameter, find_parameter
 from geomid_ros.session.session import Session
 from geomid_ros.signals.decoding import read_without_rosbags
@@ -91,10 +92,11 @@ class GeomidNode(Node):
             self._ledger,
             self._console,
             on_samples=self._outputs.prediction,
-            on_estimate=self._outputs.estimate,
+            on_estimate=self._on_estimate,
             solving=solving,
         )
         self._inputs = Inputs(self, self._ledger)
+        self._streaming = Streaming(self, self._inputs)
         self._diagnostics = Diagnostics(self.get_fully_qualified_name().lstrip("/"))
         self._diagnostic_arrays = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._serve("start", partial(self._set_active, active=True))
@@ -130,7 +132,7 @@ class GeomidNode(Node):
 
     def take_waiting(self) -> None:
         """Take the data that wait. They are counted, whatever happens."""
-        messages = self._inputs.waiting()
+        messages = self._streaming.waiting()
         try:
             reason = self._take(messages)
         except Exception as error:  # noqa: BLE001 the node lives on
@@ -140,6 +142,14 @@ class GeomidNode(Node):
             )
         for message in messages if reason else ():
             self._ledger.drop(message.topic, reason)
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass, and predict messages that come meanwhile."""
+        self._streaming.wait(seconds)
+
+    def _on_estimate(self, session: Session, estimate: Estimate) -> None:
+        self._streaming.use(session, estimate)
+        self._outputs.estimate(session, estimate)
 
     def _take(self, messages: list[Received]) -> str:
         """Take messages, or say why not."""
@@ -230,6 +240,7 @@ class GeomidNode(Node):
             except GeomidError as error:
                 return False, str(error)
         self._supervisor.reset()
+        self._streaming.forget()
         self._payload.forget()
         return True, "all rows discarded"
 

@@ -60,7 +60,7 @@ class Outputs:
         """Publish an estimate."""
         stamp = self._node.get_clock().now().nanoseconds
         for link in estimate.links:
-            self._inertias.publish(_inertia(link, stamp))
+            self._inertias.publish(inertia_message(link.name, link.parameters, stamp))
         self._identified.publish(String(data=session.identified_urdf(estimate)))
         markers = [_marker(index, link, stamp) for index, link in enumerate(estimate.links)]
         self._ellipsoids.publish(MarkerArray(markers=markers))
@@ -76,22 +76,21 @@ class Outputs:
         self._node.get_logger().info(status.sentence)
 
 
-def _time(nanoseconds: int) -> Time:
+def ros_time(nanoseconds: int) -> Time:
     """A stamp from nanoseconds since the epoch."""
     return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
 
 
-def _inertia(link: LinkEstimate, stamp: int) -> InertiaStamped:
-    """A link's inertia: frame_id is the link, com in its frame, inertia about the centre of mass in its axes."""
+def inertia_message(link: str, parameters: FloatArray, stamp: int) -> InertiaStamped:
+    """An inertia ``(10,)``: frame_id is the link, com in its frame, inertia about the centre of mass in its axes."""
     message = InertiaStamped()
-    message.header.frame_id = link.name
-    message.header.stamp = _time(stamp)
+    message.header.frame_id = link
+    message.header.stamp = ros_time(stamp)
     inertia = message.inertia
-    inertia.m = link.mass
-    inertia.com.x, inertia.com.y, inertia.com.z = map(float, link.com)
-    entries = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
-    for name, index in entries.items():
-        setattr(inertia, name, float(link.inertia[index]))
+    mass, x, y, z, *entries = map(float, pseudo_inertia.quantities_of(parameters))
+    inertia.m, inertia.com.x, inertia.com.y, inertia.com.z = mass, x, y, z
+    for name, value in zip(pseudo_inertia.INERTIA_NAMES, entries, strict=True):
+        setattr(inertia, name, value)
     return message
 
 
@@ -103,7 +102,7 @@ def _publish_efforts(publisher: Publisher, robot: Robot, samples: Samples, effor
 def _joint_state(robot: Robot, samples: Samples, index: int, efforts: FloatArray) -> JointState:
     """The filtered motion of one sample with these efforts; its stamp is the data's."""
     message = JointState()
-    message.header.stamp = _time(int(samples.stamps[index]))
+    message.header.stamp = ros_time(int(samples.stamps[index]))
     message.name = list(robot.joint_names)
     message.position = samples.position[index].tolist()
     message.velocity = samples.velocity[index].tolist()
@@ -117,7 +116,7 @@ def _marker(index: int, link: LinkEstimate, stamp: int) -> Marker:
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])  # eigenvectors may be left-handed
     marker = Marker(ns="identified", id=index, type=Marker.SPHERE, action=Marker.ADD, frame_locked=True)
     marker.header.frame_id = link.name
-    marker.header.stamp = _time(stamp)
+    marker.header.stamp = ros_time(stamp)
     pose = marker.pose
     pose.position.x, pose.position.y, pose.position.z = map(float, link.com)
     pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w = map(float, quaternion(axes))

@@ -370,8 +370,13 @@ class Session:
     @property
     def effort_gains(self) -> FloatArray:
         """Factors ``(joints,)`` from the messages' efforts to N m (or N), with what is known of the sensors."""
+        return self.signals.effort_gains(self.robot.joint_names)
+
+    @property
+    def signals(self) -> SignalSettings:
+        """The configuration's, with what is known of the sensors."""
         joints = self.robot.joint_names
-        return self.loaded.signals(self.configuration.signals(joints), joints).effort_gains(joints)
+        return self.loaded.signals(self.configuration.signals(joints), joints)
 
     def new_pipeline(
         self,
@@ -393,7 +398,7 @@ class Session:
             joints,
             floating_base=self.robot.floating_base,
             sensors=self.model.sensors,
-            settings=self.loaded.signals(settings or self.configuration.signals(joints), joints),
+            settings=self.loaded.signals(settings, joints) if settings else self.signals,
             continuous=[joint.name for joint in self.robot.joints if joint.continuous],
             turning=[joint.name for joint in self.robot.joints if joint.unit == "N m"],
             limits=np.array([self.robot.speed_limits, self.robot.effort_limits]),

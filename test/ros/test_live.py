@@ -40,6 +40,7 @@ class Live:
     answer: tuple[bool, str] = (False, "")
     predicted: list[JointState] = field(default_factory=list)
     deviations: list[JointState] = field(default_factory=list)
+    streamed: list[JointState] = field(default_factory=list)
     diagnostics: list[DiagnosticArray] = field(default_factory=list)
     inertias: list[InertiaStamped] = field(default_factory=list)
     descriptions: list[String] = field(default_factory=list)
@@ -77,6 +78,7 @@ def perform(stage: Stage, run: Live, out: Path) -> None:
     observer = stage.observer
     run.predicted = observer.collect(JointState, "/geomid/predicted_joint_states")
     run.deviations = observer.collect(JointState, "/geomid/predicted_efforts_std")
+    run.streamed = observer.collect(JointState, "/geomid/streamed_joint_states")
     run.diagnostics = observer.collect(DiagnosticArray, "/diagnostics")
     run.inertias = observer.collect(InertiaStamped, "/geomid/inertias", latched())
     run.descriptions = observer.collect(String, "/geomid/robot_description", latched())
@@ -177,19 +179,21 @@ def test_markers(live: Live) -> None:
         assert all(0.0 <= part <= 1.0 for part in (marker.color.r, marker.color.g, marker.color.b, marker.color.a))
 
 
-def test_predicted_efforts_are_stamped_and_sized_as_the_data(live: Live) -> None:
+@pytest.mark.parametrize("topic", ["predicted", "streamed"])
+def test_predicted_efforts_are_stamped_and_sized_as_the_data(topic: str, live: Live) -> None:
+    predicted: list[JointState] = getattr(live, topic)
     measured = {
         item.message.header.stamp.sec * 10**9 + item.message.header.stamp.nanosec: item.message
         for item in messages(live.robot)
         if item.topic == "/joint_states"
     }
-    stamps = [message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in live.predicted]
+    stamps = [message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in predicted]
     assert len(stamps) > 10
     assert stamps == sorted(set(stamps))
     assert set(stamps) <= set(measured)
     joints = list(Robot(description(live.robot)).joint_names)
     errors, efforts = [], []
-    for stamp, message in zip(stamps, live.predicted, strict=True):
+    for stamp, message in zip(stamps, predicted, strict=True):
         assert list(message.name) == joints
         assert len(message.position) == len(message.velocity) == len(joints)
         effort = dict(zip(measured[stamp].name, measured[stamp].effort, strict=True))

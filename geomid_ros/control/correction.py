@@ -1,0 +1,90 @@
+"""Feed-forward beside a position controller that adapts to a payload, and switches itself off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from geomid_ros.control.adaptation import Adaptation, needed, share_of
+from geomid_ros.control.guard import LASTING, Delay, Latch, Reading, faults_of
+from geomid_ros.control.motor_efforts import MotorEfforts
+from geomid_ros.errors import InputError
+from geomid_ros.types import FloatArray
+
+LARGEST_SHARE = 0.3
+"""Largest correction, as a share of the joint's effort limit."""
+FASTEST = 5.0
+"""Largest change of the correction, in effort limits per second."""
+_NOISE = 0.01  # of the effort limit: standard deviation of what no inertia of the body explains
+
+
+class Correction:
+    """Efforts that a changed inertia of one body adds to those of an identified model.
+
+    The caller gives the time [s], of any one clock. One thread may call it at a time.
+    """
+
+    def __init__(self, efforts: MotorEfforts, joints: Sequence[str], body: str, heaviest: float) -> None:
+        """
+        Args:
+            efforts: of the identified model, for motions of ``joints``.
+            joints: names, in the order of all arrays.
+            body: that adapts.
+            heaviest: payload [kg].
+
+        Raises:
+            InputError: a joint has no effort limit, or no effort depends on the body.
+        """
+        self._efforts = efforts
+        self._joints = tuple(joints)
+        self._limits = efforts.limits
+        if unlimited := [name for name, limit in zip(joints, self._limits, strict=True) if not np.isfinite(limit)]:
+            raise InputError(f"joint '{unlimited[0]}' has no effort limit in the URDF; adaptation is bounded by it")
+        self._rows_of, identified = efforts.of_body(body)
+        self.adaptation = Adaptation(identified, heaviest)
+        self.delay = Delay()
+        self.latch = Latch()
+        self._before: Reading | None = None
+        self._heard = self._sent = -np.inf
+        self._last = np.zeros(len(joints))
+
+    def learn(self, now: float, reading: Reading, commanded: FloatArray) -> None:
+        """Adapt to a reading and the motion ``(3, joints)`` that was ``commanded`` for its time."""
+        before = self._before or reading
+        if not reading.is_complete or reading.time < before.time:
+            return
+        self._before = reading
+        step = reading.time - before.time
+        if step == 0.0:
+            return
+        self._heard = now
+        faults = faults_of(self._joints, self._limits, reading, before, commanded[1])
+        if late := self.delay.take(max(0.0, now - reading.time) + step, step):
+            faults["late"] = late
+        rows, residuals = self._missing(np.array([reading.position, *commanded[1:]]), reading.effort)
+        if not self.adaptation.explains(rows, residuals):
+            faults["contact"] = "no payload explains the efforts; the robot may touch something"
+        self.latch.take(now, faults)
+        if not faults and not self.latch.reason:
+            tangent = needed(self.adaptation.point, rows, residuals)
+            self.adaptation.step(share_of(step, self.delay.usual) * tangent)
+
+    def _missing(self, motion: FloatArray, effort: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Rows ``(joints, 10)`` of the body, and what it and the model leave of the ``effort (joints,)``, in units of
+        the noise."""
+        rows, noise = self._rows_of(motion), _NOISE * self._limits
+        residuals = effort - self._efforts(motion[:, None])[0] - rows @ self.adaptation.change
+        return rows / noise[:, None], residuals / noise
+
+    def __call__(self, now: float, commanded: FloatArray) -> FloatArray:
+        """Efforts ``(joints,)`` to add to those of the identified model, at the motion ``commanded (3, joints)``."""
+        if np.isfinite(self._heard) and now - self._heard > LASTING:
+            self.latch.close(f"no joint states for {1e3 * (now - self._heard):.0f} ms")
+        wanted = np.zeros(len(self._joints))
+        if not self.latch.reason:
+            wanted = self._rows_of(commanded) @ self.adaptation.change
+        most, change = LARGEST_SHARE * self._limits, FASTEST * self._limits * max(0.0, min(now - self._sent, LASTING))
+        self._last = np.clip(np.clip(wanted, -most, most), self._last - change, self._last + change)
+        self._sent = now
+        return self._last

@@ -1,0 +1,116 @@
+"""Predicted efforts of every joint message as it comes: no batch, no regressor, and a filter without a view ahead."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.model.inverse_dynamics import InverseDynamics
+from geomid_ros.session.session import Session
+from geomid_ros.signals.decoding import Decoder
+from geomid_ros.signals.joint_messages import JointReader
+from geomid_ros.signals.messages import JOINT_STATES
+from geomid_ros.signals.pipeline import ignore
+from geomid_ros.types import FloatArray, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """N messages of ``joints``: ``stamps (N,)`` [ns], ``motion (3, N, joints)``, and the ``efforts (N, joints)`` of the
+    model in the unit of the messages."""
+
+    joints: tuple[str, ...]
+    stamps: IntArray
+    motion: FloatArray
+    efforts: FloatArray
+
+
+class Stream:
+    """Predicts messages by the latest estimate. One thread calls :meth:`use`, another everything else.
+
+    Accelerations are differences of velocities behind a low-pass of first order, at half the rate of the samples.
+    """
+
+    def __init__(self) -> None:
+        self._decoder = Decoder()
+        self._model: _Model | None = None
+        self._last = (0, np.zeros((3, 0)))  # stamp and motion of the last message
+
+    @property
+    def ready(self) -> bool:
+        """True if there is an estimate from which efforts follow."""
+        return self._model is not None
+
+    def use(self, session: Session, estimate: Estimate) -> None:
+        """Predict by an ``estimate`` from now on."""
+        model = session.model
+        known = model.layout.efforts and not session.robot.floating_base and not model.external
+        self._model = _Model.of(session, estimate) if known else None
+
+    def forget(self) -> None:
+        """Predict nothing until there is another estimate."""
+        self._model = None
+
+    def predict(self, messages: Sequence[bytes]) -> Iterator[Predicted]:
+        """Predictions of joint messages (CDR), without those that cannot be used."""
+        model = self._model
+        if model is None or not messages:
+            return
+        for block in self._decoder.blocks([(JOINT_STATES, data) for data in messages], ignore):
+            numbers, refusals = model.reader.numbers(block)
+            good = (refusals == None) & (block.stamps > 0)  # noqa: E711 by element
+            stamps, numbers = block.stamps[good], numbers[good]
+            if len(stamps):
+                rows = zip(stamps.tolist(), numbers, strict=True)
+                motion = np.stack([self._motion(model, *row) for row in rows], axis=1)
+                yield Predicted(model.joints, stamps, motion, model.dynamics(motion) / model.gains)
+
+    def _motion(self, model: _Model, stamp: int, numbers: FloatArray) -> FloatArray:
+        """Position, velocity and acceleration ``(3, joints)`` of a message."""
+        before, last = self._last
+        step = 1e-9 * (stamp - before)
+        position, velocity = numbers[:2]
+        if last.shape[1] != len(position) or not 0.0 < step < model.memory:
+            motion = np.array([position, np.nan_to_num(velocity), np.zeros_like(position)])
+        else:
+            way = np.where(
+                model.turning, np.remainder(position - last[0] + np.pi, 2.0 * np.pi) - np.pi, position - last[0]
+            )
+            velocity = np.where(np.isnan(velocity), way / step, velocity)
+            share = -np.expm1(-step / model.time_constant)
+            motion = np.array([position, velocity, last[2] + share * ((velocity - last[1]) / step - last[2])])
+        self._last = stamp, motion
+        return motion
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """What a session and its estimate say: inverse ``dynamics``, ``gains (joints,)`` of efforts, which joints are
+    ``turning`` without end; the low-pass's ``time_constant`` [s], and its ``memory`` [s], after which it begins
+    anew."""
+
+    joints: tuple[str, ...]
+    dynamics: InverseDynamics
+    gains: FloatArray
+    turning: FloatArray
+    reader: JointReader
+    time_constant: float
+    memory: float
+
+    @staticmethod
+    def of(session: Session, estimate: Estimate) -> _Model:
+        robot, settings = session.robot, session.signals
+        gains = session.effort_gains
+        turning = np.array([joint.continuous for joint in robot.joints])
+        return _Model(
+            joints=robot.joint_names,
+            dynamics=InverseDynamics(session.model, estimate.parameters),
+            gains=gains,
+            turning=turning,
+            reader=JointReader(robot.joint_names, gains, turning, settings.max_gap_ns, ignore),
+            time_constant=1.0 / (np.pi * settings.samples_per_cutoff_period * settings.cutoff),
+            memory=1e-9 * settings.max_gap_ns,
+        )

@@ -1,0 +1,276 @@
+"""Natural adaptation: its steps are theorems, a planted payload is found, and what is wrong switches it off."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from excitation.motions import lively
+from files.recordings import BAGS
+
+from benchmarks.adaptation import LATE, SLOW, Robot
+from geomid_ros.api.feedforward import robot_to_move
+from geomid_ros.api.options import RobotOptions
+from geomid_ros.api.verify import identified
+from geomid_ros.control.adaptation import BODY, MARGIN, Adaptation, divergence, needed, share_of
+from geomid_ros.control.correction import FASTEST, LARGEST_SHARE, Correction
+from geomid_ros.control.guard import LASTING, LATER, Reading
+from geomid_ros.control.motor_efforts import MotorEfforts
+from geomid_ros.errors import InputError
+from geomid_ros.geometry import pseudo_inertia, spd
+from geomid_ros.types import FloatArray
+
+URDF = BAGS / "arm7.urdf"
+PERIOD, DELAY = 0.01, 0.01  # [s]
+HEAVIEST = 3.0  # [kg]
+Change: TypeAlias = Callable[[Reading], Reading]
+LOADS = [(mass, 0.2 * axis) for mass in (1.0, 2.9) for axis in (*np.eye(3), *-np.eye(3))]
+LOAD = pin.Inertia(1.5, np.array([0.02, -0.03, 0.1]), 0.002 * np.eye(3))
+
+
+def body(rng: np.random.Generator) -> FloatArray:
+    factor = rng.normal(size=(4, 4)) * [[0.1], [0.1], [0.1], [1.0]]
+    return pseudo_inertia.to_parameters(factor @ factor.T)
+
+
+def carried(mass: float, centre: FloatArray) -> FloatArray:
+    return np.array(pin.Inertia(mass, centre, 1e-3 * mass * np.eye(3)).toDynamicParameters())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_step_is_the_shortest_that_explains_residuals_within_their_noise(seed: int) -> None:
+    """It minimises ``|A x - r|^2 + |x|^2``, by least squares of both at once."""
+    rng = np.random.default_rng(seed)
+    point, rows, residuals = BODY.point(body(rng)), rng.normal(size=(7, 10)), rng.normal(size=7)
+    steps = 1e-6 * np.eye(10)
+    ends = [(BODY.exp(point, step).parameters, BODY.exp(point, -step).parameters) for step in steps]
+    jacobian = np.array([(after - before) / 2e-6 for after, before in ends]).T
+    both = np.vstack([rows @ jacobian, np.eye(10)])
+    expected = np.linalg.lstsq(both, np.append(residuals, np.zeros(10)), rcond=None)[0]
+    np.testing.assert_allclose(needed(point, rows, residuals), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_it_depends_neither_on_frames_nor_on_units(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    parameters, rows, residuals = body(rng), rng.normal(size=(5, 10)), rng.normal(size=5)
+    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    change = pseudo_inertia.change_of_frame(rotation, rng.normal(size=3), length_unit=1e3, mass_unit=2.2)
+
+    def moved(pseudo: FloatArray) -> FloatArray:
+        return pseudo_inertia.to_parameters(spd.congruence(change, pseudo))
+
+    transform = moved(pseudo_inertia.from_parameters(np.eye(10))).T
+    other = BODY.point(transform @ parameters)
+    first = BODY.exp(BODY.point(parameters), needed(BODY.point(parameters), rows, residuals))
+    second = BODY.exp(other, needed(other, rows @ np.linalg.inv(transform), residuals))
+    np.testing.assert_allclose(second.parameters, moved(first.pseudo_inertias[0]), rtol=1e-6, atol=1e-6)
+
+
+def test_the_body_stays_possible_and_within_the_bound_whatever_comes() -> None:
+    rng = np.random.default_rng(5)
+    adaptation = Adaptation(body(rng), HEAVIEST)
+    start, largest = adaptation.point, 0.0
+    for size in rng.choice([1e-3, 1.0, 1e3], 5000).tolist():
+        adaptation.step(size * needed(adaptation.point, rng.normal(size=(7, 10)), rng.normal(size=7)))
+        assert np.linalg.eigvalsh(adaptation.point.pseudo_inertias[0])[0] > 0.0
+        largest = max(largest, divergence(adaptation.point, start))
+    inside = max(divergence(BODY.point(start.parameters + carried(mass, end)), start) for mass, end in LOADS)
+    for _ in range(5000):
+        adaptation.step(np.full(10, 0.01))
+    assert inside < divergence(adaptation.point, start) < 100.0 * inside
+    assert largest < 100.0 * inside
+
+
+def test_twice_the_delay_is_stable_and_four_times_is_not() -> None:
+    """An integrator of the residual behind the delay, without what is taken off for the correction under way."""
+
+    def left(times: float) -> float:
+        steps = 20  # in the delay that the gain is set for
+        share, behind = share_of(DELAY / steps, DELAY), round(times * steps)
+        errors = [1.0] * (behind + 1)
+        for _ in range(200 * steps):
+            errors.append(errors[-1] - share * errors[-1 - behind])
+        return float(np.max(np.abs(errors[-20 * steps :])))
+
+    assert left(1.0) < 1e-9
+    assert left(LATER) < 1e-9
+    assert left(4.0) > 1e3
+    assert LATER < np.pi / 2.0 / MARGIN < 4.0
+
+
+class Arm:
+    """An arm whose model is exact, and that may carry a load; its efforts are pinocchio's."""
+
+    def __init__(self) -> None:
+        session = robot_to_move(RobotOptions(urdf=URDF.read_text()), None, force=False)
+        self.joints = session.robot.joint_names
+        self.body = session.robot.body_names[-1]
+        self.efforts = MotorEfforts(session.model, identified(session), session.effort_gains, self.joints, "a motion")
+        self._models = [pin.buildModelFromUrdf(str(URDF)) for _ in range(2)]
+        loaded = self._models[1]
+        frame = loaded.frames[loaded.getFrameId(self.body)]
+        loaded.appendBodyToJoint(frame.parentJoint, LOAD, frame.placement)
+        self._places = [loaded.joints[loaded.getJointId(joint)].idx_v for joint in self.joints]
+        self.motion = lively(self.joints, 20.0, 0.6)
+
+    def correction(self, body: str = "") -> Correction:
+        return Correction(self.efforts, self.joints, body or self.body, HEAVIEST)
+
+    def commanded(self, time: float) -> FloatArray:
+        return np.array([self.motion.rows(np.array([time]), order)[0] for order in range(3)])
+
+    def reading(self, time: float, loaded: bool, wrench: FloatArray | None = None) -> Reading:
+        """What is measured; under a ``wrench (6,)`` of the last link's frame on its surroundings."""
+        model = self._models[loaded]
+        data, q, v, a = model.createData(), *np.zeros((3, model.nv))
+        q[self._places], v[self._places], a[self._places] = self.commanded(time)
+        efforts = np.array(pin.rnea(model, data, q, v, a))
+        if wrench is not None:
+            frame = model.getFrameId(self.body)
+            efforts += pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED).T @ wrench
+        return Reading(time, q[self._places], v[self._places], efforts[self._places])
+
+    def learn(self, correction: Correction, begin: float, end: float, change: Change = lambda reading: reading) -> None:
+        """Read and correct; ``change`` what is read."""
+        for time in np.arange(begin, end, PERIOD):
+            correction.learn(time + DELAY, change(self.reading(time, loaded=True)), self.commanded(time))
+            correction(time + DELAY, self.commanded(time + DELAY))
+
+
+@pytest.fixture(scope="module")
+def arm() -> Arm:
+    return Arm()
+
+
+def test_a_planted_payload_is_found_and_its_efforts_are_added(arm: Arm) -> None:
+    correction = arm.correction()
+    arm.learn(correction, 0.0, 8.0)
+    assert correction.latch.reason == ""
+    missing = []
+    for time in np.arange(8.0, 12.0, PERIOD):
+        loads = arm.reading(time, loaded=True).effort - arm.reading(time, loaded=False).effort
+        missing.append([loads, loads - correction(time, arm.commanded(time))])
+        correction.learn(time, arm.reading(time, loaded=True), arm.commanded(time))
+    carried, left = np.sqrt(np.mean(np.square(missing[20:]), axis=0))
+    assert np.max(carried) > 3.0
+    assert np.all(left < 0.02 * np.max(carried))
+    np.testing.assert_allclose(correction.adaptation.change[0], LOAD.mass, atol=0.1)
+
+
+def test_corrections_are_small_and_slow(arm: Arm) -> None:
+    """However much is missing."""
+    correction = arm.correction()
+    arm.learn(correction, 0.0, 2.0)
+    correction.adaptation.point = BODY.point(1e3 * correction.adaptation.point.parameters)
+    times = np.arange(2.0, 4.0, PERIOD)
+    sent = np.array([correction(time, arm.commanded(time)) for time in times[times < 2.0 + LASTING]])
+    limits = arm.efforts.limits
+    assert np.max(np.abs(sent) / limits) == pytest.approx(LARGEST_SHARE)
+    assert np.max(np.abs(np.diff(sent, axis=0)) / limits) <= FASTEST * PERIOD * (1.0 + 1e-9)
+
+
+def frozen_at(begin: float) -> Change:
+    kept: list[Reading] = []
+
+    def change(reading: Reading) -> Reading:
+        kept.append(reading)
+        return reading if reading.time < begin else replace(kept[0], time=reading.time)
+
+    return change
+
+
+BEGIN = 4.0
+FAULTS: dict[str, tuple[Change, str]] = {
+    "frozen": (frozen_at(BEGIN), "joint states repeat while the robot is to move"),
+    "late": (lambda reading: replace(reading, time=reading.time - 0.09 * (reading.time >= BEGIN)), "ms"),
+    "silent": (lambda reading: replace(reading, time=min(reading.time, BEGIN)), "no joint states for 1.0 ms"),
+    "nothing measured": (
+        lambda reading: replace(reading, effort=reading.effort * (np.nan if reading.time >= BEGIN else 1.0)),
+        "no joint states for 1.0 ms",
+    ),
+    "saturated": (
+        lambda reading: replace(reading, effort=reading.effort * (1e3 if reading.time >= BEGIN else 1.0)),
+        r"the effort of joint '\w+' saturates",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", FAULTS)
+def test_what_goes_wrong_switches_it_off(case: str, arm: Arm) -> None:
+    """Nothing is learned from it, and the correction ends soon and gradually."""
+    change, said = FAULTS[case]
+    correction = arm.correction()
+    arm.learn(correction, 0.0, BEGIN, change)
+    assert correction.latch.reason == ""
+    before = correction.adaptation.point
+    arm.learn(correction, BEGIN, BEGIN + 0.2, change)
+    assert re.search(said, correction.latch.reason)
+    assert divergence(correction.adaptation.point, before) < 1e-2
+    arm.learn(correction, BEGIN + 0.2, BEGIN + 0.2 + LARGEST_SHARE / FASTEST, change)
+    np.testing.assert_array_equal(correction(BEGIN + 0.3, arm.commanded(BEGIN)), 0.0)
+
+
+def test_a_fast_loop_learns_no_faster_than_one_of_ten_milliseconds() -> None:
+    """Else it follows friction that the model lacks."""
+    steps = [share_of(step, delay) for step, delay in ((0.001, 0.002), (0.001, 0.01), (0.001, 0.02))]
+    assert steps[0] == steps[1] == pytest.approx(2.0 * steps[2], rel=0.1)
+
+
+@pytest.mark.parametrize("force", [(40.0, 0.0, 0.0), (0.0, -40.0, 0.0), (0.0, 0.0, -80.0)])
+def test_a_contact_switches_it_off(force: tuple[float, float, float], arm: Arm) -> None:
+    """No body pulls sideways for long, nor upwards by more than the heaviest payload and the link weigh."""
+    correction = arm.correction()
+    arm.learn(correction, 0.0, BEGIN)
+    wrench = np.append(force, np.zeros(3))
+    arm.learn(correction, BEGIN, BEGIN + 0.2, lambda reading: arm.reading(reading.time, loaded=True, wrench=wrench))
+    assert "no payload explains the efforts" in correction.latch.reason
+
+
+def test_picking_up_and_putting_down_are_no_contacts(arm: Arm) -> None:
+    correction = arm.correction()
+    for begin in (0.0, 2.0, 4.0):
+        arm.learn(correction, begin, begin + 1.0)
+        arm.learn(correction, begin + 1.0, begin + 2.0, lambda reading: arm.reading(reading.time, loaded=False))
+        assert correction.latch.reason == ""
+        assert abs(correction.adaptation.change[0]) < 0.2
+
+
+def test_the_gain_follows_the_delay(arm: Arm) -> None:
+    """A loop that is later learns more slowly."""
+    found = []
+    for delay in (0.0, 0.03, 0.1):
+        correction = arm.correction()
+        for time in np.arange(0.0, 0.1, PERIOD):
+            correction.learn(time + delay, arm.reading(time, loaded=True), arm.commanded(time))
+        found.append(divergence(correction.adaptation.point, arm.correction().adaptation.point))
+    assert found[0] > 1.5 * found[1] > 2.0 * found[2] > 0.0
+
+
+def test_what_cannot_adapt_is_refused(arm: Arm) -> None:
+    with pytest.raises(InputError, match="unknown link 'hand'"):
+        arm.correction("hand")
+    text = re.sub(r'effort="[^"]*"', 'effort="0"', URDF.read_text(), count=1)
+    session = robot_to_move(RobotOptions(urdf=text), None, force=False)
+    efforts = MotorEfforts(session.model, identified(session), session.effort_gains, arm.joints, "a motion")
+    with pytest.raises(InputError, match="'joint1' has no effort limit"):
+        Correction(efforts, arm.joints, arm.body, HEAVIEST)
+
+
+def test_a_simulated_robot_carries_what_no_model_has(tmp_path: Path) -> None:
+    """The position controller alone, with the model's efforts, is off by ten times as much."""
+    robot = Robot("arm3", 1, tmp_path)
+    model = robot.model()(robot.commanded)
+    without = robot.run(model)
+    for link in (SLOW, LATE):
+        run = robot.run(model, robot.adapting(link))
+        assert run.adapting is not None
+        assert run.adapting.correction.latch.reason == ""
+        assert run.errors[1] < without.errors[1] / 2.0
+        assert run.errors[2] < without.errors[2] / 10.0

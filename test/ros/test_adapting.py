@@ -1,0 +1,124 @@
+"""Adaptation in the relay: joint states are answered by corrections, until something goes wrong."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from files.recordings import BAGS
+from geometry_msgs.msg import InertiaStamped
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from geomid_ros.ros.outputs import ros_time
+from geomid_ros.types import FloatArray
+
+from .processes import Process
+from .stage import Stage
+
+URDF = BAGS / "arm3.urdf"
+JOINTS = ["joint1", "joint2", "joint3"]
+POSITION = np.array([0.3, 0.5, -0.4])
+LOAD = pin.Inertia(0.8, np.array([0.0, 0.0, 0.1]), 1e-3 * np.eye(3))
+STEP = 10_000_000  # [ns]
+
+
+def efforts_at_rest(loaded: bool) -> FloatArray:
+    """Of the arm with or without the load on its last link."""
+    model = pin.buildModelFromUrdf(str(URDF))
+    if loaded:
+        model.appendBodyToJoint(model.njoints - 1, LOAD, pin.SE3.Identity())
+    places = [model.joints[model.getJointId(joint)].idx_q for joint in JOINTS]
+    q = np.zeros(model.nq)
+    q[places] = POSITION
+    return np.array(pin.computeGeneralizedGravity(model, model.createData(), q))[places]
+
+
+class Lockstep:
+    """Sends the time and joint states, each after the answer to the one before: no test depends on the machine."""
+
+    def __init__(self, stage: Stage) -> None:
+        self._observer = stage.observer
+        node = self._observer.node
+        self._clock = node.create_publisher(Clock, "/clock", 10)
+        self._states = node.create_publisher(JointState, "joint_states", 10)
+        self.corrections = self._observer.collect(JointState, "/geomid_feedforward/correction")
+        self.inertias = self._observer.collect(InertiaStamped, "/geomid_feedforward/inertia")
+        self._observer.wait_for(lambda: self._states.get_subscription_count() > 0, "the relay")
+        self._observer.wait_for(lambda: self._clock.get_subscription_count() > 0, "the relay's clock")
+        self._time = 10**9
+
+    def run(self, steps: int, loaded: bool = True) -> FloatArray:
+        """Efforts ``(joints,)`` that are added at the end."""
+        for _ in range(steps):
+            self.tick()
+            message = JointState(name=JOINTS, position=POSITION.tolist(), velocity=[0.0] * 3)
+            message.effort = efforts_at_rest(loaded).tolist()
+            message.header.stamp = ros_time(self._time)
+            count = len(self.corrections)
+            self._states.publish(message)
+            self._observer.wait_for(lambda count=count: len(self.corrections) > count, "an answer")
+        return np.array(self.corrections[-1].effort)
+
+    def tick(self) -> None:
+        """Let time go on."""
+        self._time += STEP
+        self._clock.publish(Clock(clock=ros_time(self._time)))
+
+
+@pytest.fixture
+def relay(stage: Stage) -> Process:
+    parameters = {"urdf": str(URDF), "heaviest_payload": 2.0, "use_sim_time": True}
+    return stage.node(parameters, module="geomid_ros.ros.feedforward", ready=False)
+
+
+def test_a_load_is_found_and_its_efforts_are_added(stage: Stage, relay: Process) -> None:
+    """Until no joint states come: then it says so, and adds nothing until it is reset."""
+    lockstep, expected = Lockstep(stage), efforts_at_rest(loaded=True) - efforts_at_rest(loaded=False)
+    assert np.max(np.abs(expected)) > 1.0
+    np.testing.assert_allclose(lockstep.run(5, loaded=False), 0.0, atol=1e-6)
+    np.testing.assert_allclose(lockstep.run(60), expected, atol=0.03 * np.max(np.abs(expected)))
+    assert lockstep.inertias[-1].header.frame_id == "link3"
+    assert lockstep.inertias[-1].inertia.m > lockstep.inertias[0].inertia.m + 0.2
+    statuses = stage.observer.collect(DiagnosticArray, "/diagnostics")
+
+    def is_off() -> bool:
+        lockstep.tick()
+        return not any(lockstep.corrections[-1].effort) and "no joint states for" in relay.output
+
+    stage.observer.wait_for(is_off, "the end of the correction")
+    stage.observer.wait_for(lambda: any(s.status[0].level == DiagnosticStatus.ERROR for s in statuses), "a diagnosis")
+    np.testing.assert_array_equal(lockstep.run(10), 0.0)
+    assert stage.observer.trigger("/geomid_feedforward/reset")[0]
+    np.testing.assert_allclose(lockstep.run(60), expected, atol=0.03 * np.max(np.abs(expected)))
+
+
+def test_it_ends_where_something_else_has_changed(stage: Stage, relay: Process) -> None:
+    lockstep = Lockstep(stage)
+    gaps = stage.observer.node.create_publisher(String, "/geomid/gap", 10)
+    stage.observer.wait_for(lambda: gaps.get_subscription_count() > 0, "the relay")
+    for text in ("[", "[]", json.dumps({"findings": [{"effect": "payload"}]})):
+        gaps.publish(String(data=text))
+        lockstep.run(10)
+    assert "off until" not in relay.output
+    assert relay.output.count("is left out") == 2
+    gaps.publish(String(data=json.dumps({"findings": [{"effect": "payload"}, {"effect": "viscous_friction"}]})))
+    stage.observer.wait_for(lambda: "off until ~/reset: /geomid/gap found viscous friction" in relay.output, "the end")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"heaviest_payload": -1.0}, "heaviest_payload is -1, expected a mass"),
+        ({"link": "hand"}, "unknown link 'hand'"),
+    ],
+)
+def test_what_cannot_adapt_is_said(wrong: dict[str, object], said: str, stage: Stage) -> None:
+    parameters = {"urdf": str(URDF), "heaviest_payload": 2.0} | wrong
+    relay = stage.node(parameters, module="geomid_ros.ros.feedforward", ready=False)
+    assert relay.status() == 2
+    assert said in relay.output
