@@ -92,12 +92,15 @@ class Process:
         return seconds
 
     def waits(self) -> dict[str, float]:
-        """How long [s] each thread could have run, had the machine had a processor to spare."""
-        waits = {}
-        with suppress(OSError):  # the process has just ended
-            for thread in Path(f"/proc/{self.pid}/task").iterdir():
-                with suppress(OSError):  # the thread has just ended
-                    waits[thread.name] = 1e-9 * int((thread / "schedstat").read_bytes().split()[1])
+        """How long [s] each thread could have run, had the machine had a processor to spare; also those of the
+        processes that it has started, for which it may wait."""
+        waits, pids = {}, [str(self.pid)]
+        while pids:
+            with suppress(OSError):  # the process has just ended
+                for thread in Path(f"/proc/{pids.pop()}/task").iterdir():
+                    with suppress(OSError):  # the thread has just ended
+                        waits[thread.name] = 1e-9 * int((thread / "schedstat").read_bytes().split()[1])
+                        pids += (thread / "children").read_text().split()
         return waits
 
     def end(self, number: signal.Signals = signal.SIGINT) -> int:
