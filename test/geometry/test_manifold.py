@@ -13,7 +13,7 @@ from . import bodies
 
 ROUNDING = 1e-9  # relative; links' condition numbers reach 1e5
 FINITE_DIFFERENCE = 1e-6
-SEEDS = pytest.mark.parametrize("seed", range(6))
+SEEDS = pytest.mark.parametrize("seed", range(2))
 SHAPES = pytest.mark.parametrize(
     "manifold",
     [
@@ -85,28 +85,6 @@ def test_exp_log_and_geodesics_of_a_link_are_pyriemanns(seed: int) -> None:
     for share in (0.3, 1.0):
         reached = LINK.exp(base, share * tangent).pseudo_inertias[0]
         np.testing.assert_allclose(reached, geodesic.geodesic_riemann(a, b, alpha=share), rtol=0, atol=ROUNDING * size)
-
-
-@SEEDS
-def test_gl4_carries_logarithms_to_logarithms(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    a, b, g = *bodies.spd(rng, 2), rng.normal(size=(4, 4))
-    moved = [Point((g @ matrix @ g.T)[None], np.zeros(0), np.zeros(0)) for matrix in (a, b)]
-    found = spd.congruence(moved[0].root[0], symmetric.to_matrix(LINK.log(*moved)))
-    expected = g @ bodies.logarithm(a[None], b[None])[0] @ g.T
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7 * np.max(np.abs(expected)))
-
-
-@SEEDS
-def test_squared_distance_is_the_sum_over_the_blocks(seed: int) -> None:
-    """Appendix A; a positive's part is the logarithm of the ratio, a real's the difference over its scale."""
-    rng = np.random.default_rng(seed)
-    a, b = bodies.point(rng, ALL), bodies.point(rng, ALL)
-    links = spd.distance(a.pseudo_inertias, b.pseudo_inertias)
-    positives, reals = np.log(b.positives / a.positives), (b.reals - a.reals) / ALL.scales
-    expected = np.sqrt(np.sum(links**2) + np.sum(positives**2) + np.sum(reals**2))
-    assert ALL.distance(a, b) == pytest.approx(expected, rel=ROUNDING)
-    assert ALL.distance(a, b) == pytest.approx(ALL.distance(b, a), rel=ROUNDING)
 
 
 @SHAPES

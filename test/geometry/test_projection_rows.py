@@ -29,20 +29,6 @@ ROUNDING = 1e-9
 
 
 @SEEDS
-def test_a_row_leaves_the_blocks_it_does_not_touch(seed: int) -> None:
-    point, rows, _ = problem(seed, ALL, 20, 0.0)
-    rng, untouched = np.random.default_rng(seed), ALL.link(seed % 3)
-    rows[:, untouched] = 0.0
-    rows[:, ALL.positive.start] = 0.0
-    targets = rows @ point.parameters + 0.5 * rng.uniform(-1, 1, size=20) * norms(ALL, point, rows)
-    found = project(ALL, point, rows, targets)
-    for part in (untouched, ALL.positive.start):
-        assert not np.any(found.tangent[:, part])
-        assert not np.any(found.direction[:, part])
-        assert not np.any(found.curvature[part])
-
-
-@SEEDS
 def test_a_sparse_row_projects_as_on_the_manifold_of_its_blocks(seed: int) -> None:
     """The second of three links, the first positive, no real: as if nothing else existed."""
     point, rows, targets = problem(seed, ALL, 20, 0.0)
@@ -111,13 +97,6 @@ def test_measuring_gives_the_values_of_projecting(manifold: ParameterManifold, s
     half, status = projection.measure(manifold, point, normals, targets)
     np.testing.assert_array_equal(status, found.status)
     np.testing.assert_allclose(half, found.half_squared, rtol=ROUNDING, atol=0)
-
-
-def test_no_rows_is_a_projection_too() -> None:
-    point = bodies.point(np.random.default_rng(0), ALL)
-    found = project(ALL, point, np.zeros((0, ALL.dimension)), np.zeros(0))
-    assert found.tangent.shape == (0, ALL.dimension)
-    assert not np.any(found.curvature)
 
 
 @SEEDS
