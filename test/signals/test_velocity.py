@@ -45,12 +45,6 @@ def marked() -> FloatArray:
     return true_velocity() + 0.01 * np.sin(2.0 * np.pi * 0.37 * seconds(STAMPS))[:, None]
 
 
-def test_without_velocities_the_position_is_differentiated() -> None:
-    samples, motion = derivatives(), Motion()
-    np.testing.assert_allclose(samples.velocity, motion.derivative(samples.stamps, 1), rtol=0, atol=5e-3)
-    np.testing.assert_allclose(samples.acceleration, motion.derivative(samples.stamps, 2), rtol=0, atol=3e-2)
-
-
 WRONG = {
     "NaN": lambda v: np.full_like(v, np.nan),
     "twice": lambda v: 2.0 * v,
