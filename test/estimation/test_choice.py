@@ -189,17 +189,6 @@ def test_the_choice_is_determined_by_the_rows_and_kept_by_a_warm_start() -> None
     assert [effect.name for effect in warm.effects] == [effect.name for effect in one.effects]
 
 
-def test_a_warm_start_keeps_what_is_not_optional_though_it_is_zero() -> None:
-    """A link whose centre of mass is at its origin has parameters that are zero, and so may an offset be."""
-    case = planted("arm3", 1, "")
-    cold = identifier(case).solve()
-    parameters = cold.parameters.copy()
-    parameters[[1, 5, 7]] = 0.0
-    parameters[[k for k, c in enumerate(case.model.coefficients, 30) if c.effect.name == "effort_offset"]] = 0.0
-    warm = identifier(case).solve(WarmStart(parameters))
-    np.testing.assert_allclose(warm.parameters, cold.parameters, rtol=1e-5, atol=1e-6)
-
-
 def beside(case: Case, parameters: FloatArray) -> Estimate:
     """What is chosen where these effects were chosen before."""
     return identifier(case).solve(WarmStart(parameters, effects_alone=True))

@@ -22,7 +22,7 @@ from geomid_ros.types import FloatArray
 from .arms import Case, Truth, arm, efforts
 
 NOISE = 0.05
-SEEDS = pytest.mark.parametrize("seed", range(3))
+SEEDS = pytest.mark.parametrize("seed", range(2))
 
 
 def problem(case: Case, gamma: float | None = None) -> Problem:

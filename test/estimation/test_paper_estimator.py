@@ -10,13 +10,13 @@ from geometry import bodies
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation import paper_estimator
-from geomid_ros.estimation.paper_estimator import PAPER, solve_rows
+from geomid_ros.estimation.paper_estimator import solve_rows
 from geomid_ros.geometry import projection, pseudo_inertia, spd
 from geomid_ros.types import FloatArray
 
 from .problems import LINKS, Problem, human_like, problem
 
-SEEDS = pytest.mark.parametrize("seed", range(4))
+SEEDS = pytest.mark.parametrize("seed", range(2))
 NEAR = 1e-8  # the tolerance of solve_rows: geodesic distance of a result from the minimum
 SAME = 2.0 * NEAR  # of two results from each other
 EXACT = pytest.mark.parametrize("exact", [True, False], ids=["exact", "principal"])
@@ -131,28 +131,6 @@ def test_principal_rows_have_the_content_of_all(seed: int) -> None:
     assert np.sum(weights) == pytest.approx(np.sum(case.manifold.whiten(case.prior, augmented[:, :-1]) ** 2))
 
 
-@SEEDS
-def test_principal_rows_are_nearly_as_good(seed: int) -> None:
-    """Both are alike to first order: the nearer the hyperplanes are to the prior, the nearer the solutions."""
-    case = human_like(seed, noise=0.03, model_error=0.03)
-    all_rows = solution(case, 1e-2)
-    off = distance(case, all_rows, solution(case, 1e-2, exact=False))
-    assert 0.0 < off < 0.3 * distance(case, all_rows, case.prior.parameters)
-
-
-def test_no_more_rows_than_parameters_are_taken_as_they_are() -> None:
-    case = problem(1, LINKS, count=LINKS.dimension)
-    np.testing.assert_array_equal(solution(case, 1e-2), solution(case, 1e-2, exact=False))
-
-
-@SEEDS
-def test_all_standard_deviations_may_be_in_other_units(seed: int) -> None:
-    """Gamma is a share: what all rows have in common cancels."""
-    case = problem(seed, LINKS)
-    other = Problem(LINKS, case.prior, case.truth, case.rows, case.targets, 1e3 * case.sigmas)
-    assert distance(case, solution(case, 1e-2), solution(other, 1e-2)) < SAME
-
-
 def test_rows_without_a_projection_are_set_aside_and_counted() -> None:
     case = problem(1, LINKS, count=20)
     rows = np.concatenate([np.eye(1, 20), case.rows, np.zeros((1, 20))])
@@ -176,11 +154,6 @@ def test_one_sigma_serves_all_and_results_are_read_only() -> None:
     all_alike = solve_rows(case.rows, case.targets, np.full(len(case.rows), 0.3), case.prior_table)
     np.testing.assert_array_equal(one.parameters, all_alike.parameters)
     assert not one.parameters.flags.writeable
-
-
-def test_runs_are_repeatable() -> None:
-    case = human_like(2)
-    np.testing.assert_array_equal(solution(case, 1e-3), solution(case, 1e-3))
 
 
 @pytest.mark.parametrize(
@@ -212,7 +185,7 @@ def test_bad_input_is_refused_by_name(change: dict[str, object], named: str) -> 
 
 
 @pytest.mark.parametrize("objective", ["geodesic", "residual"])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_weight_that_is_chosen_predicts_fresh_rows_nearly_as_well_as_the_best(seed: int, objective: str) -> None:
     case = human_like(seed)
     fitted = slice(0, 2 * len(case.rows) // 3)
@@ -252,11 +225,6 @@ def test_the_best_weight_is_the_minimum_of_a_parabola_through_the_logarithms() -
         assert np.log10(paper_estimator.best_weight(list(losses))) == pytest.approx(-minimum)
         assert paper_estimator.best_weight(list(losses[:5])) == pytest.approx(paper_estimator.best_weight(list(losses)))
     assert paper_estimator.best_weight([1.0, 1.1]) == 0.1
-
-
-def test_few_rows_leave_the_weight_to_the_paper() -> None:
-    case = problem(1, LINKS, count=15)
-    assert solve_rows(case.rows, case.targets, case.sigmas, case.prior_table).gamma == PAPER
 
 
 def test_remark_3_has_no_rows_to_set_aside_and_minimises_residuals() -> None:

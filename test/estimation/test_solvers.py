@@ -16,7 +16,7 @@ from geomid_ros.types import FloatArray
 
 from .problems import ALL, LINKS, Problem, human_like, problem
 
-SEEDS = pytest.mark.parametrize("seed", range(4))
+SEEDS = pytest.mark.parametrize("seed", range(2))
 BOTH = pytest.mark.parametrize("kind", ["geodesic", "residual"])
 GAMMA = 1e-2
 SAME_POINT = 1e-6  # geodesic distance
@@ -83,17 +83,6 @@ def test_the_same_minimum_from_other_starting_points(kind: str, seed: int) -> No
             assert case.manifold.distance(solution.point, again.point) < SAME_POINT
 
 
-@pytest.mark.parametrize("gamma", [1e-1, 1e-2])
-@SEEDS
-def test_trust_region_ends_at_or_below_the_papers_alternation(seed: int, gamma: float) -> None:
-    case = human_like(seed, links=3, instants=20)
-    objective, fast = solved(case, "geodesic", gamma)
-    slow = cyclic(objective, case.prior, tolerance=1e-9, max_steps=1000)
-    assert fast.evaluation.value <= slow.evaluation.value * (1.0 + 1e-12)
-    if slow.converged:
-        assert case.manifold.distance(fast.point, slow.point) < 1e-5
-
-
 @SEEDS
 def test_the_minimum_of_19_is_a_fixed_point_of_projection_and_karcher_mean(seed: int) -> None:
     """The alternation of the paper as printed: slack variables by (21), (22), then the mean (23).
@@ -129,25 +118,6 @@ def test_running_out_of_steps_is_not_called_convergence(solver: str, kind: str) 
     assert not solution.converged
     assert solution.steps == 2
     assert "2" in solution.reason
-
-
-@BOTH
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_a_start_at_the_minimum_stays_there(solver: str, kind: str) -> None:
-    case = problem(0, ALL, noise=0.0, distance=0.0)
-    solution = SOLVERS[solver](getattr(case, kind)(GAMMA), case.prior)
-    assert solution.converged
-    assert solution.steps == 0
-
-
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_without_rows_the_prior_is_the_answer(solver: str) -> None:
-    some = problem(0, ALL)
-    none = Problem(ALL, some.prior, some.truth, some.rows[:0], some.targets[:0], some.sigmas[:0])
-    for kind in ("geodesic", "residual"):
-        solution = SOLVERS[solver](getattr(none, kind)(GAMMA), some.prior)
-        assert solution.converged
-        assert solution.point is some.prior
 
 
 @SEEDS
@@ -234,7 +204,7 @@ def in_the_ball(hessian: FloatArray, gradient: FloatArray, radius: float) -> flo
     return float(gradient @ best + 0.5 * best @ hessian @ best)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("radius", [1e-3, 1.0, 1e3])
 @pytest.mark.parametrize("least", [1.0, 1e-6, 0.0, -1.0, -1e4])
 def test_a_step_is_nearly_the_best_in_its_ball(seed: int, radius: float, least: float) -> None:

@@ -25,7 +25,7 @@ from geomid_ros.types import BoolArray, FloatArray
 
 from .arms import Case, arm
 
-SEEDS = pytest.mark.parametrize("seed", range(3))
+SEEDS = pytest.mark.parametrize("seed", range(2))
 # The start is damped as if by a motion of 0.01 rad/s, which shifts well-excited coefficients by little.
 DAMPING = 1e-2
 
@@ -83,14 +83,6 @@ def test_positive_effects_never_start_at_zero(seed: int) -> None:
     sizes = np.sqrt(np.mean(case.samples.effort**2, axis=0))
     for value, coefficient in zip(found[positive], case.model.coefficients, strict=False):
         assert 0.0 < value <= 0.1 * sizes[joint_of(coefficient.place)] + 1.5
-
-
-def test_a_channel_without_rows_gets_ones_and_zeros() -> None:
-    case = arm("arm3", 0, seconds=2)
-    silent = case.samples.effort.copy()
-    silent[:, 1] = np.nan
-    found = started(case.with_efforts(silent))
-    np.testing.assert_array_equal(found[effects_of_joint(case, 1)], [1.0, 1.0, 1.0, 0.0])
 
 
 @pytest.mark.parametrize("velocity_noise", [0.0, 1e-4, 1e-3])
@@ -198,7 +190,7 @@ def test_a_prior_that_cannot_be_is_refused(change: object, named: str) -> None:
         prior_parameters(case.model, summary(case), change(case.truth))
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(6))
 def test_non_negative_least_squares_are_those_of_scipy(seed: int) -> None:
     """Of columns of very different sizes, some of them nearly alike."""
     rng = np.random.default_rng(seed)

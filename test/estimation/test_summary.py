@@ -12,7 +12,7 @@ from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.model.channels import Channel
 from geomid_ros.types import FloatArray
 
-SEEDS = pytest.mark.parametrize("seed", range(4))
+SEEDS = pytest.mark.parametrize("seed", range(2))
 DIMENSION = 12
 CHANNELS = (
     Channel(name="wide", unit="N m", columns=np.arange(DIMENSION)),
@@ -93,28 +93,6 @@ def test_folds_follow_one_another_in_time(seed: int, count: int, block: int) -> 
 
 
 @SEEDS
-@pytest.mark.parametrize("forgetting_time", [np.inf, 100.0, 10.0])
-def test_looking_in_between_changes_nothing(seed: int, forgetting_time: float) -> None:
-    coefficients, targets = rows(seed, 700)
-    rng, x = np.random.default_rng(seed), np.random.default_rng(seed).normal(size=DIMENSION)
-    quiet = summary(coefficients, targets, block=50, forgetting_time=forgetting_time)
-    busy = RowSummary(CHANNELS, block=50, forgetting_time=forgetting_time)
-    for row, target in zip(coefficients, targets, strict=True):
-        busy.add(row, target, 1.0)
-        if rng.random() < 0.1:
-            busy.counts(rng.choice(4, size=2, replace=False))
-        if rng.random() < 0.1:
-            busy.rms(x)
-        if rng.random() < 0.1:
-            copy = busy.snapshot()
-            busy = copy if rng.random() < 0.5 else busy
-    np.testing.assert_allclose(content(busy, x), content(quiet, x), rtol=CONTENT)
-    assert busy.rows == quiet.rows
-    for one, other in zip(busy.parts(), quiet.parts(), strict=True):
-        np.testing.assert_allclose([p.count for p in one], [p.count for p in other], rtol=CONTENT)
-
-
-@SEEDS
 @pytest.mark.parametrize("forgetting_time", [np.inf, 100.0])
 def test_many_instants_at_once_are_as_one_by_one(seed: int, forgetting_time: float) -> None:
     """In pieces of any length; of one fold, so that many rows of one group come."""
@@ -171,16 +149,6 @@ def test_columns_that_are_left_out_count_as_parameters_that_are_zero(seed: int) 
     for folds in ([0], [1], [0, 1]):
         np.testing.assert_allclose(content(left, x[chosen], folds), content(found, x, folds), rtol=CONTENT)
     assert left.rows == found.rows
-
-
-@SEEDS
-def test_rows_may_come_in_any_order_within_a_fold(seed: int) -> None:
-    coefficients, targets = rows(seed, 300)
-    order = np.random.default_rng(seed).permutation(300)
-    x = np.random.default_rng(seed).normal(size=DIMENSION)
-    one = summary(coefficients, targets, folds=2, block=300)
-    other = summary(coefficients[order], targets[order], folds=2, block=300)
-    np.testing.assert_allclose(content(one, x), content(other, x), rtol=CONTENT)
 
 
 @SEEDS

@@ -134,20 +134,6 @@ def test_what_is_left_out_stays_so_though_nothing_is_held(hold: int) -> None:
     assert_same(identifier, add(begun(of, np.inf, 0), without(of, 100, 300).samples))
 
 
-def test_one_after_the_other() -> None:
-    """Two times, for one reason and for two, of the same channel and of others."""
-    of = case()
-    identifier = add(begun(of, np.inf, COUNT), of.samples)
-    for begin, end in ((50, 70), (90, 110)):
-        identifier.leave_out("bad", BAD, begin)
-        identifier.take_again("bad", end)
-    identifier.leave_out("worse", (0, 2), 300)
-    effort = of.samples.effort.copy()
-    effort[50:70, 1] = effort[90:110, 1] = effort[300:, [0, 2]] = np.nan
-    assert_same(identifier, add(begun(of, np.inf, 0), of.with_efforts(effort).samples))
-    assert identifier.rows_rejected["worse"] == 200
-
-
 def test_numbers_are_those_of_instants_that_move() -> None:
     of = case()
     identifier = begun(of, np.inf, COUNT)

@@ -27,7 +27,7 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.signals.kernels import derivative_kernels
 from geomid_ros.types import FloatArray
 
-from .arms import Case, arm, motion, samples, truth
+from .arms import Case, arm, truth
 from .arms import parameters as parameters_of
 from .problems import ALL, LINKS
 
@@ -51,7 +51,7 @@ def nothing(size: int) -> Fold:
     return Fold(np.zeros(size), np.zeros((size, size)))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_covariance_is_the_bayesian_posterior_where_the_weights_are_those_of_bayes(seed: int) -> None:
     """Against the conditional covariance of the joint Gaussian of parameters and measurements."""
     rng = np.random.default_rng(seed)
@@ -106,7 +106,7 @@ def recorded(rows: FloatArray, residuals: FloatArray, folds: int = 8) -> list[Fo
     return [Fold(a.T @ r, a.T @ a) for a, r in parts]
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_direction_in_no_row_is_not_from_data_and_others_become_so_with_more_of_them(seed: int) -> None:
     rng = np.random.default_rng(seed)
     shares = []
@@ -120,19 +120,6 @@ def test_a_direction_in_no_row_is_not_from_data_and_others_become_so_with_more_o
         shares.append(found.from_data(slice(0, 3)))
     assert np.all(np.diff(shares) > 0.0)
     assert shares[-1] > 0.99
-
-
-def test_no_fewer_directions_are_open_than_the_estimate_took_for_open() -> None:
-    """The known links are near their prior by chance, and tell nothing of the others."""
-    information = np.diag([1e6, 1e6, 1e6, 0.0, 0.0, 0.0])
-    folds = [Fold(np.zeros(6), information)]
-    near = estimate_uncertainty(folds, nothing(6), 1.0, np.full(6, 25.0), np.zeros(6), one_group(6))
-    assert near.covariance[5, 5] < 0.5 * 0.04
-    found = estimate_uncertainty(
-        folds, nothing(6), 1.0, np.full(6, 25.0), np.zeros(6), one_group(6), assumed_spreads=np.full(6, 0.2)
-    )
-    assert found.covariance[5, 5] == pytest.approx(0.04)
-    assert found.from_data(slice(3, 6)) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_what_belongs_to_the_prior_is_not_from_data() -> None:
@@ -223,7 +210,7 @@ def test_the_spread_is_found_of_what_the_data_show_in_part(spread: float) -> Non
 
 
 @pytest.mark.parametrize("precision", [1e2, 1e5, 1e8])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_precise_rows_leave_the_spread_of_what_they_hardly_show(precision: float, seed: int) -> None:
     """By QR of the rows themselves, which lose nothing: their products lose the half of the digits."""
     rng, size, usual = np.random.default_rng(seed), 20, 0.3
@@ -283,34 +270,6 @@ def test_a_link_that_the_motion_does_not_excite_says_so() -> None:
     assert first.mass == pytest.approx(case.model.nominal_inertias[0], rel=0.01)
     assert last.from_data > 0.3
     assert "mass" not in last.cannot_tell
-
-
-def test_a_joint_at_rest_tells_nothing_of_its_friction() -> None:
-    case = arm("arm3", 0)
-    still = {}
-    for name in ("velocity", "acceleration", "position"):
-        still[name] = getattr(case.samples, name).copy()
-        still[name][:, 2] = 0.0
-    moving = samples(type(motion(np.random.default_rng(0), 1, 1.0))(**still), case.samples.effort)
-    rows = case.model.rows(moving)
-    found = solved(case, rows.coefficients, rows.targets)
-    for effect in found.effects:
-        if effect.joint == "joint3" and effect.name in ("viscous_friction", "coulomb_friction", "rotor_inertia"):
-            assert effect.from_data < 1e-3
-            assert effect.std > 0.05 * effect.value
-
-
-def test_more_data_shrink_the_deviations_of_what_they_tell_and_more_of_it_is_theirs() -> None:
-    deviations, shares = [], []
-    for seconds in (4, 16, 64):
-        case = arm("arm3", 1, seconds=seconds)
-        rows = case.model.rows(case.samples)
-        found = solved(case, rows.coefficients, rows.targets)
-        deviations.append([effect.std for effect in found.effects if effect.name == "coulomb_friction"])
-        shares.append([found.links[-1].from_data, min(effect.from_data for effect in found.effects)])
-    assert np.all(np.diff(deviations, axis=0) < 0.0)
-    assert np.all(np.diff(shares, axis=0) > 0.0)
-    assert shares[-1][1] > 0.9
 
 
 # --- how often it is right ------------------------------------------------------------------------------------------
