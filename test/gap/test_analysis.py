@@ -57,13 +57,6 @@ def test_the_same_was_found_within_half_a_standard_deviation(change: float, expe
     assert analysis._same(before, beside) == expected  # type: ignore[arg-type]
 
 
-def test_other_names_are_not_the_same() -> None:
-    before = Found({TERM: 1.0})
-    assert not analysis._same(None, before)  # type: ignore[arg-type]
-    assert not analysis._same(before, Found({TERM: 1.0}, chosen=(VISCOUS, OFFSET)))  # type: ignore[arg-type]
-    assert not analysis._same(before, Found({TERM: 1.0}, chosen=()))  # type: ignore[arg-type]
-
-
 def total(tilt: tuple[float, float] | None = None, friction: float = 0.0) -> TotalModel:
     effects: list[Any] = [(ViscousFriction(), AtJoint(0), np.array([friction]))]
     if tilt is not None:
@@ -97,12 +90,6 @@ def test_the_size_of_a_remainder_is_that_of_what_is_used() -> None:
     wild = np.where(valid, residual, 1e6)
     for size in (analysis._typical_size(wild, valid), analysis._root_mean_square(wild, valid)):
         np.testing.assert_allclose(size, [0.3, 1.0, np.nan], rtol=0.02)
-
-
-def test_the_typical_size_is_that_of_most() -> None:
-    residual = np.random.default_rng(3).standard_normal((10_000, 1))
-    residual[::10] *= 100.0
-    assert analysis._typical_size(residual, np.ones((10_000, 1), dtype=bool))[0] == pytest.approx(1.0, abs=0.2)
 
 
 class TestFirstNoise:

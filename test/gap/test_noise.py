@@ -91,14 +91,3 @@ def test_whitening_leaves_white_rows_alone_and_those_outside_of_runs_out() -> No
     expected = np.delete(rows, [0, 1, *range(5, 9)], axis=0)
     np.testing.assert_array_equal(white.whiten(rows, [slice(2, 5), slice(9, 20)]), expected)
     assert white.whiten(rows, []).shape == (0, 3)
-
-
-def test_whitening_takes_off_what_the_rows_before_predict() -> None:
-    """Of a process with one coefficient; the first row of a run has none before it."""
-    process = Autoregression((np.zeros(0), np.array([0.6])), np.array([1.0, 0.64]))
-    rows = np.random.default_rng(2).normal(size=(7, 2))
-    expected = rows.copy()
-    expected[1:] -= 0.6 * rows[:-1]
-    expected[0] *= 0.8
-    np.testing.assert_allclose(process.whiten(rows, [slice(0, 7)]), expected)
-    np.testing.assert_allclose(process.whiten(rows, [slice(3, 4)]), 0.8 * rows[3:4])

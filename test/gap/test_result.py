@@ -98,14 +98,6 @@ def test_a_model_with_effects_beside_its_coefficients_is_judged_as_the_search_be
     np.testing.assert_allclose(without[:2], left[:2], rtol=1e-9)
 
 
-def test_channels_have_names_and_units(result: GapResult) -> None:
-    assert result.channels == tuple(JOINTS)
-    assert result.units == ("N m",) * 3
-    assert result.bodies == BARE.body_names
-    np.testing.assert_allclose(result.floor, planted.NOISE, rtol=0.2)
-    assert result.seconds > 0.0
-
-
 def test_the_inertias_are_as_good_as_the_true_ones(result: GapResult) -> None:
     _, q, v, a = planted.motion(SEED + 1000, 15.0)
     off = planted.rigid(result.inertias)(q, v, a) - RIGID(q, v, a)
@@ -175,16 +167,6 @@ def test_the_ranking_begins_with_the_name(result: GapResult) -> None:
     assert (best.effect, best.joint, best.chosen) == ("viscous_friction", JOINTS[1], True)
     assert best.gain == pytest.approx(result.findings[0].loss)
     assert not any(other.chosen for other in others)
-
-
-def test_progress_goes_from_nothing_to_all(result: GapResult) -> None:
-    assert result.verdict
-    assert PROGRESS[0] == ("searching", 0.0)
-    assert PROGRESS[-1] == ("judging", 1.0)
-    for what in ("searching", "judging"):
-        shares = [share for name, share in PROGRESS if name == what]
-        assert shares == sorted(shares)
-        assert (shares[0], shares[-1]) == (0.0, 1.0)
 
 
 class TestPrior:

@@ -1,6 +1,5 @@
 """The whole workflow on planted robots, and what it refuses."""
 
-import weakref
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -275,17 +274,6 @@ def test_a_link_is_heavier_by_a_payload_that_the_simulator_lacks_and_its_frictio
     assert "more than" in change.sentence
 
 
-def test_links_that_have_not_changed_are_not_told_however_small_a_change_would_count(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """They differ by what noise makes of them, and nothing speaks for that."""
-    monkeypatch.setattr(changed_links, "_LEAST", 0.0)
-    inertias = planted.true_inertias(75, 0.2)
-    robot = planted.rigid(inertias)
-    recordings = [planted.recording(robot, 75)], [planted.recording(robot, 1075, 15.0)]
-    assert find_gap(planted.model(), *recordings, nominal=inertias.ravel()).links == ()
-
-
 @pytest.mark.parametrize("identified", [False, True])
 @pytest.mark.parametrize("still", [[0], [1], [1, 2]])
 def test_of_joints_that_stand_exactly_still_nothing_is_said_and_of_the_others_what_is_true(
@@ -408,21 +396,6 @@ def test_a_long_delay_is_found_beside_what_has_no_name(seed: int) -> None:
     assert found.parameters["delay"].value == pytest.approx(delay, abs=2e-3)
 
 
-def test_a_search_that_does_not_settle_ends_along_what_it_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One round finds a delay to first order only."""
-    monkeypatch.setattr(analysis, "_ROUNDS", 1)
-    robot = planted.rigid(planted.true_inertias(82, 0.05))
-
-    def efforts(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        times = np.arange(len(q)) / planted.RATE
-        return np.asarray(CubicSpline(times, robot(q, v, a))(times - 0.03))
-
-    result = find_gap(planted.model(), [planted.recording(efforts, 82)], [planted.recording(efforts, 1082, 15.0)])
-    (finding,) = result.findings
-    assert finding.parameters["delay"].value == pytest.approx(0.03, rel=0.01)
-    assert np.max(result.gap.after) < 1.2
-
-
 @pytest.mark.parametrize("seed", [21, 22])
 def test_three_seconds_are_enough_for_what_is_plain(seed: int) -> None:
     """And what so short a recording cannot tell is not claimed."""
@@ -432,21 +405,3 @@ def test_three_seconds_are_enough_for_what_is_plain(seed: int) -> None:
         found = find_gap(planted.model(), recordings[:1], recordings[1:])
         assert [(finding.effect, finding.joint) for finding in found.findings] == expected
         assert np.all(np.isfinite(found.floor))
-
-
-def test_a_round_has_gone_before_the_next_one_comes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its columns and their products are what takes the memory."""
-    done: list[weakref.ref[object]] = []
-    alive = []
-    make = analysis._round
-
-    def watched(*given: Any, **more: Any) -> Any:
-        alive.append([one() for one in done if one() is not None])
-        found = make(*given, **more)
-        done.extend([weakref.ref(found), weakref.ref(found.search), weakref.ref(found.search.design)])
-        return found
-
-    monkeypatch.setattr(analysis, "_round", watched)
-    run(beside(13, lambda _q, v, _a: 3.0 * v, 1), 13)
-    assert alive[1:], "there was one round only"
-    assert not any(alive)

@@ -118,53 +118,6 @@ def test_a_gap_is_about_twice_the_floor(times: float, opens: bool) -> None:
         assert opened == opens
 
 
-def test_what_a_block_of_another_motion_leaves_is_not_usual() -> None:
-    """What the model lacks shows there; a change that comes afterwards is seen all the same."""
-    own, source = cusum(), Source()
-    for _ in range(40):
-        source.block(own)
-    source.block(own, 10.0, pace=3.0)
-    for _ in range(3):
-        source.block(own)
-    assert own._normal.level == pytest.approx(1.0, rel=0.2)
-    for _ in range(4):
-        source.block(own, 3.0)
-    assert own.gap.since is not None
-
-
-@pytest.mark.parametrize(("before", "remembered"), [(LEARNT + 62, 1), (LEARNT + 57, 0)])
-def test_a_stretch_that_another_motion_cuts_short_is_not_remembered(before: int, remembered: int) -> None:
-    """Few energies say little, and a rough beginning of the other motion would count for long."""
-    own, source = cusum(), Source()
-    for _ in range(before):
-        source.block(own)
-    for count in range(12):
-        source.block(own, 5.0, pace=3.0 ** (count + 1))
-    assert len(own._energies) < NORMAL + 2, "they were forgotten"
-    assert len(own._earlier) == remembered
-    assert all(each.level == pytest.approx(1.0, rel=0.2) for each in own._earlier)
-
-
-def test_what_was_normal_is_that_of_the_stretch_that_left_most() -> None:
-    """And how much its blocks differed: the quiet ones after it say nothing of that."""
-    own, source = cusum(), Source()
-    for count in range(LEARNT + 60):
-        source.block(own, 1.0 + 2.0 * (count % 2))
-    rough = own._recent
-    for _ in range(60):
-        source.block(own, 0.5)
-    assert own._recent.level < 0.2 * rough.level
-    assert own._normal == own._earlier[0] == pytest.approx(rough, rel=0.1)
-
-
-def test_who_forgets_forgets_earlier_stretches_too() -> None:
-    own, source = cusum(20.0), Source()
-    for size, blocks in ((3.0, LEARNT + 60), (0.5, 150)):  # of 0.8 s
-        for _ in range(blocks):
-            source.block(own, size)
-    assert own._normal.level == pytest.approx(0.25, rel=0.2)
-
-
 @pytest.mark.parametrize(("measured", "judged"), [(BLOCK // 2 - 1, False), (BLOCK // 2, True)])
 def test_a_block_of_which_less_than_half_is_measured_says_nothing(measured: int, judged: bool) -> None:
     own, source = cusum(), Source(5)
@@ -187,11 +140,6 @@ def test_the_shape_is_that_of_the_energies_and_rather_too_small(shape: float) ->
     caution = 1.0 + 4.0 / np.sqrt(60)
     assert np.median(found) == pytest.approx(shape / caution, rel=0.25)
     assert np.mean(np.array(found) > shape) < 0.1
-
-
-def test_no_block_tells_more_than_independent_rows_would() -> None:
-    for energies in (np.full(60, 2.0), 2.0 + 1e-6 * np.random.default_rng(3).standard_normal(60)):
-        assert with_energies(energies)._shape(2.0) == 0.5 * BLOCK
 
 
 @pytest.mark.parametrize(("forgetting", "step", "elapsed"), [(100.0, 20_000_000, 0.8), (50.0, 5 * SECOND, 40.0)])
