@@ -63,11 +63,6 @@ def test_it_explains_itself(tmp_path: Path) -> None:
     assert (entry["urdf"], entry["mjcf"]) == (["level"], ["level"])
 
 
-def test_no_effects(tmp_path: Path) -> None:
-    write_sidecar(tmp_path / "effects.yaml", "arm", [])
-    assert read_sidecar(tmp_path / "effects.yaml").effects == ()
-
-
 def edited(*path: str | int, value: Any = None) -> Callable[[dict[str, Any]], None]:
     def edit(content: Any) -> None:
         for key in path[:-1]:
@@ -132,11 +127,6 @@ def test_what_is_no_sidecar_is_refused(text: str, tmp_path: Path) -> None:
     path.write_text(text)
     with pytest.raises(InputError, match=r"effects.yaml: "):
         read_sidecar(path)
-
-
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"nowhere.yaml: .*cannot be read"):
-        read_sidecar(tmp_path / "nowhere.yaml")
 
 
 def test_effects_at_one_place_are_combined() -> None:
