@@ -21,12 +21,6 @@ def motion(options: SimulationOptions = OPTIONS) -> SetPoints:
     return exciting_motion(TIMES, JOINTS, options, np.random.default_rng(1))
 
 
-def test_starts_at_rest_in_the_middle_of_the_range() -> None:
-    np.testing.assert_allclose(motion().position[0], [joint.centre for joint in JOINTS], atol=1e-12)
-    np.testing.assert_allclose(motion().velocity[0], 0.0, atol=1e-12)
-    np.testing.assert_allclose(motion().acceleration[0], 0.0, atol=1e-12)
-
-
 @pytest.mark.parametrize("kind", MOTIONS)
 def test_derivatives(kind: str) -> None:
     """Between the corners that trapezoids of speed have."""
@@ -37,26 +31,6 @@ def test_derivatives(kind: str) -> None:
     np.testing.assert_allclose(slope, whole.velocity[1:-1], atol=1e-2)
     off = np.abs(bend[inside] - whole.acceleration[1:-1][inside]) > 1e-2
     assert off.mean() < (0.01 if kind == "points" else 1e-9)
-
-
-def test_points_are_rested_at() -> None:
-    still = motion(replace(OPTIONS, motion="points")).velocity == 0.0
-    np.testing.assert_allclose(still.mean(0), 0.1, atol=0.05)
-
-
-def test_chirps_get_faster() -> None:
-    """Each joint turns round ever more often."""
-    velocity = motion(replace(OPTIONS, motion="chirp", motion_period=6.0)).velocity
-    for column in velocity.T:
-        turns = np.flatnonzero(np.diff(np.sign(column[2000:])))
-        assert np.all(np.diff(turns, n=2) < 0)
-        assert len(turns) > 4
-
-
-def test_aperiodic_motions_do_not_repeat() -> None:
-    position = motion(replace(OPTIONS, motion="aperiodic")).position
-    faded, later = np.searchsorted(TIMES, (FADE_IN, FADE_IN + OPTIONS.motion_period))
-    assert np.abs(position[later:] - position[faded : faded + len(position) - later]).max() > 0.1
 
 
 @pytest.mark.parametrize("kind", MOTIONS)

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geomid_ros.simulation.effects.measurement import sensed
 from geomid_ros.simulation.motion import FADE_IN, RunTrace
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.plant import Plant
@@ -28,10 +27,6 @@ QUICK = SimulationOptions(robot="arm3", duration=4.0, coulomb_friction=0.0)
 def recorded(options: SimulationOptions) -> RunTrace:
     robot = build_robot(options)
     return record(robot, closed_loop(robot, options), options)
-
-
-def test_joint_order_is_pinocchios(run: Run) -> None:
-    assert run.robot.plant.joints == tuple(run.independent.model.names)[1:]
 
 
 def test_effort_is_the_inverse_dynamics_of_the_truth(run: Run) -> None:
@@ -102,15 +97,3 @@ def test_robot_follows_its_motion_inside_its_limits(run: Run) -> None:
     for joint, position, velocity in zip(run.robot.joints, run.trace.position.T, run.trace.velocity.T, strict=True):
         assert joint.lower < position.min() < position.max() < joint.upper
         assert np.abs(velocity).max() < joint.velocity
-
-
-def test_offset_shows_only_in_the_measurement(run: Run) -> None:
-    seen = sensed(run.trace, run.robot.plant.joints, run.robot.effects).effort
-    expected = np.broadcast_to(run.independent.coefficients("effort_offset"), seen.shape)
-    np.testing.assert_allclose(seen - run.trace.effort, expected, rtol=0.0, atol=EXACT)
-
-
-def test_fixed_links_keep_their_mass(run: Run) -> None:
-    carried = sum(link["mass"] for link in run.independent.truth["links"] if link["moves"])
-    assert carried == pytest.approx(sum(body.mass for body in run.robot.bodies if body.name != "base_link"))
-    assert carried == pytest.approx(sum(inertia.mass for inertia in run.independent.model.inertias[1:]))

@@ -19,7 +19,7 @@ from geomid_ros.simulation import Hidden, SimulationOptions, simulate
 from geomid_ros.simulation.realistic.joint import LuGre
 from geomid_ros.simulation.realistic.robot import LINK_MASS, RealisticRobot, build_realistic
 from geomid_ros.simulation.realistic.sensors import kept
-from geomid_ros.simulation.recording import closed_loop, record
+from geomid_ros.simulation.recording import closed_loop
 from geomid_ros.types import FloatArray
 
 from .independent import true_urdf
@@ -80,25 +80,6 @@ def test_it_never_drives() -> None:
             assert (friction.force(z, velocity, dry) * velocity - friction.stiffness * z * rate >= -1e-12).all()
 
 
-def test_a_closed_path_costs_energy_and_bends_no_bristle_too_far() -> None:
-    time = STEP * np.arange(20_000)
-    velocities = (0.3 * np.cos(9.0 * time) + 0.2 * np.sin(31.0 * time))[:, None]
-    bends, forces = slid(FRICTION, velocities, np.zeros(1))
-    stored = 0.5 * 4000.0 * bends[-1, 0] ** 2
-    assert STEP * float((forces * velocities).sum()) > stored + 0.5
-    assert np.abs(bends).max() <= 3.0 / 4000.0
-
-
-def test_bristles_follow_their_equation_exactly_at_constant_speed() -> None:
-    velocity, start = np.array([0.02]), np.array([-3e-4])
-    dry = FRICTION.sliding(velocity)
-    twice = FRICTION.bent(FRICTION.bent(start, velocity, dry, 0.004), velocity, dry, 0.006)
-    np.testing.assert_allclose(twice, FRICTION.bent(start, velocity, dry, 0.01), rtol=1e-12)
-    h = 1e-7
-    slope = (FRICTION.bent(start, velocity, dry, h) - start) / h
-    np.testing.assert_allclose(slope, velocity - np.abs(velocity) * 4000.0 * start / dry, rtol=1e-4)
-
-
 def test_the_equation_of_motion_is_pinocchios(tmp_path: Path) -> None:
     """Inverse dynamics of the true bodies, and the rotors, take what the motors give less what the friction eats."""
     options = replace(OPTIONS, hide=(Hidden("coulomb_friction", "joint2", 1.0), Hidden("spring", "joint3", 4.0)))
@@ -136,13 +117,6 @@ def unseen(truth: dict[str, Any], effort: FloatArray, position: FloatArray) -> F
         + waves[1]
         + motors["ripple"] * effort * np.sin(2.0 * (motors["cycles"][0] * position + motors["phase"][0]))
     )
-
-
-def test_steps_are_short_enough() -> None:
-    """Steps an eighth as long change the efforts by a hundredth of the sensors' noise; Euler's would by four."""
-    usual, short = (replace(OPTIONS, duration=1.5, longest_step=step) for step in (5e-4, 6.25e-5))
-    coarse, fine = (record(robot(), closed_loop(robot(), options), options).effort for options in (usual, short))
-    assert (np.sqrt(np.mean((fine - coarse) ** 2, axis=0)) < 0.015 * robot().sensors.effort_noise).all()
 
 
 def test_the_joints_slip_before_they_slide() -> None:
