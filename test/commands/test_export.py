@@ -21,10 +21,6 @@ from geomid_ros.simulation import Hidden, SimulationOptions, simulate
 
 from .running import WRIST, done, geomid, identify, refused, undrawn
 
-FLANGED = '<robot name="r"><link name="base"/><link name="{0}tool0">{1}</link>{2}</robot>'
-BODY = '<inertial><mass value="2"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
-JOINT = '<joint name="j" type="continuous"><parent link="base"/><child link="{0}tool0"/></joint>'
-
 
 @pytest.fixture(scope="module")
 def estimates(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
@@ -158,14 +154,6 @@ def test_what_was_picked_up_is_found_by_the_torques(tmp_path: Path, monkeypatch:
     np.testing.assert_allclose(com, [truth[f"com_{axis}"] for axis in "xyz"], atol=5e-4)
     expected = [truth[key] for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")]
     np.testing.assert_allclose(inertia, expected, atol=0.1 * expected[0])
-
-
-@pytest.mark.parametrize("prefix", ["", "left_"])
-def test_the_flange_is_found_by_its_name(prefix: str, tmp_path: Path) -> None:
-    urdf = tmp_path / "r.urdf"
-    urdf.write_text(FLANGED.format(prefix, BODY, JOINT.format(prefix)))
-    assert payload(done("export", urdf, "--for", "ur"))[0] == 2.0
-    assert "which link is the flange?" in refused("export", urdf, "--for", "franka")
 
 
 def test_what_is_asked_for_must_make_sense(tmp_path: Path) -> None:

@@ -43,11 +43,6 @@ def test_what_it_records_can_be_identified(out: Path, tmp_path: Path) -> None:
     assert found["wrist_ft"] == pytest.approx(truth["tool"], rel=0.05)
 
 
-def test_without_a_wrench(out: Path) -> None:
-    done("simulate", out, *QUICK)
-    assert {item.topic for item in recorded(out)} == {"/joint_states", "/robot_description"}
-
-
 @pytest.mark.parametrize("existing", ["bag", "bag.truth.json"])
 def test_nothing_is_overwritten(existing: str, out: Path, tmp_path: Path) -> None:
     (tmp_path / existing).write_text("of last year")
@@ -93,17 +88,6 @@ def test_a_realistic_robot_loses_messages_and_is_told_of_in_the_truth(out: Path)
 
 def test_a_realistic_robot_is_drawn_not_described(out: Path) -> None:
     assert "draws its inertia_error" in refused("simulate", out, *QUICK, "--realistic", "--inertia-error", "0.1")
-
-
-def test_it_hides_nothing(out: Path) -> None:
-    done("simulate", out, *QUICK, "--hide", "nothing")
-    assert truth_of(out) == []
-
-
-def test_it_says_what_can_be_hidden(out: Path) -> None:
-    assert "Did you mean 'spring'" in refused("simulate", out, *QUICK, "--hide", "sprung")
-    assert "where a number has to stand" in refused("simulate", out, *QUICK, "--hide", "spring=much")
-    assert not out.exists()
 
 
 def test_it_records_commands(out: Path) -> None:

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 from files.gaps import gap_result
 
-from geomid_ros.gap.result import Rival
 from geomid_ros.model.effects import Quantity
 from geomid_ros.report.gap_words import (
-    compared,
     headline,
     in_short,
     interval,
@@ -22,7 +20,6 @@ from geomid_ros.report.gap_words import (
     ratio,
     to_record,
     verdict_sentence,
-    worst,
 )
 
 JOINTS = ("hip", "knee", "ankle")
@@ -68,11 +65,6 @@ def test_of_many_findings_the_surest_are_named() -> None:
     assert verdict_sentence(many).startswith(named)
 
 
-@pytest.mark.parametrize(("value", "text"), [(1.049, "1.05"), (9.996, "10.0"), (123.4, "123"), (math.nan, "n/a")])
-def test_gaps_have_three_digits(value: float, text: str) -> None:
-    assert ratio(value) == text
-
-
 def test_names_are_those_of_the_field() -> None:
     assert [headline(name) for name in ("coulomb_friction", "stribeck_friction", "rotor_inertia")] == [
         "Coulomb friction",
@@ -98,15 +90,6 @@ def test_a_gain_of_all_joints_is_said_once(gains: tuple[float, ...], alike: bool
     said = " ".join(in_short(replace(named, findings=tuple(found))))
     assert ("Sure: efforts of all joints 1.1 to 1.12 times as large" in said) is alike
     assert ("Effort gain at hip" in said) is not alike
-
-
-@pytest.mark.parametrize(("loss", "said"), [(1.25, "worse by 1.2"), (-39.9, "better by 39.9")])
-def test_a_rival_is_worse_or_better(loss: float, said: str) -> None:
-    assert compared(Rival("spring", "hip", loss)) == f"Spring at hip ({said})"
-
-
-def test_channels_that_were_not_measured_are_not_the_worst() -> None:
-    assert worst(np.array([np.nan, 1.5, 0.9])) == 1.5
 
 
 def test_nothing_found_is_said_plainly() -> None:
