@@ -24,7 +24,6 @@ from signals.feeding import completed
 
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded
-from geomid_ros.files.checkpoints.checkpoint_folder import CheckpointFolder
 from geomid_ros.live import saving
 from geomid_ros.live.saving import Checkpoints
 from geomid_ros.live.worker import Worker
@@ -151,28 +150,6 @@ def test_told_to_end_it_keeps_everything(stage: Stage, tmp_path: Path) -> None:
     }
 
 
-def test_another_robot_s_is_refused_aloud(stage: Stage, tmp_path: Path) -> None:
-    """And kept; the robot that is there is identified, and its rows are kept, too."""
-    folder, other = tmp_path / "kept", session("arm7")
-    with closing(keeper(folder, other)) as there:
-        there.write(other.checkpoint())
-    content = (folder / "checkpoint-a.safetensors").read_bytes()
-    node = stage.node(keeping(folder))
-    told(
-        stage,
-        lambda status, _: status.level == DiagnosticStatus.ERROR and "another robot" in status.message,
-        "a refusal",
-    )
-    assert "of another robot" in node.output
-    stage.observer.publish(MESSAGES[:HALF], KINDS)
-    values = told(stage, at_peace, "peace")
-    assert "another robot" in values["beginning"]
-    assert node.end() == 0
-    assert rows(folder) > 0
-    (aside,) = folder.glob("unused-*")
-    assert aside.read_bytes() == content
-
-
 def test_without_a_place_for_checkpoints_it_estimates(stage: Stage, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     node = stage.node(keeping(tmp_path / "file"))
@@ -206,10 +183,6 @@ def test_a_disk_that_becomes_full_stops_nothing(stage: Stage, tmp_path: Path) ->
     told(stage, lambda status, values: at_peace(status, values) and int(values["rows"]) > safe, "peace")
     assert node.end() == 0
     assert rows(folder) > safe
-
-
-def keeper(folder: Path, of: Session) -> CheckpointFolder:
-    return CheckpointFolder(folder, of.meaning, of.model.channels, of.configuration.buffer.folds)
 
 
 def wait_until(look: Callable[[], object]) -> None:
@@ -289,20 +262,6 @@ def test_what_was_to_be_forgotten_is(tmp_path: Path) -> None:
         of.identifier.reset()
         wait_until(lambda: rows_safe(kept) == 0)
     assert rows(tmp_path) == 0
-
-
-def test_the_older_one_serves_with_a_warning(tmp_path: Path) -> None:
-    of = fed(session(), 0, HALF)
-    with closing(keeper(tmp_path, of)) as there:
-        for _ in range(2):
-            there.write(of.checkpoint())
-    with (tmp_path / "checkpoint-b.safetensors").open("r+b") as file:
-        file.seek(5000)
-        file.write(b"damage")
-    with closing(Checkpoints(session(), tmp_path, 3600.0)) as kept:
-        assert kept.status.error == ""
-        assert f"resumed from checkpoint 1 with {of.identifier.rows} rows" in kept.status.warning
-        assert "checkpoint-b.safetensors is not used: the checksum is wrong" in kept.status.warning
 
 
 def test_the_first_solve_begins_where_the_last_ended(tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ latched (test_description), stamps that jump (test_catalogue_streams).
 from __future__ import annotations
 
 import json
-import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,7 +21,7 @@ from geometry_msgs.msg import InertiaStamped, WrenchStamped
 from model.robots import urdf
 from nav_msgs.msg import Odometry
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import String
@@ -43,7 +42,6 @@ KINDS = {
     "nav_msgs/msg/Odometry": Odometry,
     "sensor_msgs/msg/Imu": Imu,
 }
-BEST_EFFORT = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT)
 FAR = 6.0  # standard deviations; links have ten quantities each, and friction is not the only thing that is simplified
 
 
@@ -165,20 +163,6 @@ def test_a_universal_robot(stage: Stage, tmp_path: Path) -> None:
     assert setup.friction == pytest.approx(6 * [COULOMB], rel=0.2), "in N m, with the right gains"
 
 
-def test_a_franka(stage: Stage) -> None:
-    """Best effort, on a topic of another name, with a hand whose fingers nobody mentions."""
-    text, fingers = urdf("panda.urdf"), ["panda_finger_joint1", "panda_finger_joint2"]
-    robot = InMotion(text, duration=6.0, rate=200.0, seed=1, locked=fingers, swing=0.8)
-    arguments = ("-r", "joint_states:=franka/joint_states", "-p", f"locked_joints:={json.dumps(fingers)}")
-    setup = Setup(stage, CONFIG / "franka.yaml", text, *arguments)
-    states = robot.joint_states(noisy(robot.efforts(), 0.1, seed=2), topic="/franka/joint_states")
-    setup.publish(states, qos=BEST_EFFORT)
-    setup.told(joint_states="/franka/joint_states")
-    links = setup.saved()
-    assert_masses_are_true(links, robot.truth)
-    assert "panda_leftfinger" in links["panda_link7"]["merged"]
-
-
 def with_finger(text: str) -> str:
     """The small arm with a finger that slides on its tool; what sensors are fixed to is called as in ros2_control."""
     return text.replace("wrist_ft", "ft_frame").replace(
@@ -265,40 +249,6 @@ def test_a_person_on_a_force_plate(stage: Stage) -> None:
     links = setup.saved()
     assert_masses_are_true(links, robot.truth)
     assert total(links) == pytest.approx(sum(body[0] for body in robot.truth.values()), rel=2e-3)
-
-
-def two_arms() -> str:
-    """Two small arms that look away from each other, on one body."""
-    sides = []
-    for side, yaw in (("left", 1.57), ("right", -1.57)):
-        _, _, arm = description("arm3").replace("wrist_ft", "tool0").partition('<robot name="arm3">')
-        arm = re.sub(r'(name|link)="', rf'\1="{side}_', arm.replace("</robot>", ""))
-        sides.append(
-            f'''{arm}<joint name="{side}_shoulder" type="fixed"><origin xyz="0 0 0.5" rpy="0.5 0 {yaw}"/>
-            <parent link="torso"/><child link="{side}_base_link"/></joint>'''
-        )
-    return f'<robot name="two_arms"><link name="torso"/>{"".join(sides)}</robot>'
-
-
-def test_two_arms_on_one_topic(stage: Stage) -> None:
-    """Two drivers, each with a clock phase of its own, and two wrench topics."""
-    text = two_arms()
-    cuts = ["left_tool0", "right_tool0"]
-    setup = Setup(stage, CONFIG / "dual_arm.yaml", text)
-    streams = []
-    for side, begin in (("left", 0.0), ("right", 0.003)):
-        robot = InMotion(text, duration=7.0, rate=100.0, seed=3, cuts=cuts, begin=begin)
-        joints = [joint for joint in robot.joints if joint.startswith(side)]
-        wrench = noisy(-robot.carried(f"{side}_tool0"), 0.05, seed=5)
-        topic = f"/{side}_force_torque_sensor_broadcaster/wrench"
-        states = robot.joint_states(noisy(robot.efforts(), 0.05, seed=6), joints)
-        streams.append(in_time(states, robot.wrenches(topic, f"{side}_tool0", wrench)))
-    setup.publish(*streams)
-    setup.told()
-    links = setup.saved()
-    assert_masses_are_true(links, robot.truth)
-    for tool in cuts:
-        assert links[tool]["mass"] == pytest.approx(robot.truth[tool][0], rel=0.01)
 
 
 def test_a_payload_within_two_seconds_of_motion(stage: Stage) -> None:
