@@ -9,14 +9,12 @@ from dataclasses import replace
 from importlib.metadata import files
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from files.recordings import BAGS, QUICK
 
-from geomid_ros.files.models.readers import DESCRIBED_FOR
 from geomid_ros.simulation import Hidden, SimulationOptions, simulate
 
 from .running import WRIST, done, geomid, identify, refused, undrawn
@@ -88,23 +86,6 @@ def written(estimate: Path, reader: str) -> dict[str, list[dict[str, Any]]]:
     entries = json.loads(estimate.read_text())["handover"]
     entry: dict[str, list[dict[str, Any]]] = entries[reader.replace("moveit", "urdf")]
     return entry
-
-
-def test_descriptions_show_every_link_with_how_sure_it_is(estimates: dict[str, Path]) -> None:
-    links = {link["name"]: link for link in json.loads(estimates["wrist"].read_text())["links"]}
-    for tool in DESCRIBED_FOR:
-        result = geomid("export", estimates["wrist"], "--for", tool)
-        assert result.exit_code == 0
-        root = ElementTree.fromstring(result.stdout)
-        masses = [float(mass.get("value") or mass.get("mass") or "nan") for mass in root.iter() if mass.get("mass")]
-        masses += [float(mass.get("value") or "nan") for mass in root.iter("mass")]
-        for own in written(estimates["wrist"], tool)["links"]:
-            link = links[own["name"]]
-            assert f"{own['mass']:.5g} ± {link['std']['mass']:.2g}" in result.stdout
-            assert f"{100 * link['from_data']:.0f} % from data" in result.stdout
-            assert np.min(np.abs(np.array(masses) - own["mass"])) < 1e-6
-        lacks_rotors = tool in {"urdf", "moveit", "gazebo"}
-        assert ("Note: Not representable here: rotor inertia" in result.stderr) == lacks_rotors
 
 
 def test_the_identified_urdf_has_the_friction_that_was_fitted_for_it(estimates: dict[str, Path]) -> None:

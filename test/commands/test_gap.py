@@ -70,13 +70,6 @@ def test_it_writes_what_it_says(found: tuple[Path, str]) -> None:
     assert all(str(out / name) in text for name in FILES)
 
 
-def test_a_motion_that_decides_is_proposed_where_something_is_open(found: tuple[Path, str]) -> None:
-    out, text = found
-    is_open = any(finding["rivals"] and finding["settled_by"] for finding in read(out)["findings"])
-    line = f"To discriminate between the rivals: geomid excite --urdf {URDF} --settle {out / 'gap.json'}"
-    assert (line in text.splitlines()) is is_open
-
-
 def test_what_was_hidden_is_found(found: tuple[Path, str]) -> None:
     out, _ = found
     finding = read(out)["findings"][0]

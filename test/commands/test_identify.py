@@ -151,12 +151,6 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return small(tmp_path_factory.mktemp("whole"), *NO_CHOICE, "--hold-out", "0")
 
 
-def test_hold_out_nothing(plain: dict[str, Any], whole: dict[str, Any], tmp_path: Path) -> None:
-    assert whole["rms"]["held_out"] is None
-    assert plain["rows"]["accepted"] == pytest.approx(0.7 * whole["rows"]["accepted"], abs=9)
-    assert "on the same data" in done(*identify("arm3", *NO_CHOICE, "--out", tmp_path, "--hold-out", "0"))
-
-
 def test_other_bags_to_validate_on(whole: dict[str, Any], second: Path, tmp_path: Path) -> None:
     """All of the bag is identified from, and all of the other is tested on."""
     validated = small(tmp_path, *NO_CHOICE, "--validate", second)
@@ -270,12 +264,6 @@ def test_an_offset_of_the_sensor_is_found_by_default(tmp_path: Path) -> None:
     assert masses[1] == pytest.approx(masses[0], rel=TOOL_MASS)
     for axis, size in planted.items():
         assert offsets[1][axis] - offsets[0][axis] == pytest.approx(size, abs=0.02)
-
-
-def test_selected_axes(tmp_path: Path) -> None:
-    """An axis that is left out is no channel."""
-    document = small(tmp_path, *NO_CHOICE, "--wrench", "/wrench:wrist_ft:mounted:fz,fx")
-    assert {name for name in document["sigma"] if "/" in name} == {"wrench/fx", "wrench/fz"}
 
 
 def test_a_reversed_sensor_is_named_and_its_rows_are_left_out(tmp_path: Path) -> None:

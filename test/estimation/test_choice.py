@@ -169,17 +169,6 @@ def test_hardly_anything_is_taken_where_there_is_nothing() -> None:
     assert sum(map(len, taken)) <= 1
 
 
-def test_without_candidates_the_model_is_as_it_was() -> None:
-    """What is not taken leaves no trace in the estimate."""
-    case = planted("arm3", 1, "", 0)
-    bare = arm("arm3", 0, noise=NOISE)
-    found, expected = identifier(case).solve(), identifier(bare).solve()
-    assert chosen(found) == []
-    present = np.flatnonzero(found.parameters)
-    np.testing.assert_allclose(found.parameters[present], expected.parameters, rtol=1e-6, atol=1e-9)
-    assert [effect.joint for effect in found.effects] == [effect.joint for effect in expected.effects]
-
-
 def test_the_choice_is_determined_by_the_rows_and_kept_by_a_warm_start() -> None:
     case = planted("arm3", 1, "spring")
     one, two = identifier(case).solve(), identifier(case).solve()
@@ -204,13 +193,6 @@ def test_what_was_chosen_before_is_not_searched_for_again(monkeypatch: pytest.Mo
     again = beside(case, found.parameters)
     assert searches == before[1:]
     np.testing.assert_array_equal(again.parameters, found.parameters)
-
-
-def test_more_is_looked_for_beside_what_was_chosen_before() -> None:
-    case = planted("arm3", 1, "spring")
-    nothing = identifier(planted("arm3", 1, "")).solve()
-    assert chosen(nothing) == []
-    np.testing.assert_array_equal(beside(case, nothing.parameters).parameters, identifier(case).solve().parameters)
 
 
 def test_what_was_chosen_before_goes_if_nothing_asks_for_it_any_more() -> None:

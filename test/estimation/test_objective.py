@@ -8,7 +8,6 @@ from geometry import bodies
 from scipy.linalg import eigvalsh, expm, sqrtm
 from scipy.optimize import minimize
 
-from geomid_ros.estimation import objective as module
 from geomid_ros.estimation.objective import Objective, row_weights
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray
@@ -158,47 +157,6 @@ def test_the_hessian_is_the_second_derivative_along_steps(manifold: ParameterMan
         )
         numerical = (ahead - 2.0 * at_rest.value + behind) / step**2
         assert direction @ at_rest.hessian @ direction == pytest.approx(numerical, abs=1e-5 * objective.scale)
-
-
-@SEEDS
-@BOTH
-def test_information_is_positive_semidefinite_and_the_hessian_where_the_rows_are_satisfied(
-    kind: str, seed: int
-) -> None:
-    case = problem(seed, ALL, noise=0.0, distance=0.0)
-    found = built(case, kind).evaluate(case.prior)
-    assert np.linalg.eigvalsh(found.information)[0] >= -ROUNDING * np.trace(found.information)
-    normals = ALL.whiten(case.prior, case.rows) / case.sigmas[:, None]
-    np.testing.assert_allclose(found.information, normals.T @ normals, rtol=0, atol=1e-9 * built(case, kind).scale)
-    with_prior = found.information + built(case, kind).prior_weight * np.eye(ALL.dimension)
-    np.testing.assert_allclose(found.hessian, with_prior, rtol=0, atol=1e-7 * built(case, kind).scale)
-
-
-@SEEDS
-@BOTH
-def test_a_row_may_be_written_in_other_units_and_with_the_other_sign(kind: str, seed: int) -> None:
-    case = problem(seed, ALL)
-    factors = np.random.default_rng(seed).choice([-1e3, -1.0, 1e-3], size=len(case.rows))
-    scaled = Problem(
-        ALL, case.prior, case.truth, factors[:, None] * case.rows, factors * case.targets, np.abs(factors) * case.sigmas
-    )
-    one, other = built(case, kind).evaluate(case.truth), built(scaled, kind).evaluate(case.truth)
-    assert other.value == pytest.approx(one.value, rel=1e-9)
-    np.testing.assert_allclose(other.gradient, one.gradient, rtol=0, atol=1e-9 * built(case, kind).scale)
-
-
-@BOTH
-def test_rows_add_up_whatever_the_chunks(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    case = problem(0, ALL, count=50)
-    whole = built(case, kind).evaluate(case.truth)
-    order = np.random.default_rng(0).permutation(50)
-    monkeypatch.setattr(module, "_CHUNK", 7)
-    shuffled = Problem(ALL, case.prior, case.truth, case.rows[order], case.targets[order], case.sigmas[order])
-    parts = built(shuffled, kind).evaluate(case.truth)
-    assert parts.value == pytest.approx(whole.value, rel=ROUNDING)
-    for name in ("gradient", "information", "hessian"):
-        scale = np.abs(getattr(whole, name)).max()
-        np.testing.assert_allclose(getattr(parts, name), getattr(whole, name), rtol=0, atol=ROUNDING * scale)
 
 
 def test_rows_without_a_root_are_set_aside_and_count_nothing() -> None:

@@ -89,14 +89,6 @@ def test_to_be_told_what_one_believes_changes_nothing(seed: int, gamma: float) -
     assert after.gamma == before.gamma == gamma
 
 
-@SEEDS
-def test_a_scale_without_precision_says_nothing(seed: int) -> None:
-    case = arm("arm3", seed)
-    before, after = solved(case), solved(case, weighed(1000.0, 1e9))
-    assert after.gamma == pytest.approx(before.gamma, rel=1e-9)
-    np.testing.assert_allclose(after.parameters, before.parameters, rtol=1e-6, atol=1e-8)
-
-
 def test_a_scale_of_great_precision_is_obeyed() -> None:
     case = arm("arm3", 0)
     found = solved(case, weighed(true_total(case) + 0.3, 1e-5 * true_total(case)))
@@ -108,13 +100,6 @@ def test_to_weigh_a_robot_is_not_to_move_it() -> None:
     case = arm("arm3", 1)
     with pytest.raises(InputError, match="no usable rows"):
         Identifier(case.model, EstimatorSettings(known=(weighed(20.0),))).solve()
-
-
-def test_forgetting_does_not_forget_the_scale() -> None:
-    case = arm("arm3", 2)
-    found = solved(case, weighed(true_total(case)), buffer=BufferSettings(forgetting_time=3.0))
-    assert abs(total(case, found) - true_total(case)) < STD
-    assert found.known[0].std < 1.05 * STD
 
 
 @OBJECTIVES

@@ -588,7 +588,7 @@ class TestWhole:
     """What is right is read as other programs read it."""
 
     @pytest.mark.parametrize("method", ["", "zstd", "lz4"])
-    @pytest.mark.parametrize("size", [0, 1, 7, 400])
+    @pytest.mark.parametrize("size", [0, 7])
     def test_every_form_of_an_mcap_file(self, size: int, method: str, tmp_path: Path) -> None:
         path = tmp_path / "a.mcap"
         path.write_bytes(file_of(Form(size, method)))

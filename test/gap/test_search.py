@@ -57,16 +57,6 @@ def test_a_name_is_taken_that_is_worth_it() -> None:
     assert 0 < sum(taken) < len(taken)
 
 
-def test_the_best_comes_first() -> None:
-    one = search({VISCOUS: [0.1], OFFSET: [0.3], OTHERS[0]: [0.2]}, among=CANDIDATES[:6])
-    assert one.ranked(one.fit([]))[0].candidate is OFFSET
-    current, order = one.fit([]), []
-    while (larger := one._grown(current)) is not None:
-        order.append(names(larger) - names(current))
-        current = larger
-    assert order == [{OFFSET}, {OTHERS[0]}, {VISCOUS}]
-
-
 def test_what_a_chosen_name_excludes_is_not_tried() -> None:
     one = search({SPRING: [0.3, 0.3]})
     tried = [trial.candidate for trial in one.ranked(one.fit([SPRING]))]
@@ -95,14 +85,6 @@ def test_a_payload_that_outweighs_the_robot_is_impossible() -> None:
         assert heavy.possible(found) == possible
 
 
-def test_a_payload_is_found_once() -> None:
-    precise = replace(PRIOR, spread=1e-3, certainty=1e6)
-    carrying = Selection(Recording(1, [VISCOUS]).design({}, link=1.5 * LINK), precise, [VISCOUS, PAYLOAD])
-    found = carrying.settle(carrying.fit([]))
-    assert names(found) == {PAYLOAD}
-    assert PAYLOAD not in [trial.candidate for trial in carrying.ranked(found)]
-
-
 def test_pruning_leaves_out_what_is_not_worth_its_parameters_and_nothing_else() -> None:
     one = search({VISCOUS: [STRONG], OTHERS[1]: [STRONG]})
     everything = one.fit([VISCOUS, OFFSET, ROTOR, *OTHERS])
@@ -125,15 +107,6 @@ def test_every_set_is_tried_that_is_better_without_a_name() -> None:
     assert 0 < left < tried < 120
 
 
-def test_a_name_that_is_worth_a_little_is_not_pruned() -> None:
-    """Below a rough estimate of its worth it is tried to be left out; what it is worth then decides."""
-    for size in np.linspace(0.015, 0.04, 11):
-        one = search({VISCOUS: [size], OFFSET: [STRONG]}, among=[VISCOUS, OFFSET], seed=3)
-        both = one.fit([VISCOUS, OFFSET])
-        worth = one.fit([OFFSET]).score - both.score
-        assert names(one.prune(both)) == ({VISCOUS, OFFSET} if worth > 0.0 else {OFFSET})
-
-
 def test_rivals_stand_in_the_place_of_a_name() -> None:
     """Two columns are nearly the same; a third name is no rival however well it fits."""
     one = search({VISCOUS: [STRONG], OFFSET: [0.02]}, alike={ROTOR.terms[0]: VISCOUS.terms[0]}, among=CANDIDATES[:6])
@@ -148,12 +121,6 @@ def test_a_rival_promises_half_of_what_the_name_is_worth() -> None:
         one = search({VISCOUS: [STRONG], ROTOR: [share * STRONG]}, among=[VISCOUS, ROTOR], seed=4)
         found = [names(rival) for rival in one.rivals(one.fit([VISCOUS]), VISCOUS)]
         assert found == expected
-
-
-def test_exchange_takes_the_better_of_two_alike() -> None:
-    one = search({VISCOUS: [STRONG]}, alike={ROTOR.terms[0]: VISCOUS.terms[0]}, among=CANDIDATES[:6])
-    assert names(one._exchanged(one.fit([ROTOR]))) == {VISCOUS}
-    assert one._exchanged(one.fit([VISCOUS])) is one.fit([VISCOUS])
 
 
 def test_names_bring_what_the_score_test_promises() -> None:

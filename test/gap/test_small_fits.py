@@ -143,12 +143,6 @@ def test_the_covariance_is_the_inverse_information_in_parameters() -> None:
         np.testing.assert_allclose(found.jacobian[:, place], change / step, atol=1e-7)
 
 
-def test_a_name_costs_twice_the_logarithm_of_its_odds() -> None:
-    cheap, dear = (at("viscous_friction", 0, odds=odds) for odds in (0.1, 0.01))
-    scores = [fit(designed(1), PRIOR, [candidate]).score for candidate in (cheap, dear)]
-    assert scores[1] - scores[0] == pytest.approx(2.0 * np.log(10.0))
-
-
 def test_units_of_a_column_do_not_matter() -> None:
     recording = Recording(3, NAMES)
     one = fit(recording.design({TERM: 0.3}), PRIOR, NAMES)
@@ -189,11 +183,6 @@ class TestWhatTheModelHas:
         prior = replace(PRIOR, terms=(TERM,), values=np.array([value]), spreads=np.array([spread]))
         return fit(designed(5, planted), prior, chosen)
 
-    def test_a_certain_one_stays(self) -> None:
-        found = self.fit(0.5, 1e-6)
-        assert found.value(TERM) == pytest.approx(0.5, abs=1e-6)
-        assert np.sqrt(found.covariance[found.place(TERM), found.place(TERM)]) == pytest.approx(1e-6, rel=1e-2)
-
     def test_of_two_that_are_as_sure_the_mean_is_taken(self) -> None:
         free = self.fit(0.0, 1e3)
         std = float(np.sqrt(free.covariance[free.place(TERM), free.place(TERM)]))
@@ -217,16 +206,6 @@ class TestWhatTheModelHas:
         found = unfitted(prior)
         assert (found.value(TERM), found.chosen, found.bodies, found.spreads[0]) == (0.4, (), [], PRIOR.spread)
         np.testing.assert_allclose(found.point.parameters, np.append(LINK, 0.4))
-
-
-def test_all_parameters_are_determined_by_the_channels_together() -> None:
-    """Without a prior to speak of."""
-    design = designed(2)
-    vague = replace(PRIOR, certainty=1e6, spread=50.0)
-    bare, named = (fit(design, vague, chosen, spread=50.0) for chosen in ([], [VISCOUS]))
-    assert np.sum(bare.parameters_by_channel(design)) == pytest.approx(10.0, rel=1e-3)
-    assert np.sum(named.parameters_by_channel(design)) == pytest.approx(11.0, rel=1e-3)
-    assert np.all(named.parameters_by_channel(design) > 4.0), "the channels are equally loud"
 
 
 class TestScoreTest:

@@ -68,14 +68,6 @@ def test_what_no_finding_says_is_as_it_was_given(beside_model: GapResult) -> Non
     assert f"{size.value:.4g}" in finding.sentence
 
 
-def test_what_is_not_sure_is_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(result_module, "SURE", 2.0)
-    result = found(nominal=known())
-    assert result.findings
-    assert result.sure == ()
-    np.testing.assert_allclose(result.gap.after, result.gap.before, rtol=0.01)
-
-
 def test_a_name_whose_written_size_may_be_nothing_is_none_and_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
     def unsure(_: Design, fit: NamesFit) -> NamesFit:
         return replace(fit, information=1e-6 * fit.information)

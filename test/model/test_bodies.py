@@ -85,13 +85,6 @@ def test_inertias_may_be_given_in_axes_of_their_own() -> None:
         np.testing.assert_allclose(body.parameters, values, rtol=0, atol=ROUNDING * np.max(np.abs(values)))
 
 
-def test_names_of_merged_links() -> None:
-    bodies = {body.name: body.merged for body in Robot(urdf("a1.urdf"), floating_base=True).bodies}
-    assert bodies["base"] == ("trunk", "imu_link")
-    assert bodies["FL_calf"] == ("FL_foot",)
-    assert bodies["FL_thigh"] == ()
-
-
 def test_massless_links_are_no_unknowns() -> None:
     """The human's spherical joints are made of links without a mass: half of all its links."""
     text = urdf("human.urdf")
@@ -165,13 +158,6 @@ def test_joints() -> None:
     assert [joint.v for joint in kinova.joints] == list(range(6))
 
 
-def test_a_floating_base_adds_its_link() -> None:
-    fixed, floating = Robot(urdf("solo12.urdf")), Robot(urdf("solo12.urdf"), floating_base=True)
-    assert floating.body_names == ("base_link", *fixed.body_names)
-    assert floating.joint_names == fixed.joint_names
-    assert [joint.v for joint in floating.joints] == [joint.v + 6 for joint in fixed.joints]
-
-
 @ROBOTS
 def test_bodies_that_a_link_carries(name: str, floating: bool) -> None:
     robot = Robot(urdf(name), floating_base=floating)
@@ -185,13 +171,6 @@ def test_bodies_that_a_link_carries(name: str, floating: bool) -> None:
             if upwards == link:
                 carried.add(index)
         assert set(robot.subtree(link)) == carried
-
-
-def test_parameters_cannot_be_changed_in_place() -> None:
-    body = Robot(urdf("panda.urdf")).bodies[0]
-    for array in (body.parameters, body.to_joint):
-        with pytest.raises(ValueError, match="read-only"):
-            array[0] = 0.0
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -15,7 +15,6 @@ from geomid_ros.model import shapes
 from geomid_ros.types import FloatArray, IntArray
 
 SIZE = np.array([0.3, 0.5, 0.7])
-RADIUS, LENGTH = 0.4, 0.9
 SURFACE = trimesh.creation.box(SIZE)
 
 
@@ -49,24 +48,6 @@ def test_textbook_inertias(moments: FloatArray, mass: float, inertia: list[float
 
 def test_the_mesh_of_a_box_is_the_box() -> None:
     np.testing.assert_allclose(shapes.polyhedron(SURFACE.vertices, SURFACE.faces), shapes.box(SIZE), atol=1e-16)
-
-
-@pytest.mark.parametrize(
-    ("moments", "surface"),
-    [
-        (shapes.sphere(RADIUS), lambda n: trimesh.creation.icosphere(n, RADIUS)),
-        (shapes.cylinder(RADIUS, LENGTH), lambda n: trimesh.creation.cylinder(RADIUS, LENGTH, sections=2 ** (n + 3))),
-    ],
-    ids=["sphere", "cylinder"],
-)
-def test_meshes_of_round_shapes_converge_quadratically(
-    moments: FloatArray, surface: Callable[[int], trimesh.Trimesh]
-) -> None:
-    errors = []
-    for level in (2, 3, 4):
-        mesh = surface(level)
-        errors.append(np.linalg.norm(shapes.polyhedron(mesh.vertices, mesh.faces) - moments))
-    np.testing.assert_allclose(np.divide(errors[1:], errors[:-1]), 0.25, rtol=0.1)
 
 
 def random_hull(rng: np.random.Generator) -> tuple[FloatArray, IntArray]:

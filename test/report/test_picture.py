@@ -16,7 +16,7 @@ from geomid_ros.errors import GeomidError
 from geomid_ros.report import ellipsoids, sheet
 from geomid_ros.report.drawing import identification_figure
 from geomid_ros.report.ellipsoids import BodyDrawing, Ellipsoid
-from geomid_ros.report.series import BINS, Clock, Series, limits, thinned
+from geomid_ros.report.series import Series
 from geomid_ros.report.sheet import write_picture
 
 POINT = Ellipsoid(np.zeros(3), np.zeros(3), np.eye(3), 0.0)
@@ -144,21 +144,3 @@ def test_huge_tiny_and_far_bodies_are_marked_and_do_not_ruin_the_view() -> None:
     assert np.max(np.abs(points)) < 2.5
     assert 0.005 < min(extents(bodies)) < max(extents(bodies)) < 1.0
     assert [d.marks for d in ellipsoids.made_visible(chain(6))] == 6 * [""]
-
-
-def test_every_peak_of_a_long_line_survives() -> None:
-    times = 1e-3 * np.arange(100_001)
-    values = 1e-3 * np.sin(times)
-    values[[0, 777, 50_000, 100_000]] = [5.0, -7.0, 9.0, -3.0]
-    clock = Clock.of([Series("x", "N", times, values, values, values)])
-    seconds, kept = thinned(times, values, clock)
-    assert len(kept) <= 2 * BINS + 2
-    np.testing.assert_array_equal(np.interp(times[[0, 777, 50_000, 100_000]], seconds, kept), [5.0, -7.0, 9.0, -3.0])
-
-
-def test_limits_show_peaks_but_no_outliers() -> None:
-    series = channel("x")
-    series.measured[100], series.predicted[200] = 2.0, 1e6
-    low, high = limits(series)
-    assert -2.0 < low < -1.0
-    assert 2.0 < high < 5.0

@@ -6,7 +6,6 @@ import errno
 import itertools
 import json
 import os
-import resource
 import signal
 import threading
 import time
@@ -69,11 +68,6 @@ def generations(folder: Path) -> list[Checkpoint]:
 def rows(folder: Path) -> int:
     """Those of the newest checkpoint."""
     return generations(folder)[-1].memory.summary.rows
-
-
-def at_peace(status: DiagnosticStatus, values: dict[str, str]) -> bool:
-    """All is well, but for a disk that a busy machine makes slow."""
-    return values["rows"] != "0" and (status.level == DiagnosticStatus.OK or "the disk is slow" in status.message)
 
 
 def told(stage: Stage, look: Callable[[DiagnosticStatus, dict[str, str]], bool], what: str) -> dict[str, str]:
@@ -159,30 +153,6 @@ def test_without_a_place_for_checkpoints_it_estimates(stage: Stage, tmp_path: Pa
     told(stage, lambda status, _: status.level == DiagnosticStatus.ERROR and "file" in status.message, "an error")
     assert node.end() == 0
     assert (tmp_path / "file").read_text() == "in the way"
-
-
-def test_a_disk_that_becomes_full_stops_nothing(stage: Stage, tmp_path: Path) -> None:
-    """As far as a process can tell: no file may grow any more. What was safe stays, and with room again it goes on."""
-    folder = tmp_path / "kept"
-    node = stage.node(keeping(folder))
-    inertias = stage.observer.collect(InertiaStamped, "/geomid/inertias", latched())
-    stage.observer.publish(MESSAGES[:HALF], KINDS)
-    safe = int(told(stage, lambda _, values: values["rows"] != "0", "rows that are safe")["rows"])
-    least = min(path.stat().st_size for path in folder.glob("checkpoint-*")) // 2
-    resource.prlimit(node._process.pid, resource.RLIMIT_FSIZE, (least, resource.RLIM_INFINITY))
-    inertias.clear()
-    stage.observer.publish(MESSAGES[HALF:], KINDS)
-    told(
-        stage,
-        lambda status, _: status.level == DiagnosticStatus.ERROR and "File too large" in status.message,
-        "an error",
-    )
-    stage.observer.wait_for(lambda: inertias, "estimates that go on")
-    assert rows(folder) >= safe
-    resource.prlimit(node._process.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-    told(stage, lambda status, values: at_peace(status, values) and int(values["rows"]) > safe, "peace")
-    assert node.end() == 0
-    assert rows(folder) > safe
 
 
 def wait_until(look: Callable[[], object]) -> None:

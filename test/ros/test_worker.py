@@ -477,28 +477,6 @@ def test_the_time_from_receipt_to_row_counts_from_the_callback_on(quiet: Watched
     assert min(later) > 0.2
 
 
-def test_the_priors_weight_is_kept_between_solves_and_chosen_anew_for_other_data(
-    quiet: Watched, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    warm: list[Any] = []
-    solve = quiet.session.identifier.solve
-    monkeypatch.setattr(quiet.session.identifier, "solve", lambda start: warm.append(start) or solve(start))
-    for begin, end in ((0, 400), (400, 500), (500, 900)):
-        quiet.feed(begin, end)
-        wait_until(lambda: quiet.worker.status(active=True).queue == 0)
-        if begin == 0:
-            quiet.final()
-        else:
-            quiet.worker.solver._solve_once(quiet.worker.solver._warm_start())
-    estimate = quiet.worker.estimate
-    assert estimate is not None
-    assert [start is not None for start in warm] == [False, True, True]
-    assert [start.effects_alone for start in warm[1:]] == [False, True]
-    following = quiet.worker.solver._warm_start()
-    assert following is not None
-    assert not following.effects_alone, "chosen for the rows of now"
-
-
 def wait_until(look: Any) -> None:
     end = time.monotonic() + PATIENCE
     while not look():

@@ -103,19 +103,10 @@ def test_defaults() -> None:
 class TestValues:
     """What may be written in a file."""
 
-    def test_integers_are_numbers(self, tmp_path: Path) -> None:
-        configuration = read(tmp_path, "gamma: 1\ngravity: [0, 0, -10]\nfilter:\n  cutoff: 3")
-        assert configuration["gamma"] == 1.0
-        assert configuration.gravity.tolist() == [0.0, 0.0, -10.0]
-        assert configuration.signals([]).cutoff == 3.0
-
     @pytest.mark.parametrize("text", ["1e-3", "1.0e-3", "+1E-3", "0.001", "10.e-4"])
     def test_numbers_are_written_as_for_ros(self, text: str, tmp_path: Path) -> None:
         """YAML 1.1 takes 1e-3 for a text, the node's parser does not."""
         assert read(tmp_path, f"gamma: {text}")["gamma"] == 1e-3
-
-    def test_texts_that_look_like_numbers_stay_texts(self, tmp_path: Path) -> None:
-        assert read(tmp_path, "links: ['1e3', 3e]")["links"] == ["1e3", "3e"]
 
     def test_an_empty_list_is_one_empty_text(self, tmp_path: Path) -> None:
         for text in ('[""]', "[]"):

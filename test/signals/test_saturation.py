@@ -41,7 +41,7 @@ def refused(efforts: FloatArray, rate: float, speed: float = 1.0) -> BoolArray:
     return lasting | np.array([refusal is not None for refusal in refusals])
 
 
-@pytest.mark.parametrize("bits", [0, 16, 12, 8])
+@pytest.mark.parametrize("bits", [0, 8])
 @pytest.mark.parametrize(("rate", "frequency"), [(1000.0, 1.0), (100.0, 0.3), (10.0, 0.03)])
 def test_a_curve_that_is_cut_off_is_refused_where_it_is(rate: float, frequency: float, bits: int) -> None:
     """At 70 % of its size, for half of the time; and nowhere else, but for the beginning of each time."""
@@ -53,7 +53,7 @@ def test_a_curve_that_is_cut_off_is_refused_where_it_is(rate: float, frequency: 
 
 
 @pytest.mark.parametrize("bits", [5, 8])
-@pytest.mark.parametrize(("rate", "frequency"), [(1000.0, 0.5), (200.0, 0.1), (100.0, 1.0), (10.0, 0.5), (10.0, 0.01)])
+@pytest.mark.parametrize(("rate", "frequency"), [(1000.0, 0.5), (10.0, 0.01)])
 @pytest.mark.parametrize("noise", [0.0, 0.3])
 def test_a_curve_that_is_rounded_is_taken(rate: float, frequency: float, bits: int, noise: float) -> None:
     """On the top level it stays for up to 4.8 times as long as on the one below, for longer than any fixed time."""

@@ -91,10 +91,6 @@ def test_what_cannot_be_hidden(hide: tuple[Hidden, ...], message: str) -> None:
         chosen(*hide)
 
 
-def numbers(entry: dict[str, Any]) -> list[float]:
-    return [value for value in entry["parameters"].values() if value != round(value, 1)]
-
-
 def columns(messages: list[Any], name: str) -> FloatArray:
     return np.array([getattr(message, name) for message in messages])
 
@@ -114,35 +110,3 @@ def test_commands_and_gains_are_the_whole_controller(tmp_path: Path) -> None:
     assert commands[0].name == states[0].name
     assert np.abs(errors[0]).max() > 1e-4
     np.testing.assert_allclose(wanted, columns(states, "effort"), rtol=0.0, atol=1e-9)
-
-
-def test_coloured_noise_remembers(tmp_path: Path) -> None:
-    """Its autocorrelation falls to 1/e in the time asked for; its size is that of the white noise."""
-    pytest.importorskip("mujoco")
-    options = replace(OPTIONS, robot="arm3", duration=12.0, hide=(), noise_time=0.05)
-    loud, still = (
-        recorded(simulate(tmp_path / name, each).bag).messages["/joint_states"]
-        for name, each in (("loud", options), ("still", quiet(options)))
-    )
-    noise = columns(loud, "effort") - columns(still, "effort")
-    limits = {joint.name: joint.effort for joint in read_description(robot_description("arm3")).joints}
-    np.testing.assert_allclose(noise.std(0), [2e-3 * limits[name] for name in loud[0].name], rtol=0.15)
-    after = [np.mean(noise[lag:] * noise[: len(noise) - lag]) / np.mean(noise**2) for lag in (1, 5)]
-    np.testing.assert_allclose(after, np.exp([-0.2, -1.0]), atol=0.08)
-    assert (
-        np.abs(np.corrcoef((columns(loud, "velocity") - columns(still, "velocity"))[1:, 0], noise[:-1, 0]))[0, 1] < 0.1
-    )
-
-
-def test_a_late_wrench_is_stamped_so(tmp_path: Path) -> None:
-    """Sampled and stamped a quarter of a period later, it lies on the curve of a faster recording."""
-    pytest.importorskip("mujoco")
-    options = replace(OPTIONS, robot="arm3", duration=3.0, hide=(), rate=50.0, wrench_lag=0.005)
-    late = recorded(simulate(tmp_path / "late", quiet(options)).bag).messages["/wrench"]
-    fast = replace(options, rate=200.0, wrench_lag=0.0)
-    exact = recorded(simulate(tmp_path / "fast", quiet(fast)).bag).messages["/wrench"]
-    forces = {w.header.stamp.sec * 10**9 + w.header.stamp.nanosec: w.wrench.force.x for w in exact}
-    pairs = [(w.wrench.force.x, forces[w.header.stamp.sec * 10**9 + w.header.stamp.nanosec]) for w in late]
-    assert len(pairs) == 150
-    sampled, expected = np.array(pairs).T
-    np.testing.assert_allclose(sampled, expected, rtol=0.0, atol=1e-5)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.simulation.description import read_description
-from geomid_ros.simulation.motion import FADE_IN, SetPoints, exciting_motion
+from geomid_ros.simulation.motion import SetPoints, exciting_motion
 from geomid_ros.simulation.options import MOTIONS, SimulationOptions
 from geomid_ros.simulation.robots import robot_description
 
@@ -41,9 +41,3 @@ def test_uses_its_share_of_the_limits(reach: float, speed: float, kind: str) -> 
     used_range = np.abs(whole.position - centre).max(0) / half / reach
     used_speed = np.abs(whole.velocity).max(0) / top / speed
     np.testing.assert_allclose(np.maximum(used_range, used_speed), 1.0, rtol=1e-9)
-
-
-def test_is_periodic_once_faded_in() -> None:
-    position = motion().position
-    faded, later = np.searchsorted(TIMES, (FADE_IN, FADE_IN + OPTIONS.motion_period))
-    np.testing.assert_allclose(position[later:], position[faded : faded + len(position) - later], atol=1e-9)
