@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands.running import done, geomid, refused, undrawn
+from commands.running import done, refused, undrawn
 from files.recordings import BAGS, QUICK, recorded, write_bag
 from report.pages import Page
 
@@ -160,14 +160,6 @@ def changed_copy(estimate: Path, folder: Path, **entries: Any) -> Path:
     document = json.loads(estimate.read_text()) | entries
     (folder / "estimate.json").write_text(json.dumps(document))
     return folder / "estimate.json"
-
-
-def test_the_status_is_that_of_the_worse_verdict(halves: tuple[Path, Path], tmp_path: Path) -> None:
-    verdict = {"result": "doubtful", "reasons": ["signs of joint2 are reversed"]}
-    doubtful = changed_copy(halves[1], tmp_path / "doubtful", verdict=verdict)
-    result = geomid("compare", halves[0], doubtful, "--out", tmp_path)
-    assert result.exit_code == 4
-    assert "signs of joint2 are reversed" in result.stdout
 
 
 def test_another_robot_is_refused_by_name(halves: tuple[Path, Path], tmp_path: Path) -> None:

@@ -176,15 +176,6 @@ def test_a_robot_that_stands_at_first_is_no_fault(seed: int, leaned_on: bool) ->
     assert findings(of, replace(stands, effort=measured)) == ()
 
 
-def test_what_was_always_so_does_not_change(robot: Case) -> None:
-    """A zero that is off throughout is another fault than one that slips."""
-    position = robot.samples.position.copy()
-    position[:, 1] += np.radians(12.0)
-    assert all(
-        finding.cause.kind not in CHANGES for finding in findings(robot, replace(robot.samples, position=position))
-    )
-
-
 @pytest.mark.parametrize(("factor", "place"), [(1000.0, 0.25), (0.05, 0.5), (-1.0, 0.8), (-30.0, 0.25)])
 def test_efforts_in_another_unit_from_some_instant_on(robot: Case, factor: float, place: float) -> None:
     effort = robot.samples.effort.copy()

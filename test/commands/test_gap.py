@@ -139,19 +139,6 @@ def model(folder: Path) -> Path:
     return known / "estimate.json"
 
 
-def test_what_the_model_knows_is_no_gap(found: tuple[Path, str], rubbing: Path, model: Path, tmp_path: Path) -> None:
-    """The description is found beside the estimate; what is printed is gap.json."""
-    document = json.loads(done("gap", rubbing, "--model", model, "--out", tmp_path, "--json"))
-    assert document == read(tmp_path)
-    assert document["warnings"][0] == f"{model}: this model's verdict is 'doubtful': gravity is missing"
-    assert document["gap"]["before"]["joint2"] < 0.3 * read(found[0])["gap"]["before"]["joint2"]
-    assert document["closed_loop"] is None
-    effects = read_sidecar(tmp_path / "effects.yaml").effects
-    levels = [e.parameters["level"].value for e in effects if e.joint == "joint2" and "level" in e.parameters]
-    assert sum(levels) == pytest.approx(LEVEL, rel=0.05), "once, whether something was named anew or not"
-    assert "already in the model" in (tmp_path / "report.html").read_text()
-
-
 @pytest.mark.usefixtures("without_pictures")
 def test_the_model_of_a_doubtful_recording_is_marked_so(tmp_path: Path) -> None:
     parameters = tmp_path / "reversed.yaml"

@@ -298,17 +298,6 @@ def test_a_fit_that_did_not_converge_says_so_first(tmp_path: Path, monkeypatch: 
     assert read(tmp_path)["verdict"]["reasons"] == [f"the solver did not converge: {read(tmp_path)['reason']}"]
 
 
-def test_a_payload_that_did_not_converge_says_so_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    weighing = ("payload", BAGS / "arm3", BAGS / "arm3", "--urdf", BAGS / "arm3.urdf")
-    assert json.loads(done(*weighing, "--json"))["verdict"] == {"result": "usable", "reasons": [], "causes": []}
-    monkeypatch.setattr("geomid_ros.session.configuration.EstimatorSettings", partial(EstimatorSettings, max_steps=1))
-    result = geomid(*weighing)
-    assert result.exit_code == 3, result.output
-    assert result.stdout.lstrip().startswith("NOT CONVERGED: the solver did not converge: ")
-    document = json.loads(geomid(*weighing, "--json").stdout)
-    assert document["verdict"]["result"] == "not converged"
-
-
 def test_a_gain_of_the_wrong_sign_is_named_with_its_mending(tmp_path: Path) -> None:
     parameters = tmp_path / "reversed.yaml"
     parameters.write_text("/**: {ros__parameters: {effort_gain: -1.0}}")

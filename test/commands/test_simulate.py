@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -52,18 +51,6 @@ def test_nothing_is_overwritten(existing: str, out: Path, tmp_path: Path) -> Non
     assert (tmp_path / existing).read_text() == "of last year"
 
 
-def test_without_mujoco_it_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "mujoco", None)
-    assert "pip install mujoco" in refused("simulate", tmp_path / "bag", *QUICK)
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("option", ["--duration", "--rate", "--inertia-error"])
-def test_impossible_numbers_are_refused(option: str, out: Path) -> None:
-    assert option.strip("-").replace("-", "_") in refused("simulate", out, *QUICK, option, "-1")
-    assert not out.exists()
-
-
 def truth_of(out: Path) -> list[dict[str, Any]]:
     effects: list[dict[str, Any]] = json.loads(out.with_name(out.name + ".truth.json").read_text())["effects"]
     return effects
@@ -84,10 +71,6 @@ def test_a_realistic_robot_loses_messages_and_is_told_of_in_the_truth(out: Path)
     assert [entry["effect"] for entry in truth["effects"]] == ["link_mass"]
     assert {"standing", "friction", "motors", "warm_up", "sensors"} < truth.keys()
     assert len(truth["friction"]["stiffness"]) == len(truth["joints"]) == 3
-
-
-def test_a_realistic_robot_is_drawn_not_described(out: Path) -> None:
-    assert "draws its inertia_error" in refused("simulate", out, *QUICK, "--realistic", "--inertia-error", "0.1")
 
 
 def test_it_records_commands(out: Path) -> None:

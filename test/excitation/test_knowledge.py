@@ -10,7 +10,6 @@ import pytest
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, known_before
 from geomid_ros.excitation.learning import expected_learning, weight_of
-from geomid_ros.excitation.motion import MotionForm
 from geomid_ros.excitation.search import random_feasible, random_motion
 from geomid_ros.model.samples import samples_of
 
@@ -22,12 +21,6 @@ KNOWLEDGE = TASK.knowledge
 
 def motion(seed: int = 0):
     return random_feasible(TASK.feasibility, TASK.form, np.random.default_rng(seed))
-
-
-def test_repeats_add_up() -> None:
-    one = motion()
-    twice = replace(one, form=MotionForm(period=one.form.period, slow_share=one.form.slow_share, repeats=2))
-    assert np.allclose(KNOWLEDGE.information(twice), 2.0 * KNOWLEDGE.information(one))
 
 
 def test_more_is_known_afterwards() -> None:
@@ -96,12 +89,6 @@ def test_the_criterion_is_the_mean_squared_error_that_it_says(aim: str) -> None:
         own[posterior.manifold.link(link)] = tangent[posterior.manifold.link(link)]
         reached = posterior.manifold.exp(posterior.point, own)
         assert value == pytest.approx(posterior.manifold.distance(posterior.point, reached) ** 2, rel=1e-6)
-
-
-@pytest.mark.parametrize(("aim", "message"), [("weight", "aim 'weight'"), ("link:wheel", "'wheel'")])
-def test_unknown_aims(aim: str, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        weight_of(aim, KNOWLEDGE, [])
 
 
 def test_what_is_expected_is_said_honestly() -> None:

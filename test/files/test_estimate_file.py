@@ -13,8 +13,7 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import EffectEstimate
-from geomid_ros.files.disk import write_json
-from geomid_ros.files.models.estimate_file import EstimateFile, estimate_document
+from geomid_ros.files.models.estimate_file import estimate_document
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.effects import Quantity
 from geomid_ros.session.configuration import Configuration
@@ -23,7 +22,6 @@ from geomid_ros.session.session import Session
 from .estimates import estimate_of, link_estimate
 from .recordings import BAGS
 
-ROUNDING = 1e-12  # relative: parameters go through the centre of mass and back
 EFFECT = EffectEstimate(
     name="coulomb_friction", joint="joint1", parameters={"level": Quantity(0.5, 0.05, "N m")}, from_data=0.9
 )
@@ -70,16 +68,6 @@ def test_the_document_says_what_the_estimate_says() -> None:
         "train": {"joint1": 0.5, "joint2": None},
         "held_out": {"joint1": 0.7, "joint2": None},
     }
-
-
-def test_round_trip(tmp_path: Path) -> None:
-    path = tmp_path / "out/estimate.json"
-    write_json(path, document())
-    assert EstimateFile.read(path).document == document()
-    assert json.loads(path.read_text()) == document()
-    known = EstimateFile.read(path).inertias
-    for link in ESTIMATE.links:
-        np.testing.assert_allclose(known[link.name], link.parameters, rtol=ROUNDING, atol=ROUNDING)
 
 
 def session_from(model: Path) -> Session:

@@ -78,15 +78,6 @@ class TestPrimitives:
         np.testing.assert_allclose(solid.vertices.max(axis=0), [1.35, 2.2, 3.2], atol=1e-12)
 
     @pytest.mark.parametrize(
-        ("geometry", "name"), [('<box size="1 1 0"/>', "box"), ('<sphere radius="0"/>', "sphere"), ("<box/>", "box")]
-    )
-    def test_without_a_volume_they_are_left_out(self, geometry: str, name: str) -> None:
-        solid, warnings = read(element(geometry) + element(BOX, kind="visual"))
-        assert solid is not None
-        assert solid.shape == "visual: box"
-        assert warnings == [f"shapes without volume, ignored: collision {name} of arm"]
-
-    @pytest.mark.parametrize(
         ("geometry", "message"),
         [
             ('<sphere radius="-1"/>', "a sphere has a negative radius"),
@@ -252,12 +243,6 @@ class TestFinding:
         mesh = self.mesh(tmp_path / inside)
         monkeypatch.setenv(variable, f"/nowhere:{tmp_path / listed}")
         assert self.found("package://my_robot/meshes/a.stl", tmp_path / "robot.urdf") == mesh
-
-    def test_a_named_folder_wins(self, tmp_path: Path) -> None:
-        self.mesh(tmp_path / "my_robot/a.stl")
-        mesh = self.mesh(tmp_path / "other/a.stl")
-        urdf = tmp_path / "my_robot/robot.urdf"
-        assert self.found("package://my_robot/a.stl", urdf, my_robot=tmp_path / "other") == mesh
 
     @pytest.mark.parametrize(
         ("uri", "message"),

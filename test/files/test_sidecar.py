@@ -46,14 +46,6 @@ def test_round_trip(tmp_path: Path) -> None:
     assert list(found.effects) == one_of_each()
 
 
-def test_a_standard_deviation_may_be_unknown(tmp_path: Path) -> None:
-    unsure = KnownEffect("effort_delay", "", "", {"delay": Quantity(1e-3, np.nan, "s")})
-    write_sidecar(tmp_path / "effects.yaml", "arm", [unsure])
-    (found,) = read_sidecar(tmp_path / "effects.yaml").effects
-    assert (found.parameters["delay"].value, found.parameters["delay"].unit) == (1e-3, "s")
-    assert np.isnan(found.parameters["delay"].std)
-
-
 def test_it_explains_itself(tmp_path: Path) -> None:
     path = tmp_path / "effects.yaml"
     write_sidecar(path, "arm", [effect("stribeck_friction", "joint1", level=1.0, excess=0.5, speed=0.1)])

@@ -38,16 +38,6 @@ def finite_difference_jacobian(manifold: ParameterManifold, base: Point) -> Floa
 
 
 @SHAPES
-def test_the_slices_share_out_the_vector(manifold: ParameterManifold) -> None:
-    every = np.arange(manifold.dimension)
-    inertial = np.concatenate([every[manifold.link(k)] for k in range(manifold.links)] or [every[:0]])
-    np.testing.assert_array_equal(every[manifold.inertial], inertial)
-    parts = [every[manifold.inertial], every[manifold.positive], every[manifold.real]]
-    np.testing.assert_array_equal(np.concatenate(parts), every)
-    assert [len(part) for part in parts] == [10 * manifold.links, manifold.positives, len(manifold.scales)]
-
-
-@SHAPES
 @SEEDS
 def test_parameters_round_trip(manifold: ParameterManifold, seed: int) -> None:
     point = bodies.point(np.random.default_rng(seed), manifold)
@@ -130,16 +120,6 @@ def test_jacobian_is_the_derivative_of_the_parameters(manifold: ParameterManifol
     jacobian[rest, rest] = diagonal
     size = np.maximum(np.max(np.abs(expected), axis=1, keepdims=True), 1e-12)
     np.testing.assert_allclose(jacobian / size, expected / size, rtol=0, atol=FINITE_DIFFERENCE)
-
-
-@SHAPES
-@SEEDS
-def test_whitened_rows_are_the_derivatives_of_the_measurements(manifold: ParameterManifold, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    base = bodies.point(rng, manifold)
-    rows = bodies.rows(rng, manifold, base, 5)
-    expected = rows @ finite_difference_jacobian(manifold, base)
-    np.testing.assert_allclose(manifold.whiten(base, rows), expected, rtol=0, atol=100 * FINITE_DIFFERENCE)
 
 
 @SEEDS

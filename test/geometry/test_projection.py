@@ -76,15 +76,6 @@ def test_the_logarithm_back_is_the_multiplier_times_the_normal(seed: int) -> Non
         np.testing.assert_allclose((point.reals - there.reals) / ALL.scales, expected, rtol=0, atol=1e-8)
 
 
-@SEEDS
-def test_no_eigenvalue_grows_by_more_than_e(seed: int) -> None:
-    point, rows, targets = neighbourhood(seed, ALL)
-    for tangent in project(ALL, point, rows, targets).tangent:
-        there = ALL.exp(point, tangent)
-        assert np.max(spd.relative_eigenvalues(point.pseudo_inertias, there.pseudo_inertias)) <= np.e * (1.0 + ROUNDING)
-        assert np.max(there.positives / point.positives) <= np.e * (1.0 + ROUNDING)
-
-
 @SHAPES
 @SEEDS
 def test_a_general_optimiser_finds_the_same_point(manifold: ParameterManifold, seed: int) -> None:

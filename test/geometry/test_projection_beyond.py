@@ -14,7 +14,6 @@ from .planes import (
     ALL,
     LINK,
     MASS,
-    POSITIVE,
     SEEDS,
     SHAPES,
     beyond,
@@ -89,14 +88,6 @@ def test_a_real_takes_up_what_no_body_can() -> None:
     assert found.status[0] == ROOT
     assert row @ landed.parameters == pytest.approx(-3.0, rel=ROUNDING)
     assert landed.reals[0] < -3.0
-
-
-def test_a_positive_below_zero_and_above_e_has_no_root() -> None:
-    point = POSITIVE.point(np.array([2.0]))
-    for ratio, status in ((-1.0, NO_ROOT_HIGH), (0.0, NO_ROOT_HIGH), (2.8, NO_ROOT_LOW), (1e6, NO_ROOT_LOW)):
-        assert one(POSITIVE, point, np.array([3.0]), 6.0 * ratio).status[0] == status
-    for ratio, status in ((-1.0, NO_ROOT_LOW), (0.0, NO_ROOT_LOW), (2.8, NO_ROOT_HIGH), (1e6, NO_ROOT_HIGH)):
-        assert one(POSITIVE, point, np.array([-3.0]), -6.0 * ratio).status[0] == status
 
 
 @pytest.mark.parametrize("side", [NO_ROOT_LOW, NO_ROOT_HIGH])

@@ -48,19 +48,6 @@ def test_a_sparse_row_projects_as_on_the_manifold_of_its_blocks(seed: int) -> No
     np.testing.assert_allclose(whole.curvature[np.ix_(kept, kept)], part.curvature, rtol=0, atol=1e-6)
 
 
-@SEEDS
-def test_a_satisfied_row_is_at_distance_zero(seed: int) -> None:
-    """There the Hessian is the Gauss-Newton term alone, along the unit normal."""
-    point, rows, targets = problem(seed, ALL, 20, 0.0)
-    found, normals = project(ALL, point, rows, targets), ALL.whiten(point, rows)
-    assert np.all(found.status == ROOT)
-    np.testing.assert_allclose(found.half_squared, np.zeros(20), rtol=0, atol=1e-18)
-    np.testing.assert_allclose(found.tangent, np.zeros_like(rows), rtol=0, atol=ROUNDING)
-    units = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    np.testing.assert_allclose(found.direction, units, rtol=0, atol=ROUNDING)
-    np.testing.assert_allclose(found.curvature, np.zeros((ALL.dimension,) * 2), rtol=0, atol=ROUNDING)
-
-
 @pytest.mark.parametrize(("target", "status"), [(0.0, ROOT), (1.0, NO_ROOT_LOW), (-1.0, NO_ROOT_HIGH)])
 def test_a_zero_row_moves_nothing(target: float, status: int) -> None:
     point = bodies.point(np.random.default_rng(0), ALL)

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from files.recordings import TYPES, Recorded
 from geometry_msgs.msg import InertiaStamped, WrenchStamped
@@ -22,18 +21,16 @@ from model.robots import urdf
 from nav_msgs.msg import Odometry
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
-from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import String
 from test_configs import in_force
 
 from geomid_ros.types import FloatArray
 
-from .in_motion import COULOMB, SECOND, InMotion, in_time, noisy
+from .in_motion import COULOMB, InMotion, in_time, noisy
 from .observer import MATCHING, latched, plenty
 from .processes import Process
-from .spoiling import later, stamp_of
-from .stage import Stage, description, messages
+from .stage import Stage, description
 
 CONFIG = Path(__file__).parents[2] / "config"
 KINDS = {
@@ -249,46 +246,3 @@ def test_a_person_on_a_force_plate(stage: Stage) -> None:
     links = setup.saved()
     assert_masses_are_true(links, robot.truth)
     assert total(links) == pytest.approx(sum(body[0] for body in robot.truth.values()), rel=2e-3)
-
-
-def test_a_payload_within_two_seconds_of_motion(stage: Stage) -> None:
-    """Of a known arm; taken up, and put down again after ``~/reset``."""
-    bare = urdf("ur10_robot.urdf")
-    setup = Setup(stage, CONFIG / "payload.yaml", with_tool(bare, "tool0", mass=0.3))
-    for payload, begin in ((1.5, 0.0), (0.3, 60.0)):
-        loaded = with_tool(bare, "tool0", mass=payload)
-        known = InMotion(loaded, duration=2.0, rate=125.0, seed=1, cuts=["tool0"], begin=begin, swing=0.8, error=0.0)
-        assert stage.observer.trigger(f"/{setup.name}/reset")[0]
-        wrench = noisy(-known.carried("tool0"), 0.1, seed=3)
-        states = known.joint_states(noisy(known.efforts(), 0.3, seed=2))
-        setup.publish(in_time(states, known.wrenches("/force_torque_sensor_broadcaster/wrench", "tool0", wrench)))
-        setup.told()
-        (link,) = setup.saved().values()
-        assert link["name"] == "tool0"
-        assert link["mass"] == pytest.approx(payload, rel=0.1)
-        assert link["com"] == pytest.approx(known.truth["tool0"][1:4] / payload, abs=0.01)
-        stage.observer.wait_for(
-            lambda payload=payload: abs(setup.inertias[-1].inertia.m / payload - 1.0) < 0.1, "the payload on the topic"
-        )
-        assert {message.header.frame_id for message in setup.inertias} == {"tool0"}
-
-
-def test_a_simulation_that_begins_again(stage: Stage) -> None:
-    """Its clock and all stamps fall back to nothing; what was found is kept."""
-    setup = Setup(stage, CONFIG / "geomid.yaml", description("arm3"), "-p", "use_sim_time:=true")
-    states = [item for item in messages("arm3") if item.topic == "/joint_states"]
-    states = [later(item, SECOND - stamp_of(states[0])) for item in states]
-    clock = stage.observer.node.create_publisher(Clock, "/clock", 10)
-    setup.publish(states[:500])
-    clock.publish(Clock(clock=Time(sec=6)))
-    rows = int(setup.told()["rows"])
-    stage.observer.wait_for(lambda: any(array.header.stamp.sec == 6 for array in setup.arrays), "simulated time")
-    clock.publish(Clock(clock=Time(sec=1)))
-    again = setup.sent.copy()
-    setup.publish(states[:500])
-    values = setup.told()
-    assert setup.sent["/joint_states"] == 2 * again["/joint_states"]
-    assert values["joint_states noted: clock set back: a new segment begins"] == "1"
-    assert int(values["rows"]) > 1.5 * rows
-    stage.observer.wait_for(lambda: setup.arrays[-1].header.stamp.sec == 1, "simulated time from its beginning")
-    assert setup.saved().keys() == {"link1", "link2", "link3"}

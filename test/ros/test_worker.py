@@ -182,15 +182,6 @@ def test_an_error_of_the_solver_keeps_the_last_estimate(quiet: Watched, monkeypa
     assert "division by zero" in quiet.worker.solver.problem
 
 
-def test_predictions_come_once_there_is_an_estimate(quiet: Watched) -> None:
-    quiet.feed(0, 400)
-    quiet.final()
-    assert quiet.samples == 0
-    quiet.feed(400)
-    quiet.final()
-    assert quiet.samples > 10
-
-
 def test_what_is_forgotten_while_it_is_solved_for_stays_forgotten(
     quiet: Watched, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -267,18 +258,6 @@ def test_effects_are_chosen_anew_once_half_of_what_is_remembered_is_new(
         assert len(afresh) < 2 or afresh[-1] == (rows > 2 * first)
     assert afresh.count(True) == 2
     assert afresh.count(False) >= 5
-
-
-def test_closing_makes_the_estimate_up_to_date() -> None:
-    watched = Watched(NEVER)
-    watched.feed(0, 500)
-    watched.final()
-    watched.feed(500, 520)
-    watched.worker.close()
-    first, last = solved_for(watched)
-    assert first < last == watched.session.identifier.rows
-    assert watched.worker.estimate is not None
-    assert watched.worker.estimate.rows_accepted == last
 
 
 def test_who_waits_when_it_closes_has_an_answer() -> None:

@@ -116,28 +116,6 @@ def test_velocity_and_acceleration_belong_to_the_pose() -> None:
     np.testing.assert_allclose(rates, samples.base_acceleration[1:-1], rtol=0, atol=0.02 * size)
 
 
-def test_collecting_often_or_late_is_the_same() -> None:
-    poses = [PoseMessage(int(t), pin.SE3ToXYZQUAT(wandering(float(seconds(t))))) for t in STAMPS]
-    joints = [JointMessage(int(stamp), ("joint",), [0.0], [], [0.0]) for stamp in STAMPS]
-    settings = SignalSettings(period=0.01)
-    messages, results = in_time(joints, poses), []
-    for late in (0, 1, 150):
-        pipeline = SignalPipeline(["joint"], floating_base=True, settings=settings)
-        parts = []
-        for message in messages[late:]:
-            pipeline.push(message)
-            part = pipeline.collect() if late else None
-            parts += [part] if part is not None else []
-        results.append(Samples.concatenate(parts) if parts else pipeline.collect())
-    whole = results[0]
-    for part in results[1:]:
-        assert 0 < len(part) <= len(whole)
-        for kind in ("stamps", "base_pose", "base_velocity", "base_acceleration"):
-            np.testing.assert_allclose(
-                getattr(part, kind), getattr(whole, kind)[-len(part) :], rtol=0, atol=1e-12, err_msg=kind
-            )
-
-
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 0.0999, 0.1001, 1.0, 3.0, 3.1415])
 def test_the_logarithm_is_pinocchios(angle: float) -> None:
     """Near and far, across the switch to the series, whatever the quaternions' signs."""

@@ -92,22 +92,6 @@ def test_what_was_the_largest_before_the_clock_was_set_back_may_be_so_after_it()
         reader.restart()
 
 
-def test_what_is_nearly_always_the_largest_is_taken() -> None:
-    """As friction at constant speed, to and fro."""
-    seen = np.repeat([0.5, -0.5, 0.5, -0.5], 300)
-    seen[::300] = 0.0
-    assert not np.any(refused(seen, 200.0))
-
-
-@pytest.mark.parametrize("share", [0.8, 0.9, 1.0])
-def test_an_effort_that_is_nearly_always_the_same_is_taken(share: float) -> None:
-    """As friction at constant speed; one that is the same for half of the time is cut off."""
-    places = np.arange(4000) % 1000 / 1000.0
-    other = 0.1 + 0.2 * np.sin(40.0 * places)
-    assert not np.any(refused(np.where(places < share, 1.0, other), 100.0))
-    assert np.any(refused(np.where(places < 0.5, 1.0, other), 100.0))
-
-
 @pytest.mark.parametrize(("rate", "longest"), [(10.0, 6), (100.0, 6), (1000.0, 50)])
 def test_an_effort_that_is_the_largest_for_a_moment_is_taken(rate: float, longest: int) -> None:
     """For six messages, and for fifty milliseconds; it comes there at once, from far below, while the joint moves."""
