@@ -34,7 +34,7 @@ ROOT = Path(__file__).parents[2]
 URDF = BAGS / "arm3.urdf"
 MESSAGES = recorded(BAGS / "arm3")
 MEMORY = 400_000_000  # bytes that opening a crafted file may take, of 591 MB that it would unpack to
-FLIPS = 150
+FLIPS = 80
 
 Content = list[tuple[str, int, bytes]]
 
