@@ -13,7 +13,7 @@ from geomid_ros.excitation.learning import expected_learning, weight_of
 from geomid_ros.excitation.search import random_feasible, random_motion
 from geomid_ros.model.samples import samples_of
 
-from .arm import small_task, urdf
+from .arm import small_task
 
 TASK = small_task()
 KNOWLEDGE = TASK.knowledge
@@ -30,15 +30,6 @@ def test_more_is_known_afterwards() -> None:
     assert np.max(gained) > 0.01
     again = known_before(after.model, after.posterior, after.sigmas.tolist(), "here")
     assert np.allclose(again.precision, KNOWLEDGE.precision + KNOWLEDGE.information(motion()), rtol=1e-5, atol=1e-3)
-
-
-def test_friction_that_the_urdf_states_is_expected() -> None:
-    """The effort that it takes is part of what must fit below the limits."""
-    text = urdf().replace('<axis xyz="0 0 1"/>', '<axis xyz="0 0 1"/><dynamics damping="12" friction="3"/>')
-    own, states = small_task(text=text).knowledge, np.zeros((3, 1, 3))
-    states[1, 0, 0] = 1.0
-    assert own.efforts(states)[0, 0] == pytest.approx(15.0, abs=0.01)
-    assert KNOWLEDGE.efforts(states)[0, 0] < 5.0
 
 
 def test_an_estimate_of_another_robot_is_refused() -> None:

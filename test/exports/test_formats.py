@@ -126,21 +126,6 @@ def test_the_sdf_block_by_the_specification(payload: Export) -> None:
         np.testing.assert_allclose(values[key], TRUTH.masses @ integrand, **EXACT)
 
 
-def test_libsdformat_reads_the_sdf_block(payload: Export) -> None:
-    """Drake parses SDF with Gazebo's own library."""
-    missing = "needs Drake: pip install -r requirements-bench.txt"
-    parsing = pytest.importorskip("pydrake.multibody.parsing", reason=missing)
-    plants = pytest.importorskip("pydrake.multibody.plant", reason=missing)
-    plant = plants.MultibodyPlant(time_step=0.0)
-    parsing.Parser(plant).AddModelsFromString(SDF.format(pasted(payload, formats.sdf_inertial)), "sdf")
-    plant.Finalize()
-    read = plant.GetBodyByName("flange").default_spatial_inertia()
-    assert read.get_mass() == pytest.approx(TRUTH.mass, rel=1e-8)
-    np.testing.assert_allclose(read.get_com(), TRUTH.com, **EXACT)
-    central = read.Shift(read.get_com()).CalcRotationalInertia().CopyToFullMatrix3()
-    np.testing.assert_allclose(central, TRUTH.inertia, **EXACT)
-
-
 def test_every_link_in_its_own_frame(tmp_path: Path) -> None:
     """And names with hyphens side by side, which no comment of XML may have."""
     bodies: list[Points] = [points(31), points(32)]

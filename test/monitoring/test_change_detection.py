@@ -113,11 +113,6 @@ def test_the_gap_says_how_wide_it_is_and_since_when() -> None:
     assert np.median(widths) == pytest.approx(np.hypot(1.0, RISE), rel=0.1)
 
 
-def test_what_is_normal_is_reported_as_one() -> None:
-    last = [list(Robot(seed).judged(new_detector()))[-1][0].times_floor for seed in range(8)]
-    assert np.median(last) == pytest.approx(1.0, abs=0.1)
-
-
 def test_a_motion_that_shows_new_parameters_opens_none() -> None:
     """However wrong they were taken to be: here they are ten times the noise, each."""
     for seed in range(5):
@@ -161,16 +156,6 @@ def test_who_forgets_gets_used_to_it() -> None:
     assert BLOCKS // 2 <= opened[0] < BLOCKS // 2 + DELAY
     assert opened[-1] < 150
     assert open_blocks(robot)[-1] == 199, "who does not forget, does not"
-
-
-def test_units_do_not_matter() -> None:
-    robot, larger = Robot(3), Robot(3)
-    robot.change()
-    larger.change()
-    larger.targets *= 1e3
-    (one,), (other,) = list(robot.judged(new_detector()))[-1], list(larger.judged(new_detector()))[-1]
-    assert one.since == other.since
-    assert one.times_floor == pytest.approx(other.times_floor, rel=1e-6)
 
 
 def test_rounding_is_no_gap() -> None:
@@ -249,22 +234,6 @@ class TestNormal:
         robot.change()
         for _ in robot.judged(detector):
             assert detector.normal([]) == detector.judged - LATE
-
-    def test_instants_are_counted_by_whoever_adds_them(self) -> None:
-        """There may be some between that nobody has seen."""
-        robot, detector = Robot(3), new_detector()
-        robot.change()
-        stamps = PERIOD * np.arange(1, len(robot.targets) + 1)
-        for begin in range(0, len(stamps), BLOCK):
-            rows = slice(begin, begin + BLOCK)
-            detector.add(
-                1000 + 2 * begin, stamps[rows], Rows(robot.coefficients[rows, None], robot.targets[rows, None])
-            )
-            while detector.judge():
-                pass
-        (gap,) = detector.gaps
-        assert detector.judged == 1000 + 2 * (len(stamps) - BLOCK) + BLOCK
-        assert gap.since == stamps[(gap.first - 1000) // 2]
 
 
 class Imperfect(Robot):

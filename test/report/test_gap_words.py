@@ -11,11 +11,9 @@ from files.gaps import gap_result
 
 from geomid_ros.model.effects import Quantity
 from geomid_ros.report.gap_words import (
-    headline,
     in_short,
     interval,
     measured,
-    place,
     ratio,
     to_record,
     verdict_sentence,
@@ -56,15 +54,6 @@ def test_of_many_findings_the_surest_are_named() -> None:
     many = replace(result, findings=(finding, *(replace(finding, joint=f"toe{k}") for k in range(5))))
     named = "Found: 6 effects, most certainly Coulomb friction at knee and Coulomb friction at toe0. With them, "
     assert verdict_sentence(many).startswith(named)
-
-
-def test_names_are_those_of_the_field() -> None:
-    assert [headline(name) for name in ("coulomb_friction", "stribeck_friction", "rotor_inertia")] == [
-        "Coulomb friction",
-        "Stribeck friction",
-        "Rotor inertia",
-    ]
-    assert [place("knee"), place("knee", "tool"), place("")] == ["at knee", "on tool", "of the whole robot"]
 
 
 @pytest.mark.parametrize(
@@ -111,13 +100,4 @@ def test_what_to_record_next() -> None:
     assert slow.endswith("(for the residual at knee)")
     assert to_record(gap_result("unexplained", JOINTS)) == [
         "the joint alone, then hip alone, then both (for the residual at knee)"
-    ]
-
-
-def test_one_recording_for_several_purposes_is_said_once() -> None:
-    result = gap_result("ambiguous", JOINTS)
-    finding = result.findings[0]
-    both = replace(result, findings=(finding, replace(finding, joint="hip")))
-    assert to_record(both) == [
-        "move knee at three constant speeds (for Coulomb friction at knee and Coulomb friction at hip)"
     ]

@@ -8,14 +8,11 @@ import numpy as np
 import pytest
 from estimation.arms import Motion, efforts, motion, samples, shipped, truth
 
-from geomid_ros.estimation.estimate import QUANTITIES
-from geomid_ros.estimation.identified import sizes
 from geomid_ros.exports.weighed_payload import weigh_at
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.live.gap_search import look_for_gap
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.session import payload
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.payload import WeighedPayload, weigh
 from geomid_ros.session.recordings import silent
@@ -117,17 +114,6 @@ def test_of_a_payload_whose_mass_is_not_told_the_first_moment_is() -> None:
     assert np.all(sure.moment_std[[0, 2]] > found[0].moment_std[[0, 2]])
 
 
-def test_what_is_identified_of_a_payload_is_known_to_a_fifth() -> None:
-    """The rule is that of links, with the gain in the deviations: what a gain makes unsure is not identified."""
-    sure, unsure = weighed(0), weighed(0, gain=0.3)
-    for found in (sure, unsure):
-        known = np.array([name not in found.cannot_tell for name in QUANTITIES])
-        body = pseudo_inertia.parameters_of(found.quantities)
-        assert np.all(1.96 * found.std[known] <= 0.2 * sizes(body)[:10][known])
-    assert "mass" not in sure.cannot_tell
-    assert "mass" in unsure.cannot_tell
-
-
 def test_what_is_not_told_is_not_said_first() -> None:
     bare = session()
     bare.identifier.add(recording(0, False))
@@ -148,13 +134,6 @@ def test_gains_of_single_joints_are_in_the_deviations() -> None:
     assert np.any(unsure.std[1:4] > 1.5 * sure.std[1:4])
     assert np.hypot(sure.std[0], 0.05 * sure.mass) <= 1.01 * unsure.std[0]
     assert sure.quantities.tolist() == unsure.quantities.tolist()
-
-
-@pytest.mark.parametrize(("shifts", "more"), [([1.0, 1.0], 2.0), ([1.0, -1.0], np.sqrt(2.0)), ([], 0.0)])
-def test_gains_are_wrong_each_by_itself_or_all_alike(shifts: list[float], more: float) -> None:
-    """Whichever matters more."""
-    found = payload._with_shifts(np.array([0.5]), np.reshape(shifts, (-1, 1)))
-    assert found[0] == pytest.approx(np.hypot(0.5, more))
 
 
 def messages(seed: int, payload: bool) -> list[Accepted]:

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 from files.recordings import chunks, with_checksums
-from rosbags.interfaces import QosDurability
 
 from geomid_ros.simulation import SimulationOptions, SimulationResult, simulate
-from geomid_ros.simulation.robots import WRIST_FRAME, robot_description
+from geomid_ros.simulation.robots import WRIST_FRAME
 
 from .reading import Recorded, recorded
 
@@ -58,12 +57,6 @@ def test_topics_and_counts(result: SimulationResult, bag: Recorded) -> None:
     assert result.samples == 200
 
 
-def test_description_is_the_nominal_urdf_and_waits_for_late_subscribers(bag: Recorded) -> None:
-    assert bag.messages["/robot_description"][0].data == robot_description("arm3")
-    assert bag.durability["/robot_description"] is QosDurability.TRANSIENT_LOCAL
-    assert bag.raw[0][0] == "/robot_description"
-
-
 def test_joint_states_are_complete(bag: Recorded) -> None:
     for message in bag.messages["/joint_states"]:
         assert sorted(message.name) == ["joint1", "joint2", "joint3"]
@@ -71,13 +64,6 @@ def test_joint_states_are_complete(bag: Recorded) -> None:
         for values in (message.position, message.velocity, message.effort):
             assert values.shape == (3,)
             assert np.isfinite(values).all()
-
-
-def test_same_options_same_bytes(tmp_path: Path, result: SimulationResult) -> None:
-    again = simulate(tmp_path / "arm", OPTIONS)
-    for name in ("arm.mcap", "metadata.yaml"):
-        assert (again.bag / name).read_bytes() == (result.bag / name).read_bytes()
-    assert again.truth.read_bytes() == result.truth.read_bytes()
 
 
 def test_bag_carries_no_truth(result: SimulationResult, bag: Recorded) -> None:

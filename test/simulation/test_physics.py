@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from geomid_ros.simulation.recording import closed_loop, record
 from geomid_ros.simulation.robot import build_robot
 from geomid_ros.simulation.robots import WRIST_FRAME
 
-from .conftest import Run, simulated
+from .conftest import Run
 
 pytest.importorskip("mujoco")
 
@@ -42,13 +41,6 @@ def test_dry_friction_never_exceeds_its_coefficient(run: Run) -> None:
     assert np.all(np.abs(dry) <= run.independent.coefficients("coulomb_friction") + EXACT)
 
 
-@pytest.mark.parametrize("robot", ["arm3", "arm7"])
-def test_effort_without_dry_friction_at_every_instant(robot: str, tmp_path: Path) -> None:
-    smooth = simulated(replace(QUICK, robot=robot), tmp_path)
-    expected = smooth.independent.smooth_effort(smooth.trace)
-    np.testing.assert_allclose(smooth.trace.effort, expected, rtol=0.0, atol=EXACT)
-
-
 def test_wrench_is_what_the_arm_applies_to_the_tool(run: Run) -> None:
     expected = run.independent.carried_wrench(run.trace, WRIST_FRAME, "tool")
     np.testing.assert_allclose(run.trace.wrench, expected, rtol=0.0, atol=EXACT)
@@ -73,17 +65,6 @@ def test_a_row_belongs_to_one_instant() -> None:
     for values, rates in ((trace.velocity, trace.acceleration), (trace.position, trace.velocity)):
         slope = (values[:-4] - 8.0 * values[1:-3] + 8.0 * values[3:-1] - values[4:]) / (12.0 * step)
         np.testing.assert_allclose(slope[smooth], rates[2:-2][smooth], rtol=0.0, atol=2e-5)
-
-
-@pytest.mark.parametrize(("seed", "motion"), [(4, "aperiodic"), (9, "sines")])
-def test_nothing_rattles_where_axes_are_in_line(seed: int, motion: str) -> None:
-    """The first and third joint of the seven turn about one line where the second is at 0: little inertia resists them
-    together, and a controller too stiff for the step would shake it."""
-    options = SimulationOptions(robot="arm7", seed=seed, rate=500.0, duration=5.0, motion=motion, hide=())
-    trace = recorded(options)
-    slope = (trace.velocity[2:] - trace.velocity[:-2]) * 0.5 * options.rate
-    off = np.sqrt(np.mean((slope - trace.acceleration[1:-1]) ** 2, axis=0))
-    assert np.all(off < 1e-2 * np.sqrt(np.mean(trace.acceleration**2, axis=0)))
 
 
 def test_integration_has_converged() -> None:

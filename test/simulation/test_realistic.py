@@ -56,17 +56,6 @@ def test_steady_sliding_meets_stribecks_curve(speed: float) -> None:
     assert forces[-1, 0] == pytest.approx(curve, rel=1e-9)
 
 
-def test_before_it_slides_it_is_a_spring() -> None:
-    """The slope at the origin is the bristles' stiffness, and where the motion ends the force stays."""
-    reach = 2e-3 * 3.0 / 4000.0  # a five-hundredth of where the bristles slide
-    _, forces = slid(FRICTION, np.full((100, 1), reach / (100 * STEP)), np.zeros(1))
-    creep = 3.0 + 0.5  # what damping and viscosity add, per rad/s
-    assert forces[-1, 0] - creep * reach / (100 * STEP) == pytest.approx(4000.0 * reach, rel=5e-3)
-    bends, held = slid(FRICTION, np.zeros((1000, 1)), np.array([reach]))
-    assert bends[-1, 0] == reach
-    assert held[-1, 0] == pytest.approx(4000.0 * reach, rel=1e-12)
-
-
 def test_it_never_drives() -> None:
     """``F v >= d/dt (stiffness z^2 / 2)`` for every state that can be reached, also where a joint is torn from rest,
     its bristles still bent: drawn robots are passive."""
@@ -117,19 +106,6 @@ def unseen(truth: dict[str, Any], effort: FloatArray, position: FloatArray) -> F
         + waves[1]
         + motors["ripple"] * effort * np.sin(2.0 * (motors["cycles"][0] * position + motors["phase"][0]))
     )
-
-
-def test_the_joints_slip_before_they_slide() -> None:
-    """There are samples at which the bristles carry less than sliding would: no function of velocity alone."""
-    loop = closed_loop(robot(), OPTIONS)
-    position, velocity = loop.robot.at_rest(loop.controller.setpoints.position[0])
-    bends = []
-    for index in range(2000):
-        position, velocity = loop.advance(index, position, velocity, loop.acceleration(2 * index, position, velocity))
-        bends.append(loop.memory.bend)  # type: ignore[attr-defined]
-    share = np.abs(np.array(bends)) * robot().friction.stiffness / robot().friction.level
-    assert (share < 0.5).any(axis=0).all()
-    assert (share > 0.95).any(axis=0).all()
 
 
 def test_a_seed_gives_the_same_messages_and_another_motion_the_same_robot(tmp_path: Path) -> None:
