@@ -62,9 +62,12 @@ def test_a_wrong_velocity_is_not_used(case: str) -> None:
     assert_same(fed(WRONG[case](true_velocity())), derivatives(), tolerance=0.0)
 
 
-@pytest.mark.parametrize(("factor", "noted"), [(1.0, False), (1.02, False), (1.1, True), (0.714, True), (-1.0, False)])
+@pytest.mark.parametrize(
+    ("factor", "noted"),
+    [(1.0, False), (1.02, False), (1.1, True), (0.714, True), (-1.0, False), (2.0, False), (0.5, False)],
+)
 def test_velocities_in_another_unit_of_time_are_told(factor: float, noted: bool) -> None:
-    """As are stamps that run too fast; a joint that is reversed is another fault."""
+    """As are stamps that run too fast; a joint that is reversed, or a clock off by half, is another fault."""
     velocity = factor * true_velocity()
     messages = [replace(m, velocity=row) for m, row in zip(joint_messages(STAMPS), velocity, strict=True)]
     target = SignalPipeline(JOINTS, settings=SETTINGS)
