@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands.running import done, geomid, refused, undrawn
+from commands.running import done, refused, undrawn
 from files.recordings import BAGS, QUICK, recorded, write_bag
 from report.pages import Page
 
@@ -154,29 +154,12 @@ def test_the_page_has_it_all(planted: tuple[Path, Path], tmp_path: Path) -> None
     assert not {"script", "iframe", "link"} & {tag for tag, _ in page.elements}
 
 
-def test_numbers_for_programs(planted: tuple[Path, Path], tmp_path: Path) -> None:
-    result = geomid("compare", *planted, "--json", "--out", tmp_path)
-    assert result.exit_code == 0
-    document = json.loads(result.stdout)
-    assert [entry["link"] for entry in document["changed_links"]] == [LINK]
-    assert {entry["parameter"] for entry in document["differences"] if entry["place"] == LINK} >= {"mass", "Izz"}
-    assert (tmp_path / "compare.html").is_file()
-
-
 def changed_copy(estimate: Path, folder: Path, **entries: Any) -> Path:
     """An estimate that says something else."""
     shutil.copytree(estimate.parent, folder)
     document = json.loads(estimate.read_text()) | entries
     (folder / "estimate.json").write_text(json.dumps(document))
     return folder / "estimate.json"
-
-
-def test_the_status_is_that_of_the_worse_verdict(halves: tuple[Path, Path], tmp_path: Path) -> None:
-    verdict = {"result": "doubtful", "reasons": ["signs of joint2 are reversed"]}
-    doubtful = changed_copy(halves[1], tmp_path / "doubtful", verdict=verdict)
-    result = geomid("compare", halves[0], doubtful, "--out", tmp_path)
-    assert result.exit_code == 4
-    assert "signs of joint2 are reversed" in result.stdout
 
 
 def test_another_robot_is_refused_by_name(halves: tuple[Path, Path], tmp_path: Path) -> None:
@@ -198,13 +181,6 @@ def test_what_is_no_result_is_refused(halves: tuple[Path, Path], tmp_path: Path)
     links[0]["std"] = {"mass": "much"}
     wrong = changed_copy(halves[0], tmp_path / "wrong", links=links)
     assert "links[0].std.com is not given" in refused("compare", halves[0], wrong, "--out", tmp_path)
-
-
-def test_no_link_in_common_is_another_robot(halves: tuple[Path, Path], tmp_path: Path) -> None:
-    links = json.loads(halves[0].read_text())["links"]
-    renamed = [link | {"name": f"other_{link['name']}"} for link in links]
-    other = changed_copy(halves[0], tmp_path / "other", links=renamed, information=None)
-    assert "a model of another robot" in refused("compare", halves[0], other, "--out", tmp_path)
 
 
 def test_a_link_of_other_parts_is_left_out_and_said(halves: tuple[Path, Path], tmp_path: Path) -> None:
@@ -243,26 +219,3 @@ def test_a_urdf_without_an_inertial_is_refused(halves: tuple[Path, Path], tmp_pa
     (tmp_path / "bare.urdf").write_text(text)
     message = refused("compare", halves[0], tmp_path / "bare.urdf", "--out", tmp_path)
     assert "link 'link7' has no <inertial>" in message
-
-
-@pytest.mark.parametrize("garbage", [None, 5, [[]], {"a": 1}])
-def test_garbage_never_ends_in_a_traceback(garbage: object, halves: tuple[Path, Path], tmp_path: Path) -> None:
-    """In any entry of the file, or of a link: it is refused, naming the file, or does not matter."""
-    document = json.loads(halves[0].read_text())
-    wrong = [document | {key: garbage} for key in document]
-    wrong += [document | {"links": [document["links"][0] | {key: garbage}]} for key in document["links"][0]]
-    (tmp_path / "wrong").mkdir()
-    for entries in wrong:
-        path = tmp_path / "wrong/estimate.json"
-        path.write_text(json.dumps(entries))
-        said = refusal(halves[1], path)
-        assert not said or str(path) in said
-
-
-def refusal(first: Path, second: Path) -> str:
-    """Why two files are not compared; empty if they are."""
-    try:
-        geomid_ros.compare(first, second)
-    except geomid_ros.InputError as error:
-        return str(error)
-    return ""

@@ -14,7 +14,6 @@ from typing import Any
 
 import pytest
 from files.recordings import BAGS, QUICK
-from matplotlib.figure import Figure
 
 import geomid_ros
 from geomid_ros.simulation import SimulationOptions, simulate
@@ -110,11 +109,3 @@ def test_what_is_written(shown: dict[str, Any]) -> None:
     assert names == files | tables
     assert (folder / "geomid_out/identified.urdf").read_text() == shown["found"].urdf()
     assert "Coulomb friction" in (folder / "report.html").read_text()
-
-
-def test_a_figure_and_a_line_for_each_link(shown: dict[str, Any]) -> None:
-    found = shown["found"]
-    assert isinstance(found.plot(), Figure)
-    heading, *lines = repr(found).splitlines()
-    assert heading == f"Identification of arm3: {found.estimate.rows_accepted} rows, converged"
-    assert [line.split(":")[0].strip() for line in lines] == [link.name for link in found.links]

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from commands.running import WRIST, done, identify, undrawn
-from files.recordings import BAGS, altered
+from files.recordings import BAGS
 
 import geomid_ros
 from geomid_ros.files.models.posterior import read_remainder
@@ -68,13 +68,6 @@ def test_configurations(configurations: dict[str, Any], plain: dict[str, Any]) -
     assert wins["effects"] == []
 
 
-def test_bags_to_validate_on(plain: dict[str, Any], tmp_path: Path) -> None:
-    """With them nothing of the other is held out."""
-    whole = geomid_ros.identify(BAG, URDF, validate=[altered(BAG, tmp_path / "copy", lambda item: item)])
-    assert whole.estimate.rows_accepted > 1.3 * plain["rows"]["accepted"]
-    assert sum(map(len, whole.held_out)) == sum(map(len, geomid_ros.identify(BAG, URDF, hold_out=0.0).train))
-
-
 def test_without_held_out_data_the_fitted_ones_are_judged() -> None:
     found = geomid_ros.identify(BAG, URDF, hold_out=0.0)
     assert list(found.held_out) == []
@@ -91,15 +84,6 @@ def test_an_estimate_is_kept_whose_bag_is_gone_before_it_is_saved(tmp_path: Path
     assert {"estimate.json", "posterior.npz", "report.html"} <= files
     assert any("posterior.npz" in note and "bag" in note for note in found.session.notes)
     assert read_remainder(tmp_path / "out" / "posterior.npz") is None
-
-
-def test_progress_is_told() -> None:
-    told: list[tuple[str, float]] = []
-    geomid_ros.identify(BAG, URDF, progress=lambda stage, share: told.append((stage, share)))
-    assert list(dict.fromkeys(stage for stage, _ in told)) == ["reading arm3", "solving"]
-    shares = [share for stage, share in told if stage == "reading arm3"]
-    assert shares == sorted(shares)
-    assert 0.0 == shares[0] < 0.9 < shares[-1] <= 1.0
 
 
 REFUSED: dict[str, tuple[Callable[[], object], str]] = {

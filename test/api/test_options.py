@@ -90,20 +90,6 @@ def test_keywords_are_parameters_and_win_over_the_configuration() -> None:
     }
 
 
-@pytest.mark.parametrize("gain", [-1, -1.0, "-1", ["-1"], [-1]])
-def test_a_gain_of_all_joints(gain: Any) -> None:
-    assert RobotOptions(gain=gain).configuration().given == {"effort_gain": -1.0}
-
-
-def test_gains_by_joint() -> None:
-    assert RobotOptions(gain={"joint2": 3}).configuration().given == {"joint.joint2.effort_gain": 3.0}
-
-
-def test_an_argument_that_does_not_exist_is_refused() -> None:
-    with pytest.raises(TypeError, match="'cutof'"):
-        geomid_ros.identify(BAG, URDF, cutof=8.0)  # type: ignore[call-arg]
-
-
 def test_a_cutoff_is_that_of_the_parameter() -> None:
     """The same result by the keyword as by the configuration."""
     by_name = geomid_ros.identify(BAG, URDF, cutoff=8.0, effects=[])

@@ -64,14 +64,6 @@ def test_all_but_time_series_is_as_it_was(kind: str, request: pytest.FixtureRequ
         assert str(tmp_path / "files" / name) in printed
 
 
-def test_another_folder_can_be_named(identified: Path, tmp_path: Path) -> None:
-    before = (identified / "report.html").read_bytes()
-    files = geomid_ros.rebuild_report(identified, out=tmp_path / "new")
-    assert {path.name for path in files} == {"report.html", "links.csv", "effects.csv", "channels.csv"}
-    assert all(path.parent == tmp_path / "new" and path.is_file() for path in files)
-    assert (identified / "report.html").read_bytes() == before
-
-
 def test_what_is_no_result_is_refused(tmp_path: Path) -> None:
     assert "no result is in this folder" in refused("report", tmp_path)
     assert "no result is in this folder" in refused("report", tmp_path / "nowhere")

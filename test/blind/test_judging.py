@@ -73,32 +73,11 @@ def test_tentative_is_listed_but_not_right() -> None:
     assert (case.right, case.listed, case.wrong) == ((), (("spring", "joint2"),), ())
 
 
-def test_a_rival_is_listed() -> None:
-    named = finding("effort_offset", "joint2", "ambiguous", offset=1.0)
-    named["rivals"] = [{"effect": "spring", "joint": "joint2", "loss": 2.0}]
-    assert judge(document(SPRING, findings=(named,))).listed == (("spring", "joint2"),)
-
-
 @pytest.mark.parametrize("named", [("spring", "joint3"), ("effort_offset", "joint2")])
 def test_wrong_names_and_wrong_joints_are_wrong(named: tuple[str, str]) -> None:
     case = judge(document(SPRING, findings=(finding(*named),)))
     assert (case.right, case.listed, case.wrong) == ((), (), (named,))
     assert judge(document(SPRING, findings=(finding(*named, "tentative"),))).wrong == ()
-
-
-def test_a_sensor_s_topic_with_and_without_a_slash() -> None:
-    true = {"fx": 1.0, "fy": 1.0, "fz": 1.0, "tx": 0.1, "ty": 0.1, "tz": 0.1}
-    offset = {"effect": "wrench_offset", "joint": "/wrench", "parameters": true}
-    found = finding("wrench_offset", "wrench", fx=1.0, fy=1.0, fz=1.1, tx=0.1, ty=0.1, tz=0.1)
-    case = judge(document(offset, findings=(found,)))
-    assert case.right == (("wrench_offset", "wrench"),)
-    assert case.errors["wrench_offset f"] == pytest.approx(10.0 / np.sqrt(3.0))
-
-
-def test_the_rotor_behind_a_gear_is_no_wrong_name() -> None:
-    gear = {"effect": "joint_elasticity", "joint": "joint2", "parameters": {"stiffness": 1e4}}
-    for joint, wrong in (("joint2", ()), ("joint1", (("rotor_inertia", "joint1"),))):
-        assert judge(document(gear, findings=(finding("rotor_inertia", joint),))).wrong == wrong
 
 
 def test_outside_is_flagged_on_its_joint() -> None:

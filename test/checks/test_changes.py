@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from functools import cache
-from itertools import product
 
 import numpy as np
 import pytest
@@ -154,7 +153,7 @@ def test_friction_that_warms_up_is_no_fault(robot: Case) -> None:
 
 
 @pytest.mark.parametrize("leaned_on", [False, True])
-@pytest.mark.parametrize("seed", range(21, 25))
+@pytest.mark.parametrize("seed", range(21, 23))
 def test_a_robot_that_stands_at_first_is_no_fault(seed: int, leaned_on: bool) -> None:
     """Stiction holds what it likes, also while somebody leans on the robot now and then."""
     rng = np.random.default_rng(seed)
@@ -177,21 +176,7 @@ def test_a_robot_that_stands_at_first_is_no_fault(seed: int, leaned_on: bool) ->
     assert findings(of, replace(stands, effort=measured)) == ()
 
 
-def test_what_was_always_so_does_not_change(robot: Case) -> None:
-    """A zero that is off throughout is another fault than one that slips."""
-    position = robot.samples.position.copy()
-    position[:, 1] += np.radians(12.0)
-    assert all(
-        finding.cause.kind not in CHANGES for finding in findings(robot, replace(robot.samples, position=position))
-    )
-
-
-@pytest.mark.parametrize(
-    ("robot", "factor", "place"),
-    # Every factor at every place, and each of them with either robot.
-    [(ROBOTS[k % 2], *each) for k, each in enumerate(product((1000.0, 0.05, -1.0, -30.0), (0.25, 0.5, 0.8)))],
-    indirect=["robot"],
-)
+@pytest.mark.parametrize(("factor", "place"), [(1000.0, 0.25), (0.05, 0.5), (-1.0, 0.8), (-30.0, 0.25)])
 def test_efforts_in_another_unit_from_some_instant_on(robot: Case, factor: float, place: float) -> None:
     effort = robot.samples.effort.copy()
     effort[round(place * len(effort)) :] *= factor

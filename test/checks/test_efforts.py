@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
@@ -17,17 +17,9 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
-ROBOTS = [("arm3", 1), ("arm3", 2), ("arm7", 1), ("arm7", 2)]
-ONE_OF_SEVEN = pytest.mark.parametrize("robot", ROBOTS[:3], ids=str, indirect=True)
-OTHER_OF_SEVEN = pytest.mark.parametrize("robot", [*ROBOTS[:2], ROBOTS[3]], ids=str, indirect=True)
+ROBOTS = [("arm3", 1), ("arm7", 2)]
 DEGREES = 180.0 / np.pi
 ALL = "all"
-
-
-def shared(name: str, values: Sequence[object]) -> pytest.MarkDecorator:
-    """Each value with one robot of either kind, in turn."""
-    each = [(robot, value) for k, value in enumerate(values) for robot in ROBOTS[k % 2 :: 2]]
-    return pytest.mark.parametrize(("robot", name), each, indirect=["robot"])
 
 
 @cache
@@ -82,12 +74,11 @@ def robot(request: pytest.FixtureRequest) -> Case:
 
 
 def places(of: Case, count: int) -> range:
-    """Every other place of a fault: those between are for the other robot of the same kind."""
-    (index,) = (index for index, each in enumerate(ROBOTS) if case(*each) is of)
-    return range(index % 2, count, 2)
+    """Every place of the small arm, every other one of the large."""
+    return range(0, count, 1 if len(of.model.robot.joints) == 3 else 2)
 
 
-@pytest.mark.parametrize("seed", range(3, 9))
+@pytest.mark.parametrize("seed", range(3, 5))
 @pytest.mark.parametrize("name", ["arm3", "arm7"])
 def test_a_sound_recording_is_not_doubted(name: str, seed: int) -> None:
     sound = case(name, seed)
@@ -96,14 +87,12 @@ def test_a_sound_recording_is_not_doubted(name: str, seed: int) -> None:
     assert check.remarks == ()
 
 
-@ONE_OF_SEVEN
 def test_all_efforts_are_reversed(robot: Case) -> None:
     cause = named(robot.model, changed(robot, np.negative))
     assert cause.kind == "sign"
     assert cause.settings == {"effort_gain": -1.0}
 
 
-@OTHER_OF_SEVEN
 def test_what_is_to_be_written_depends_on_the_gains_that_were_configured(robot: Case) -> None:
     joints = robot.model.robot.joint_names
     gains = np.arange(2.0, 2.0 + len(joints))
@@ -173,7 +162,7 @@ def test_left_and_right_are_exchanged() -> None:
     assert set(cause.places) == set(names)
 
 
-@shared("factor", [1000.0, 0.07, 0.01])
+@pytest.mark.parametrize("factor", [1000.0, 0.07])
 def test_all_efforts_are_in_another_unit(robot: Case, factor: float) -> None:
     """The factor is told as far as the masses are known."""
     cause = named(robot.model, changed(robot, lambda effort: factor * effort))
@@ -182,7 +171,6 @@ def test_all_efforts_are_in_another_unit(robot: Case, factor: float) -> None:
     assert ("mN m" in cause.sentence) == (factor == 1000.0)
 
 
-@ONE_OF_SEVEN
 def test_the_effort_of_one_joint_is_in_another_unit(robot: Case) -> None:
     """The second joint of both arms carries weight."""
     scales = np.ones(robot.samples.effort.shape[1])
@@ -191,7 +179,6 @@ def test_the_effort_of_one_joint_is_in_another_unit(robot: Case) -> None:
     assert (cause.kind, cause.places) == ("gain", (robot.model.robot.joint_names[1],))
 
 
-@OTHER_OF_SEVEN
 def test_positions_are_in_degrees(robot: Case) -> None:
     own = robot.samples
     scaled = {name: DEGREES * getattr(own, name) for name in ("position", "velocity", "acceleration")}
@@ -200,7 +187,7 @@ def test_positions_are_in_degrees(robot: Case) -> None:
     assert "in degrees" in cause.sentence
 
 
-@shared("gravity", [(9.81, 0.0, 0.0), (0.0, -9.81, 0.0), (0.0, 6.94, -6.94)])
+@pytest.mark.parametrize("gravity", [(9.81, 0.0, 0.0), (0.0, 6.94, -6.94)])
 def test_gravity_acts_in_another_direction(robot: Case, gravity: tuple[float, float, float]) -> None:
     own = robot.model.robot
     moving = motion(np.random.default_rng(7), len(own.joints), 10.0)
@@ -213,7 +200,7 @@ def test_gravity_acts_in_another_direction(robot: Case, gravity: tuple[float, fl
     assert written @ np.array(gravity) > np.cos(np.radians(30.0)) * 9.81**2
 
 
-@shared("across", [(0.35, -0.2), (-0.3, -0.3)])
+@pytest.mark.parametrize("across", [(0.35, -0.2)])
 def test_a_base_that_is_not_level_is_remarked_and_hides_no_fault(robot: Case, across: tuple[float, float]) -> None:
     """Doubtful enough to be measured, not to be an error: by 2.4 degrees, by ten where few joints tell less."""
     own = robot.model.robot
@@ -231,7 +218,6 @@ def test_a_base_that_is_not_level_is_remarked_and_hides_no_fault(robot: Case, ac
     assert (cause.kind, cause.places) == ("sign", (own.joint_names[1],))
 
 
-@ONE_OF_SEVEN
 def test_gravity_is_not_in_the_efforts(robot: Case) -> None:
     own = robot.model.robot
     moving = motion(np.random.default_rng(7), len(own.joints), 10.0)
@@ -243,13 +229,11 @@ def test_gravity_is_not_in_the_efforts(robot: Case) -> None:
     assert finding.sure or len(own.joints) == 3, "few joints tell less"
 
 
-@OTHER_OF_SEVEN
 def test_efforts_of_nothing_are_told(robot: Case) -> None:
     noise = np.random.default_rng(3).normal(size=robot.samples.effort.shape)
     assert named(robot.model, replace(robot.samples, effort=noise)).kind == "unrelated"
 
 
-@ONE_OF_SEVEN
 def test_an_effort_that_never_changes_is_told_and_the_others_are_judged(robot: Case) -> None:
     def one_dead(effort: FloatArray) -> FloatArray:
         effort[:, 0] = 0.0
@@ -260,7 +244,6 @@ def test_an_effort_that_never_changes_is_told_and_the_others_are_judged(robot: C
     assert second.cause.kind == "sign"
 
 
-@OTHER_OF_SEVEN
 def test_a_joint_without_efforts_is_not_judged(robot: Case) -> None:
     def one_missing(effort: FloatArray) -> FloatArray:
         effort[:, -1] = np.nan
@@ -280,7 +263,6 @@ def test_a_payload_is_no_fault(mass: float) -> None:
     assert findings(MeasurementModel(own, ()), samples(moving, efforts(own, true, moving))) == ()
 
 
-@ONE_OF_SEVEN
 def test_of_a_gain_within_reason_nothing_is_said(robot: Case) -> None:
     """It cannot be told from masses."""
     assert findings(robot.model, changed(robot, lambda effort: 2.0 * effort)) == ()
@@ -300,14 +282,12 @@ def test_of_three_seconds_nothing_is_said(robot: Case) -> None:
     assert findings(robot.model, changed(robot, np.negative).select(slice(250))) == ()
 
 
-@OTHER_OF_SEVEN
 def test_efforts_without_a_sign_are_named(robot: Case) -> None:
     """Of the first joint, which has no weight to carry and goes to and fro."""
     cause = named(robot.model, changed(robot, lambda effort: np.column_stack([np.abs(effort[:, :1]), effort[:, 1:]])))
     assert (cause.kind, cause.places) == ("magnitude", (robot.model.robot.joint_names[0],))
 
 
-@ONE_OF_SEVEN
 def test_friction_that_is_compensated_too_much_is_not_a_sign(robot: Case) -> None:
     """Weights and inertias decide on the sign, whatever friction does."""
     own = robot.samples
@@ -316,7 +296,7 @@ def test_friction_that_is_compensated_too_much_is_not_a_sign(robot: Case) -> Non
     assert cause.kind == "friction"
 
 
-@pytest.mark.parametrize("size", [1e-12, 1e-9, 1e-6, 1e9])
+@pytest.mark.parametrize("size", [1e-12, 1e-6, 1e9])
 def test_efforts_of_any_size_are_judged(robot: Case, size: float) -> None:
     """Rounding leaves matrices of columns that are so much larger indefinite; then it decides what is said."""
     (finding,) = checked(robot.model, replace(robot.samples, effort=size * robot.samples.effort)).findings()

@@ -39,12 +39,6 @@ def test_they_are_bounded_apart_and_spread_over_all(seconds: float) -> None:
     assert recorded.stamps[-1] - found.stamps[-1] <= np.max(steps)
 
 
-@pytest.mark.parametrize("batch", [1, 7, 5000])
-def test_batches_do_not_matter(batch: int) -> None:
-    recorded = recording(60.0)
-    assert np.array_equal(kept(recorded, batch).stamps, kept(recorded, 100).stamps)
-
-
 def test_another_recording_with_earlier_stamps_is_taken_too() -> None:
     instants, recorded = Instants(), recording(3.0)
     instants.add(recorded)

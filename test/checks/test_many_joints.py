@@ -60,6 +60,6 @@ def fits(monkeypatch: pytest.MonkeyPatch, joints: int) -> tuple[int, list[tuple[
 def test_fits_do_not_grow_with_joints(monkeypatch: pytest.MonkeyPatch) -> None:
     few, named = fits(monkeypatch, 8)
     assert named == [("j2",)]
-    many, named = fits(monkeypatch, 30)
+    many, named = fits(monkeypatch, 16)
     assert named == [("j2",)]
     assert many <= few + 20

@@ -10,7 +10,7 @@ import pytest
 from estimation.arms import Case, arm
 
 from geomid_ros.checks.causes import Cause, Finding
-from geomid_ros.checks.verdict import Verdict, unlike, verdict, worse_channels, worse_on_rows
+from geomid_ros.checks.verdict import Verdict, unlike, verdict, worse_channels
 from geomid_ros.estimation.estimate import Estimate, WeighedEstimate
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.types import FloatArray
@@ -116,10 +116,3 @@ def test_what_goes_on_otherwise_is_told() -> None:
     assert f"'{estimate.channels[1]}' (10 times)" in sentence
     assert not any(f"'{estimate.channels[c]}'" in sentence for c in (0, 2))
     assert "--hold-out 0" in sentence
-
-
-def test_on_its_own_rows_too() -> None:
-    _, estimate = solved()
-    assert worse_on_rows(estimate) == []
-    bad = replace(estimate, rms=np.where(np.arange(3) == 2, 2.0 * estimate.rms_nominal, estimate.rms))
-    assert worse_on_rows(bad) == [estimate.channels[2]]

@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from geomid_ros.files.trajectories import read_trajectory
 
-from .running import WRIST, done, geomid, identify, link, refused
+from .running import WRIST, done, identify, link, refused
 
 QUICK = ("--duration", "6", "--repeats", "2")
 
@@ -94,14 +94,6 @@ def test_what_a_wrench_sensor_told_is_known(tmp_path: Path) -> None:
     assert "declare the same mounted wrench sensors" in refused(*command)
 
 
-def test_a_urdf_without_shapes(tmp_path: Path) -> None:
-    bare = tmp_path / "bare.urdf"
-    bare.write_text(urdf().replace("collision>", "other>"))
-    assert "no link has a <collision> or <visual> shape" in refused("excite", "--urdf", bare)
-    text = done("excite", "--urdf", bare, *QUICK, "--no-collision", "--out", tmp_path / "out")
-    assert "collisions are not looked for" in text
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -125,28 +117,9 @@ def test_what_is_refused(arm: Path, arguments: tuple[str, ...], message: str) ->
     assert message in refused("excite", *(str(arm) if argument == "ARM" else argument for argument in arguments))
 
 
-def test_an_estimate_without_a_posterior_says_nothing_of_what_is_known(tmp_path: Path) -> None:
-    """As that of ``geomid gap``, whose identified.urdf may have a payload besides."""
-    done(*identify("arm3", "--out", tmp_path))
-    (tmp_path / "posterior.npz").unlink()
-    robot = tmp_path / "identified.urdf"
-    payload = '<link name="tool"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial></link>'
-    joint = '<joint name="held" type="fixed"><parent link="link2"/><child link="tool"/></joint>'
-    robot.write_text(robot.read_text().replace("</robot>", f"{payload}{joint}</robot>"))
-    message = refused("excite", "--from", tmp_path / "estimate.json")
-    assert "there is no posterior.npz beside it" in message
-    assert "Only 'geomid identify' writes it" in message
-
-
 def test_nothing_is_written_where_nothing_is_worth_it(arm: Path, tmp_path: Path) -> None:
     text = done("excite", "--urdf", arm, *QUICK, "--until", "99.9%", "--out", tmp_path / "out")
     assert "Nothing was written: 6 s more would lower the expected error by" in text
     assert "less than 99.9%" in text
     assert not (tmp_path / "out").exists()
     assert "'5 apples' is not a share" in refused("excite", "--urdf", arm, "--until", "5 apples")
-
-
-def test_help_says_what_it_is_for() -> None:
-    text = geomid("excite", "--help").output
-    for option in ("--urdf", "--avoid", "--for", "--from", "--settle", "--no-collision"):
-        assert option in text

@@ -34,8 +34,3 @@ def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
 
 def test_who_learns_needs_a_robot() -> None:
     assert "no robot is given: add --urdf" in refused("excite", "learn")
-
-
-@pytest.mark.parametrize("speed", ["0", "1.1", "-1"])
-def test_speeds_that_are_none_are_refused(speed: str, tmp_path: Path) -> None:
-    assert "--speed" in refused("excite", "run", tmp_path / "motion.yaml", "--speed", speed)

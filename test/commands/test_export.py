@@ -9,21 +9,15 @@ from dataclasses import replace
 from importlib.metadata import files
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from files.recordings import BAGS, QUICK
 
-from geomid_ros.files.models.readers import DESCRIBED_FOR
 from geomid_ros.simulation import Hidden, SimulationOptions, simulate
 
 from .running import WRIST, done, geomid, identify, refused, undrawn
-
-FLANGED = '<robot name="r"><link name="base"/><link name="{0}tool0">{1}</link>{2}</robot>'
-BODY = '<inertial><mass value="2"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
-JOINT = '<joint name="j" type="continuous"><parent link="base"/><child link="{0}tool0"/></joint>'
 
 
 @pytest.fixture(scope="module")
@@ -94,23 +88,6 @@ def written(estimate: Path, reader: str) -> dict[str, list[dict[str, Any]]]:
     return entry
 
 
-def test_descriptions_show_every_link_with_how_sure_it_is(estimates: dict[str, Path]) -> None:
-    links = {link["name"]: link for link in json.loads(estimates["wrist"].read_text())["links"]}
-    for tool in DESCRIBED_FOR:
-        result = geomid("export", estimates["wrist"], "--for", tool)
-        assert result.exit_code == 0
-        root = ElementTree.fromstring(result.stdout)
-        masses = [float(mass.get("value") or mass.get("mass") or "nan") for mass in root.iter() if mass.get("mass")]
-        masses += [float(mass.get("value") or "nan") for mass in root.iter("mass")]
-        for own in written(estimates["wrist"], tool)["links"]:
-            link = links[own["name"]]
-            assert f"{own['mass']:.5g} ± {link['std']['mass']:.2g}" in result.stdout
-            assert f"{100 * link['from_data']:.0f} % from data" in result.stdout
-            assert np.min(np.abs(np.array(masses) - own["mass"])) < 1e-6
-        lacks_rotors = tool in {"urdf", "moveit", "gazebo"}
-        assert ("Note: Not representable here: rotor inertia" in result.stderr) == lacks_rotors
-
-
 def test_the_identified_urdf_has_the_friction_that_was_fitted_for_it(estimates: dict[str, Path]) -> None:
     """As pinocchio reads it; and what it cannot hold is said."""
     robot = pin.buildModelFromXML(estimates["torques"].with_name("identified.urdf").read_text())
@@ -158,14 +135,6 @@ def test_what_was_picked_up_is_found_by_the_torques(tmp_path: Path, monkeypatch:
     np.testing.assert_allclose(com, [truth[f"com_{axis}"] for axis in "xyz"], atol=5e-4)
     expected = [truth[key] for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")]
     np.testing.assert_allclose(inertia, expected, atol=0.1 * expected[0])
-
-
-@pytest.mark.parametrize("prefix", ["", "left_"])
-def test_the_flange_is_found_by_its_name(prefix: str, tmp_path: Path) -> None:
-    urdf = tmp_path / "r.urdf"
-    urdf.write_text(FLANGED.format(prefix, BODY, JOINT.format(prefix)))
-    assert payload(done("export", urdf, "--for", "ur"))[0] == 2.0
-    assert "which link is the flange?" in refused("export", urdf, "--for", "franka")
 
 
 def test_what_is_asked_for_must_make_sense(tmp_path: Path) -> None:

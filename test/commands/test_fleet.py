@@ -15,7 +15,6 @@ from geomid_ros.errors import InputError
 from geomid_ros.files.models.population import read_population
 from geomid_ros.fleet import cluster as clusters
 from geomid_ros.fleet.cluster import Cluster
-from geomid_ros.fleet.store import Store
 
 from .running import done, geomid, read, refused
 
@@ -202,12 +201,3 @@ def test_a_scheduler_without_workers_is_told(monkeypatch: pytest.MonkeyPatch) ->
         pytest.raises(InputError, match="has no workers; start some"),
     ):
         Cluster(empty.scheduler_address)
-
-
-def test_a_store_that_workers_do_not_see_is_told(
-    bags: Path, tmp_path: Path, scheduler: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Here what the client writes is lost."""
-    monkeypatch.setattr(Store, "put", lambda *_: None)
-    message = refused("fleet", bags, "--urdf", URDF, "--scheduler", scheduler, "--out", tmp_path)
-    assert message.startswith(f"{tmp_path}/kept: a worker does not see this folder")

@@ -70,13 +70,6 @@ def test_it_writes_what_it_says(found: tuple[Path, str]) -> None:
     assert all(str(out / name) in text for name in FILES)
 
 
-def test_a_motion_that_decides_is_proposed_where_something_is_open(found: tuple[Path, str]) -> None:
-    out, text = found
-    is_open = any(finding["rivals"] and finding["settled_by"] for finding in read(out)["findings"])
-    line = f"To discriminate between the rivals: geomid excite --urdf {URDF} --settle {out / 'gap.json'}"
-    assert (line in text.splitlines()) is is_open
-
-
 def test_what_was_hidden_is_found(found: tuple[Path, str]) -> None:
     out, _ = found
     finding = read(out)["findings"][0]
@@ -144,19 +137,6 @@ def model(folder: Path) -> Path:
     document = {"format": 1, "links": links, "effects": [effect], "verdict": verdict}
     (known / "estimate.json").write_text(json.dumps(document))
     return known / "estimate.json"
-
-
-def test_what_the_model_knows_is_no_gap(found: tuple[Path, str], rubbing: Path, model: Path, tmp_path: Path) -> None:
-    """The description is found beside the estimate; what is printed is gap.json."""
-    document = json.loads(done("gap", rubbing, "--model", model, "--out", tmp_path, "--json"))
-    assert document == read(tmp_path)
-    assert document["warnings"][0] == f"{model}: this model's verdict is 'doubtful': gravity is missing"
-    assert document["gap"]["before"]["joint2"] < 0.3 * read(found[0])["gap"]["before"]["joint2"]
-    assert document["closed_loop"] is None
-    effects = read_sidecar(tmp_path / "effects.yaml").effects
-    levels = [e.parameters["level"].value for e in effects if e.joint == "joint2" and "level" in e.parameters]
-    assert sum(levels) == pytest.approx(LEVEL, rel=0.05), "once, whether something was named anew or not"
-    assert "already in the model" in (tmp_path / "report.html").read_text()
 
 
 @pytest.mark.usefixtures("without_pictures")

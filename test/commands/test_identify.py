@@ -151,17 +151,6 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return small(tmp_path_factory.mktemp("whole"), *NO_CHOICE, "--hold-out", "0")
 
 
-def unclocked(document: dict[str, Any]) -> dict[str, Any]:
-    """An estimate without how long it took."""
-    return {key: value for key, value in document.items() if key not in ("seconds", "origin")}
-
-
-def test_hold_out_nothing(plain: dict[str, Any], whole: dict[str, Any], tmp_path: Path) -> None:
-    assert whole["rms"]["held_out"] is None
-    assert plain["rows"]["accepted"] == pytest.approx(0.7 * whole["rows"]["accepted"], abs=9)
-    assert "on the same data" in done(*identify("arm3", *NO_CHOICE, "--out", tmp_path, "--hold-out", "0"))
-
-
 def test_other_bags_to_validate_on(whole: dict[str, Any], second: Path, tmp_path: Path) -> None:
     """All of the bag is identified from, and all of the other is tested on."""
     validated = small(tmp_path, *NO_CHOICE, "--validate", second)
@@ -171,23 +160,12 @@ def test_other_bags_to_validate_on(whole: dict[str, Any], second: Path, tmp_path
     assert all(held_out[channel] < nominal[channel] for channel in nominal)
 
 
-def test_two_bags(whole: dict[str, Any], second: Path, tmp_path: Path) -> None:
-    both = small(tmp_path, second, *NO_CHOICE, "--hold-out", "0")
-    assert both["rows"]["accepted"] > 1.4 * whole["rows"]["accepted"]
-    assert sum(entry["from_data"] for entry in both["links"]) > sum(entry["from_data"] for entry in whole["links"])
-
-
 def test_links_that_are_not_named_keep_their_inertia(tmp_path: Path) -> None:
     document = small(tmp_path, *NO_CHOICE, "--links", "link3, link2")
     assert [entry["name"] for entry in document["links"]] == ["link2", "link3"]
     bodies = {body.name: body for body in Robot(read_urdf(tmp_path / "identified.urdf")).bodies}
     nominal = {body.name: body for body in Robot(read_urdf(BAGS / "arm3.urdf")).bodies}
     np.testing.assert_array_equal(bodies["link1"].parameters, nominal["link1"].parameters)
-
-
-def test_effects_that_are_named(tmp_path: Path) -> None:
-    document = small(tmp_path, "--effects", "coulomb_friction, rotor_inertia,coulomb_friction")
-    assert [entry["name"] for entry in document["effects"]] == 3 * ["coulomb_friction"] + 3 * ["rotor_inertia"]
 
 
 def test_a_urdf_that_can_be_no_robot_s_is_refused_before_anything_is_solved(tmp_path: Path) -> None:
@@ -199,16 +177,6 @@ def test_a_urdf_that_can_be_no_robot_s_is_refused_before_anything_is_solved(tmp_
     assert message.startswith(str(tmp_path / "arm3.urdf"))
     assert "g mm^2" in message
     assert not (tmp_path / "out").exists()
-
-
-def test_no_effects(tmp_path: Path) -> None:
-    """Without the friction that there is the first joint is not explained, and that is said."""
-    document = small(tmp_path, "--effects", "none", status=4)
-    assert document["effects"] == []
-    (reason,) = document["verdict"]["reasons"]
-    assert "joint 'joint1' is not explained" in reason
-    assert "friction (--effects)" in reason
-    assert "Joint effects" not in done(*identify("arm3", "--out", tmp_path, "--effects", "none"), status=4)
 
 
 def test_the_node_s_file_says_the_same_as_options(tmp_path: Path) -> None:
@@ -231,29 +199,6 @@ def test_the_node_s_file_says_the_same_as_options(tmp_path: Path) -> None:
     options_win = small(tmp_path / "b", "--config", tmp_path / "robot.yaml", "--effects", "none", *WRIST, status=4)
     assert options_win["effects"] == []
     assert options_win["sigma"].keys() == from_file["sigma"].keys()
-
-
-def test_a_mistake_in_an_option_is_not_blamed_on_the_file(tmp_path: Path) -> None:
-    config = BAGS.parent / "config/geomid.yaml"
-    message = refused(*identify("arm3", "--out", tmp_path, "--config", config, "--effects", "friction"))
-    assert message.startswith("options: effects: unknown effect 'friction'")
-
-
-def test_the_shipped_file_changes_nothing(plain: dict[str, Any], tmp_path: Path) -> None:
-    shipped = small(tmp_path, "--config", BAGS.parent / "config/geomid.yaml")
-    assert unclocked(shipped) == unclocked(plain)
-
-
-def test_an_estimate_is_started_from(tmp_path: Path) -> None:
-    """With a prior that nothing moves, what comes out is what went in."""
-    first = small(tmp_path / "a", *WRIST, *NO_CHOICE)
-    (tmp_path / "stiff.yaml").write_text("/**: {ros__parameters: {gamma: 1000000}}")
-    options = ("--model", tmp_path / "a/estimate.json", "--config", tmp_path / "stiff.yaml")
-    again = small(tmp_path / "b", *WRIST, *NO_CHOICE, *options)
-    for before, after in zip(first["links"], again["links"], strict=True):
-        assert after["mass"] == pytest.approx(before["mass"], rel=1e-3)
-        assert after["distance_from_prior"] < 1e-3
-    assert link(again, "wrist_ft")["mass"] != pytest.approx(0.5, rel=0.05), "the URDF's"
 
 
 def test_the_shape_of_dry_friction_stands_beside_its_level(run: tuple[str, Path, str]) -> None:
@@ -282,29 +227,6 @@ def test_an_effect_that_only_some_joints_have(tmp_path: Path) -> None:
     assert cells == {"joint1": 1, "joint2": 1, "joint3": 1}
     assert "Viscous friction" in others
     assert "at joint2" in others
-
-
-def test_every_other_effect_can_be_named_and_is_gone_on_with(tmp_path: Path) -> None:
-    """With a prior that nothing moves, the model that is started from comes out again."""
-    names = ",".join({*DEFAULT_CANDIDATES, "viscous_friction", "coulomb_friction", "rotor_inertia", "effort_offset"})
-    first = small(tmp_path / "a", "--effects", names)
-    before = values(first)
-    assert {name for name, _, _ in before} >= set(DEFAULT_CANDIDATES)
-    assert "wrench_offset" not in {name for name, _, _ in before}
-    (tmp_path / "stiff.yaml").write_text("/**: {ros__parameters: {gamma: 1000000}}")
-    options = ("--effects", names, "--model", tmp_path / "a/estimate.json", "--config", tmp_path / "stiff.yaml")
-    after = values(small(tmp_path / "b", *options))
-    assert after.keys() == before.keys()
-    for key, value in before.items():
-        assert after[key] == pytest.approx(value, rel=1e-2, abs=1e-3), key
-
-
-def test_what_was_chosen_is_gone_on_with(tmp_path: Path) -> None:
-    """Effects that the rows asked for are in the model that the next run starts from, where they were."""
-    first = small(tmp_path / "a", *WRIST)
-    again = small(tmp_path / "b", *WRIST, "--model", tmp_path / "a/estimate.json", "--effects", "viscous_friction")
-    chosen = {key for key in values(first) if key[0] in DEFAULT_CANDIDATES}
-    assert chosen <= values(again).keys()
 
 
 def values(document: dict[str, Any]) -> dict[tuple[str, str, str], float]:
@@ -344,18 +266,6 @@ def test_an_offset_of_the_sensor_is_found_by_default(tmp_path: Path) -> None:
         assert offsets[1][axis] - offsets[0][axis] == pytest.approx(size, abs=0.02)
 
 
-def test_a_single_file_of_a_bag_gives_the_same(plain: dict[str, Any], tmp_path: Path) -> None:
-    arguments = ("--urdf", BAGS / "arm3.urdf", "--json", "--out", tmp_path)
-    document = json.loads(done("identify", BAGS / "arm3/arm3.mcap", *arguments))
-    assert unclocked(document) == unclocked(plain)
-
-
-def test_selected_axes(tmp_path: Path) -> None:
-    """An axis that is left out is no channel."""
-    document = small(tmp_path, *NO_CHOICE, "--wrench", "/wrench:wrist_ft:mounted:fz,fx")
-    assert {name for name in document["sigma"] if "/" in name} == {"wrench/fx", "wrench/fz"}
-
-
 def test_a_reversed_sensor_is_named_and_its_rows_are_left_out(tmp_path: Path) -> None:
     """The reaction wrench is no body's weight."""
     result = geomid(*identify("arm3", "--wrench", "/wrench:wrist_ft:-mounted", "--out", tmp_path))
@@ -386,17 +296,6 @@ def test_a_fit_that_did_not_converge_says_so_first(tmp_path: Path, monkeypatch: 
     assert result.exit_code == 3, result.output
     assert result.stdout.lstrip().startswith("NOT CONVERGED: the solver did not converge: ")
     assert read(tmp_path)["verdict"]["reasons"] == [f"the solver did not converge: {read(tmp_path)['reason']}"]
-
-
-def test_a_payload_that_did_not_converge_says_so_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    weighing = ("payload", BAGS / "arm3", BAGS / "arm3", "--urdf", BAGS / "arm3.urdf")
-    assert json.loads(done(*weighing, "--json"))["verdict"] == {"result": "usable", "reasons": [], "causes": []}
-    monkeypatch.setattr("geomid_ros.session.configuration.EstimatorSettings", partial(EstimatorSettings, max_steps=1))
-    result = geomid(*weighing)
-    assert result.exit_code == 3, result.output
-    assert result.stdout.lstrip().startswith("NOT CONVERGED: the solver did not converge: ")
-    document = json.loads(geomid(*weighing, "--json").stdout)
-    assert document["verdict"]["result"] == "not converged"
 
 
 def test_a_gain_of_the_wrong_sign_is_named_with_its_mending(tmp_path: Path) -> None:

@@ -153,7 +153,7 @@ def test_options_that_cannot_be_are_refused(folder: Path, tmp_path: Path, option
     assert message in " ".join(said.split())
 
 
-@pytest.mark.parametrize(("factor", "share"), [(1e-3, "0.0"), (-1.0, "-1"), (10.0, "1")])
+@pytest.mark.parametrize(("factor", "share"), [(-1.0, "-1"), (10.0, "1")])
 def test_efforts_that_do_not_carry_the_robot_are_doubted(
     folder: Path, tmp_path: Path, factor: float, share: str
 ) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import click
 import pytest
@@ -12,7 +11,7 @@ from files.recordings import BAGS
 from geomid_ros.commands.options import Names
 from geomid_ros.commands.root import root
 
-from .running import done, read, refused
+from .running import refused
 
 BAG, URDF, OUT = BAGS / "arm3", BAGS / "arm3.urdf", ("--out", "nowhere")
 EMPTY = {
@@ -61,18 +60,3 @@ def test_an_empty_name_is_refused(option: str, text: str) -> None:
 
 def test_an_empty_mass_is_refused() -> None:
     assert "known: the text is empty" in refused("identify", BAG, "--urdf", URDF, *OUT, "--known", "")
-
-
-@pytest.mark.usefixtures("without_pictures")
-def test_no_candidates(tmp_path: Path) -> None:
-    """The word wins over the file, whose candidate these data ask for."""
-    (tmp_path / "robot.yaml").write_text(
-        "/**: {ros__parameters: {effects: [viscous_friction], candidates: [coulomb_friction]}}"
-    )
-    config = ("--config", tmp_path / "robot.yaml")
-    for out, more, expected, status in (
-        ("tried", (), {"viscous_friction", "coulomb_friction"}, 0),
-        ("none", ("--candidates", "none"), {"viscous_friction"}, 4),  # which leaves most of a joint's effort
-    ):
-        done("identify", BAG, "--urdf", URDF, *config, *more, "--out", tmp_path / out, status=status)
-        assert {entry["name"] for entry in read(tmp_path / out)["effects"]} == expected

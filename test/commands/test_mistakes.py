@@ -231,16 +231,6 @@ def test_it_is_said_before_the_result(case: str, tmp_path: Path) -> None:
     assert re.search(words, remarks), remarks
 
 
-def test_a_torn_file_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
-    data = (BAG / "arm3.mcap").read_bytes()
-    (tmp_path / "torn.mcap").write_bytes(data[: 6 * len(data) // 10])
-    result = geomid("identify", tmp_path / "torn.mcap", *ROBOT, "--out", tmp_path / "out")
-    assert result.exit_code == 0, result.output
-    assert re.search(
-        r"Warning: \S*torn.mcap: truncated at byte \d+, .*intact messages are read", " ".join(result.stdout.split())
-    )
-
-
 def test_a_bag_of_humble_is_read(tmp_path: Path) -> None:
     """Rows 17 and 49: an older description of the files, in a database; and nothing but JSON on the standard output."""
     with Writer(tmp_path / "humble", version=8, storage_plugin=StoragePlugin.SQLITE3) as writer:
@@ -259,10 +249,3 @@ def test_a_folder_of_bags_is_all_of_them(tmp_path: Path) -> None:
         altered(BAG, tmp_path / "bags" / name, lambda item: item)
     shown = done("identify", tmp_path / "bags", *ROBOT, "--out", tmp_path / "out")
     assert "joint_states: 1600 of 1600 messages used" in shown
-
-
-def test_an_estimate_of_another_robot_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "other.urdf").write_text(ARM3.replace('"link', '"arm_link'))
-    done("identify", BAG, "--urdf", tmp_path / "other.urdf", "--out", tmp_path)
-    text = refused("identify", BAG, *ROBOT, "--model", tmp_path / "estimate.json")
-    assert re.search(r"an estimate of another robot. Its links: .*those of this robot: link1", text)

@@ -229,7 +229,3 @@ def test_too_little_memory_is_said_in_one_sentence(megabytes: int, module: str) 
     assert "Traceback" not in result.stderr
     assert result.returncode == 2
     assert result.stderr.splitlines()[-1].endswith("check limits such as ulimit -v")
-
-
-def test_an_unknown_command_is_refused() -> None:
-    assert "identfy" in refused("identfy")

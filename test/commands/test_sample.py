@@ -135,14 +135,6 @@ def test_ranges_are_as_wide_as_the_standard_deviations_say_and_wider_when_asked(
     assert set(inside.values()) == {False, True}
 
 
-def test_the_same_seed_draws_the_same_robots(estimate: Path, tmp_path: Path) -> None:
-    once, again, other = (
-        robots(estimate, tmp_path / name, "--seed", seed) for name, seed in (("a", "3"), ("b", "3"), ("c", "4"))
-    )
-    assert once == again
-    assert once != other
-
-
 def test_what_is_refused(estimate: Path, tmp_path: Path) -> None:
     alone = tmp_path / "alone"
     alone.mkdir()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -43,11 +42,6 @@ def test_what_it_records_can_be_identified(out: Path, tmp_path: Path) -> None:
     assert found["wrist_ft"] == pytest.approx(truth["tool"], rel=0.05)
 
 
-def test_without_a_wrench(out: Path) -> None:
-    done("simulate", out, *QUICK)
-    assert {item.topic for item in recorded(out)} == {"/joint_states", "/robot_description"}
-
-
 @pytest.mark.parametrize("existing", ["bag", "bag.truth.json"])
 def test_nothing_is_overwritten(existing: str, out: Path, tmp_path: Path) -> None:
     (tmp_path / existing).write_text("of last year")
@@ -55,18 +49,6 @@ def test_nothing_is_overwritten(existing: str, out: Path, tmp_path: Path) -> Non
     assert existing in message
     assert [path.name for path in tmp_path.iterdir()] == [existing]
     assert (tmp_path / existing).read_text() == "of last year"
-
-
-def test_without_mujoco_it_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "mujoco", None)
-    assert "pip install mujoco" in refused("simulate", tmp_path / "bag", *QUICK)
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("option", ["--duration", "--rate", "--inertia-error"])
-def test_impossible_numbers_are_refused(option: str, out: Path) -> None:
-    assert option.strip("-").replace("-", "_") in refused("simulate", out, *QUICK, option, "-1")
-    assert not out.exists()
 
 
 def truth_of(out: Path) -> list[dict[str, Any]]:
@@ -89,21 +71,6 @@ def test_a_realistic_robot_loses_messages_and_is_told_of_in_the_truth(out: Path)
     assert [entry["effect"] for entry in truth["effects"]] == ["link_mass"]
     assert {"standing", "friction", "motors", "warm_up", "sensors"} < truth.keys()
     assert len(truth["friction"]["stiffness"]) == len(truth["joints"]) == 3
-
-
-def test_a_realistic_robot_is_drawn_not_described(out: Path) -> None:
-    assert "draws its inertia_error" in refused("simulate", out, *QUICK, "--realistic", "--inertia-error", "0.1")
-
-
-def test_it_hides_nothing(out: Path) -> None:
-    done("simulate", out, *QUICK, "--hide", "nothing")
-    assert truth_of(out) == []
-
-
-def test_it_says_what_can_be_hidden(out: Path) -> None:
-    assert "Did you mean 'spring'" in refused("simulate", out, *QUICK, "--hide", "sprung")
-    assert "where a number has to stand" in refused("simulate", out, *QUICK, "--hide", "spring=much")
-    assert not out.exists()
 
 
 def test_it_records_commands(out: Path) -> None:

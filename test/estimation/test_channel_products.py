@@ -28,7 +28,7 @@ def own(every: FloatArray) -> ChannelProducts:
     )
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.usefixtures("either")
 def test_they_are_those_of_all_columns(seed: int) -> None:
     """Sums of squares, and weighted sums of products, of some columns, by the rows themselves."""

@@ -181,17 +181,6 @@ def test_hardly_anything_is_taken_where_there_is_nothing() -> None:
     assert sum(map(len, taken)) <= 1
 
 
-def test_without_candidates_the_model_is_as_it_was() -> None:
-    """What is not taken leaves no trace in the estimate."""
-    case = planted("arm3", 1, "", 0)
-    bare = arm("arm3", 0, noise=NOISE)
-    found, expected = identifier(case).solve(), identifier(bare).solve()
-    assert chosen(found) == []
-    present = np.flatnonzero(found.parameters)
-    np.testing.assert_allclose(found.parameters[present], expected.parameters, rtol=1e-6, atol=1e-9)
-    assert [effect.joint for effect in found.effects] == [effect.joint for effect in expected.effects]
-
-
 def test_the_choice_is_determined_by_the_rows_and_kept_by_a_warm_start() -> None:
     case = planted("arm3", 1, "spring")
     one, two = identifier(case).solve(), identifier(case).solve()
@@ -199,17 +188,6 @@ def test_the_choice_is_determined_by_the_rows_and_kept_by_a_warm_start() -> None
     warm = identifier(case).solve(WarmStart(one.parameters, one.rows_accepted))
     np.testing.assert_allclose(warm.parameters, one.parameters, rtol=1e-6, atol=1e-9)
     assert [effect.name for effect in warm.effects] == [effect.name for effect in one.effects]
-
-
-def test_a_warm_start_keeps_what_is_not_optional_though_it_is_zero() -> None:
-    """A link whose centre of mass is at its origin has parameters that are zero, and so may an offset be."""
-    case = planted("arm3", 1, "")
-    cold = identifier(case).solve()
-    parameters = cold.parameters.copy()
-    parameters[[1, 5, 7]] = 0.0
-    parameters[[k for k, c in enumerate(case.model.coefficients, 30) if c.effect.name == "effort_offset"]] = 0.0
-    warm = identifier(case).solve(WarmStart(parameters))
-    np.testing.assert_allclose(warm.parameters, cold.parameters, rtol=1e-5, atol=1e-6)
 
 
 def beside(case: Case, parameters: FloatArray) -> Estimate:
@@ -227,13 +205,6 @@ def test_what_was_chosen_before_is_not_searched_for_again(monkeypatch: pytest.Mo
     again = beside(case, found.parameters)
     assert searches == before[1:]
     np.testing.assert_array_equal(again.parameters, found.parameters)
-
-
-def test_more_is_looked_for_beside_what_was_chosen_before() -> None:
-    case = planted("arm3", 1, "spring")
-    nothing = identifier(planted("arm3", 1, "")).solve()
-    assert chosen(nothing) == []
-    np.testing.assert_array_equal(beside(case, nothing.parameters).parameters, identifier(case).solve().parameters)
 
 
 def test_what_was_chosen_before_goes_if_nothing_asks_for_it_any_more() -> None:

@@ -23,7 +23,7 @@ from geomid_ros.types import FloatArray
 from .arms import Case, Truth, arm, efforts
 
 NOISE = 0.05
-SEEDS = pytest.mark.parametrize("seed", range(3))
+SEEDS = pytest.mark.parametrize("seed", range(2))
 
 
 def problem(case: Case, gamma: float | None = None) -> Problem:
@@ -69,15 +69,6 @@ def test_a_link_that_is_wrong_alone_is_let_go_and_the_others_stay(wrong: int, se
     assert np.all(from_urdf[others] < 0.25 * from_urdf[wrong])
     wide = spd.distance(*(pseudo_inertia.from_parameters(table[wrong]) for table in (nominal, links)))
     assert distances(found, links)[wrong] < 0.6 * wide, "what of it the motion tells is found"
-
-
-@SEEDS
-def test_links_that_are_right_stay(seed: int) -> None:
-    case = arm("arm7", seed)
-    nominal = case.model.nominal_inertias.reshape(-1, 10)
-    found = fitted(with_links(case, nominal, seed))
-    assert np.all(found.spreads <= 1.01 * USUAL_SPREAD_OF_LINKS)
-    assert np.all(distances(found, nominal) < 0.5 * np.sqrt(10.0) * USUAL_SPREAD_OF_LINKS)
 
 
 @SEEDS
@@ -159,14 +150,6 @@ def test_a_links_spread_is_its_distance_from_the_prior_and_what_is_unsure_of_it(
     of_links = np.sum(squares.reshape(-1, 10), axis=1)
     expected = np.sqrt((of_links + CERTAINTY * USUAL_SPREAD_OF_LINKS**2) / (10.0 + CERTAINTY))
     np.testing.assert_allclose(found.spreads, expected, rtol=1e-5)
-
-
-def test_a_given_weight_holds_for_all_links() -> None:
-    found = fitted(arm("arm3", 0, seconds=5), gamma=3e-3)
-    assert found.gamma == 3e-3
-    np.testing.assert_array_equal(found.spreads, USUAL_SPREAD_OF_LINKS)
-    weights = found.objective.prior_weights[found.problem.manifold.inertial]
-    np.testing.assert_allclose(weights, weights[0], rtol=1e-12)
 
 
 def halting(name: str, seed: int) -> Case:

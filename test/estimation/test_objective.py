@@ -8,15 +8,14 @@ from geometry import bodies
 from scipy.linalg import eigvalsh, expm, sqrtm
 from scipy.optimize import minimize
 
-from geomid_ros.estimation import objective as module
 from geomid_ros.estimation.objective import Objective, row_weights
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray
 
-from .problems import ALL, LINKS, Problem, human_like, problem
+from .problems import ALL, LINKS, Problem, problem
 
 pytestmark = pytest.mark.usefixtures("either")
-SEEDS = pytest.mark.parametrize("seed", range(4))
+SEEDS = pytest.mark.parametrize("seed", range(2))
 BOTH = pytest.mark.parametrize("kind", ["geodesic", "residual"])
 SMALL = ParameterManifold(1, 1, np.array([0.1]))
 GAMMA = 0.03
@@ -158,82 +157,6 @@ def test_the_hessian_is_the_second_derivative_along_steps(manifold: ParameterMan
         )
         numerical = (ahead - 2.0 * at_rest.value + behind) / step**2
         assert direction @ at_rest.hessian @ direction == pytest.approx(numerical, abs=1e-5 * objective.scale)
-
-
-@SEEDS
-@BOTH
-def test_information_is_positive_semidefinite_and_the_hessian_where_the_rows_are_satisfied(
-    kind: str, seed: int
-) -> None:
-    case = problem(seed, ALL, noise=0.0, distance=0.0)
-    found = built(case, kind).evaluate(case.prior)
-    assert np.linalg.eigvalsh(found.information)[0] >= -ROUNDING * np.trace(found.information)
-    normals = ALL.whiten(case.prior, case.rows) / case.sigmas[:, None]
-    np.testing.assert_allclose(found.information, normals.T @ normals, rtol=0, atol=1e-9 * built(case, kind).scale)
-    with_prior = found.information + built(case, kind).prior_weight * np.eye(ALL.dimension)
-    np.testing.assert_allclose(found.hessian, with_prior, rtol=0, atol=1e-7 * built(case, kind).scale)
-
-
-@SEEDS
-def test_information_is_positive_semidefinite_anywhere(seed: int) -> None:
-    case = human_like(seed)
-    here = bodies.near(np.random.default_rng(seed), case.manifold, case.prior, 3.0)
-    for kind in ("geodesic", "residual"):
-        information = built(case, kind).evaluate(here).information
-        assert np.linalg.eigvalsh(information)[0] >= -ROUNDING * np.trace(information)
-
-
-@SEEDS
-@BOTH
-def test_a_row_may_be_written_in_other_units_and_with_the_other_sign(kind: str, seed: int) -> None:
-    case = problem(seed, ALL)
-    factors = np.random.default_rng(seed).choice([-1e3, -1.0, 1e-3], size=len(case.rows))
-    scaled = Problem(
-        ALL, case.prior, case.truth, factors[:, None] * case.rows, factors * case.targets, np.abs(factors) * case.sigmas
-    )
-    one, other = built(case, kind).evaluate(case.truth), built(scaled, kind).evaluate(case.truth)
-    assert other.value == pytest.approx(one.value, rel=1e-9)
-    np.testing.assert_allclose(other.gradient, one.gradient, rtol=0, atol=1e-9 * built(case, kind).scale)
-
-
-@BOTH
-def test_rows_add_up_whatever_the_chunks(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    case = problem(0, ALL, count=50)
-    whole = built(case, kind).evaluate(case.truth)
-    order = np.random.default_rng(0).permutation(50)
-    monkeypatch.setattr(module, "_CHUNK", 7)
-    shuffled = Problem(ALL, case.prior, case.truth, case.rows[order], case.targets[order], case.sigmas[order])
-    parts = built(shuffled, kind).evaluate(case.truth)
-    assert parts.value == pytest.approx(whole.value, rel=ROUNDING)
-    for name in ("gradient", "information", "hessian"):
-        scale = np.abs(getattr(whole, name)).max()
-        np.testing.assert_allclose(getattr(parts, name), getattr(whole, name), rtol=0, atol=ROUNDING * scale)
-
-
-@SEEDS
-def test_near_the_prior_both_objectives_agree_to_first_order_in_the_residual(seed: int) -> None:
-    """Their difference shrinks at least one order faster than they do."""
-    differences = []
-    for size in (1e-2, 1e-3):
-        case = problem(seed, ALL, noise=0.0, distance=size)
-        values = [built(case, kind).evaluate(case.prior).value for kind in ("geodesic", "residual")]
-        differences.append(abs(values[0] / values[1] - 1.0))
-    assert differences[0] < 0.05
-    assert differences[1] < 0.2 * differences[0]
-
-
-def test_as_everything_grows_alike_distances_stay_bounded_and_residuals_do_not() -> None:
-    """Why (19) can prefer tonnes of mass to a small residual: Remark 3's objective cannot."""
-    case = problem(0, LINKS, count=30, noise=0.2)
-    rows = []
-    for kind in ("geodesic", "residual"):
-        objective = built(case, kind, gamma=1e-15)
-        grown = [LINKS.point(factor * case.truth.parameters) for factor in (1.0, 1e2, 1e4, 1e6)]
-        rows.append([objective.evaluate(point).value for point in grown])
-    geodesic, residual = np.array(rows)
-    assert geodesic[3] < 1.01 * geodesic[2] < 1.1 * geodesic[1]
-    assert residual[2] > 1e3 * residual[1]
-    assert residual[3] > 1e3 * residual[2]
 
 
 def test_rows_without_a_root_are_set_aside_and_count_nothing() -> None:

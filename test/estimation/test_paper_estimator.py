@@ -10,13 +10,13 @@ from geometry import bodies
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation import paper_estimator
-from geomid_ros.estimation.paper_estimator import PAPER, solve_rows
-from geomid_ros.geometry import projection, pseudo_inertia, spd
+from geomid_ros.estimation.paper_estimator import solve_rows
+from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.types import FloatArray
 
 from .problems import LINKS, Problem, human_like, problem
 
-SEEDS = pytest.mark.parametrize("seed", range(4))
+SEEDS = pytest.mark.parametrize("seed", range(2))
 NEAR = 1e-8  # the tolerance of solve_rows: geodesic distance of a result from the minimum
 SAME = 2.0 * NEAR  # of two results from each other
 EXACT = pytest.mark.parametrize("exact", [True, False], ids=["exact", "principal"])
@@ -81,37 +81,11 @@ def test_a_strong_prior_is_returned(seed: int) -> None:
     assert errors[2] < 0.02 * errors[1] < 4e-4 * errors[0]
 
 
-@pytest.mark.parametrize("seed", range(40))  # of so many some have a last step whose descent rounding hides
-def test_a_single_row_is_met_on_the_way_to_its_projection(seed: int) -> None:
-    """At the share 1/(1 + gamma) of the geodesic from the prior to the projection, by symmetry."""
-    case = problem(seed, LINKS, count=1, distance=0.3)
-    normals = LINKS.whiten(case.prior, case.rows)
-    toward = projection.project(LINKS, case.prior, normals, case.targets).tangent[0]
-    for gamma in (0.1, 1.0, 10.0):
-        expected = LINKS.exp(case.prior, toward / (1.0 + gamma)).parameters
-        assert distance(case, solution(case, gamma), expected) < NEAR
-
-
-@SEEDS
-def test_both_solvers_agree(seed: int) -> None:
-    case = problem(seed, LINKS, count=20)
-    assert distance(case, solution(case, 0.1), solution(case, 0.1, "cyclic")) < SAME
-
-
 @SEEDS
 def test_links_stay_possible(seed: int) -> None:
     case = human_like(seed, links=5, model_error=1.0, noise=1.0)
     for gamma in (1e-1, 1e-3):
         assert np.all(np.linalg.eigvalsh(pseudo_inertia.from_parameters(solution(case, gamma))) > 0.0)
-
-
-@EXACT
-@SEEDS
-def test_order_and_repetition_of_rows_do_not_matter(seed: int, exact: bool) -> None:
-    case = human_like(seed)
-    order = np.random.default_rng(seed).permutation(2 * len(case.rows)) % len(case.rows)
-    twice = Problem(case.manifold, case.prior, case.truth, case.rows[order], case.targets[order], case.sigmas[order])
-    assert distance(case, solution(case, 1e-2, exact=exact), solution(twice, 1e-2, exact=exact)) < same(exact)
 
 
 @SEEDS
@@ -131,28 +105,6 @@ def test_principal_rows_have_the_content_of_all(seed: int) -> None:
     assert np.sum(weights) == pytest.approx(np.sum(case.manifold.whiten(case.prior, augmented[:, :-1]) ** 2))
 
 
-@SEEDS
-def test_principal_rows_are_nearly_as_good(seed: int) -> None:
-    """Both are alike to first order: the nearer the hyperplanes are to the prior, the nearer the solutions."""
-    case = human_like(seed, noise=0.03, model_error=0.03)
-    all_rows = solution(case, 1e-2)
-    off = distance(case, all_rows, solution(case, 1e-2, exact=False))
-    assert 0.0 < off < 0.3 * distance(case, all_rows, case.prior.parameters)
-
-
-def test_no_more_rows_than_parameters_are_taken_as_they_are() -> None:
-    case = problem(1, LINKS, count=LINKS.dimension)
-    np.testing.assert_array_equal(solution(case, 1e-2), solution(case, 1e-2, exact=False))
-
-
-@SEEDS
-def test_all_standard_deviations_may_be_in_other_units(seed: int) -> None:
-    """Gamma is a share: what all rows have in common cancels."""
-    case = problem(seed, LINKS)
-    other = Problem(LINKS, case.prior, case.truth, case.rows, case.targets, 1e3 * case.sigmas)
-    assert distance(case, solution(case, 1e-2), solution(other, 1e-2)) < SAME
-
-
 def test_rows_without_a_projection_are_set_aside_and_counted() -> None:
     case = problem(1, LINKS, count=20)
     rows = np.concatenate([np.eye(1, 20), case.rows, np.zeros((1, 20))])
@@ -163,24 +115,12 @@ def test_rows_without_a_projection_are_set_aside_and_counted() -> None:
     assert distance(case, found.parameters, solution(case, 1e-2)) < SAME
 
 
-def test_it_starts_from_the_minimiser_of_remark_3_where_that_is_lower() -> None:
-    case = human_like(0, links=5)
-    found = solve_rows(case.rows, case.targets, case.sigmas, case.prior_table, 1e-3)
-    objective = case.geodesic(1e-3)
-    assert found.solution.values[0] < 0.5 * objective.evaluate(case.prior).value
-
-
 def test_one_sigma_serves_all_and_results_are_read_only() -> None:
     case = problem(0, LINKS)
     one = solve_rows(case.rows, case.targets, 0.3, case.prior_table)
     all_alike = solve_rows(case.rows, case.targets, np.full(len(case.rows), 0.3), case.prior_table)
     np.testing.assert_array_equal(one.parameters, all_alike.parameters)
     assert not one.parameters.flags.writeable
-
-
-def test_runs_are_repeatable() -> None:
-    case = human_like(2)
-    np.testing.assert_array_equal(solution(case, 1e-3), solution(case, 1e-3))
 
 
 @pytest.mark.parametrize(
@@ -212,7 +152,7 @@ def test_bad_input_is_refused_by_name(change: dict[str, object], named: str) -> 
 
 
 @pytest.mark.parametrize("objective", ["geodesic", "residual"])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_weight_that_is_chosen_predicts_fresh_rows_nearly_as_well_as_the_best(seed: int, objective: str) -> None:
     case = human_like(seed)
     fitted = slice(0, 2 * len(case.rows) // 3)
@@ -252,11 +192,6 @@ def test_the_best_weight_is_the_minimum_of_a_parabola_through_the_logarithms() -
         assert np.log10(paper_estimator.best_weight(list(losses))) == pytest.approx(-minimum)
         assert paper_estimator.best_weight(list(losses[:5])) == pytest.approx(paper_estimator.best_weight(list(losses)))
     assert paper_estimator.best_weight([1.0, 1.1]) == 0.1
-
-
-def test_few_rows_leave_the_weight_to_the_paper() -> None:
-    case = problem(1, LINKS, count=15)
-    assert solve_rows(case.rows, case.targets, case.sigmas, case.prior_table).gamma == PAPER
 
 
 def test_remark_3_has_no_rows_to_set_aside_and_minimises_residuals() -> None:

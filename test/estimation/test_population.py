@@ -73,11 +73,6 @@ def test_effects_of_the_type_are_found() -> None:
             assert abs(np.log(found.parameters[first + index] / truth[index])) < 4.0 * spread[index] / np.sqrt(ROBOTS)
 
 
-def test_the_order_of_robots_does_not_matter() -> None:
-    turned = PopulationFit(common(robots()[::-1])).population
-    assert moved(turned, population()) < 1e-6
-
-
 def test_a_new_robot_with_one_second_of_data_is_predicted_far_better_than_from_its_urdf() -> None:
     errors = []
     for seed in range(40, 46):
@@ -123,12 +118,6 @@ def of_the_others() -> Population:
     return PopulationFit(common(robots()[:-1])).population
 
 
-def test_robots_of_one_type_are_members() -> None:
-    _, members = population_and_members(robots())
-    assert all(member.member for member in members)
-    assert 0.7 < np.mean([member.distance for member in members]) < 1.4
-
-
 def test_a_robot_of_another_type_is_told_and_moves_nothing() -> None:
     kind = typical("arm3", 4)
     found, members, unlike = judged(RobotLikelihood.of(solved(kind.recorded(kind.robot(ANOTHER), ANOTHER, 10.0))))
@@ -146,13 +135,6 @@ def test_a_tool_left_on_is_told_and_moves_nothing() -> None:
     assert moved(found, of_the_others()) < MOST_MOVED
     told = solved(case, EstimatorSettings(population=found)).warnings
     assert any(f"link '{unlike[0]}' differs" in sentence for sentence in told)
-
-
-def test_a_third_of_another_type_does_not_move_the_population() -> None:
-    others = typical("arm3", 4).fleet(6, first=60)
-    found, members = population_and_members([*robots()[:14], *others])
-    assert [member.member for member in members] == [True] * 14 + [False] * 6
-    assert moved(found, PopulationFit(common(robots()[:14])).population) < MOST_MOVED
 
 
 def test_what_is_left_of_some_effects_is_the_least_over_the_others() -> None:

@@ -16,7 +16,7 @@ from geomid_ros.types import FloatArray
 
 from .problems import ALL, LINKS, Problem, human_like, problem
 
-SEEDS = pytest.mark.parametrize("seed", range(4))
+SEEDS = pytest.mark.parametrize("seed", range(2))
 BOTH = pytest.mark.parametrize("kind", ["geodesic", "residual"])
 GAMMA = 1e-2
 SAME_POINT = 1e-6  # geodesic distance
@@ -71,30 +71,6 @@ def test_the_end_is_stationary_and_a_minimum(kind: str, seed: int) -> None:
 
 
 @SEEDS
-@BOTH
-def test_the_same_minimum_from_other_starting_points(kind: str, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    for case in (problem(seed, ALL), human_like(seed)):
-        objective, solution = solved(case, kind)
-        for distance in (0.1, 0.5, 1.0):
-            start = bodies.near(rng, case.manifold, solution.point, distance)
-            again = trust_region(objective, start, 1e-9)
-            assert again.converged
-            assert case.manifold.distance(solution.point, again.point) < SAME_POINT
-
-
-@pytest.mark.parametrize("gamma", [1e-1, 1e-2])
-@SEEDS
-def test_trust_region_ends_at_or_below_the_papers_alternation(seed: int, gamma: float) -> None:
-    case = human_like(seed, links=3, instants=20)
-    objective, fast = solved(case, "geodesic", gamma)
-    slow = cyclic(objective, case.prior, tolerance=1e-9, max_steps=1000)
-    assert fast.evaluation.value <= slow.evaluation.value * (1.0 + 1e-12)
-    if slow.converged:
-        assert case.manifold.distance(fast.point, slow.point) < 1e-5
-
-
-@SEEDS
 def test_the_minimum_of_19_is_a_fixed_point_of_projection_and_karcher_mean(seed: int) -> None:
     """The alternation of the paper as printed: slack variables by (21), (22), then the mean (23).
 
@@ -119,47 +95,6 @@ def test_a_cycle_is_the_first_karcher_step_from_the_projections(seed: int) -> No
     logs = [case.manifold.log(case.prior, point) for point in [*projections(case, case.prior), case.prior]]
     step = weights @ np.array(logs) / np.sum(weights)
     assert case.manifold.distance(one.point, case.manifold.exp(case.prior, step)) < 1e-9
-
-
-@BOTH
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_running_out_of_steps_is_not_called_convergence(solver: str, kind: str) -> None:
-    case = human_like(0)
-    solution = SOLVERS[solver](getattr(case, kind)(1e-4), case.prior, tolerance=1e-12, max_steps=2)
-    assert not solution.converged
-    assert solution.steps == 2
-    assert "2" in solution.reason
-
-
-@BOTH
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_a_start_at_the_minimum_stays_there(solver: str, kind: str) -> None:
-    case = problem(0, ALL, noise=0.0, distance=0.0)
-    solution = SOLVERS[solver](getattr(case, kind)(GAMMA), case.prior)
-    assert solution.converged
-    assert solution.steps == 0
-
-
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_without_rows_the_prior_is_the_answer(solver: str) -> None:
-    some = problem(0, ALL)
-    none = Problem(ALL, some.prior, some.truth, some.rows[:0], some.targets[:0], some.sigmas[:0])
-    for kind in ("geodesic", "residual"):
-        solution = SOLVERS[solver](getattr(none, kind)(GAMMA), some.prior)
-        assert solution.converged
-        assert solution.point is some.prior
-
-
-@SEEDS
-def test_a_far_start_on_a_hard_problem_still_ends_downhill(seed: int) -> None:
-    """Weak prior, large model error: undamped Gauss-Newton steps diverge here."""
-    case = human_like(seed, links=6, model_error=0.5)
-    objective = case.geodesic(1e-4)
-    start = bodies.near(np.random.default_rng(seed), case.manifold, case.prior, 6.0)
-    solution = trust_region(objective, start, max_steps=500)
-    assert solution.converged
-    assert_descending(solution)
-    assert np.linalg.norm(solution.evaluation.gradient) <= 1e-8 * objective.scale
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
@@ -234,7 +169,7 @@ def in_the_ball(hessian: FloatArray, gradient: FloatArray, radius: float) -> flo
     return float(gradient @ best + 0.5 * best @ hessian @ best)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("radius", [1e-3, 1.0, 1e3])
 @pytest.mark.parametrize("least", [1.0, 1e-6, 0.0, -1.0, -1e4])
 def test_a_step_is_nearly_the_best_in_its_ball(seed: int, radius: float, least: float) -> None:
@@ -262,11 +197,6 @@ def test_a_parameter_of_which_nothing_is_known_ends_no_step_never(least: float) 
     hessian, gradient = np.diag([least, 1.0, 5e5]), np.array([0.0, 1.0, 700.0])
     step = _QuadraticModel(Evaluation(0.0, gradient, hessian, hessian)).minimiser(16.0)
     np.testing.assert_allclose(step, [0.0, -1.0, -700.0 / 5e5], rtol=1e-5, atol=1e-12)
-
-
-def test_of_no_curvature_at_all_a_step_goes_to_the_end() -> None:
-    model = _QuadraticModel(Evaluation(0.0, np.ones(4), np.zeros((4, 4)), np.zeros((4, 4))))
-    np.testing.assert_allclose(model.minimiser(2.0), -np.ones(4), rtol=0.01)
 
 
 @pytest.mark.parametrize(("slope", "bend"), [(1.0, np.nan), (np.inf, 1.0), (np.nan, 1.0)])

@@ -26,7 +26,7 @@ from geomid_ros.types import BoolArray, FloatArray
 
 from .arms import Case, arm
 
-SEEDS = pytest.mark.parametrize("seed", range(3))
+SEEDS = pytest.mark.parametrize("seed", range(2))
 # The start is damped as if by a motion of 0.01 rad/s, which shifts well-excited coefficients by little.
 DAMPING = 1e-2
 
@@ -75,25 +75,6 @@ def test_effects_start_at_the_non_negative_fit_of_what_the_nominal_inertias_leav
         np.testing.assert_allclose(found[columns][kept], expected[kept], rtol=DAMPING, atol=DAMPING)
 
 
-@SEEDS
-def test_positive_effects_never_start_at_zero(seed: int) -> None:
-    case = arm("arm3", seed, seconds=8)
-    backwards = case.with_efforts(-case.samples.effort)
-    found = started(backwards)
-    positive = slice(len(case.model.nominal_inertias), len(case.model.nominal_inertias) + case.model.positives)
-    sizes = np.sqrt(np.mean(case.samples.effort**2, axis=0))
-    for value, coefficient in zip(found[positive], case.model.coefficients, strict=False):
-        assert 0.0 < value <= 0.1 * sizes[joint_of(coefficient.place)] + 1.5
-
-
-def test_a_channel_without_rows_gets_ones_and_zeros() -> None:
-    case = arm("arm3", 0, seconds=2)
-    silent = case.samples.effort.copy()
-    silent[:, 1] = np.nan
-    found = started(case.with_efforts(silent))
-    np.testing.assert_array_equal(found[effects_of_joint(case, 1)], [1.0, 1.0, 1.0, 0.0])
-
-
 @pytest.mark.parametrize("velocity_noise", [0.0, 1e-4, 1e-3])
 def test_a_joint_that_does_not_move_gets_no_absurd_friction(velocity_noise: float) -> None:
     """Found by breaking it: 1e7 N m s/rad, from a division by a speed of 1e-9."""
@@ -104,16 +85,14 @@ def test_a_joint_that_does_not_move_gets_no_absurd_friction(velocity_noise: floa
     assert np.all(found <= 2.0 * size)
 
 
-@SEEDS
-def test_sigmas_are_those_of_the_noise(seed: int) -> None:
+def test_sigmas_are_those_of_the_noise() -> None:
     """Unbiased although many of the regressor's columns depend on each other."""
-    for noise in (0.1, 0.5):
-        case = arm("arm7", seed, noise=noise)
-        found = first_sigmas(summary(case), case.model.dimension)
-        fast, *slower = np.split(found, REGIMES)
-        np.testing.assert_allclose(fast, noise, rtol=0.06)
-        for regime in slower:
-            np.testing.assert_array_equal(regime, channel_sizes(summary(case), case.model.dimension))
+    case = arm("arm7", 0, noise=0.5)
+    rows = summary(case)
+    fast, *slower = np.split(first_sigmas(rows, case.model.dimension), REGIMES)
+    np.testing.assert_allclose(fast, 0.5, rtol=0.06)
+    for regime in slower:
+        np.testing.assert_array_equal(regime, channel_sizes(rows, case.model.dimension))
 
 
 @SEEDS
@@ -200,7 +179,7 @@ def test_a_prior_that_cannot_be_is_refused(change: object, named: str) -> None:
         prior_parameters(case.model, summary(case), change(case.truth))
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(6))
 def test_non_negative_least_squares_are_those_of_scipy(seed: int) -> None:
     """Of columns of very different sizes, some of them nearly alike."""
     rng = np.random.default_rng(seed)

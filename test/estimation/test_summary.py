@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +12,7 @@ from geomid_ros.model.channels import Channel
 from geomid_ros.model.moving import REGIMES
 from geomid_ros.types import FloatArray
 
-SEEDS = pytest.mark.parametrize("seed", range(4))
+SEEDS = pytest.mark.parametrize("seed", range(2))
 DIMENSION = 12
 CHANNELS = (
     Channel(name="wide", unit="N m", columns=np.arange(DIMENSION)),
@@ -65,16 +64,6 @@ def by_group(found: RowSummary, x: FloatArray, folds: list[int] | None = None) -
 
 
 @SEEDS
-@pytest.mark.parametrize("count", [1, 5, 127, 128, 129, 1000])
-def test_squared_errors_are_those_of_the_rows(seed: int, count: int) -> None:
-    coefficients, targets = rows(seed, count)
-    found = summary(coefficients, targets)
-    for x in np.random.default_rng(seed).normal(size=(5, DIMENSION)):
-        expected = [weighted(coefficients, targets, k, x, np.ones(count)) for k in range(len(CHANNELS))]
-        np.testing.assert_allclose(content(found, x), expected, rtol=CONTENT)
-
-
-@SEEDS
 @pytest.mark.parametrize(("count", "block"), [(100, 30), (121, 60), (500, 240)])
 def test_folds_follow_one_another_in_time(seed: int, count: int, block: int) -> None:
     """Of 30 instants each, and of twice as many each time when all are full."""
@@ -91,28 +80,6 @@ def test_folds_follow_one_another_in_time(seed: int, count: int, block: int) -> 
     for later in (found, again):
         later.add(coefficients[0], targets[0], 1.0)
     np.testing.assert_allclose(again.counts([3]), found.counts([3]))
-
-
-@SEEDS
-@pytest.mark.parametrize("forgetting_time", [np.inf, 100.0, 10.0])
-def test_looking_in_between_changes_nothing(seed: int, forgetting_time: float) -> None:
-    coefficients, targets = rows(seed, 700)
-    rng, x = np.random.default_rng(seed), np.random.default_rng(seed).normal(size=DIMENSION)
-    quiet = summary(coefficients, targets, block=50, forgetting_time=forgetting_time)
-    busy = RowSummary(CHANNELS, block=50, forgetting_time=forgetting_time)
-    for row, target in zip(coefficients, targets, strict=True):
-        busy.add(row, target, 1.0)
-        if rng.random() < 0.1:
-            busy.counts(rng.choice(4, size=2, replace=False))
-        if rng.random() < 0.1:
-            busy.rms(x)
-        if rng.random() < 0.1:
-            copy = busy.snapshot()
-            busy = copy if rng.random() < 0.5 else busy
-    np.testing.assert_allclose(content(busy, x), content(quiet, x), rtol=CONTENT)
-    assert busy.rows == quiet.rows
-    for one, other in zip(busy.parts(), quiet.parts(), strict=True):
-        np.testing.assert_allclose([p.count for p in one], [p.count for p in other], rtol=CONTENT)
 
 
 @SEEDS
@@ -161,30 +128,6 @@ def test_rows_are_kept_apart_by_regime(seed: int) -> None:
 
 
 @SEEDS
-def test_columns_that_are_left_out_count_as_parameters_that_are_zero(seed: int) -> None:
-    coefficients, targets = rows(seed, 300)
-    found, chosen = summary(coefficients, targets, folds=2), np.array([0, 3, 4, 9, 11])
-    positions = [np.flatnonzero(np.isin(chosen, channel.columns)) for channel in CHANNELS]
-    fewer = [replace(channel, columns=own) for channel, own in zip(CHANNELS, positions, strict=True)]
-    left = found.with_columns(fewer, chosen)
-    x = np.zeros(DIMENSION)
-    x[chosen] = np.random.default_rng(seed).normal(size=len(chosen))
-    for folds in ([0], [1], [0, 1]):
-        np.testing.assert_allclose(content(left, x[chosen], folds), content(found, x, folds), rtol=CONTENT)
-    assert left.rows == found.rows
-
-
-@SEEDS
-def test_rows_may_come_in_any_order_within_a_fold(seed: int) -> None:
-    coefficients, targets = rows(seed, 300)
-    order = np.random.default_rng(seed).permutation(300)
-    x = np.random.default_rng(seed).normal(size=DIMENSION)
-    one = summary(coefficients, targets, folds=2, block=300)
-    other = summary(coefficients[order], targets[order], folds=2, block=300)
-    np.testing.assert_allclose(content(one, x), content(other, x), rtol=CONTENT)
-
-
-@SEEDS
 @pytest.mark.parametrize("count", [10, 400])
 def test_forgetting_is_exponential_weighting_by_age(seed: int, count: int) -> None:
     """Whichever fold and chunk a row is in, and whether or not its channel was measured since."""
@@ -213,16 +156,6 @@ def test_long_after_the_past_weighs_nothing_and_nothing_breaks() -> None:
 
 
 @SEEDS
-def test_rms_is_that_of_the_rows_and_unknown_without_any(seed: int) -> None:
-    coefficients, targets = rows(seed, 333)
-    found, x = summary(coefficients, targets), np.random.default_rng(seed).normal(size=DIMENSION)
-    errors = np.einsum("ncd,d->nc", coefficients, x) - targets
-    expected = np.sqrt(np.nanmean(errors[:, :3] ** 2, axis=0))
-    np.testing.assert_allclose(found.rms(x)[:3], expected, rtol=CONTENT)
-    assert np.isnan(found.rms(x)[3])
-
-
-@SEEDS
 @pytest.mark.parametrize("count", [3, 8, 200])
 def test_compressed_rows_have_the_weighted_content_up_to_a_constant(seed: int, count: int) -> None:
     """The constant is what no parameters can explain."""
@@ -242,32 +175,6 @@ def test_compressed_rows_have_the_weighted_content_up_to_a_constant(seed: int, c
     present = [(coefficients[:, k] / sigmas[k])[np.isfinite(targets[:, k])] for k in range(4)]
     measured = np.concatenate(present)
     np.testing.assert_allclose(a.T @ a, measured.T @ measured, rtol=0, atol=1e-9 * np.linalg.norm(measured) ** 2)
-
-
-def test_a_number_that_is_none_spoils_nothing() -> None:
-    """NaN and infinity, in a target or in a coefficient: that row alone is left out."""
-    coefficients, targets = rows(1, 200)
-    spoilt, bad = coefficients.copy(), targets.copy()
-    bad[10, 0], bad[11, 1], bad[12, 2] = np.nan, np.inf, -np.inf
-    spoilt[20, 0, 5], spoilt[21, 1, 3] = np.nan, np.inf
-    expected = targets.copy()
-    for instant, channel in ((10, 0), (11, 1), (12, 2), (20, 0), (21, 1)):
-        expected[instant, channel] = np.nan
-    x = np.ones(DIMENSION)
-    np.testing.assert_array_equal(content(summary(spoilt, bad), x), content(summary(coefficients, expected), x))
-    assert summary(spoilt, bad).rows == np.count_nonzero(np.isfinite(expected))
-
-
-@pytest.mark.parametrize("forgetting_time", [np.inf, 10.0])
-def test_rows_are_counted_whether_they_wait_or_not(forgetting_time: float) -> None:
-    coefficients, targets = rows(2, 300)
-    found = RowSummary(CHANNELS, forgetting_time=forgetting_time)
-    for count, (row, target) in enumerate(zip(coefficients, targets, strict=True), start=1):
-        found.add(row, target, 1.0)
-        if count % 37 == 0:
-            assert found.rows == np.count_nonzero(np.isfinite(targets[:count]))
-    found.parts()
-    assert found.rows == np.count_nonzero(np.isfinite(targets))
 
 
 def test_memory_is_bounded() -> None:

@@ -27,7 +27,7 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.signals.kernels import derivative_kernels
 from geomid_ros.types import FloatArray
 
-from .arms import Case, arm, motion, samples, truth
+from .arms import Case, arm, truth
 from .arms import parameters as parameters_of
 from .problems import ALL, LINKS
 
@@ -51,7 +51,7 @@ def nothing(size: int) -> Fold:
     return Fold(np.zeros(size), np.zeros((size, size)))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_covariance_is_the_bayesian_posterior_where_the_weights_are_those_of_bayes(seed: int) -> None:
     """Against the conditional covariance of the joint Gaussian of parameters and measurements."""
     rng = np.random.default_rng(seed)
@@ -83,13 +83,6 @@ def test_the_covariance_is_that_of_the_errors_whatever_the_weights(trust: float)
     np.testing.assert_allclose(errors @ errors.T / runs, found, rtol=0, atol=0.05 * np.max(found))
 
 
-def test_without_data_the_usual_spread_is_all_there_is() -> None:
-    found = estimate_uncertainty([], nothing(6), 1.0, np.full(6, 2.0), np.zeros(6), one_group(6))
-    np.testing.assert_allclose(found.prior_spreads, 0.2, rtol=1e-9)
-    np.testing.assert_allclose(found.covariance, 0.04 * np.eye(6), rtol=1e-9, atol=1e-15)
-    assert found.from_data(slice(0, 6)) == pytest.approx(0.0, abs=1e-9)
-
-
 def test_where_the_weight_is_that_of_bayes_from_data_is_the_trace_of_the_resolution_matrix() -> None:
     rng = np.random.default_rng(2)
     fisher, spreads = information(rng, 6, 3), np.full(6, 0.3)
@@ -106,7 +99,7 @@ def recorded(rows: FloatArray, residuals: FloatArray, folds: int = 8) -> list[Fo
     return [Fold(a.T @ r, a.T @ a) for a, r in parts]
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_direction_in_no_row_is_not_from_data_and_others_become_so_with_more_of_them(seed: int) -> None:
     rng = np.random.default_rng(seed)
     shares = []
@@ -122,32 +115,6 @@ def test_a_direction_in_no_row_is_not_from_data_and_others_become_so_with_more_o
     assert shares[-1] > 0.99
 
 
-def test_no_fewer_directions_are_open_than_the_estimate_took_for_open() -> None:
-    """The known links are near their prior by chance, and tell nothing of the others."""
-    information = np.diag([1e6, 1e6, 1e6, 0.0, 0.0, 0.0])
-    folds = [Fold(np.zeros(6), information)]
-    near = estimate_uncertainty(folds, nothing(6), 1.0, np.full(6, 25.0), np.zeros(6), one_group(6))
-    assert near.covariance[5, 5] < 0.5 * 0.04
-    found = estimate_uncertainty(
-        folds, nothing(6), 1.0, np.full(6, 25.0), np.zeros(6), one_group(6), assumed_spreads=np.full(6, 0.2)
-    )
-    assert found.covariance[5, 5] == pytest.approx(0.04)
-    assert found.from_data(slice(3, 6)) == pytest.approx(0.0, abs=1e-9)
-
-
-def test_what_belongs_to_the_prior_is_not_from_data() -> None:
-    """Known rows that are a prior's own, however much they tell, beside rows that tell one direction."""
-    rng = np.random.default_rng(4)
-    own, measured = information(rng, 4, 4), np.diag([1e6, 0.0, 0.0, 0.0])
-    spreads, known = np.full(4, 0.2), Fold(np.zeros(4), own)
-    problem = ([Fold(np.zeros(4), measured)], known, 1.0, spreads**-2.0, np.zeros(4), one_group(4))
-    found = estimate_uncertainty(*problem, assumed_spreads=spreads, expected=own)
-    np.testing.assert_allclose(found.prior, np.linalg.inv(own + np.diag(spreads**-2.0)), rtol=1e-9)
-    np.testing.assert_allclose(found.covariance, np.linalg.inv(own + measured + np.diag(spreads**-2.0)), rtol=1e-9)
-    assert 0.2 < found.from_data(slice(0, 4)) < 0.25
-    assert estimate_uncertainty(*problem, assumed_spreads=spreads).from_data(slice(0, 4)) > 0.5
-
-
 @pytest.mark.parametrize(("cutoff", "period"), [(5.0, 0.01), (3.0, 0.002), (10.0, 0.02)])
 def test_white_noise_through_the_low_pass_counts_as_its_bandwidth(cutoff: float, period: float) -> None:
     """The variance of a mean of filtered noise, by that of as many independent numbers of the same variance."""
@@ -159,16 +126,7 @@ def test_white_noise_through_the_low_pass_counts_as_its_bandwidth(cutoff: float,
     assert least_inflation(summary, np.inf) == 1.0
 
 
-def test_few_blocks_do_not_make_noise_less_correlated_than_the_filter_does() -> None:
-    rng = np.random.default_rng(5)
-    rows = rng.normal(size=(90, 6))
-    folds = recorded(rows, rng.normal(size=90), folds=3)
-    assert np.all(variance_inflation(folds, np.zeros((6, 6)), np.full(6, 1e-6), one_group(6), 5.0) >= 5.0)
-    alone = folds[:1]
-    np.testing.assert_array_equal(variance_inflation(alone, np.zeros((6, 6)), np.ones(6), one_group(6), 5.0), 5.0)
-
-
-@pytest.mark.parametrize("copies", [4, 25])
+@pytest.mark.parametrize("copies", [25])
 def test_rows_written_down_several_times_do_not_shrink_the_interval(copies: int) -> None:
     """Perfectly correlated errors; counted as independent, the variance would fall by the number of copies."""
     rng, size = np.random.default_rng(3), 20
@@ -222,8 +180,8 @@ def test_the_spread_is_found_of_what_the_data_show_in_part(spread: float) -> Non
     assert np.sqrt(np.mean(np.square(found))) == pytest.approx(spread, rel=0.15)
 
 
-@pytest.mark.parametrize("precision", [1e2, 1e5, 1e8])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("precision", [1e2, 1e8])
+@pytest.mark.parametrize("seed", range(2))
 def test_precise_rows_leave_the_spread_of_what_they_hardly_show(precision: float, seed: int) -> None:
     """By QR of the rows themselves, which lose nothing: their products lose the half of the digits."""
     rng, size, usual = np.random.default_rng(seed), 20, 0.3
@@ -283,34 +241,6 @@ def test_a_link_that_the_motion_does_not_excite_says_so() -> None:
     assert first.mass == pytest.approx(case.model.nominal_inertias[0], rel=0.01)
     assert last.from_data > 0.3
     assert "mass" not in last.cannot_tell
-
-
-def test_a_joint_at_rest_tells_nothing_of_its_friction() -> None:
-    case = arm("arm3", 0)
-    still = {}
-    for name in ("velocity", "acceleration", "position"):
-        still[name] = getattr(case.samples, name).copy()
-        still[name][:, 2] = 0.0
-    moving = samples(type(motion(np.random.default_rng(0), 1, 1.0))(**still), case.samples.effort)
-    rows = case.model.rows(moving)
-    found = solved(case, rows.coefficients, rows.targets)
-    for effect in found.effects:
-        if effect.joint == "joint3" and effect.name in ("viscous_friction", "coulomb_friction", "rotor_inertia"):
-            assert effect.from_data < 1e-3
-            assert effect.std > 0.05 * effect.value
-
-
-def test_more_data_shrink_the_deviations_of_what_they_tell_and_more_of_it_is_theirs() -> None:
-    deviations, shares = [], []
-    for seconds in (4, 16, 64):
-        case = arm("arm3", 1, seconds=seconds)
-        rows = case.model.rows(case.samples)
-        found = solved(case, rows.coefficients, rows.targets)
-        deviations.append([effect.std for effect in found.effects if effect.name == "coulomb_friction"])
-        shares.append([found.links[-1].from_data, min(effect.from_data for effect in found.effects)])
-    assert np.all(np.diff(deviations, axis=0) < 0.0)
-    assert np.all(np.diff(shares, axis=0) > 0.0)
-    assert shares[-1][1] > 0.9
 
 
 # --- how often it is right ------------------------------------------------------------------------------------------
@@ -394,19 +324,6 @@ def test_the_joint_covariance_holds_the_truth_along_straight_lines_and_not_along
             kept.append(errors @ np.linalg.solve(posterior.covariance, errors) / len(errors))
     assert 0.7 < np.mean(straight) < 1.4
     assert np.mean(geodesic) > 2.0 * np.mean(straight)
-
-
-@pytest.mark.parametrize("size", [1e2, 1e8, 1e14])
-def test_few_rows_without_noise_do_not_make_the_prior_boundless(size: float) -> None:
-    """Three rows of forty parameters that fit exactly, however far from the prior."""
-    rng = np.random.default_rng(7)
-    rows = size * rng.standard_normal((3, 40))
-    information = rows.T @ rows
-    groups = [ParameterGroup(np.arange(30), 0.2), ParameterGroup(np.arange(30, 40), 1.0)]
-    spreads = prior_spreads(Fold(np.zeros(40), information), 1e6 * rng.standard_normal(40), groups)
-    assert np.all(np.isfinite(spreads))
-    assert np.all(spreads > 0.0)
-    assert np.all(spreads <= 100.0 * np.repeat([0.2, 1.0], [30, 10]))
 
 
 def test_correlations_longer_than_a_fold_are_seen() -> None:

@@ -29,10 +29,6 @@ def test_the_least_one_goes_alone(sizes: tuple[float, ...], gone: list[int]) -> 
     assert _unsure(*found(*sizes)).tolist() == gone
 
 
-def test_what_is_always_there_stays() -> None:
-    assert _unsure(*found(0.1, 0.2, optional=False)).tolist() == []
-
-
 def test_friction_that_noise_hides_is_not_known_to_be_nothing() -> None:
     """The deviation of a logarithm would be a share of next to nothing. None is smaller than that of the least squares
     of the friction's column alone."""

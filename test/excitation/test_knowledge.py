@@ -10,11 +10,10 @@ import pytest
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, known_before
 from geomid_ros.excitation.learning import expected_learning, weight_of
-from geomid_ros.excitation.motion import MotionForm
 from geomid_ros.excitation.search import random_feasible, random_motion
 from geomid_ros.model.samples import samples_of
 
-from .arm import small_task, urdf
+from .arm import small_task
 
 TASK = small_task()
 KNOWLEDGE = TASK.knowledge
@@ -24,12 +23,6 @@ def motion(seed: int = 0):
     return random_feasible(TASK.feasibility, TASK.form, np.random.default_rng(seed))
 
 
-def test_repeats_add_up() -> None:
-    one = motion()
-    twice = replace(one, form=MotionForm(period=one.form.period, slow_share=one.form.slow_share, repeats=2))
-    assert np.allclose(KNOWLEDGE.information(twice), 2.0 * KNOWLEDGE.information(one))
-
-
 def test_more_is_known_afterwards() -> None:
     after = KNOWLEDGE.after(KNOWLEDGE.information(motion()))
     gained = np.linalg.eigvalsh(KNOWLEDGE.posterior.covariance - after.posterior.covariance)
@@ -37,15 +30,6 @@ def test_more_is_known_afterwards() -> None:
     assert np.max(gained) > 0.01
     again = known_before(after.model, after.posterior, after.sigmas.tolist(), "here")
     assert np.allclose(again.precision, KNOWLEDGE.precision + KNOWLEDGE.information(motion()), rtol=1e-5, atol=1e-3)
-
-
-def test_friction_that_the_urdf_states_is_expected() -> None:
-    """The effort that it takes is part of what must fit below the limits."""
-    text = urdf().replace('<axis xyz="0 0 1"/>', '<axis xyz="0 0 1"/><dynamics damping="12" friction="3"/>')
-    own, states = small_task(text=text).knowledge, np.zeros((3, 1, 3))
-    states[1, 0, 0] = 1.0
-    assert own.efforts(states)[0, 0] == pytest.approx(15.0, abs=0.01)
-    assert KNOWLEDGE.efforts(states)[0, 0] < 5.0
 
 
 def test_an_estimate_of_another_robot_is_refused() -> None:
@@ -96,12 +80,6 @@ def test_the_criterion_is_the_mean_squared_error_that_it_says(aim: str) -> None:
         own[posterior.manifold.link(link)] = tangent[posterior.manifold.link(link)]
         reached = posterior.manifold.exp(posterior.point, own)
         assert value == pytest.approx(posterior.manifold.distance(posterior.point, reached) ** 2, rel=1e-6)
-
-
-@pytest.mark.parametrize(("aim", "message"), [("weight", "aim 'weight'"), ("link:wheel", "'wheel'")])
-def test_unknown_aims(aim: str, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        weight_of(aim, KNOWLEDGE, [])
 
 
 def test_what_is_expected_is_said_honestly() -> None:

@@ -38,12 +38,6 @@ def test_periods_begin_and_end_at_rest(form: MotionForm) -> None:
     assert np.max(np.abs(acceleration)) < 1e-6
 
 
-def test_periods_repeat() -> None:
-    form = FORMS[2]
-    times = np.linspace(0.01, 19.99, 50)
-    assert np.allclose(some(form).at(times), some(form).at(times + form.period), atol=1e-9)
-
-
 @pytest.mark.parametrize("form", [FORMS[0], FORMS[2]])
 def test_slow_runs_have_stretches_of_constant_speed_both_ways(form: MotionForm) -> None:
     begin = (1.0 - form.slow_share) * form.period

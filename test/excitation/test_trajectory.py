@@ -30,15 +30,6 @@ def test_a_motion_of_degree_five_is_met_everywhere(tmp_path: Path) -> None:
     np.testing.assert_allclose(velocities, motion.rows(times, 1), atol=1e-8)
 
 
-def test_before_and_after_it_stands_at_its_ends(tmp_path: Path) -> None:
-    motion = bump(JOINTS, 4.0)
-    trajectory = read_trajectory(motion.write(tmp_path / "trajectory.yaml", 40))
-    for time in (-1.0, 0.0, 4.0, 9.0):
-        position, velocity = trajectory.at(time)
-        np.testing.assert_allclose(position, 0.2, atol=1e-12)
-        np.testing.assert_allclose(velocity, 0.0, atol=1e-12)
-
-
 def test_at_another_speed_the_path_is_the_same(tmp_path: Path) -> None:
     """q(s t), s q', s^2 q''."""
     motion = lively(JOINTS, 5.0, 0.3)

@@ -105,19 +105,6 @@ def test_pinocchio_predicts_what_geomid_does(tool: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(found, expected, atol=DIGITS)
 
 
-def test_a_urdf_by_itself_keeps_its_friction(tmp_path: Path) -> None:
-    """Loaded again without its estimate.json; geomid itself reads no friction in it."""
-    model = written(tmp_path, EFFECTS)
-    alone = read_model(tmp_path / "identified.urdf")
-    compiled = mujoco.MjModel.from_xml_string(exported(alone, "mujoco"))
-    np.testing.assert_allclose(compiled.dof_damping, [0.4, 1.4, 2.4])
-    np.testing.assert_allclose(compiled.dof_frictionloss, [1.2, 2.2, 3.2])
-    samples = random_samples(Robot(URDF), 12)
-    twice = [MeasurementModel(Robot(text), ()) for text in (model.urdf, re.sub("<dynamics.*?/>", "", model.urdf))]
-    one, other = (own.predict(samples, own.nominal_inertias)[1] for own in twice)
-    np.testing.assert_array_equal(one, other)
-
-
 def test_drake_has_rotors_at_the_actuators(tmp_path: Path) -> None:
     """One of its own for a joint that has none, and no second value where there was one."""
     own = (

@@ -10,14 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 import pytest
 import yaml
 from geometry_msgs.msg import Inertia, Vector3
 
 from geomid_ros.errors import InputError
 from geomid_ros.exports import formats
-from geomid_ros.exports.formats import number
 from geomid_ros.exports.inertial import Export
 from geomid_ros.exports.model import read_model
 from geomid_ros.exports.payload import attached, each_link
@@ -57,13 +55,6 @@ def leaves(value: Any) -> list[Any]:
     if isinstance(value, dict):
         return [leaf for own in value.values() for leaf in leaves(own)]
     return [leaf for own in value for leaf in leaves(own)] if isinstance(value, list) else [value]
-
-
-@pytest.mark.parametrize("value", [0.0, 1.0, -2.5e-7, 1e-300, 123456.789, 1 / 3, 1e22])
-def test_numbers_have_a_point_and_no_exponent(value: float) -> None:
-    written = number(value)
-    assert re.fullmatch(r"-?\d+\.\d+", written)
-    assert float(written) == pytest.approx(value, rel=1e-8)
 
 
 def test_urscript(payload: Export) -> None:
@@ -119,32 +110,6 @@ def test_libfranka_and_its_service(payload: Export) -> None:
     assert request["load_inertia"] == inertia.tolist()
 
 
-def test_pinocchio_reads_the_urdf_block(payload: Export) -> None:
-    """By urdfdom, which MoveIt and kdl_parser read with."""
-    text = (
-        f'<robot name="r"><link name="base"/><link name="flange">{pasted(payload, formats.urdf_inertial)}</link>'
-        '<joint name="j" type="continuous"><parent link="base"/><child link="flange"/><axis xyz="0 0 1"/></joint>'
-        "</robot>"
-    )
-    read = pin.buildModelFromXML(text).inertias[1]
-    assert read.mass == pytest.approx(TRUTH.mass, rel=1e-8)
-    np.testing.assert_allclose(read.lever, TRUTH.com, **EXACT)
-    np.testing.assert_allclose(read.inertia, TRUTH.inertia, **EXACT)
-
-
-def test_mujoco_reads_the_mjcf_block(payload: Export) -> None:
-    mujoco = pytest.importorskip("mujoco")
-    body = f'<body name="flange">{pasted(payload, formats.mjcf_inertial)}<freejoint/><geom size="1"/></body>'
-    text = f"<mujoco><worldbody>{body}</worldbody></mujoco>"
-    model = mujoco.MjModel.from_xml_string(text)
-    axes = np.zeros(9)
-    mujoco.mju_quat2Mat(axes, model.body_iquat[1])
-    axes = axes.reshape(3, 3)
-    assert model.body_mass[1] == pytest.approx(TRUTH.mass, rel=1e-8)
-    np.testing.assert_allclose(model.body_ipos[1], TRUTH.com, **EXACT)
-    np.testing.assert_allclose(axes @ np.diag(model.body_inertia[1]) @ axes.T, TRUTH.inertia, **EXACT)
-
-
 SDF = '<sdf version="1.10"><model name="m"><link name="flange">{}</link></model></sdf>'
 
 
@@ -159,21 +124,6 @@ def test_the_sdf_block_by_the_specification(payload: Export) -> None:
     x, y, z = (TRUTH.positions - TRUTH.com).T
     for key, integrand in {"ixx": y**2 + z**2, "izz": x**2 + y**2, "ixy": -x * y, "ixz": -x * z, "iyz": -y * z}.items():
         np.testing.assert_allclose(values[key], TRUTH.masses @ integrand, **EXACT)
-
-
-def test_libsdformat_reads_the_sdf_block(payload: Export) -> None:
-    """Drake parses SDF with Gazebo's own library."""
-    missing = "needs Drake: pip install -r requirements-bench.txt"
-    parsing = pytest.importorskip("pydrake.multibody.parsing", reason=missing)
-    plants = pytest.importorskip("pydrake.multibody.plant", reason=missing)
-    plant = plants.MultibodyPlant(time_step=0.0)
-    parsing.Parser(plant).AddModelsFromString(SDF.format(pasted(payload, formats.sdf_inertial)), "sdf")
-    plant.Finalize()
-    read = plant.GetBodyByName("flange").default_spatial_inertia()
-    assert read.get_mass() == pytest.approx(TRUTH.mass, rel=1e-8)
-    np.testing.assert_allclose(read.get_com(), TRUTH.com, **EXACT)
-    central = read.Shift(read.get_com()).CalcRotationalInertia().CopyToFullMatrix3()
-    np.testing.assert_allclose(central, TRUTH.inertia, **EXACT)
 
 
 def test_every_link_in_its_own_frame(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -14,7 +13,6 @@ from files.recordings import BAGS, QUICK
 
 import geomid_ros
 from geomid_ros.api.identify import Identification
-from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.exports.handover import HandedOver, JudgedFile, read_mjcf_back
 from geomid_ros.exports.model import read_model
 from geomid_ros.files.models.mjcf import mjcf
@@ -164,27 +162,6 @@ def predicted_by(read: ReadBack, samples: Samples) -> FloatArray:
     return predicted[:, model.layout.efforts] + read.efforts(model.robot.joint_names, samples)
 
 
-def test_what_was_given_is_judged_in_the_same_way() -> None:
-    """The description's own inertias, and what it says of friction."""
-    judged = handed("urdf").judged(found().judged)
-    session = found().session
-    assert not any(session.robot.described_dynamics.values())
-    nominal = session.rms(found().judged, session.nominal_parameters)
-    assert [*judged.given.values()] == pytest.approx(nominal.tolist(), rel=1e-6)
-
-
-def test_a_file_worse_than_what_it_is_from_is_not_called_usable() -> None:
-    worse = JudgedFile("f.urdf", "pinocchio", {"a": 2.0}, {"a": 2.0}, {"a": 1.0}, {"a": ()})
-    identified, gap = replace(found()), replace(geomid_ros.find_gap(BAGS / "arm3", BAGS / "arm3.urdf"))
-    assert (identified.verdict.word, gap.status) == (USABLE, 0)
-    for result in (identified, gap):
-        result.__dict__.pop("verdict", None)
-        result.__dict__["handover"] = worse
-    assert identified.verdict.word == DOUBTFUL
-    assert identified.verdict.reasons == (*worse.worse,)
-    assert gap.status == STATUS[DOUBTFUL]
-
-
 @pytest.mark.parametrize("ratio", [1.0, -1.0])
 def test_mujoco_feels_a_coupling_at_both_joints(ratio: float) -> None:
     mujoco = pytest.importorskip("mujoco")
@@ -201,19 +178,6 @@ def test_mujoco_feels_a_coupling_at_both_joints(ratio: float) -> None:
     read = read_mjcf_back(text, robot)
     assert read.attributes["joint2+joint3", "tendon/coef"] == ratio
     assert read.attributes["joint2+joint3", "tendon/damping"] == pytest.approx(0.3)
-
-
-def test_drake_feels_a_rotor_behind_its_gear() -> None:
-    """By the square of the ratio."""
-    inside = '<drake:rotor_inertia value="0.01"/><drake:gear_ratio value="-10"/>'
-    transmission = f'<transmission name="t"><joint name="joint1"/><actuator name="a">{inside}</actuator></transmission>'
-    urdf = (
-        found()
-        .session.urdf.replace("</robot>", f"{transmission}</robot>")
-        .replace("<robot ", '<robot xmlns:drake="http://drake.mit.edu" ')
-    )
-    read = read_urdf_back(found().session.read_robot(urdf, "file"), "drake")
-    assert read.attributes["joint1", "actuator/drake:rotor_inertia"] == pytest.approx(1.0)
 
 
 def test_under_the_recorded_commands_the_written_robot_is_where_the_measured_one_is(tmp_path: Path) -> None:

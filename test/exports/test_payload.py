@@ -191,23 +191,6 @@ def test_an_uncertainty_that_is_not_known_is_not_made_up(tmp_path: Path) -> None
     assert f"taken as exact: wrist of {reference.source}" in payload.notes
 
 
-def test_an_estimate_without_its_urdf_or_with_another(tmp_path: Path) -> None:
-    path = replace(WHOLE, estimated={"wrist": {}}).write(tmp_path)
-    Chain((*ARM[:2], replace(ARM[2], body=points(8)), ARM[3])).write(tmp_path / "other")
-    (tmp_path / "identified.urdf").write_text((tmp_path / "other/identified.urdf").read_text())
-    with pytest.raises(InputError, match=r"is not of this estimate: link 'wrist' weighs"):
-        read_model(path)
-    (tmp_path / "identified.urdf").unlink()
-    with pytest.raises(InputError, match=r"estimate.json: there is no identified.urdf beside it"):
-        read_model(path)
-
-
-@pytest.mark.parametrize("more", [{"std": {"mass": 1.0}}, {"from_data": "much"}, {"cannot_tell": 3}, {"merged": 3}])
-def test_a_damaged_estimate_is_refused(more: dict[str, object], tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"estimate.json: links\[0\]\.(std|from_data|cannot_tell|merged)\b"):
-        read_model(replace(WHOLE, estimated={"wrist": more}).write(tmp_path))
-
-
 def test_a_payload_that_gap_found_is_attached_with_its_uncertainty(tmp_path: Path) -> None:
     """Written by the gap workflow's own writer, at the wrist."""
     robot = Robot(Chain(ARM).urdf())

@@ -33,9 +33,8 @@ from .recordings import BAGS, TYPES, Recorded, recorded, write_bag
 ROOT = Path(__file__).parents[2]
 URDF = BAGS / "arm3.urdf"
 MESSAGES = recorded(BAGS / "arm3")
-PERIOD = 10_000_000
 MEMORY = 400_000_000  # bytes that opening a crafted file may take, of 591 MB that it would unpack to
-FLIPS = 150
+FLIPS = 80
 
 Content = list[tuple[str, int, bytes]]
 
@@ -135,18 +134,6 @@ class TestTruncated:
             assert bag.count(list(bag.topics)) == 40
             assert "the file ends before its footer" in bag.warnings[0]
 
-    @pytest.mark.parametrize("method", ["zstd", "lz4"])
-    def test_much_of_a_torn_packed_chunk_is_read(self, method: str, tmp_path: Path) -> None:
-        data = file_of(Form(chunk=10_000, method=method, checksums=False), 10_000)
-        path = tmp_path / "cut.mcap"
-        path.write_bytes(data)
-        whole = content(path)
-        path.write_bytes(data[: len(data) * 9 // 10])
-        with Bag(path) as bag:
-            found = list(bag.raw_messages(list(bag.topics)))
-        assert found == whole[: len(found)]
-        assert len(found) > 0.4 * len(whole)
-
     def test_a_database_is_read_up_to_the_first_missing_page(self, tmp_path: Path) -> None:
         path = database(tmp_path)
         everything, whole = content(path), path.read_bytes()
@@ -211,17 +198,6 @@ class TestTruncated:
         assert len(found) == 600 if left == 0.0 else 600 < len(found) < 1200
         assert sorted(found, key=lambda item: item[1]) == sorted(whole, key=lambda item: item[1])[: len(found)]
 
-    def test_a_torn_packed_file_is_read(self, tmp_path: Path) -> None:
-        whole = packed_bag(tmp_path / "bag", CompressionMode.FILE)
-        everything = content(whole)
-        (file,) = (path for path in whole.iterdir() if path.suffix != ".yaml")
-        file.write_bytes(file.read_bytes()[:-40])
-        with Bag(whole) as bag:
-            found = list(bag.raw_messages(list(bag.topics)))
-            assert len(bag.warnings) == 1
-        assert 0 < len(found) <= len(everything)
-        assert found == everything[: len(found)]
-
     def test_a_recorder_that_was_killed_leaves_no_metadata(self, tmp_path: Path) -> None:
         bag = write_bag(tmp_path / "bag", MESSAGES)
         whole = content(bag)
@@ -263,18 +239,6 @@ def split(folder: Path, storage: StoragePlugin, parts: list[list[Recorded]]) -> 
     return folder
 
 
-def packed_bag(folder: Path, mode: CompressionMode) -> Path:
-    """A bag with compression."""
-    writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
-    writer.set_compression(mode, CompressionFormat.ZSTD)
-    with writer:
-        connection = writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=TYPES)
-        for item in MESSAGES[1:2000:2]:
-            if item.topic == "/joint_states":
-                writer.write(connection, item.time, bytes(TYPES.serialize_cdr(item.message, item.kind)))
-    return folder
-
-
 class TestFlippedBit:
     """Case 59."""
 
@@ -300,22 +264,6 @@ class TestFlippedBit:
             assert len(read) == len(whole) or bag.warnings, "a length was changed: as if the file ended there"
             found += bool(bag.warnings)
         assert found > 0.9 * FLIPS
-
-    @pytest.mark.parametrize("robot", ["arm3", "arm7"])
-    def test_shipped_bags_are_protected(self, robot: str, tmp_path: Path) -> None:
-        data = (BAGS / robot / f"{robot}.mcap").read_bytes()
-        generator, path = random.Random(3), tmp_path / "flipped.mcap"
-        whole = content(BAGS / robot)
-        for _ in range(20):
-            damaged = bytearray(data)
-            damaged[generator.randrange(len(data) - 1)] ^= 1 << generator.randrange(8)
-            path.write_bytes(damaged)
-            try:
-                with Bag(path) as bag:
-                    read = list(bag.raw_messages(list(bag.topics)))
-            except InputError:
-                continue
-            assert read == whole if not bag.warnings else read == whole[: len(read)]
 
     def test_a_chunk_that_passes_for_something_else_is_missed(self, tmp_path: Path) -> None:
         """Without checksums: the kind of a chunk's record is flipped; the summary has the number of messages."""
@@ -640,7 +588,7 @@ class TestWhole:
     """What is right is read as other programs read it."""
 
     @pytest.mark.parametrize("method", ["", "zstd", "lz4"])
-    @pytest.mark.parametrize("size", [0, 1, 7, 400])
+    @pytest.mark.parametrize("size", [0, 7])
     def test_every_form_of_an_mcap_file(self, size: int, method: str, tmp_path: Path) -> None:
         path = tmp_path / "a.mcap"
         path.write_bytes(file_of(Form(size, method)))

@@ -24,18 +24,16 @@ from hypothesis import strategies as st
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.identifier import Memory
-from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.summary import SummaryState
 from geomid_ros.files.checkpoints import checkpoint_folder
-from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded, encoded, largest_size, pack, unpack
+from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded, encoded, pack, unpack
 from geomid_ros.files.checkpoints.checkpoint_folder import CheckpointFolder
-from geomid_ros.files.models.population import write_population
 from geomid_ros.model.moving import REGIMES
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.signals.joint_gate import CLOCK_SET
-from geomid_ros.signals.ledger import Account, Ledger, driver_error, meaning_of
+from geomid_ros.signals.ledger import Account, driver_error, meaning_of
 
 from .recordings import BAGS
 
@@ -141,32 +139,6 @@ class TestRoundTrip:
         assert rejected == other.identifier.rows_rejected
         assert rejected["standing still"] > 0
 
-    def test_it_is_the_content_of_all_rows(self) -> None:
-        """Not only of what had been compressed: against the squared error of the rows themselves."""
-        known, content = small()
-        checkpoint = read(content)
-        moving = samples(known, 0, INSTANTS - 19)  # then one instant at which it stands is new
-        rows = known.model.rows(moving)
-        for index, channel in enumerate(known.model.channels):
-            groups = range(index, REGIMES * len(known.model.channels), len(known.model.channels))
-            factors = np.concatenate([fold[k] for fold in checkpoint.memory.summary.factors for k in groups])
-            matrix = np.column_stack([rows.coefficients[:, index, channel.columns], rows.targets[:, index]])
-            np.testing.assert_allclose(factors.T @ factors, matrix.T @ matrix, rtol=1e-9, atol=1e-9)
-
-    def test_of_nothing(self) -> None:
-        fresh = session()
-        checkpoint = read(encoded(fresh.checkpoint(), fresh.model.channels))
-        assert checkpoint.memory.summary.rows == 0
-        assert checkpoint.memory.last_pose is None
-        assert checkpoint.accounts == {}
-
-    def test_accounts_are_added_to_those_of_this_life(self) -> None:
-        ledger = Ledger()
-        ledger.drop("joint_states", "queue full")
-        ledger.restore(read(small()[1]).accounts)
-        account = ledger.topics["joint_states"]
-        assert (account.accepted, account.dropped) == (1234, {"queue full": 9})
-
     def test_what_follows_from_reasons_is_kept(self) -> None:
         """Of a file that says none, driver errors are known by their heading."""
         known, _ = small()
@@ -195,13 +167,6 @@ class TestRoundTrip:
             np.testing.assert_array_equal(tensors[name], vector)
         assert json.loads(texts["checkpoint"])["ledger"]["joint_states"]["accepted"] == 1234
 
-    def test_its_size_is_bounded_by_the_model(self) -> None:
-        known, content = small()
-        folds = known.configuration.buffer.folds
-        numbers = sum((len(c.columns) + 1) * (len(c.columns) + 2) // 2 for c in REGIMES * known.model.channels)
-        assert len(content) < largest_size(known.model.channels, folds)
-        assert 8 * folds * numbers < largest_size(known.model.channels, folds) < 8 * folds * numbers + 10e6
-
 
 class TestDamage:
     """No damage goes unnoticed."""
@@ -222,14 +187,6 @@ class TestDamage:
             flipped[place] ^= 1 << int(rng.integers(8))
             with pytest.raises(InputError, match="checksum"):
                 read(bytes(flipped))
-
-    def test_pages_that_were_never_written(self) -> None:
-        """As some file systems leave them after a loss of power: zeros, and what was there before."""
-        content = small()[1]
-        other = bytearray(content[:8192] + content[4096:])[: len(content)]
-        for damaged in (bytes(len(content)), content[:4096] + bytes(len(content) - 4096), bytes(other), content * 2):
-            with pytest.raises(InputError):
-                read(damaged)
 
 
 def signed(body: bytes) -> bytes:
@@ -401,18 +358,6 @@ class TestFolder:
         assert contents(folder)[aside] == damaged
         assert restored(folder) == (300, ()), "it is said once"
 
-    def test_two_damaged_ones_leave_nothing_but_are_kept(self, folder: Path) -> None:
-        for name in GENERATIONS:
-            (folder / name).write_bytes(b"damaged " + name.encode())
-        before = sorted(contents(folder).values())
-        rows, problems = restored(folder)
-        assert (rows, len(problems)) == (0, 2)
-        with opened(folder) as keeper:
-            for _ in range(3):
-                keeper.write(checkpoint_of(100))
-        assert set(before) < set(contents(folder).values())
-        assert len(contents(folder)) == 4
-
     @pytest.mark.parametrize(
         ("other", "said"),
         [
@@ -457,19 +402,6 @@ class TestFolder:
         same = session(solve_period=2.0, still_speed=0.1)
         assert restored(folder, same) == (600, ())
         assert same.warm is not None
-
-    def test_any_number_of_a_population_changes_what_a_solve_depends_on(self, tmp_path: Path) -> None:
-        """Also one in the middle of a matrix that numpy would print with dots."""
-        posterior = learned().identifier.solve().posterior
-        size, path, found = len(posterior.parameters), tmp_path / "population.json", set()
-        assert size**2 > np.get_printoptions()["threshold"]
-        for change in (0.0, 1e-9):
-            covariance = np.eye(size)
-            covariance[size // 2, size // 2] += change
-            same = {name: getattr(posterior, name) for name in ("links", "effects", "parameters", "scales")}
-            write_population(path, Population(**same, covariance=covariance, robots=20))
-            found |= {session(prior=str(path)).checkpoint().solving for _ in range(2)}
-        assert len(found) == 2
 
     def test_what_was_being_written_is_cleared(self, folder: Path) -> None:
         (folder / f".{GENERATIONS[0]}.abcd").write_bytes(b"half a checkp")

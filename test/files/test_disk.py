@@ -22,14 +22,6 @@ def path(tmp_path: Path) -> Path:
     return path
 
 
-def test_text_is_written_as_it_is(tmp_path: Path) -> None:
-    text = "lines\nof Unix,\r\nof Windows, \N{SNOWMAN}\ufeff"
-    path = tmp_path / "new/folders/file.urdf"
-    write_text(path, text)
-    assert path.read_bytes() == text.encode()
-    assert os.listdir(path.parent) == [path.name]  # noqa: PTH208 names are enough
-
-
 @pytest.mark.parametrize("mask", [0o000, 0o022, 0o077])
 def test_it_is_for_its_owner_alone(mask: int, tmp_path: Path) -> None:
     """So are the folders that are made for it; one that was there stays as it is, and so does what is in it."""
@@ -43,11 +35,6 @@ def test_it_is_for_its_owner_alone(mask: int, tmp_path: Path) -> None:
         os.umask(before)
     modes = [stat.S_IMODE(made.stat().st_mode) for made in (path, *path.parents[:3])]
     assert modes == [0o600, 0o700, 0o700, 0o755]
-
-
-def test_a_file_is_replaced(path: Path) -> None:
-    write_text(path, "new")
-    assert path.read_text() == "new"
 
 
 @pytest.mark.parametrize("step", ["fsync", "replace", "chmod"])
@@ -146,14 +133,6 @@ def test_a_read_only_folder_is_named(path: Path) -> None:
     finally:
         path.parent.chmod(0o755)
     assert path.read_text() == BEFORE
-
-
-def test_files_of_a_stage_come_together_or_not_at_all(tmp_path: Path) -> None:
-    with staged(tmp_path / "whole") as stage:
-        write_text(stage / "a", "1")
-        assert [*(tmp_path / "whole").iterdir()] == [stage]
-        write_text(stage / "b", "2")
-    assert {path.name: path.read_text() for path in (tmp_path / "whole").iterdir()} == {"a": "1", "b": "2"}
 
 
 def fail_midway(folder: Path) -> None:

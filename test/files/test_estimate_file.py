@@ -13,8 +13,7 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import EffectEstimate
-from geomid_ros.files.disk import write_json
-from geomid_ros.files.models.estimate_file import EstimateFile, estimate_document
+from geomid_ros.files.models.estimate_file import estimate_document
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.effects import Quantity
 from geomid_ros.session.configuration import Configuration
@@ -23,7 +22,6 @@ from geomid_ros.session.session import Session
 from .estimates import estimate_of, link_estimate
 from .recordings import BAGS
 
-ROUNDING = 1e-12  # relative: parameters go through the centre of mass and back
 EFFECT = EffectEstimate(
     name="coulomb_friction", joint="joint1", parameters={"level": Quantity(0.5, 0.05, "N m")}, from_data=0.9
 )
@@ -72,51 +70,9 @@ def test_the_document_says_what_the_estimate_says() -> None:
     }
 
 
-def test_nothing_held_out_is_null() -> None:
-    assert document()["rms"]["held_out"] is None
-
-
-def test_round_trip(tmp_path: Path) -> None:
-    path = tmp_path / "out/estimate.json"
-    write_json(path, document())
-    assert EstimateFile.read(path).document == document()
-    assert json.loads(path.read_text()) == document()
-    known = EstimateFile.read(path).inertias
-    for link in ESTIMATE.links:
-        np.testing.assert_allclose(known[link.name], link.parameters, rtol=ROUNDING, atol=ROUNDING)
-
-
-def test_what_is_known_of_the_links_together_is_read_again() -> None:
-    known = EstimateFile.of(document(), "estimate.json").known_information
-    assert known is not None
-    np.testing.assert_allclose(known.rows, ESTIMATE.information.rows, rtol=1e-6)
-    np.testing.assert_allclose(known.residuals, ESTIMATE.information.residuals, rtol=1e-6)
-    assert EstimateFile.of({"links": [], "effects": []}, "estimate.json").known_information is None
-
-
-def test_the_estimate_of_many_links_can_be_read_again(tmp_path: Path) -> None:
-    """What is said of all together grows with the square of their number: of very many nothing is."""
-    for count, said in ((100, True), (101, False)):
-        many = estimate_of(*(link_estimate(f"link{number}") for number in range(count)))
-        write_json(tmp_path / "many.json", estimate_document(many, {}))
-        assert (EstimateFile.read(tmp_path / "many.json").known_information is not None) is said
-
-
 def session_from(model: Path) -> Session:
     configuration = Configuration({"model": str(model)}, "test")
     return Session(read_urdf(BAGS / "arm3.urdf"), configuration, "arm3.urdf")
-
-
-def test_an_estimate_is_started_from(tmp_path: Path) -> None:
-    path = tmp_path / "estimate.json"
-    write_json(path, document())
-    prior = session_from(path).identifier._task.prior
-    assert prior is not None
-    link1, link2, link3 = prior[:30].reshape(3, 10)
-    np.testing.assert_allclose(link3, ESTIMATE.links[0].parameters, rtol=ROUNDING, atol=ROUNDING)
-    np.testing.assert_allclose(link1, ESTIMATE.links[1].parameters, rtol=ROUNDING, atol=ROUNDING)
-    assert np.all(np.isnan(link2)), "what the estimate does not know comes from the URDF"
-    assert sorted(prior[30:][np.isfinite(prior[30:])]) == [EFFECT.value]
 
 
 def of_another_robot(result: dict[str, Any]) -> None:

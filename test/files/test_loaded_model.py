@@ -208,12 +208,6 @@ def test_a_negative_excess_of_an_older_file_is_predicted_and_no_prior(tmp_path: 
     assert all(one.value > 0.0 for one in session.identifier.solve().effects if one.name == "stribeck_friction")
 
 
-def test_nothing_is_known_without_a_model() -> None:
-    session = Session(ARM, Configuration({}, "test"), "arm3.urdf")
-    assert session.prior is None
-    assert session.loaded.not_predicted == ""
-
-
 @pytest.mark.parametrize(
     ("added", "message"),
     [

@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from model.robots import Reference, random_parameters, random_samples, urdf
+from model.robots import Reference, random_samples, urdf
 from scipy.spatial.transform import Rotation
 
 from geomid_ros.files.models.mjcf import mjcf
@@ -62,18 +62,6 @@ def test_the_dynamics_are_those_of_pinocchio(name: str) -> None:
     samples = random_samples(robot, 3)
     _, expected = Reference(description(name)).inverse_dynamics(samples, robot.joint_names)
     model = without_stops(compiled(mjcf(robot, {})))
-    assert_equal(efforts(model, samples, robot.joint_names), expected, EXACT)
-
-
-@pytest.mark.parametrize("name", ROBOTS)
-def test_identified_inertias_are_written(name: str) -> None:
-    robot = Robot(description(name))
-    samples = random_samples(robot, 4)
-    inertias = dict(zip(robot.body_names, random_parameters(robot, 5), strict=True))
-    reference = Reference(description(name))
-    reference.set_inertias(inertias)
-    _, expected = reference.inverse_dynamics(samples, robot.joint_names)
-    model = without_stops(compiled(mjcf(robot, inertias)))
     assert_equal(efforts(model, samples, robot.joint_names), expected, EXACT)
 
 
@@ -210,27 +198,6 @@ def test_a_backlash_is_crossed_against_its_drag(arm: Robot) -> None:
         mujoco.mj_step(model, data)
         assert data.time < 2.0 * gap * drag / effort
     assert data.time == pytest.approx(gap * drag / effort, rel=0.05)
-
-
-def test_a_joint_may_have_all_effects_at_once(arm: Robot) -> None:
-    every = [
-        effect("viscous_friction", "joint2", coefficient=1.0),
-        effect("coulomb_friction", "joint2", level=1.0),
-        effect("stribeck_friction", "joint2", level=0.5, excess=0.2, speed=0.1),
-        effect("rotor_inertia", "joint2", inertia=0.1),
-        effect("spring", "joint2", stiffness=3.0, equilibrium=0.1),
-        effect("joint_elasticity", "joint2", stiffness=1000.0),
-        effect("backlash", "joint2", gap=0.01),
-        effect("effort_offset", "joint2", offset=1.0),
-    ]
-    model = compiled(mjcf(arm, {}, every))
-    assert model.nv == 5
-    joint = model.joint("joint2")
-    assert (joint.damping[0], joint.frictionloss[0], joint.armature[0], joint.stiffness[0]) == (1.0, 1.5, 0.1, 3.0)
-    data = mujoco.MjData(model)
-    for _ in range(1000):
-        mujoco.mj_step(model, data)
-    assert not any(data.warning[index].number for index in range(len(data.warning)))
 
 
 def test_a_mounted_sensor_feels_the_weight_that_it_carries() -> None:

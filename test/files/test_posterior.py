@@ -51,12 +51,6 @@ def test_what_is_written_is_read(written: Path) -> None:
     assert not found.covariance.flags.writeable
 
 
-def test_numpy_reads_it_without_pickle(written: Path) -> None:
-    with np.load(written, allow_pickle=False) as archive:
-        assert json.loads(str(archive["posterior"]))["links"][0] == {"name": "upper", "merged": ["bracket", "ä"]}
-        assert archive["covariance"].shape == (22, 22)
-
-
 def test_the_same_posterior_makes_the_same_bytes(tmp_path: Path, written: Path) -> None:
     write_posterior(tmp_path / "again.npz", posterior())
     assert (tmp_path / "again.npz").read_bytes() == written.read_bytes()

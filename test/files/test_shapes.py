@@ -78,15 +78,6 @@ class TestPrimitives:
         np.testing.assert_allclose(solid.vertices.max(axis=0), [1.35, 2.2, 3.2], atol=1e-12)
 
     @pytest.mark.parametrize(
-        ("geometry", "name"), [('<box size="1 1 0"/>', "box"), ('<sphere radius="0"/>', "sphere"), ("<box/>", "box")]
-    )
-    def test_without_a_volume_they_are_left_out(self, geometry: str, name: str) -> None:
-        solid, warnings = read(element(geometry) + element(BOX, kind="visual"))
-        assert solid is not None
-        assert solid.shape == "visual: box"
-        assert warnings == [f"shapes without volume, ignored: collision {name} of arm"]
-
-    @pytest.mark.parametrize(
         ("geometry", "message"),
         [
             ('<sphere radius="-1"/>', "a sphere has a negative radius"),
@@ -102,11 +93,6 @@ class TestPrimitives:
 
 
 class TestChoice:
-    def test_collision_shapes_go_before_visual_ones(self) -> None:
-        both = element('<sphere radius="1"/>', kind="visual") + element(BOX)
-        np.testing.assert_array_equal(moments(both), shapes.box(SIZE))
-        np.testing.assert_array_equal(moments(element(BOX, kind="visual")), shapes.box(SIZE))
-
     def test_a_frame_has_none(self) -> None:
         assert read('<inertial><mass value="1"/></inertial>') == (None, [])
         assert read('<collision name="empty"/>') == (None, [])
@@ -124,26 +110,6 @@ class TestUnion:
         expected = placed(shapes.box(np.add(SIZE, [0.0, 0.0, 0.2])), (0, 0, 0.1))
         np.testing.assert_allclose(moments(body), expected, atol=1e-6 * shapes.volume(expected))
 
-    def test_a_capsule_of_a_cylinder_and_two_spheres(self) -> None:
-        """Closed form: the cylinder and, at its ends, the halves of one ball."""
-        radius, length = 0.1, 0.3
-        found = moments(
-            element(f'<cylinder radius="{radius}" length="{length}"/>')
-            + element(f'<sphere radius="{radius}"/>', f'xyz="0 0 {length / 2}"')
-            + element(f'<sphere radius="{radius}"/>', f'xyz="0 0 {-length / 2}"')
-        )
-        ball = 4 / 3 * np.pi * radius**3
-        along = radius**2 / 5 + 2 * (3 * radius / 8) * length / 2 + length**2 / 4
-        expected = shapes.cylinder(radius, length) + ball * np.diag([radius**2 / 5, radius**2 / 5, along, 1.0])
-        # Round surfaces stand for the overlap: half of both balls.
-        np.testing.assert_allclose(np.diag(found), np.diag(expected), rtol=2e-3)
-        np.testing.assert_allclose(found - np.diag(np.diag(found)), 0.0, atol=1e-7)
-
-    def test_a_shape_within_another_adds_nothing(self) -> None:
-        found = moments(element(BOX) + element('<sphere radius="0.09"/>'))
-        np.testing.assert_allclose(found, shapes.box(SIZE), rtol=5e-3, atol=1e-8)
-        assert np.all(np.linalg.eigvalsh(found) > 0.0)
-
     def test_without_the_library_that_joins_they_add_up_and_that_is_said(self, monkeypatch: pytest.MonkeyPatch) -> None:
         def missing(*_arguments: object, **_options: object) -> None:
             raise ImportError
@@ -156,13 +122,6 @@ class TestUnion:
 
 
 class TestMeshes:
-    @pytest.mark.parametrize("suffix", [".stl", ".obj", ".dae", ".STL"])
-    def test_the_mesh_of_a_box_is_the_box(self, suffix: str, tmp_path: Path) -> None:
-        path = saved(trimesh.creation.box(SIZE), tmp_path / f"box{suffix.lower()}")
-        path = path.rename(path.with_suffix(suffix))
-        found = moments(element(f'<mesh filename="{path.name}"/>', 'xyz="1 2 3" rpy="1 2 3"'), tmp_path)
-        np.testing.assert_allclose(found, placed(shapes.box(SIZE), (1, 2, 3), (1, 2, 3)), rtol=1e-6, atol=1e-9)
-
     def test_scaled_and_mirrored(self, tmp_path: Path) -> None:
         wedge = trimesh.Trimesh(
             [[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]], [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
@@ -176,13 +135,6 @@ class TestMeshes:
         np.testing.assert_allclose(found[:3, 3] / found[3, 3], [0.25e-3, -1e-3, 2.25e-3])
         scaled = wedge.copy().apply_transform(np.diag([0.001, -0.002, 0.003, 1.0]))
         np.testing.assert_allclose(found, shapes.polyhedron(scaled.vertices, scaled.faces), rtol=1e-9)
-
-    def test_inside_out_is_the_same_solid(self, tmp_path: Path) -> None:
-        box = trimesh.creation.box(SIZE)
-        box.invert()
-        saved(box, tmp_path / "box.obj")
-        found = moments(element('<mesh filename="box.obj"/>'), tmp_path)
-        np.testing.assert_allclose(found, shapes.box(SIZE), rtol=1e-6, atol=1e-9)
 
     def test_what_is_not_closed_counts_as_its_hull(self, tmp_path: Path) -> None:
         box = trimesh.creation.box(SIZE)
@@ -277,10 +229,6 @@ class TestFinding:
         assert self.found(f"file://{mesh}", urdf) == mesh
         assert self.found(mesh.as_uri(), urdf) == mesh
 
-    def test_a_package_around_the_urdf(self, tmp_path: Path) -> None:
-        mesh = self.mesh(tmp_path / "my_robot/meshes/a.stl")
-        assert self.found("package://my_robot/meshes/a.stl", tmp_path / "my_robot/urdf/robot.urdf") == mesh
-
     @pytest.mark.parametrize(
         ("variable", "listed", "inside"),
         [
@@ -295,12 +243,6 @@ class TestFinding:
         mesh = self.mesh(tmp_path / inside)
         monkeypatch.setenv(variable, f"/nowhere:{tmp_path / listed}")
         assert self.found("package://my_robot/meshes/a.stl", tmp_path / "robot.urdf") == mesh
-
-    def test_a_named_folder_wins(self, tmp_path: Path) -> None:
-        self.mesh(tmp_path / "my_robot/a.stl")
-        mesh = self.mesh(tmp_path / "other/a.stl")
-        urdf = tmp_path / "my_robot/robot.urdf"
-        assert self.found("package://my_robot/a.stl", urdf, my_robot=tmp_path / "other") == mesh
 
     @pytest.mark.parametrize(
         ("uri", "message"),

@@ -46,14 +46,6 @@ def test_round_trip(tmp_path: Path) -> None:
     assert list(found.effects) == one_of_each()
 
 
-def test_a_standard_deviation_may_be_unknown(tmp_path: Path) -> None:
-    unsure = KnownEffect("effort_delay", "", "", {"delay": Quantity(1e-3, np.nan, "s")})
-    write_sidecar(tmp_path / "effects.yaml", "arm", [unsure])
-    (found,) = read_sidecar(tmp_path / "effects.yaml").effects
-    assert (found.parameters["delay"].value, found.parameters["delay"].unit) == (1e-3, "s")
-    assert np.isnan(found.parameters["delay"].std)
-
-
 def test_it_explains_itself(tmp_path: Path) -> None:
     path = tmp_path / "effects.yaml"
     write_sidecar(path, "arm", [effect("stribeck_friction", "joint1", level=1.0, excess=0.5, speed=0.1)])
@@ -61,11 +53,6 @@ def test_it_explains_itself(tmp_path: Path) -> None:
     assert any("level + excess exp(-(v/speed)^2)" in line for line in comments)
     (entry,) = yaml.safe_load(path.read_text())["effects"]
     assert (entry["urdf"], entry["mjcf"]) == (["level"], ["level"])
-
-
-def test_no_effects(tmp_path: Path) -> None:
-    write_sidecar(tmp_path / "effects.yaml", "arm", [])
-    assert read_sidecar(tmp_path / "effects.yaml").effects == ()
 
 
 def edited(*path: str | int, value: Any = None) -> Callable[[dict[str, Any]], None]:
@@ -132,11 +119,6 @@ def test_what_is_no_sidecar_is_refused(text: str, tmp_path: Path) -> None:
     path.write_text(text)
     with pytest.raises(InputError, match=r"effects.yaml: "):
         read_sidecar(path)
-
-
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"nowhere.yaml: .*cannot be read"):
-        read_sidecar(tmp_path / "nowhere.yaml")
 
 
 def test_effects_at_one_place_are_combined() -> None:

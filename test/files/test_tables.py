@@ -7,8 +7,6 @@ import io
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from geomid_ros.files.models.tables import csv_text, tables, write_tables
 
 EVIL = 'a "link", with; commas\nand lines'
@@ -60,19 +58,6 @@ def test_a_link_has_all_its_numbers(tmp_path: Path) -> None:
     assert row["not_identifiable"].split(";") == ["com z", "Ixy"]
 
 
-def test_every_parameter_of_an_effect_has_a_row(tmp_path: Path) -> None:
-    write_tables(tmp_path, tables(ESTIMATE))
-    rows = read((tmp_path / "effects.csv").read_text())
-    assert [(row["effect"], row["joint"], row["parameter"], row["value"], row["std"]) for row in rows] == [
-        ("viscous_friction", "joint1", "coefficient", "3.0", "0.2"),
-        ("coulomb_friction", "joint1", "level", "2.0", "0.3"),
-        ("coulomb_friction", "joint1", "smoothing", "0.01", "0.0"),
-        ("stribeck_friction", "joint2", "level", "0.5", "0.1"),
-        ("stribeck_friction", "joint2", "excess", "0.2", ""),
-    ]
-    assert [row["from_data"] for row in rows] == ["0.9", "", "", "", ""]
-
-
 def test_channels_are_as_the_document_has_them() -> None:
     (row,) = read(csv_text(tables(ESTIMATE)["channels"]))
     assert row == {key: str(value) for key, value in ESTIMATE["channels"][0].items()}
@@ -87,9 +72,3 @@ def test_findings_of_a_gap(tmp_path: Path) -> None:
         ("level", "confident", "0.4", "Stribeck friction, with a comma"),
         ("excess", "confident", "0.4", "Stribeck friction, with a comma"),
     ]
-
-
-@pytest.mark.parametrize("name", ["effects", "channels"])
-def test_a_table_of_nothing_is_empty(name: str) -> None:
-    nothing = tables({"links": [], "effects": [], "added": []})
-    assert csv_text(nothing[name]).strip() == ""

@@ -98,10 +98,6 @@ def written(folder: Path, topics: dict[str, int]) -> Path:
     return folder
 
 
-def test_of_several_messages_the_last_one_counts(tmp_path: Path) -> None:
-    assert len(trajectory_in_bag(written(tmp_path / "bag", {"/plan": 6}), None).times) == 5
-
-
 BAGS_REFUSED = {
     "none": ({"/states": 0}, None, "no message on /states has points"),
     "two topics": ({"/plan": 4, "/other": 4}, None, "found /plan, /other; --topic names one"),

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from geomid_ros.errors import GeomidError, InputError
@@ -61,10 +60,6 @@ def test_a_description_beyond_the_limits_is_refused(case: str) -> None:
         Robot(text, source="topic robot_description")
 
 
-def test_as_deep_as_is_allowed() -> None:
-    assert Robot(nested(62)).joint_names == Robot(ARM3).joint_names
-
-
 def test_a_large_file_is_not_read_to_its_end(tmp_path: Path) -> None:
     path = tmp_path / "large.urdf"
     with path.open("wb") as file:
@@ -101,22 +96,13 @@ def test_meshes_are_never_opened(tmp_path: Path) -> None:
     assert str(pipe) in text
     path.write_text(text)
     commands = [
-        json.dumps([name, str(BAGS / "arm3"), "--urdf", str(path), "--out", str(tmp_path / name), *more])
-        for name, more in (("identify", ()), ("gap", ("--hold-out", "0.2")))
+        json.dumps([name, str(BAGS / "arm3"), "--urdf", str(path), "--out", str(tmp_path / name), "--no-report"])
+        for name in ("identify", "gap")
     ]
     subprocess.run([sys.executable, "-c", OPENING, path, *commands], check=True, cwd=ROOT, timeout=300)
     for name in ("identify", "gap"):
         assert str(pipe) in (tmp_path / name / "identified.urdf").read_text()
     assert str(pipe) not in urdf_tree.without_shapes(text, "robot.urdf")
-
-
-def test_what_is_left_without_shapes_is_the_same_robot() -> None:
-    text = ARM3.replace("</robot>", '<material name="x"/><gazebo/><transmission/></robot>')
-    pruned = urdf_tree.without_shapes(text, "x")
-    whole, bare = urdf_tree.parse(text, "x"), urdf_tree.parse(pruned, "x")
-    assert (whole.links, whole.joints, whole.root) == (bare.links, bare.joints, bare.root)
-    for name, parameters in whole.inertials.items():
-        np.testing.assert_array_equal(parameters, bare.inertials[name])
 
 
 YAML: dict[str, tuple[str, str]] = {

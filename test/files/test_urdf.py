@@ -123,17 +123,6 @@ def test_every_other_byte_is_kept(variant: str, tmp_path: Path) -> None:
     assert_robot_has(result, LINKS)
 
 
-def test_writing_again_changes_nothing() -> None:
-    once = with_identified_inertias(filled(TEMPLATE), LINKS)
-    assert with_identified_inertias(once, LINKS) == once
-
-
-def test_links_that_are_not_identified_keep_their_inertial() -> None:
-    result = with_identified_inertias(filled(TEMPLATE), LINKS[1:])
-    inertials = inserted(TEMPLATE, result)
-    assert inertials["arm"] == inertials["cover"] == INERTIAL
-
-
 @pytest.mark.parametrize(
     "tag",
     ['<link name="arm"/>', "<link name='arm' />", '<link name="arm" note="a>b/>c"  />', '<link name="arm"\n/>'],
@@ -156,19 +145,6 @@ def test_an_open_link_without_inertial_gets_one(inside: str) -> None:
     inertials = inserted(TEMPLATE.replace(ARM, f"{tag}@arm@{inside}</link>"), result)
     assert_is(inertials["arm"].strip(), LINKS[0])
     assert_robot_has(result, LINKS)
-
-
-def test_of_two_inertials_the_first_counts() -> None:
-    """As for pinocchio and MuJoCo."""
-    doubled = TEMPLATE.replace("@größe@", "@größe@" + INERTIAL.replace("1.5", "7"))
-    inertials = inserted(doubled, with_identified_inertias(filled(doubled), LINKS))
-    assert_is(inertials["größe"], LINKS[1])
-
-
-def test_a_massless_fixed_link_keeps_what_it_has() -> None:
-    nothing = '<inertial><mass value="0"/><inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial>'
-    template = TEMPLATE.replace('<link name="frame"/>', f'<link name="frame">{nothing}</link>')
-    assert inserted(template, with_identified_inertias(filled(template), LINKS))["cover"] == ""
 
 
 @pytest.mark.parametrize("name", ["arm3", "arm7"])

@@ -46,12 +46,6 @@ def test_a_model_of_a_doubtful_recording_is_told_first_with_all_reasons(tmp_path
     assert first == f"{model}: this model's verdict is 'doubtful': {REVERSED.sentence}; {SHIFTED.sentence}"
 
 
-def test_a_usable_model_is_not_told(tmp_path: Path) -> None:
-    model = written(tmp_path)
-    assert json.loads(model.read_text())["verdict"] == {"result": "usable", "reasons": [], "causes": []}
-    assert session(model).warnings() == []
-
-
 @pytest.mark.parametrize(
     ("document", "said"),
     [

@@ -39,10 +39,6 @@ def found(source: str | Path, by: str = "robot") -> list[tuple[str, str]]:
 EVERY = [("left", "monday"), ("left", "tuesday"), ("right", "monday")]
 
 
-def test_a_folder_of_robots(folder: Path) -> None:
-    assert found(folder) == EVERY
-
-
 def test_bags_behind_links(folder: Path, tmp_path: Path) -> None:
     """To a robot's folder and to a bag; circles and links to nowhere are no matter, and no bag counts twice."""
     (tmp_path / "left").symlink_to(folder / "left")
@@ -51,11 +47,6 @@ def test_bags_behind_links(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "right" / "again").symlink_to(tmp_path)
     (tmp_path / "right" / "lost").symlink_to(tmp_path / "nowhere")
     assert found(tmp_path) == EVERY
-
-
-def test_a_pattern(folder: Path) -> None:
-    assert found(folder / "*" / "mon*") == [EVERY[0], EVERY[2]]
-    assert found(folder / "left" / "*" / "*.mcap") == [("monday", "monday.mcap"), ("tuesday", "tuesday.mcap")]
 
 
 def test_a_table_with_addresses_relative_to_it(folder: Path, tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 """Rounds of search and linearisation: when they end, and what is noise in them."""
 
-from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,12 +8,10 @@ import pytest
 from scipy.signal import lfilter
 
 from geomid_ros.gap import analysis
-from geomid_ros.gap.candidates import EffectTerm
 from geomid_ros.gap.evidence.record import TotalModel
 from geomid_ros.model.effects import AtJoint, OnRobot
 from geomid_ros.model.effects.gravity_tilt import GravityTilt
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
-from geomid_ros.types import FloatArray
 
 from .small import at
 
@@ -22,46 +19,7 @@ VISCOUS, OFFSET = at("viscous_friction", 0), at("effort_offset", 0)
 OTHER = at("viscous_friction", 1)
 
 
-@dataclass
-class Found:
-    """A fit: coefficients with their standard deviations."""
-
-    values: dict[EffectTerm, float]
-    chosen: tuple[Any, ...] = (VISCOUS,)
-    std: float = 0.1
-    stds: dict[EffectTerm, float] = field(default_factory=dict)
-
-    @property
-    def terms(self) -> tuple[EffectTerm, ...]:
-        return tuple(self.values)
-
-    @property
-    def covariance(self) -> FloatArray:
-        return np.diag([self.stds.get(term, self.std) ** 2 for term in self.values])
-
-    def value(self, term: EffectTerm) -> float:
-        return self.values[term]
-
-    def place(self, term: EffectTerm) -> int:
-        return self.terms.index(term)
-
-
 TERM, OWN = VISCOUS.terms[0], OFFSET.terms[0]
-
-
-@pytest.mark.parametrize(("change", "expected"), [(0.0, True), (0.04, True), (-0.04, True), (0.06, False)])
-def test_the_same_was_found_within_half_a_standard_deviation(change: float, expected: bool) -> None:
-    before, found = Found({TERM: 1.0}), Found({TERM: 1.0 + change})
-    assert analysis._same(before, found) == expected  # type: ignore[arg-type]
-    beside = Found({OWN: 5.0, TERM: 1.0 + change}, stds={OWN: 9.0})
-    assert analysis._same(before, beside) == expected  # type: ignore[arg-type]
-
-
-def test_other_names_are_not_the_same() -> None:
-    before = Found({TERM: 1.0})
-    assert not analysis._same(None, before)  # type: ignore[arg-type]
-    assert not analysis._same(before, Found({TERM: 1.0}, chosen=(VISCOUS, OFFSET)))  # type: ignore[arg-type]
-    assert not analysis._same(before, Found({TERM: 1.0}, chosen=()))  # type: ignore[arg-type]
 
 
 def total(tilt: tuple[float, float] | None = None, friction: float = 0.0) -> TotalModel:
@@ -97,12 +55,6 @@ def test_the_size_of_a_remainder_is_that_of_what_is_used() -> None:
     wild = np.where(valid, residual, 1e6)
     for size in (analysis._typical_size(wild, valid), analysis._root_mean_square(wild, valid)):
         np.testing.assert_allclose(size, [0.3, 1.0, np.nan], rtol=0.02)
-
-
-def test_the_typical_size_is_that_of_most() -> None:
-    residual = np.random.default_rng(3).standard_normal((10_000, 1))
-    residual[::10] *= 100.0
-    assert analysis._typical_size(residual, np.ones((10_000, 1), dtype=bool))[0] == pytest.approx(1.0, abs=0.2)
 
 
 class TestFirstNoise:

@@ -52,14 +52,6 @@ def test_others_are_possible_at_the_robot_and_at_every_link() -> None:
     assert not named("wrench_offset"), "there is no sensor"
 
 
-def test_a_coefficient_has_a_term_of_its_own() -> None:
-    (tilt,) = named("gravity_tilt")
-    assert tilt.terms == tuple(EffectTerm(tilt.effect, OnRobot(), index) for index in range(2))
-    (spring,) = named("spring", 1)
-    (offset,) = named("effort_offset", 1)
-    assert spring.terms[1:] == offset.terms, "a spring's offset is an offset"
-
-
 def test_a_sensor_has_a_coefficient_for_each_axis_that_it_measures() -> None:
     urdf = (planted.BAGS / "arm3.urdf").read_text(encoding="utf-8")
     robot = Robot(urdf)
@@ -89,13 +81,6 @@ def test_half_of_a_name_is_no_name() -> None:
     level, excess = named("stribeck_friction", 1)[0].terms
     assert [c.name for c in library.candidates(MODEL, [excess]) if c.known] == []
     assert [c.name for c in library.candidates(MODEL, [level]) if c.known] == ["coulomb_friction"]
-
-
-def test_the_order_is_joint_by_joint_then_the_robot_then_links() -> None:
-    kinds = [candidate.effect.place for candidate in ALL]
-    assert kinds == sorted(kinds, key=["joint", "joints", "robot", "link", "sensor"].index)
-    joints = [candidate.joint for candidate in ALL if candidate.effect.place == "joint"]
-    assert joints == sorted(joints)
 
 
 def one(name: str, joint: int | None = None) -> Candidate:

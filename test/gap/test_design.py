@@ -12,7 +12,6 @@ from geomid_ros.gap.evidence.features import Features
 from geomid_ros.gap.evidence.linearised_problem import design_of, term_columns
 from geomid_ros.gap.evidence.noise import Autoregression
 from geomid_ros.model.effects import AtJoint, AtSensor, OnLink, OnRobot, Situation
-from geomid_ros.model.effects.effort_gain import EffortGain
 from geomid_ros.model.effects.gravity_tilt import GravityTilt
 from geomid_ros.model.effects.payload import CarriedBody
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
@@ -121,18 +120,6 @@ class TestColumns:
         situation = Situation(**{**unsaid, **said, "coefficients": {}})
         records: Any = SimpleNamespace(samples=motion)
         return term_columns(self.MODEL, records, terms, lambda: situation)
-
-    def test_friction_reaches_its_joint(self) -> None:
-        found = self.columns(FIRST, BOTH)
-        assert [list(by_channel) for by_channel in found.values()] == [[1], [0]]
-        speed = planted.motion(1, 2.0)[2][: self.COUNT]
-        np.testing.assert_array_equal(found[FIRST][1], speed[:, 1])
-
-    def test_a_wrong_gain_reaches_its_channel_with_what_is_predicted_there(self) -> None:
-        term = EffectTerm(EffortGain(), AtJoint(1))
-        found = self.columns(term)[term]
-        assert list(found) == [1]
-        np.testing.assert_array_equal(found[1], self.PREDICTED[:, 1])
 
     def test_a_tilt_reaches_what_gravity_reaches(self) -> None:
         terms = [EffectTerm(GravityTilt(), OnRobot(), index) for index in range(2)]

@@ -229,3 +229,4 @@ def test_without_a_floor_no_friction_makes_an_instant_unsure() -> None:
     free, bounded = LinearisedProblem(MODEL, records, total), LinearisedProblem(MODEL, records, total, np.full(3, 0.01))
     np.testing.assert_array_equal(free.valid, records.usable(MODEL, free.rows.targets))
     assert np.count_nonzero(bounded.valid[:, 0]) < np.count_nonzero(free.valid[:, 0])
+    np.testing.assert_array_equal(free.with_floor(bounded.floor).valid, bounded.valid)

@@ -68,12 +68,6 @@ def test_the_order_is_that_of_the_process_not_more() -> None:
     assert abs(np.mean([process.variances[0] for process in white]) - 1.0) < 0.05
 
 
-def test_of_nothing_and_of_zeros_noise_is_white_with_variance_one() -> None:
-    for values, runs in ((np.zeros(50), [slice(0, 50)]), (np.ones(50), [])):
-        found = Autoregression.fit(values, runs)
-        assert (found.order, found.variances.tolist()) == (0, [1.0])
-
-
 def test_covariances_are_of_pairs_within_a_run() -> None:
     """In pairs nothing is told of what is further apart: no process has a memory of 0.9 that ends after one row, so of
     more than one row none is made up."""
@@ -83,22 +77,3 @@ def test_covariances_are_of_pairs_within_a_run() -> None:
     assert found.order == 1
     assert abs(found.predictors[1][0] - 0.9) < 0.02
     assert abs(found.variances[1] - 0.19) < 0.02
-
-
-def test_whitening_leaves_white_rows_alone_and_those_outside_of_runs_out() -> None:
-    rows = np.random.default_rng(1).normal(size=(20, 3))
-    white = Autoregression.white()
-    expected = np.delete(rows, [0, 1, *range(5, 9)], axis=0)
-    np.testing.assert_array_equal(white.whiten(rows, [slice(2, 5), slice(9, 20)]), expected)
-    assert white.whiten(rows, []).shape == (0, 3)
-
-
-def test_whitening_takes_off_what_the_rows_before_predict() -> None:
-    """Of a process with one coefficient; the first row of a run has none before it."""
-    process = Autoregression((np.zeros(0), np.array([0.6])), np.array([1.0, 0.64]))
-    rows = np.random.default_rng(2).normal(size=(7, 2))
-    expected = rows.copy()
-    expected[1:] -= 0.6 * rows[:-1]
-    expected[0] *= 0.8
-    np.testing.assert_allclose(process.whiten(rows, [slice(0, 7)]), expected)
-    np.testing.assert_allclose(process.whiten(rows, [slice(3, 4)]), 0.8 * rows[3:4])

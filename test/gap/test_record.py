@@ -123,14 +123,6 @@ def test_efforts_of_later_are_interpolated_and_none_beyond_the_end() -> None:
     assert records.advanced(0.0).dense[0] is records.dense[0]
 
 
-def test_one_measured_effort_is_none_to_interpolate() -> None:
-    effort = np.full((200, 3), np.nan)
-    effort[50, 0], effort[50:52, 1] = 1.0, 1.0
-    (part,) = Records.make([replace(samples(200), effort=effort)], CUTOFF).advanced(0.005).dense
-    assert np.flatnonzero(np.isfinite(part.effort[:, 0])).tolist() == []
-    assert np.flatnonzero(np.isfinite(part.effort[:, 1])).tolist() == [50]
-
-
 class Belt(PairEffect):
     """A belt between two joints, as a column that no sample carries."""
 

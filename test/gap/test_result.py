@@ -98,14 +98,6 @@ def test_a_model_with_effects_beside_its_coefficients_is_judged_as_the_search_be
     np.testing.assert_allclose(without[:2], left[:2], rtol=1e-9)
 
 
-def test_channels_have_names_and_units(result: GapResult) -> None:
-    assert result.channels == tuple(JOINTS)
-    assert result.units == ("N m",) * 3
-    assert result.bodies == BARE.body_names
-    np.testing.assert_allclose(result.floor, planted.NOISE, rtol=0.2)
-    assert result.seconds > 0.0
-
-
 def test_the_inertias_are_as_good_as_the_true_ones(result: GapResult) -> None:
     _, q, v, a = planted.motion(SEED + 1000, 15.0)
     off = planted.rigid(result.inertias)(q, v, a) - RIGID(q, v, a)
@@ -170,23 +162,6 @@ def first_remainder() -> FloatArray:
     return np.asarray(TRAIN.effort[chosen] - urdf - np.array([KNOWN, 0.0, 0.0]) * v)
 
 
-def test_the_ranking_begins_with_the_name(result: GapResult) -> None:
-    best, *others = result.ranking
-    assert (best.effect, best.joint, best.chosen) == ("viscous_friction", JOINTS[1], True)
-    assert best.gain == pytest.approx(result.findings[0].loss)
-    assert not any(other.chosen for other in others)
-
-
-def test_progress_goes_from_nothing_to_all(result: GapResult) -> None:
-    assert result.verdict
-    assert PROGRESS[0] == ("searching", 0.0)
-    assert PROGRESS[-1] == ("judging", 1.0)
-    for what in ("searching", "judging"):
-        shares = [share for name, share in PROGRESS if name == what]
-        assert shares == sorted(shares)
-        assert (shares[0], shares[-1]) == (0.0, 1.0)
-
-
 class TestPrior:
     """What is known before, from what the user gives."""
 
@@ -198,10 +173,6 @@ class TestPrior:
         prior = self.prior()
         np.testing.assert_array_equal(prior.inertias, MODEL.nominal_inertias)
         assert (prior.spread, prior.certainty, prior.terms, prior.known) == (0.3, 20.0, (), None)
-
-    def test_effects_alone_identify_no_link(self) -> None:
-        prior = self.prior(nominal(**{JOINTS[0]: 0.5}))
-        assert (prior.spread, prior.known) == (0.3, None)
 
     def test_what_was_identified_is_hardly_wrong(self) -> None:
         values = nominal()

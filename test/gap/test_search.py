@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesFit
-from geomid_ros.inference import selection
 from geomid_ros.inference.selection import KEPT_PROMISE, Selection
 from geomid_ros.model.effects.stribeck_friction import SPEEDS, StribeckFriction
 
@@ -58,30 +57,6 @@ def test_a_name_is_taken_that_is_worth_it() -> None:
     assert 0 < sum(taken) < len(taken)
 
 
-def test_a_set_is_fitted_once_in_whatever_order() -> None:
-    one = search()
-    assert one.fit([VISCOUS, OFFSET]) is one.fit([OFFSET, VISCOUS])
-    assert one.without(one.fit([VISCOUS, OFFSET]), OFFSET) is one.fit([VISCOUS])
-
-
-def test_the_best_comes_first() -> None:
-    one = search({VISCOUS: [0.1], OFFSET: [0.3], OTHERS[0]: [0.2]}, among=CANDIDATES[:6])
-    assert one.ranked(one.fit([]))[0].candidate is OFFSET
-    current, order = one.fit([]), []
-    while (larger := one._grown(current)) is not None:
-        order.append(names(larger) - names(current))
-        current = larger
-    assert order == [{OFFSET}, {OTHERS[0]}, {VISCOUS}]
-
-
-def test_of_one_name_with_several_constants_the_best_is_ranked() -> None:
-    slow, fast = (at(StribeckFriction(speed, 0.003), 0) for speed in (SPEEDS[0], SPEEDS[-1]))
-    for better in (slow, fast):
-        one = search({better: [0.3, 0.3]}, among=[slow, fast])
-        (trial,) = one.ranked(one.fit([]))
-        assert trial.candidate is better
-
-
 def test_what_a_chosen_name_excludes_is_not_tried() -> None:
     one = search({SPRING: [0.3, 0.3]})
     tried = [trial.candidate for trial in one.ranked(one.fit([SPRING]))]
@@ -110,14 +85,6 @@ def test_a_payload_that_outweighs_the_robot_is_impossible() -> None:
         assert heavy.possible(found) == possible
 
 
-def test_a_payload_is_found_once() -> None:
-    precise = replace(PRIOR, spread=1e-3, certainty=1e6)
-    carrying = Selection(Recording(1, [VISCOUS]).design({}, link=1.5 * LINK), precise, [VISCOUS, PAYLOAD])
-    found = carrying.settle(carrying.fit([]))
-    assert names(found) == {PAYLOAD}
-    assert PAYLOAD not in [trial.candidate for trial in carrying.ranked(found)]
-
-
 def test_pruning_leaves_out_what_is_not_worth_its_parameters_and_nothing_else() -> None:
     one = search({VISCOUS: [STRONG], OTHERS[1]: [STRONG]})
     everything = one.fit([VISCOUS, OFFSET, ROTOR, *OTHERS])
@@ -140,15 +107,6 @@ def test_every_set_is_tried_that_is_better_without_a_name() -> None:
     assert 0 < left < tried < 120
 
 
-def test_a_name_that_is_worth_a_little_is_not_pruned() -> None:
-    """Below a rough estimate of its worth it is tried to be left out; what it is worth then decides."""
-    for size in np.linspace(0.015, 0.04, 11):
-        one = search({VISCOUS: [size], OFFSET: [STRONG]}, among=[VISCOUS, OFFSET], seed=3)
-        both = one.fit([VISCOUS, OFFSET])
-        worth = one.fit([OFFSET]).score - both.score
-        assert names(one.prune(both)) == ({VISCOUS, OFFSET} if worth > 0.0 else {OFFSET})
-
-
 def test_rivals_stand_in_the_place_of_a_name() -> None:
     """Two columns are nearly the same; a third name is no rival however well it fits."""
     one = search({VISCOUS: [STRONG], OFFSET: [0.02]}, alike={ROTOR.terms[0]: VISCOUS.terms[0]}, among=CANDIDATES[:6])
@@ -165,64 +123,6 @@ def test_a_rival_promises_half_of_what_the_name_is_worth() -> None:
         assert found == expected
 
 
-def test_exchange_takes_the_better_of_two_alike() -> None:
-    one = search({VISCOUS: [STRONG]}, alike={ROTOR.terms[0]: VISCOUS.terms[0]}, among=CANDIDATES[:6])
-    assert names(one._exchanged(one.fit([ROTOR]))) == {VISCOUS}
-    assert one._exchanged(one.fit([VISCOUS])) is one.fit([VISCOUS])
-
-
-def test_one_exchange_mends_all_names() -> None:
-    """At each of two joints one stands for its like."""
-    truth = {VISCOUS: [STRONG], OTHERS[0]: [STRONG]}
-    wrong = {ROTOR.terms[0]: VISCOUS.terms[0], OTHERS[2].terms[0]: OTHERS[0].terms[0]}
-    one = search(truth, alike=wrong, among=CANDIDATES[:6])
-    assert names(one._exchanged(one.fit([ROTOR, OTHERS[2]]))) == {VISCOUS, OTHERS[0]}
-
-
-def test_what_an_exchange_has_taken_away_is_not_exchanged(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As the gains of single joints, when those of all take the place of a payload."""
-    one, asked = search({OFFSET: [STRONG]}, among=CANDIDATES[:6]), []
-
-    def exchanged(_: NamesFit, candidate: Candidate) -> list[NamesFit]:
-        asked.append(candidate)
-        return [one.fit([OFFSET])]
-
-    monkeypatch.setattr(one, "rivals", exchanged)
-    assert names(one._exchanged(one.fit([VISCOUS, ROTOR]))) == {OFFSET}
-    assert asked == [VISCOUS]
-
-
-@pytest.mark.parametrize(("sizes", "leads_by"), [((0.75,), "the second"), ((0.45, 0.45), "half its loss")])
-def test_a_name_that_led_all_others_is_tried_again_once_the_search_has_gained_as_much(
-    sizes: tuple[float, ...], leads_by: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    weak, strong = OTHERS[0], OTHERS[1 : 1 + len(sizes)]
-    truth = {VISCOUS: [STRONG], weak: [0.2 * STRONG], **{c: [s * STRONG] for c, s in zip(strong, sizes, strict=True)}}
-    one, asked = search(truth, among=list(truth)), set[Candidate]()
-    exchanged = one.rivals
-
-    def spied(current: NamesFit, candidate: Candidate) -> list[NamesFit]:
-        asked.add(candidate)
-        return exchanged(current, candidate)
-
-    monkeypatch.setattr(one, "rivals", spied)
-
-    def asked_of(*chosen: Candidate) -> set[Candidate]:
-        asked.clear()
-        one._exchanged(one.fit(chosen))
-        return set(asked)
-
-    alone, little, much = (one.fit([VISCOUS, *more]).score for more in ([], [weak], strong))
-    leads = {"the second": one.fit(strong[:1]).score - alone, "half its loss": 0.5 * (one.fit([]).score - alone)}
-    assert leads_by == min(leads, key=lambda by: leads[by])
-    assert alone - little < leads[leads_by] < alone - much
-    assert asked_of(VISCOUS) == {VISCOUS}
-    assert one._contested_at[VISCOUS] == pytest.approx(alone - leads[leads_by])
-    assert asked_of(VISCOUS) == set()
-    assert asked_of(VISCOUS, weak) == {weak}
-    assert asked_of(VISCOUS, *strong) == {VISCOUS, *strong}
-
-
 def test_names_bring_what_the_score_test_promises() -> None:
     """Within the factor by which the search relies on it."""
     rng = np.random.default_rng(1)
@@ -233,23 +133,6 @@ def test_names_bring_what_the_score_test_promises() -> None:
         for trial in one.ranked(start):
             alone = one.fit([trial.candidate])
             assert not one.possible(alone) or start.score - alone.score < KEPT_PROMISE * max(trial.gain, 0.0) + 1.0
-
-
-def test_what_promises_too_little_beside_the_best_is_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nor what reaches another channel, whose turn comes."""
-    fitted = []
-    real = selection.fit
-    monkeypatch.setattr(selection, "fit", lambda *given: (fitted.append(set(given[2])), real(*given))[1])
-    for other, weak, expected in (
-        (VISCOUS, 0.02, [{OFFSET}]),
-        (VISCOUS, 0.9, [{OFFSET}, {VISCOUS}]),
-        (OTHERS[0], 0.9, [{OFFSET}]),
-    ):
-        one = search({OFFSET: [1.0], other: [weak]}, among=[OFFSET, other])
-        start = one.fit([])
-        fitted.clear()
-        assert names(one._grown(start)) == {OFFSET}
-        assert [chosen for chosen in fitted if chosen] == expected
 
 
 SPEEDY = [at(StribeckFriction(speed, 0.003), 0) for speed in SPEEDS[:9]]

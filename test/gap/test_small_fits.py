@@ -118,40 +118,6 @@ def test_a_minimum_is_near_enough_where_no_step_promises_much() -> None:
     assert np.sqrt(off @ exact.evaluation.hessian @ off) < 0.05
 
 
-class TestStraightSteps:
-    MANIFOLD = StraightManifold(1, 0, np.array([3.0]))
-    BASE = MANIFOLD.point(np.append(LINK, 0.5))
-
-    def test_a_step_is_straight_in_the_parameters(self) -> None:
-        jacobian = self.MANIFOLD.whiten(self.BASE, np.eye(11))
-        for seed in range(5):
-            tangent = np.random.default_rng(seed).uniform(-0.1, 0.1, size=11)
-            end = self.MANIFOLD.exp(self.BASE, tangent)
-            np.testing.assert_allclose(end.parameters, self.BASE.parameters + jacobian @ tangent, atol=1e-12)
-
-    def test_no_step_leaves_the_cone(self) -> None:
-        for seed in range(20):
-            tangent = 10.0 * np.random.default_rng(seed).standard_normal(11)
-            (matrix,) = self.MANIFOLD.exp(self.BASE, tangent).pseudo_inertias
-            assert np.all(np.linalg.eigvalsh(matrix) > 0.0)
-
-    def test_a_step_towards_the_edge_shrinks_more_and_more_but_no_more_than_to_a_twentieth(self) -> None:
-        """Without a kink where it begins to bend."""
-        sizes = np.linspace(0.0, 5.0, 501)
-        ends = [self.MANIFOLD.exp(self.BASE, np.append(-size * self.inward(), 0.0)) for size in sizes]
-        masses = np.array([end.pseudo_inertias[0, 3, 3] for end in ends]) / LINK[0]
-        np.testing.assert_allclose(masses[sizes < 0.5], 1.0 - sizes[sizes < 0.5], atol=1e-9)
-        steps = np.diff(masses)
-        assert np.all(steps <= 1e-12)
-        assert np.max(np.abs(np.diff(steps[:80]))) < 3e-4
-        assert masses[-1] == pytest.approx(0.05)
-
-    def inward(self) -> FloatArray:
-        """Tangent coordinates of the body growing as a whole."""
-        jacobian = self.MANIFOLD.whiten(self.BASE, np.eye(11))[:10, :10]
-        return np.asarray(np.linalg.solve(jacobian, LINK))
-
-
 def test_standard_deviations_are_those_of_the_errors() -> None:
     """Over robots: mean squares of errors in standard deviations, false once in ten thousand."""
     errors = []
@@ -175,12 +141,6 @@ def test_the_covariance_is_the_inverse_information_in_parameters() -> None:
         tangent = step * np.eye(11)[place]
         change = found.manifold.exp(found.point, tangent).parameters - found.point.parameters
         np.testing.assert_allclose(found.jacobian[:, place], change / step, atol=1e-7)
-
-
-def test_a_name_costs_twice_the_logarithm_of_its_odds() -> None:
-    cheap, dear = (at("viscous_friction", 0, odds=odds) for odds in (0.1, 0.01))
-    scores = [fit(designed(1), PRIOR, [candidate]).score for candidate in (cheap, dear)]
-    assert scores[1] - scores[0] == pytest.approx(2.0 * np.log(10.0))
 
 
 def test_units_of_a_column_do_not_matter() -> None:
@@ -223,11 +183,6 @@ class TestWhatTheModelHas:
         prior = replace(PRIOR, terms=(TERM,), values=np.array([value]), spreads=np.array([spread]))
         return fit(designed(5, planted), prior, chosen)
 
-    def test_a_certain_one_stays(self) -> None:
-        found = self.fit(0.5, 1e-6)
-        assert found.value(TERM) == pytest.approx(0.5, abs=1e-6)
-        assert np.sqrt(found.covariance[found.place(TERM), found.place(TERM)]) == pytest.approx(1e-6, rel=1e-2)
-
     def test_of_two_that_are_as_sure_the_mean_is_taken(self) -> None:
         free = self.fit(0.0, 1e3)
         std = float(np.sqrt(free.covariance[free.place(TERM), free.place(TERM)]))
@@ -246,35 +201,11 @@ class TestWhatTheModelHas:
         assert found.value(TERM) == pytest.approx(0.4)
         assert np.sqrt(found.covariance[found.place(TERM), found.place(TERM)]) == pytest.approx(0.05, rel=1e-3)
 
-    def test_a_name_for_it_is_the_same_coefficient(self) -> None:
-        found = self.fit(0.3, 1e-3, chosen=(VISCOUS, OFFSET))
-        assert found.terms == (TERM, OFFSET.terms[0])
-        assert len(found.point.reals) == 2
-
     def test_it_is_what_an_unfitted_model_says(self) -> None:
         prior = replace(PRIOR, terms=(TERM,), values=np.array([0.4]), spreads=np.array([0.05]))
         found = unfitted(prior)
         assert (found.value(TERM), found.chosen, found.bodies, found.spreads[0]) == (0.4, (), [], PRIOR.spread)
         np.testing.assert_allclose(found.point.parameters, np.append(LINK, 0.4))
-
-
-def test_all_parameters_are_determined_by_the_channels_together() -> None:
-    """Without a prior to speak of."""
-    design = designed(2)
-    vague = replace(PRIOR, certainty=1e6, spread=50.0)
-    bare, named = (fit(design, vague, chosen, spread=50.0) for chosen in ([], [VISCOUS]))
-    assert np.sum(bare.parameters_by_channel(design)) == pytest.approx(10.0, rel=1e-3)
-    assert np.sum(named.parameters_by_channel(design)) == pytest.approx(11.0, rel=1e-3)
-    assert np.all(named.parameters_by_channel(design) > 4.0), "the channels are equally loud"
-
-
-def test_a_fit_goes_on_from_another_one() -> None:
-    design = designed(6)
-    first = fit(design, PRIOR, [VISCOUS, OFFSET])
-    again = fit(design, PRIOR, [VISCOUS, OFFSET], first)
-    fewer = fit(design, PRIOR, [OFFSET], first)
-    assert again.score == pytest.approx(first.score, abs=1e-2)
-    assert fewer.score == pytest.approx(fit(design, PRIOR, [OFFSET]).score, abs=1e-2)
 
 
 class TestScoreTest:
@@ -298,12 +229,6 @@ class TestScoreTest:
         trial = score_test(design, fit(design, PRIOR, [VISCOUS]), OFFSET)
         assert trial.gain < 0.0
         assert trial.separability < 1e-3
-
-    def test_lower_odds_cost_twice_their_logarithm(self) -> None:
-        design = designed(1)
-        bare = fit(design, PRIOR, [])
-        gains = [score_test(design, bare, at("viscous_friction", 0, odds=odds)).gain for odds in (1.0, 0.1)]
-        assert gains[0] - gains[1] == pytest.approx(2.0 * np.log(10.0))
 
     def test_what_reaches_nothing_or_has_the_wrong_sign_brings_nothing(self) -> None:
         recording = Recording(1, [COULOMB])
@@ -403,14 +328,6 @@ class TestOtherRecordings:
         normals = manifold.whiten(point, rows[:, :-1])
         assert unsure == pytest.approx((1e3 * np.sum(normals**2) + 4.0) / (12 + 4.0))
 
-    def test_none_are_never_wrong(self) -> None:
-        manifold = StraightManifold(1, 0, np.zeros(0))
-        point = manifold.point(LINK)
-        rows = before.known_rows(None, 10)
-        assert before.inflation_of(rows, manifold, point, point, np.eye(10)) == 1.0
-        assert before.contradiction(rows, np.zeros(10)) == 1.0
-        assert before.cost_of_inflation(rows, 1.0) == 0.0
-
     def test_rows_contradict_by_their_mean_square_and_those_that_say_nothing_do_not_count(self) -> None:
         off = np.random.default_rng(3).normal(size=10)
         silent = np.vstack([self.KNOWN.rows, np.zeros((5, 10))])
@@ -426,14 +343,6 @@ class TestOtherRecordings:
 class TestPayloadStart:
     LINKS = np.array([LINK, 3.0 * LINK])
 
-    def test_the_usual_payload_is_a_ball_at_the_carrier_s_centre(self) -> None:
-        """A fifth of the mean link's mass; each direction's standard deviation is 0.1 m."""
-        body = before.usual_payload(self.LINKS, 1)
-        assert body[0] == pytest.approx(0.2 * 2.0 * LINK[0])
-        np.testing.assert_allclose(pseudo_inertia.centre_of_mass(body), LINK[1:4] / LINK[0])
-        central = pseudo_inertia.central_inertia(body)
-        np.testing.assert_allclose(central, 2.0 * 0.1**2 * body[0] * np.eye(3), atol=1e-12)
-
     def test_a_payload_s_mass_and_centre_are_found(self) -> None:
         """Beside inertias that are nearly certain."""
         precise = Prior(inertias=LINK, spread=1e-3, terms=(), values=np.zeros(0), spreads=np.zeros(0), certainty=1e6)
@@ -447,17 +356,6 @@ class TestPayloadStart:
             stds = np.sqrt(np.diag(found.covariance))[10:20]
             np.testing.assert_array_less(np.abs(payload - body), 4.0 * stds)
             assert stds[0] < 0.1
-
-
-def test_what_stays_the_same_is_known() -> None:
-    """A fit to other recordings alone is where they say, and to none of both at the prior."""
-    design = Recording(4, []).design({}, link=LINK, noise=1e6)
-    nowhere = fit(design, PRIOR, [])
-    np.testing.assert_allclose(nowhere.point.parameters, LINK, rtol=0.02, atol=0.02)
-    sharp = LinksInformation(1e4 * np.eye(10), -1e4 * 0.1 * LINK)
-    told = fit(design, replace(PRIOR, known=sharp), [])
-    np.testing.assert_allclose(told.point.parameters, 1.1 * LINK, rtol=1e-3, atol=1e-4)
-    assert told.inflation == 1.0
 
 
 def test_a_payload_s_parameters_are_as_sure_as_its_body() -> None:

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from geomid_ros.gap import candidates as library
-from geomid_ros.gap.candidates import Candidate
 from geomid_ros.gap.judgement.locate import located, share, strongest
-from geomid_ros.gap.judgement.naming import link_name, sentence, settled_by
+from geomid_ros.gap.judgement.naming import sentence, settled_by
 from geomid_ros.model.effects import EFFECTS, Quantity
 
 from . import planted
@@ -17,11 +16,6 @@ MODEL = planted.model()
 JOINTS = MODEL.robot.joint_names
 CANDIDATES = library.candidates(MODEL)
 PAYLOAD = next(c for c in CANDIDATES if c.payload == len(MODEL.identified) - 1)
-
-
-def named(effect: str, joint: int | None = 1) -> Candidate:
-    """A candidate, the first one of its constants."""
-    return next(c for c in CANDIDATES if c.name == effect and c.joint == joint)
 
 
 class TestShare:
@@ -102,11 +96,6 @@ def test_a_sentence_says_what_where_and_how_much(joint: str, link: str, where: s
     assert sentence(effect, joint, link, FOUND, {}, "tentative") == f"Perhaps Stribeck friction{where}: {values}"
 
 
-def test_a_sentence_does_not_say_how_sharply_friction_sets_in() -> None:
-    found = {"level": Quantity(0.5, 0.01, "N m"), "smoothing": Quantity(0.08, 0.0, "rad/s")}
-    assert "smoothing" not in sentence(named("coulomb_friction").effect, "elbow", "", found, {}, "confident")
-
-
 def test_a_sentence_begins_with_a_capital_and_says_the_first_parameters() -> None:
     found = {name: Quantity(1.0, 0.1, "m") for name in ("mass", "com_x", "com_y", "com_z", "ixx")}
     text = sentence(PAYLOAD.effect, "wrist", "hand", found, {}, "confident")
@@ -122,8 +111,3 @@ def test_what_settles_payloads_at_two_links_is_a_motion_that_turns_both() -> Non
     assert settled_by(payload, "wrist", [(spring, "base")]) == payload.settled_by
     assert settled_by(spring, "wrist", [(spring, "elbow")]) == spring.settled_by
     assert settled_by(payload, "wrist", []) == payload.settled_by
-
-
-def test_only_a_payload_has_a_link() -> None:
-    assert link_name(MODEL, PAYLOAD) == MODEL.body_names[-1]
-    assert link_name(MODEL, named("spring")) == ""

@@ -1,6 +1,5 @@
 """The whole workflow on planted robots, and what it refuses."""
 
-import weakref
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -46,7 +45,7 @@ def beside(seed: int, extra: Callable[[FloatArray, FloatArray, FloatArray], Floa
     return efforts
 
 
-@pytest.mark.parametrize("seed", [11, 12])
+@pytest.mark.parametrize("seed", [11])
 def test_inertial_errors_alone_are_no_finding(seed: int) -> None:
     result = run(planted.rigid(planted.true_inertias(seed, 0.2)), seed)
     assert result.verdict == "no gap"
@@ -76,15 +75,6 @@ def test_a_planted_effect_is_named(effect: str, joint: int) -> None:
     assert result.verdict == "named"
     assert np.max(result.gap.inertias_only) > 2.0
     assert np.max(result.moving) < 1.2, "near reversals the shape counts, which is not told here"
-
-
-def test_what_the_library_does_not_know_is_not_named() -> None:
-    result = run(beside(31, lambda q, _v, _a: 0.3 * np.sin(9.0 * q + 1.0), 1), 31)
-    assert result.verdict == "unexplained"
-    (left,) = result.unexplained
-    assert (left.joint, left.depends_on) == (JOINTS[1], "position")
-    assert left.gap == result.moving[1], "what the table says of the model that is written"
-    assert not [finding for finding in result.findings if finding.confidence == "confident"]
 
 
 def test_what_a_simulator_shows_too_is_no_gap() -> None:
@@ -183,7 +173,7 @@ def found_lighter(inertias: FloatArray, lighter: FloatArray, seed: int) -> GapRe
 
 
 @pytest.mark.parametrize("link", [1, 2])
-@pytest.mark.parametrize("seed", [61, 62])
+@pytest.mark.parametrize("seed", [61])
 def test_a_link_that_has_become_lighter_is_told_as_that(link: int, seed: int) -> None:
     """A body that is added behind the joint would explain it nearly as well."""
     inertias = planted.true_inertias(seed, 0.2)
@@ -244,7 +234,7 @@ def test_a_gain_of_all_joints_is_no_payload() -> None:
     assert any("efforts of all joints 1.1" in sentence for sentence in in_short(result))
 
 
-@pytest.mark.parametrize("seed", [54, 55])
+@pytest.mark.parametrize("seed", [54])
 def test_a_payload_that_is_gone_is_no_other_effect(seed: int) -> None:
     """What the recordings with it said of the links contradicts those without: then it is worth little, and is not
     imitated by wrong sensors."""
@@ -275,19 +265,8 @@ def test_a_link_is_heavier_by_a_payload_that_the_simulator_lacks_and_its_frictio
     assert "more than" in change.sentence
 
 
-def test_links_that_have_not_changed_are_not_told_however_small_a_change_would_count(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """They differ by what noise makes of them, and nothing speaks for that."""
-    monkeypatch.setattr(changed_links, "_LEAST", 0.0)
-    inertias = planted.true_inertias(75, 0.2)
-    robot = planted.rigid(inertias)
-    recordings = [planted.recording(robot, 75)], [planted.recording(robot, 1075, 15.0)]
-    assert find_gap(planted.model(), *recordings, nominal=inertias.ravel()).links == ()
-
-
 @pytest.mark.parametrize("identified", [False, True])
-@pytest.mark.parametrize("still", [[0], [1], [1, 2]])
+@pytest.mark.parametrize("still", [[1, 2]])
 def test_of_joints_that_stand_exactly_still_nothing_is_said_and_of_the_others_what_is_true(
     still: list[int], identified: bool
 ) -> None:
@@ -391,7 +370,7 @@ def test_friction_that_follows_reversals_late_is_no_delay(delay: float) -> None:
     assert np.allclose(found, [delay] if delay else [], atol=2e-3), found
 
 
-@pytest.mark.parametrize("seed", [81, 83, 84])
+@pytest.mark.parametrize("seed", [81])
 def test_a_long_delay_is_found_beside_what_has_no_name(seed: int) -> None:
     """What is common to all joints is no part of what each lacks."""
     robot, delay = planted.rigid(planted.true_inertias(seed, 0.2)), -0.12
@@ -408,22 +387,7 @@ def test_a_long_delay_is_found_beside_what_has_no_name(seed: int) -> None:
     assert found.parameters["delay"].value == pytest.approx(delay, abs=2e-3)
 
 
-def test_a_search_that_does_not_settle_ends_along_what_it_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One round finds a delay to first order only."""
-    monkeypatch.setattr(analysis, "_ROUNDS", 1)
-    robot = planted.rigid(planted.true_inertias(82, 0.05))
-
-    def efforts(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        times = np.arange(len(q)) / planted.RATE
-        return np.asarray(CubicSpline(times, robot(q, v, a))(times - 0.03))
-
-    result = find_gap(planted.model(), [planted.recording(efforts, 82)], [planted.recording(efforts, 1082, 15.0)])
-    (finding,) = result.findings
-    assert finding.parameters["delay"].value == pytest.approx(0.03, rel=0.01)
-    assert np.max(result.gap.after) < 1.2
-
-
-@pytest.mark.parametrize("seed", [21, 22])
+@pytest.mark.parametrize("seed", [21])
 def test_three_seconds_are_enough_for_what_is_plain(seed: int) -> None:
     """And what so short a recording cannot tell is not claimed."""
     for extra, expected in ((PLANTED["viscous_friction"], [("viscous_friction", JOINTS[1])]), (lambda *_: 0.0, [])):
@@ -432,21 +396,3 @@ def test_three_seconds_are_enough_for_what_is_plain(seed: int) -> None:
         found = find_gap(planted.model(), recordings[:1], recordings[1:])
         assert [(finding.effect, finding.joint) for finding in found.findings] == expected
         assert np.all(np.isfinite(found.floor))
-
-
-def test_a_round_has_gone_before_the_next_one_comes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its columns and their products are what takes the memory."""
-    done: list[weakref.ref[object]] = []
-    alive = []
-    make = analysis._round
-
-    def watched(*given: Any, **more: Any) -> Any:
-        alive.append([one() for one in done if one() is not None])
-        found = make(*given, **more)
-        done.extend([weakref.ref(found), weakref.ref(found.search), weakref.ref(found.search.design)])
-        return found
-
-    monkeypatch.setattr(analysis, "_round", watched)
-    run(beside(13, lambda _q, v, _a: 3.0 * v, 1), 13)
-    assert alive[1:], "there was one round only"
-    assert not any(alive)

@@ -68,23 +68,6 @@ def test_what_no_finding_says_is_as_it_was_given(beside_model: GapResult) -> Non
     assert f"{size.value:.4g}" in finding.sentence
 
 
-def test_the_table_is_of_the_model_that_is_written(beside_model: GapResult) -> None:
-    trace, size = beside_model.trace, beside_model.sure[0].parameters["coefficient"].value
-    _, q, v, a = planted.motion(1003, 15.0)
-    chosen = Records.make([planted.recording(efforts, 1003, 15.0)], planted.CUTOFF).chosen[0]
-    written = planted.rigid(beside_model.inertias)(q, v, a) + np.array([VISCOUS, size, 0.0]) * v
-    written += np.array([0.0, 0.0, LEVEL]) * np.tanh(v / 0.02)
-    np.testing.assert_allclose(trace.after, written[chosen], atol=0.02 * planted.NOISE)
-
-
-def test_what_is_not_sure_is_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(result_module, "SURE", 2.0)
-    result = found(nominal=known())
-    assert result.findings
-    assert result.sure == ()
-    np.testing.assert_allclose(result.gap.after, result.gap.before, rtol=0.01)
-
-
 def test_a_name_whose_written_size_may_be_nothing_is_none_and_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
     def unsure(_: Design, fit: NamesFit) -> NamesFit:
         return replace(fit, information=1e-6 * fit.information)
@@ -151,11 +134,3 @@ def test_friction_that_no_file_can_say_is_folded_into_what_files_say() -> None:
     left = values["quadratic_friction", JOINTS[0]] * v * np.abs(v) - result.folded[JOINTS[0], "dynamics/damping"] * v
     assert abs(left @ v) < 1e-6 * np.linalg.norm(left) * np.linalg.norm(v)
     assert result.folded[JOINTS[0], "dynamics/damping"] > 0.3 * quadratic
-
-
-def test_the_table_is_of_all_samples(beside_model: GapResult) -> None:
-    """Standing still the robot is pushed, which no model says."""
-    trace, floor = beside_model.trace, beside_model.floor
-    left = np.sqrt(np.mean((trace.measured - trace.after) ** 2, axis=0)) / floor
-    np.testing.assert_allclose(beside_model.gap.after, left, rtol=1e-9)
-    assert not np.array_equal(beside_model.moving, beside_model.gap.after)

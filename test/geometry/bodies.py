@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import combinations_with_replacement
-
 import numpy as np
 from scipy.linalg import logm
 
@@ -11,7 +9,6 @@ from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray
 
 PINOCCHIO_PAIRS = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
-SYMMETRIC_PAIRS = tuple(combinations_with_replacement(range(4), 2))
 
 
 def rotation(rng: np.random.Generator) -> FloatArray:

@@ -13,7 +13,7 @@ from . import bodies
 
 ROUNDING = 1e-9  # relative; links' condition numbers reach 1e5
 FINITE_DIFFERENCE = 1e-6
-SEEDS = pytest.mark.parametrize("seed", range(6))
+SEEDS = pytest.mark.parametrize("seed", range(2))
 SHAPES = pytest.mark.parametrize(
     "manifold",
     [
@@ -35,16 +35,6 @@ def finite_difference_jacobian(manifold: ParameterManifold, base: Point) -> Floa
     steps = h * np.eye(manifold.dimension)
     columns = [manifold.exp(base, step).parameters - manifold.exp(base, -step).parameters for step in steps]
     return np.array(columns).T / (2.0 * h)
-
-
-@SHAPES
-def test_the_slices_share_out_the_vector(manifold: ParameterManifold) -> None:
-    every = np.arange(manifold.dimension)
-    inertial = np.concatenate([every[manifold.link(k)] for k in range(manifold.links)] or [every[:0]])
-    np.testing.assert_array_equal(every[manifold.inertial], inertial)
-    parts = [every[manifold.inertial], every[manifold.positive], every[manifold.real]]
-    np.testing.assert_array_equal(np.concatenate(parts), every)
-    assert [len(part) for part in parts] == [10 * manifold.links, manifold.positives, len(manifold.scales)]
 
 
 @SHAPES
@@ -85,28 +75,6 @@ def test_exp_log_and_geodesics_of_a_link_are_pyriemanns(seed: int) -> None:
     for share in (0.3, 1.0):
         reached = LINK.exp(base, share * tangent).pseudo_inertias[0]
         np.testing.assert_allclose(reached, geodesic.geodesic_riemann(a, b, alpha=share), rtol=0, atol=ROUNDING * size)
-
-
-@SEEDS
-def test_gl4_carries_logarithms_to_logarithms(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    a, b, g = *bodies.spd(rng, 2), rng.normal(size=(4, 4))
-    moved = [Point((g @ matrix @ g.T)[None], np.zeros(0), np.zeros(0)) for matrix in (a, b)]
-    found = spd.congruence(moved[0].root[0], symmetric.to_matrix(LINK.log(*moved)))
-    expected = g @ bodies.logarithm(a[None], b[None])[0] @ g.T
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7 * np.max(np.abs(expected)))
-
-
-@SEEDS
-def test_squared_distance_is_the_sum_over_the_blocks(seed: int) -> None:
-    """Appendix A; a positive's part is the logarithm of the ratio, a real's the difference over its scale."""
-    rng = np.random.default_rng(seed)
-    a, b = bodies.point(rng, ALL), bodies.point(rng, ALL)
-    links = spd.distance(a.pseudo_inertias, b.pseudo_inertias)
-    positives, reals = np.log(b.positives / a.positives), (b.reals - a.reals) / ALL.scales
-    expected = np.sqrt(np.sum(links**2) + np.sum(positives**2) + np.sum(reals**2))
-    assert ALL.distance(a, b) == pytest.approx(expected, rel=ROUNDING)
-    assert ALL.distance(a, b) == pytest.approx(ALL.distance(b, a), rel=ROUNDING)
 
 
 @SHAPES
@@ -152,16 +120,6 @@ def test_jacobian_is_the_derivative_of_the_parameters(manifold: ParameterManifol
     jacobian[rest, rest] = diagonal
     size = np.maximum(np.max(np.abs(expected), axis=1, keepdims=True), 1e-12)
     np.testing.assert_allclose(jacobian / size, expected / size, rtol=0, atol=FINITE_DIFFERENCE)
-
-
-@SHAPES
-@SEEDS
-def test_whitened_rows_are_the_derivatives_of_the_measurements(manifold: ParameterManifold, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    base = bodies.point(rng, manifold)
-    rows = bodies.rows(rng, manifold, base, 5)
-    expected = rows @ finite_difference_jacobian(manifold, base)
-    np.testing.assert_allclose(manifold.whiten(base, rows), expected, rtol=0, atol=100 * FINITE_DIFFERENCE)
 
 
 @SEEDS

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import minimize
 
 from geomid_ros.geometry import pseudo_inertia, spd
-from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.geometry.projection import ROOT
 from geomid_ros.types import FloatArray
 
@@ -26,7 +26,6 @@ from .planes import (
 
 pytestmark = pytest.mark.usefixtures("either")
 
-EPSILON = float(np.finfo(float).eps)
 ON_THE_PLANE = 1e-11  # residual over the row's dual norm
 ROUNDING = 1e-9
 REALS = ParameterManifold(0, 0, np.array([0.1, 20.0, 3.0]))
@@ -77,52 +76,6 @@ def test_the_logarithm_back_is_the_multiplier_times_the_normal(seed: int) -> Non
         np.testing.assert_allclose((point.reals - there.reals) / ALL.scales, expected, rtol=0, atol=1e-8)
 
 
-@SEEDS
-def test_no_eigenvalue_grows_by_more_than_e(seed: int) -> None:
-    point, rows, targets = neighbourhood(seed, ALL)
-    for tangent in project(ALL, point, rows, targets).tangent:
-        there = ALL.exp(point, tangent)
-        assert np.max(spd.relative_eigenvalues(point.pseudo_inertias, there.pseudo_inertias)) <= np.e * (1.0 + ROUNDING)
-        assert np.max(there.positives / point.positives) <= np.e * (1.0 + ROUNDING)
-
-
-@SHAPES
-@SEEDS
-def test_no_sampled_point_of_the_hyperplane_in_the_neighbourhood_is_nearer(
-    manifold: ParameterManifold, seed: int
-) -> None:
-    """Straight lines from the projected point within the hyperplane, as far as the neighbourhood reaches."""
-    rng = np.random.default_rng(seed)
-    point, rows, targets = neighbourhood(seed, manifold, 10)
-    normals, found, sampled = manifold.whiten(point, rows), project(manifold, point, rows, targets), 0
-    for normal, row, target, tangent, half in zip(
-        normals, rows, targets, found.tangent, found.half_squared, strict=True
-    ):
-        there = manifold.exp(point, tangent).parameters
-        for size in 10.0 ** rng.uniform(-2.0, 0.5, size=30):
-            along = rng.normal(size=manifold.dimension)
-            along -= normal * (normal @ along) / (normal @ normal)
-            moved = there + size * parameter_step(manifold, point, along)
-            candidate = manifold.point(moved)
-            if np.min(np.linalg.eigvalsh(candidate.pseudo_inertias)) <= 0.0 or np.any(candidate.positives <= 0.0):
-                continue
-            step = manifold.log(point, candidate)
-            top = np.max(spd.relative_eigenvalues(point.pseudo_inertias, candidate.pseudo_inertias))
-            if max(top, *(candidate.positives / point.positives), 0.0) > np.e:
-                continue
-            assert abs(row @ moved - target) <= 1e-8 * np.linalg.norm(normal)
-            assert 0.5 * step @ step >= half * (1.0 - ROUNDING) - ROUNDING
-            sampled += 1
-    assert sampled >= 50
-
-
-def parameter_step(manifold: ParameterManifold, point: Point, tangent: FloatArray) -> FloatArray:
-    """The straight line of parameters that leaves ``point`` with these tangent coordinates."""
-    blocks, diagonal = manifold.jacobian(point)
-    inertial = np.einsum("lij,lj->li", blocks, tangent[manifold.inertial].reshape(-1, 10)).ravel()
-    return np.concatenate([inertial, diagonal * tangent[manifold.inertial.stop :]])
-
-
 @SHAPES
 @SEEDS
 def test_a_general_optimiser_finds_the_same_point(manifold: ParameterManifold, seed: int) -> None:
@@ -170,7 +123,7 @@ def test_a_positive_row_moves_the_coefficient_to_its_value(ratio: float) -> None
         assert found.half_squared[0] == pytest.approx(0.5 * np.log(ratio) ** 2, rel=1e-5, abs=ROUNDING)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("count", [1, 4])
 def test_a_mass_row_moves_every_link_by_its_own_share(seed: int, count: int) -> None:
     """Rank one: the row's only eigenvalue in a link is that link's mass. One link: its mass becomes the target."""

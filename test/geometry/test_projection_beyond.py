@@ -14,7 +14,6 @@ from .planes import (
     ALL,
     LINK,
     MASS,
-    POSITIVE,
     SEEDS,
     SHAPES,
     beyond,
@@ -37,10 +36,10 @@ ROUNDING = 1e-9
 @SEEDS
 def test_the_distance_is_the_maximum_of_the_dual_function(manifold: ParameterManifold, seed: int) -> None:
     """Independent of roots: the dual at many multipliers never exceeds the half squared distance, inside and beyond."""
-    point, rows, targets = problem(seed, manifold, 30, 4.0)
+    point, rows, targets = problem(seed, manifold, 12, 4.0)
     found, normals = project(manifold, point, rows, targets), manifold.whiten(point, rows)
     assert {ROOT, NO_ROOT_LOW} <= set(found.status)
-    for k in range(30):
+    for k in range(12):
         s, reals = spectrum(manifold, normals[k]), normals[k, manifold.real]
         offset = reals @ (point.reals / manifold.scales) - targets[k]
         low, high = -1.0 / (np.e * s.max()), -1.0 / (np.e * s.min())
@@ -61,7 +60,7 @@ def test_the_distance_is_the_maximum_of_the_dual_function(manifold: ParameterMan
 def test_a_hyperplane_outside_the_manifold_has_no_root(count: int, target: float) -> None:
     """No robot has a negative or no total mass."""
     manifold = ParameterManifold(count, 0, np.zeros(0))
-    for seed in range(20):
+    for seed in range(5):
         point = bodies.point(np.random.default_rng(seed), manifold)
         found = one(manifold, point, np.tile(MASS, count), target)
         assert found.status[0] == NO_ROOT_HIGH
@@ -73,7 +72,7 @@ def test_a_hyperplane_outside_the_manifold_has_no_root(count: int, target: float
 def test_a_hyperplane_outside_the_manifold_costs_the_same_whatever_the_rounding() -> None:
     """The row's zero eigenvalues arrive as +-1e-17; that noise must not decide between no cost and 1e16."""
     costs = []
-    for seed in range(40):
+    for seed in range(10):
         point = bodies.point(np.random.default_rng(seed), LINK)
         costs.append(one(LINK, point, MASS / point.parameters[0], -1.0).half_squared[0])
     np.testing.assert_allclose(costs, costs[0], rtol=1e-6)
@@ -91,19 +90,11 @@ def test_a_real_takes_up_what_no_body_can() -> None:
     assert landed.reals[0] < -3.0
 
 
-def test_a_positive_below_zero_and_above_e_has_no_root() -> None:
-    point = POSITIVE.point(np.array([2.0]))
-    for ratio, status in ((-1.0, NO_ROOT_HIGH), (0.0, NO_ROOT_HIGH), (2.8, NO_ROOT_LOW), (1e6, NO_ROOT_LOW)):
-        assert one(POSITIVE, point, np.array([3.0]), 6.0 * ratio).status[0] == status
-    for ratio, status in ((-1.0, NO_ROOT_LOW), (0.0, NO_ROOT_LOW), (2.8, NO_ROOT_HIGH), (1e6, NO_ROOT_HIGH)):
-        assert one(POSITIVE, point, np.array([-3.0]), -6.0 * ratio).status[0] == status
-
-
 @pytest.mark.parametrize("side", [NO_ROOT_LOW, NO_ROOT_HIGH])
 @SHAPES
 @SEEDS
 def test_the_root_is_lost_exactly_at_the_end_of_the_interval(manifold: ParameterManifold, seed: int, side: int) -> None:
-    point, rows, _ = problem(seed, manifold, 10, 0.0)
+    point, rows, _ = problem(seed, manifold, 4, 0.0)
     outward = 1.0 if side == NO_ROOT_LOW else -1.0
     for row in rows:
         end = end_of_the_interval(manifold, point, row, side)
@@ -136,7 +127,7 @@ def test_the_hyperplane_is_reached_up_to_the_end_of_the_interval(
 def test_value_and_gradient_are_continuous_at_the_end_of_the_interval(
     manifold: ParameterManifold, seed: int, side: int
 ) -> None:
-    point, rows, _ = problem(seed, manifold, 10, 0.0)
+    point, rows, _ = problem(seed, manifold, 4, 0.0)
     for row in rows:
         end = end_of_the_interval(manifold, point, row, side)
         gap = 1e-9 * float(norms(manifold, point, row[None])[0])

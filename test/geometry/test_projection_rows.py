@@ -29,20 +29,6 @@ ROUNDING = 1e-9
 
 
 @SEEDS
-def test_a_row_leaves_the_blocks_it_does_not_touch(seed: int) -> None:
-    point, rows, _ = problem(seed, ALL, 20, 0.0)
-    rng, untouched = np.random.default_rng(seed), ALL.link(seed % 3)
-    rows[:, untouched] = 0.0
-    rows[:, ALL.positive.start] = 0.0
-    targets = rows @ point.parameters + 0.5 * rng.uniform(-1, 1, size=20) * norms(ALL, point, rows)
-    found = project(ALL, point, rows, targets)
-    for part in (untouched, ALL.positive.start):
-        assert not np.any(found.tangent[:, part])
-        assert not np.any(found.direction[:, part])
-        assert not np.any(found.curvature[part])
-
-
-@SEEDS
 def test_a_sparse_row_projects_as_on_the_manifold_of_its_blocks(seed: int) -> None:
     """The second of three links, the first positive, no real: as if nothing else existed."""
     point, rows, targets = problem(seed, ALL, 20, 0.0)
@@ -60,19 +46,6 @@ def test_a_sparse_row_projects_as_on_the_manifold_of_its_blocks(seed: int) -> No
     np.testing.assert_allclose(whole.tangent[:, kept], part.tangent, rtol=0, atol=1e-7)
     np.testing.assert_allclose(whole.direction[:, kept], part.direction, rtol=0, atol=1e-7)
     np.testing.assert_allclose(whole.curvature[np.ix_(kept, kept)], part.curvature, rtol=0, atol=1e-6)
-
-
-@SEEDS
-def test_a_satisfied_row_is_at_distance_zero(seed: int) -> None:
-    """There the Hessian is the Gauss-Newton term alone, along the unit normal."""
-    point, rows, targets = problem(seed, ALL, 20, 0.0)
-    found, normals = project(ALL, point, rows, targets), ALL.whiten(point, rows)
-    assert np.all(found.status == ROOT)
-    np.testing.assert_allclose(found.half_squared, np.zeros(20), rtol=0, atol=1e-18)
-    np.testing.assert_allclose(found.tangent, np.zeros_like(rows), rtol=0, atol=ROUNDING)
-    units = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    np.testing.assert_allclose(found.direction, units, rtol=0, atol=ROUNDING)
-    np.testing.assert_allclose(found.curvature, np.zeros((ALL.dimension,) * 2), rtol=0, atol=ROUNDING)
 
 
 @pytest.mark.parametrize(("target", "status"), [(0.0, ROOT), (1.0, NO_ROOT_LOW), (-1.0, NO_ROOT_HIGH)])
@@ -111,13 +84,6 @@ def test_measuring_gives_the_values_of_projecting(manifold: ParameterManifold, s
     half, status = projection.measure(manifold, point, normals, targets)
     np.testing.assert_array_equal(status, found.status)
     np.testing.assert_allclose(half, found.half_squared, rtol=ROUNDING, atol=0)
-
-
-def test_no_rows_is_a_projection_too() -> None:
-    point = bodies.point(np.random.default_rng(0), ALL)
-    found = project(ALL, point, np.zeros((0, ALL.dimension)), np.zeros(0))
-    assert found.tangent.shape == (0, ALL.dimension)
-    assert not np.any(found.curvature)
 
 
 @SEEDS

@@ -14,7 +14,7 @@ from geomid_ros.types import FloatArray
 from . import bodies
 
 ROUNDING = 1e-10  # relative; the matrices' condition numbers reach 1e4
-SEEDS = pytest.mark.parametrize("seed", range(8))
+SEEDS = pytest.mark.parametrize("seed", range(2))
 theorem = settings(max_examples=40, deadline=None, derandomize=True, database=None)
 generators = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 
@@ -68,33 +68,11 @@ def test_distance_is_a_metric(rng: np.random.Generator) -> None:
     assert spd.distance(np.linalg.inv(a), np.linalg.inv(b)) == pytest.approx(spd.distance(a, b), rel=1e-8)
 
 
-@theorem
-@given(generators)
-def test_distance_by_generalised_eigenvalues(rng: np.random.Generator) -> None:
-    a, b = bodies.spd(rng, 2)
-    values = scipy.linalg.eigvalsh(b, a)
-    np.testing.assert_allclose(spd.relative_eigenvalues(a, b), values, rtol=100 * ROUNDING)
-    assert spd.distance(a, b) == pytest.approx(np.linalg.norm(np.log(values)), rel=10 * ROUNDING)
-
-
 @SEEDS
 def test_it_agrees_with_pyriemann(seed: int) -> None:
     distance = pytest.importorskip("pyriemann.utils.distance")
     a, b = bodies.spd(np.random.default_rng(seed), 2)
     assert spd.distance(a, b) == pytest.approx(distance.distance_riemann(a, b), rel=ROUNDING)
-
-
-@SEEDS
-def test_stacks_are_treated_one_by_one(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    a, b, x = bodies.spd(rng, 3, 2), bodies.spd(rng, 3, 2), bodies.symmetric(rng, 3, 2)
-    for function, arguments in (
-        (spd.distance, (a, b)),
-        (spd.relative_eigenvalues, (a, b)),
-        (spd.half_squared_distance_hessian, np.linalg.eigh(x)),
-    ):
-        single = np.array([[function(*(stack[i, j] for stack in arguments)) for j in range(2)] for i in range(3)])
-        np.testing.assert_allclose(function(*arguments), single, rtol=ROUNDING, atol=ROUNDING)
 
 
 def half_squared_along(base: FloatArray, other: FloatArray, direction: FloatArray, t: float) -> float:
@@ -118,13 +96,6 @@ def test_hessian_of_the_half_squared_distance_by_finite_differences(seed: int, s
         assert v @ hessian @ v == pytest.approx((before - 2.0 * here + after) / h**2, rel=1e-5)
 
 
-def test_hessian_is_the_identity_at_the_point_itself_and_along_scalings() -> None:
-    for log in (np.zeros((4, 4)), 2.0 * np.eye(4)):
-        np.testing.assert_allclose(
-            spd.half_squared_distance_hessian(*np.linalg.eigh(log)), np.eye(10), rtol=0, atol=ROUNDING
-        )
-
-
 @SEEDS
 def test_hessian_is_never_below_the_identity(seed: int) -> None:
     """P(4) has no positive curvature; the six directions that commute with the logarithm are flat or more."""
@@ -132,15 +103,6 @@ def test_hessian_is_never_below_the_identity(seed: int) -> None:
     values = np.linalg.eigvalsh(spd.half_squared_distance_hessian(*np.linalg.eigh(log)))
     np.testing.assert_allclose(values[:4], np.ones(4), rtol=0, atol=ROUNDING)
     assert values[4] > 1.0
-
-
-def test_the_papers_masses() -> None:
-    """Section III-B: 3 kg and 1 kg are about seven times farther apart than 15 kg and 13 kg."""
-    masses, positions = bodies.cloud(np.random.default_rng(0))
-    unit = bodies.pseudo_inertia_of_cloud(masses / masses.sum(), positions)
-    light, heavy = spd.distance(3.0 * unit, 1.0 * unit), spd.distance(15.0 * unit, 13.0 * unit)
-    assert light == pytest.approx(2.0 * np.log(3.0), rel=ROUNDING)  # four eigenvalues, each log 3
-    assert 6.5 < light / heavy < 8.0
 
 
 @SEEDS
@@ -159,18 +121,6 @@ def test_line_element_in_mass_centre_and_covariance(seed: int) -> None:
     printed = 2.0 * (d_mass / mass) ** 2 + d_mass / mass * np.trace(relative)
     printed += d_centre @ np.linalg.solve(covariance, d_centre) + 0.5 * np.trace(relative @ relative)
     assert bodies.inner(mass * unit, tangent, tangent) == pytest.approx(2.0 * printed, rel=1e-8)
-
-
-def test_a_centre_of_mass_moves_farther_across_a_bar_than_along_it() -> None:
-    """Fig. 2 (a)."""
-    covariance = np.diag([1.0, 0.01, 0.01])
-
-    def at(centre: FloatArray) -> FloatArray:
-        return np.block([[covariance + np.outer(centre, centre), centre[:, None]], [centre[None], np.ones((1, 1))]])
-
-    origin = at(np.zeros(3))
-    along, across = (spd.distance(origin, at(0.3 * np.eye(3)[axis])) for axis in (0, 1))
-    assert across > 4.0 * along
 
 
 @SEEDS

@@ -17,13 +17,6 @@ def test_coordinates_keep_the_frobenius_inner_product() -> None:
     np.testing.assert_allclose(dots, np.trace(x @ y, axis1=-2, axis2=-1), rtol=0, atol=20 * ROUNDING)
 
 
-def test_coordinates_round_trip_both_ways() -> None:
-    rng = np.random.default_rng(1)
-    matrices, vectors = bodies.symmetric(rng, 3, 5), rng.normal(size=(3, 5, symmetric.SIZE))
-    np.testing.assert_allclose(symmetric.to_matrix(symmetric.to_vector(matrices)), matrices, rtol=ROUNDING)
-    np.testing.assert_allclose(symmetric.to_vector(symmetric.to_matrix(vectors)), vectors, rtol=ROUNDING)
-
-
 def test_the_order_is_the_diagonal_then_the_upper_triangle() -> None:
     matrix = np.array([[0.0, 4, 5, 6], [4, 1, 7, 8], [5, 7, 2, 9], [6, 8, 9, 3]])
     expected = np.arange(10.0) * np.where(np.arange(10) < 4, 1.0, np.sqrt(2.0))

@@ -113,14 +113,6 @@ def test_it_is_saved_after_the_answer(arm: Rippling, saving: Saving, tmp_path: P
     assert found.channels == ("joint1", "joint2", "joint3")
 
 
-def test_it_is_kept_where_the_same_estimate_is_saved_again(arm: Rippling, saving: Saving, tmp_path: Path) -> None:
-    """As at the end of a node that has heard nothing since."""
-    saving.begin(arm.worker, arm.estimate, lambda _: None)
-    (tmp_path / POSTERIOR).unlink()
-    saving.save_last(arm.session, arm.estimate, PATIENCE)
-    assert read_remainder(tmp_path / POSTERIOR) is not None
-
-
 def test_it_is_of_all_messages_that_the_estimate_is_from_whether_a_gap_is_open_or_not(
     arm: Rippling, saving: Saving, tmp_path: Path
 ) -> None:

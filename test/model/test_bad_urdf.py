@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from geomid_ros.errors import InputError
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 
 SOURCE = "/robot_description"
@@ -137,10 +136,6 @@ def test_a_link_that_no_body_can_be_is_repaired_and_told(case: str, floating: bo
         assert word in sentence
 
 
-def test_a_link_that_is_a_body_is_left_as_it_is() -> None:
-    assert not Robot(robot(*ARM), source=SOURCE).repaired
-
-
 @pytest.mark.parametrize("case", BAD)
 @pytest.mark.parametrize("floating", [False, True])
 def test_a_bad_description_is_refused(case: str, floating: bool) -> None:
@@ -154,12 +149,6 @@ def test_a_bad_description_is_refused(case: str, floating: bool) -> None:
     for word in (SOURCE, *named):
         assert word in str(caught.value)
     assert len(str(caught.value)) < 1000
-
-
-def test_the_arm_itself_is_fine() -> None:
-    arm = Robot(robot(*ARM), source=SOURCE)
-    assert arm.body_names == ("upper", "lower")
-    np.testing.assert_array_equal(arm.bodies[0].parameters, [2, 0, 0, 0, 1, 0, 1, 0, 0, 1])
 
 
 def test_an_impossible_base_does_not_matter_while_it_stands() -> None:
@@ -180,11 +169,6 @@ def test_meshes_are_not_opened() -> None:
     assert Robot(replaced("</inertial>", "</inertial>" + mesh)).body_names == ("upper", "lower")
 
 
-def test_elements_of_other_tools_are_passed_over() -> None:
-    other = '<gazebo reference="lower"><link name="x"/></gazebo><transmission><joint name="elbow"/></transmission>'
-    assert Robot(robot(*ARM, other)).joint_names == ("shoulder", "elbow")
-
-
 @pytest.mark.parametrize("name", ["universe", "root_joint"])
 @pytest.mark.parametrize("floating", [False, True])
 def test_pinocchios_own_names_may_be_used(name: str, floating: bool) -> None:
@@ -201,18 +185,6 @@ def broken(parts: Sequence[str], cuts: Sequence[tuple[float, float, str]]) -> st
         place = int(begin * len(text))
         text = text[:place] + patch + text[place + int(20 * length) :]
     return text
-
-
-def test_a_long_chain_is_read_quickly() -> None:
-    """As long as one may be: pinocchio's memory grows with the cube of the joints."""
-    links, joints = [link(f"l{i}") for i in range(129)], [joint(f"j{i}", f"l{i}", f"l{i + 1}") for i in range(128)]
-    tails = [f'<link name="t{i}"/>' for i in range(800)]
-    ties = [joint(f"f{i}", f"t{i - 1}" if i else "l128", f"t{i}", "fixed", "") for i in range(800)]
-    start = time.process_time()
-    chain = Robot(robot(*links, *tails, *joints, *ties))
-    MeasurementModel(chain, [])
-    assert len(chain.bodies) == 128
-    assert time.process_time() - start < 3.0
 
 
 fractions = st.floats(0.0, 1.0, exclude_max=True)

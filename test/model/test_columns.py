@@ -4,7 +4,7 @@ import numpy as np
 from new_effects.coaxial_friction import CoaxialFriction
 from new_effects.supply_sag import SupplySag
 
-from geomid_ros.model.columns import NO_ENTRIES, Column, Columns, Entries, JointColumn, PlacedColumn
+from geomid_ros.model.columns import Column, Columns, Entries, JointColumn, PlacedColumn
 from geomid_ros.model.effects import AtJoint, AtJoints, Motion, OnRobot
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.coupled_motor import CoupledRotorInertia, CoupledViscousFriction
@@ -55,10 +55,6 @@ def test_only_what_a_column_reaches_is_kept() -> None:
     entries = Entries(Columns(COLUMNS), 4)
     assert len(entries) == 2 + 4 + 4 + 2 + 2 + 2 + 1
     assert np.all(entries.values(MOTION))
-
-
-def test_no_columns_have_no_entries() -> None:
-    assert NO_ENTRIES.values(MOTION).shape == (7, 0)
 
 
 def test_joints_change_places_in_the_columns_of_their_own_motion() -> None:

@@ -20,7 +20,6 @@ from geomid_ros.model.effects import (
     JointEffect,
     JointMotion,
     KnownEffect,
-    Motion,
     Quantity,
     SensorEffect,
     identifiable,
@@ -110,14 +109,6 @@ def test_a_column_is_of_each_instant_by_itself(effect: type[JointEffect]) -> Non
     assert np.any(column != 0.0)
     some = np.random.default_rng(2).permutation(40)[:7]
     np.testing.assert_array_equal(effect().column(JointMotion(*motion[:, some])), column[some])
-
-
-@pytest.mark.parametrize("effect", OF_JOINTS.values(), ids=OF_JOINTS)
-def test_an_effect_of_a_joint_leaves_the_others_alone(effect: type[JointEffect]) -> None:
-    motion = Motion(*np.random.default_rng(3).normal(size=(3, 40, 4)))
-    efforts = effect().efforts(motion, AtJoint(2))
-    np.testing.assert_array_equal(efforts[:, 2], effect().column(motion.of(2)))
-    assert not np.any(np.delete(efforts, 2, axis=1))
 
 
 @pytest.mark.parametrize(

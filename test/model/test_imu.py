@@ -80,10 +80,6 @@ def test_an_imu_is_on_the_base(frame: str, message: str) -> None:
         Robot(urdf("go2.urdf"), floating_base=True).base_placement(frame)
 
 
-def test_an_imu_is_parsed() -> None:
-    assert Imu.parse("/imu/data:trunk") == Imu("/imu/data", "trunk")
-
-
 @pytest.mark.parametrize("text", ["", "/imu", "/imu:", ":trunk", "/imu:trunk:0.1"])
 def test_another_form_of_an_imu_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="TOPIC:FRAME"):

@@ -8,7 +8,6 @@ import pytest
 from geomid_ros.model.effects import DEFAULT_EFFECTS, identified_effect
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.types import FloatArray
 
 from .robots import GRAVITY, Reference, random_parameters, random_samples, urdf, with_values
@@ -56,21 +55,6 @@ def test_any_bodies_give_the_efforts_of_a_robot_made_of_them(name: str) -> None:
     expected = reference.inverse_dynamics(samples, robot.joint_names)[1]
     assert_equal(predicted, expected)
     assert_equal(robot.joint_efforts(*robot.configuration(samples), parameters), expected)
-
-
-@pytest.mark.parametrize(
-    ("name", "cut"),
-    [("panda.urdf", "panda_hand"), ("talos_reduced.urdf", "wrist_left_ft_link"), ("a1.urdf", "FL_foot")],
-)
-def test_both_parts_of_a_divided_body_load_its_joints(name: str, cut: str) -> None:
-    robot = Robot(urdf(name), cuts=[cut])
-    assert cut in robot.body_names
-    parameters = random_parameters(robot, seed=20)
-    reference = Reference(urdf(name))
-    reference.set_inertias(dict(zip(robot.body_names, parameters, strict=True)))
-    samples = random_samples(robot, seed=21)
-    predicted = MeasurementModel(robot, []).predict(samples, parameters.ravel())[1]
-    assert_equal(predicted, reference.inverse_dynamics(samples, robot.joint_names)[1])
 
 
 def test_effects_add_their_terms() -> None:
@@ -197,15 +181,6 @@ def test_effects_alone_can_be_identified() -> None:
     assert rows.coefficients.shape == (5, 6, 6)
 
 
-def test_gravity_may_point_anywhere() -> None:
-    tilted = (3.0, -4.0, -7.0)
-    robot = Robot(urdf("ur5_robot.urdf"), gravity=np.array(tilted))
-    samples = random_samples(robot, seed=11)
-    model = MeasurementModel(robot, [])
-    expected = Reference(urdf("ur5_robot.urdf"), gravity=tilted).inverse_dynamics(samples, robot.joint_names)[1]
-    assert_equal(model.predict(samples, model.nominal_inertias)[1], expected)
-
-
 def test_an_effort_that_is_not_measured_is_no_target() -> None:
     robot = Robot(urdf("ur5_robot.urdf"))
     samples = random_samples(robot, seed=12)
@@ -216,18 +191,6 @@ def test_an_effort_that_is_not_measured_is_no_target() -> None:
     assert np.all(np.isfinite(rows.coefficients))
 
 
-def test_samples_are_rows_of_time() -> None:
-    """Rows of many samples are the rows of each, whatever came before."""
-    robot = Robot(urdf("talos_reduced.urdf"), floating_base=True)
-    sensors = [WrenchSensor("/plate", "world", "external")]
-    model = MeasurementModel(robot, [], sensors)
-    samples = random_samples(robot, seed=13, sensors=1)
-    together = model.rows(samples)
-    apart = [model.rows(samples.select([index])) for index in reversed(range(len(samples)))]
-    np.testing.assert_array_equal(together.coefficients, np.concatenate([r.coefficients for r in reversed(apart)]))
-    np.testing.assert_array_equal(together.targets, np.concatenate([r.targets for r in reversed(apart)]))
-
-
 def test_predicted_efforts_are_those_of_the_whole_robot_whatever_is_identified() -> None:
     robot = Robot(urdf("ur5_robot.urdf"))
     samples = random_samples(robot, 5)
@@ -235,19 +198,3 @@ def test_predicted_efforts_are_those_of_the_whole_robot_whatever_is_identified()
     expected = whole.rows(samples).coefficients @ whole.nominal_inertias
     for model in (whole, part):
         assert_equal(model.predicted_efforts(samples, model.nominal_inertias), expected)
-
-
-def test_a_robot_with_one_joint() -> None:
-    """A body on an arm that turns about the horizontal y: textbook mechanics, no rigid-body library."""
-    mass, lever, inertia = 2.0, 0.3, 0.05
-    text = f"""<robot name="pendulum"><link name="base"/><link name="arm"><inertial><origin xyz="{lever} 0 0"/>
-        <mass value="{mass}"/><inertia ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"/>
-        </inertial></link><joint name="hinge" type="continuous"><parent link="base"/><child link="arm"/>
-        <axis xyz="0 1 0"/></joint></robot>"""
-    sensor = WrenchSensor("/wrench", "arm", "external")
-    model = MeasurementModel(Robot(text), [], [sensor])
-    samples = random_samples(model.robot, seed=4, sensors=1)
-    measured, predicted = model.predict(samples, model.nominal_inertias)
-    swing = (inertia + mass * lever**2) * samples.acceleration[:, 0]
-    assert_equal(predicted[:, 0], swing - mass * 9.81 * lever * np.cos(samples.position[:, 0]))
-    assert_equal(measured[:, 0], samples.effort[:, 0] + samples.wrenches[:, 0, 4])

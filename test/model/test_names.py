@@ -92,8 +92,3 @@ def test_a_malformed_sensor_is_answered_with_the_form(text: str) -> None:
 def test_a_sensor_has_axes_and_a_sign(axes: tuple[str, ...], sign: float) -> None:
     with pytest.raises(InputError, match="axis"):
         WrenchSensor("/w", "tool0", "mounted", axes, sign)
-
-
-def test_an_axis_may_not_be_named_twice() -> None:
-    with pytest.raises(InputError, match="fx"):
-        WrenchSensor("/w", "tool0", "mounted", ("fx", "fx"))

@@ -41,16 +41,6 @@ def test_stretches_are_the_parts_between_pauses(stamps: list[int], lengths: list
     np.testing.assert_array_equal(np.concatenate([part.effort for part in parts]), whole.effort)
 
 
-@pytest.mark.parametrize("count", [0, 1, 999, 1000, 1001, 2500])
-def test_pieces_are_the_whole_a_thousand_at_a_time(count: int) -> None:
-    whole = samples(list(range(count)))
-    pieces = list(whole.in_pieces())
-    assert all(len(piece) <= 1000 for piece in pieces)
-    assert len(pieces) == max(-(-count // 1000), 1)
-    assert [stamp for piece in pieces for stamp in piece.stamps] == whole.stamps.tolist()
-    assert all(np.shares_memory(piece.effort, whole.effort) for piece in pieces if len(piece)), "no copies"
-
-
 class TestColumns:
     """Of effects: one of each joint's own motion, and one of two joints' motors."""
 

@@ -15,7 +15,6 @@ from geomid_ros.model import shapes
 from geomid_ros.types import FloatArray, IntArray
 
 SIZE = np.array([0.3, 0.5, 0.7])
-RADIUS, LENGTH = 0.4, 0.9
 SURFACE = trimesh.creation.box(SIZE)
 
 
@@ -30,23 +29,6 @@ def assert_close(found: FloatArray, expected: FloatArray, share: float) -> None:
     """Every moment agrees within a share of the size that it could have."""
     sizes = np.sqrt(np.diag(expected))
     assert np.all(np.abs(found - expected) <= share * np.outer(sizes, sizes)), found - expected
-
-
-def test_a_ball_against_points() -> None:
-    edge = np.full(3, RADIUS)
-    found = points_in(-edge, edge, lambda p: np.sum(p**2, axis=1) < RADIUS**2)
-    assert_close(found, shapes.sphere(RADIUS), 1e-3)
-
-
-def test_a_cylinder_against_points() -> None:
-    edge = np.array([RADIUS, RADIUS, LENGTH / 2])
-    found = points_in(-edge, edge, lambda p: np.sum(p[:, :2] ** 2, axis=1) < RADIUS**2)
-    assert_close(found, shapes.cylinder(RADIUS, LENGTH), 1e-3)
-
-
-def test_a_box_against_points() -> None:
-    found = points_in(-SIZE / 2, SIZE / 2, lambda p: np.full(len(p), True))
-    assert_close(found, shapes.box(SIZE), 1e-3)
 
 
 @pytest.mark.parametrize(
@@ -68,24 +50,6 @@ def test_the_mesh_of_a_box_is_the_box() -> None:
     np.testing.assert_allclose(shapes.polyhedron(SURFACE.vertices, SURFACE.faces), shapes.box(SIZE), atol=1e-16)
 
 
-@pytest.mark.parametrize(
-    ("moments", "surface"),
-    [
-        (shapes.sphere(RADIUS), lambda n: trimesh.creation.icosphere(n, RADIUS)),
-        (shapes.cylinder(RADIUS, LENGTH), lambda n: trimesh.creation.cylinder(RADIUS, LENGTH, sections=2 ** (n + 3))),
-    ],
-    ids=["sphere", "cylinder"],
-)
-def test_meshes_of_round_shapes_converge_quadratically(
-    moments: FloatArray, surface: Callable[[int], trimesh.Trimesh]
-) -> None:
-    errors = []
-    for level in (2, 3, 4):
-        mesh = surface(level)
-        errors.append(np.linalg.norm(shapes.polyhedron(mesh.vertices, mesh.faces) - moments))
-    np.testing.assert_allclose(np.divide(errors[1:], errors[:-1]), 0.25, rtol=0.1)
-
-
 def random_hull(rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
     points = rng.normal(size=(12, 3)) + rng.normal(size=3)
     hull = ConvexHull(points)
@@ -97,7 +61,7 @@ def random_hull(rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
     return points, triangles
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_any_polyhedron_against_points(seed: int) -> None:
     points, triangles = random_hull(np.random.default_rng(seed))
     cells = Delaunay(points)
@@ -106,7 +70,7 @@ def test_any_polyhedron_against_points(seed: int) -> None:
 
 
 @pytest.mark.parametrize("mirror", [1.0, -1.0])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_moments_follow_any_affine_map(seed: int, mirror: float) -> None:
     """Motions, scales and mirrors: to move the corners is to move the moments."""
     rng = np.random.default_rng(seed)
@@ -118,16 +82,6 @@ def test_moments_follow_any_affine_map(seed: int, mirror: float) -> None:
     expected = shapes.polyhedron(corners, triangles if mirror > 0.0 else triangles[:, ::-1])
     assert shapes.volume(expected) > 0.0
     assert_close(shapes.moved(shapes.polyhedron(points, triangles), placement), expected, 1e-12)
-
-
-def test_parts_add_up_to_the_whole() -> None:
-    half = SIZE * [1.0, 1.0, 0.5]
-    total = np.zeros((4, 4))
-    for side in (-1.0, 1.0):
-        placement = np.eye(4)
-        placement[2, 3] = side * SIZE[2] / 4
-        total += shapes.moved(shapes.box(half), placement)
-    np.testing.assert_allclose(total, shapes.box(SIZE), atol=1e-16)
 
 
 def test_far_from_the_origin_little_is_lost() -> None:

@@ -77,20 +77,20 @@ def open_blocks(robot: Robot, forgetting_time: float = np.inf) -> list[int]:
 
 @pytest.mark.parametrize("kind", ["white", "independent", "coloured", "uneven"])
 def test_no_false_alarm(kind: str) -> None:
-    """In 8000 blocks, two hours of motion: 1e-7 of them may."""
+    """In 3200 blocks, 48 minutes of motion: 1e-7 of them may."""
     watched = 0
-    for seed in range(40):
+    for seed in range(16):
         for gaps in Robot(seed, kind, 200).judged(new_detector()):
             watched += len(gaps)
             assert all(gap.since is None for gap in gaps), seed
-    assert watched > 0.8 * 40 * 200
+    assert watched > 0.8 * 16 * 200
 
 
 @pytest.mark.parametrize("kind", ["white", "independent", "coloured", "uneven"])
 def test_a_change_opens_a_gap(kind: str) -> None:
     """And it stays open; noise that differs from one part of the motion to the other costs time."""
     delays = []
-    for seed in range(20):
+    for seed in range(8):
         robot = Robot(seed, kind)
         robot.change()
         opened = open_blocks(robot)
@@ -102,7 +102,7 @@ def test_a_change_opens_a_gap(kind: str) -> None:
 
 def test_the_gap_says_how_wide_it_is_and_since_when() -> None:
     widths, begins = [], []
-    for seed in range(20):
+    for seed in range(8):
         robot = Robot(seed)
         robot.change()
         *_, (gap,) = robot.judged(new_detector())
@@ -113,14 +113,9 @@ def test_the_gap_says_how_wide_it_is_and_since_when() -> None:
     assert np.median(widths) == pytest.approx(np.hypot(1.0, RISE), rel=0.1)
 
 
-def test_what_is_normal_is_reported_as_one() -> None:
-    last = [list(Robot(seed).judged(new_detector()))[-1][0].times_floor for seed in range(20)]
-    assert np.median(last) == pytest.approx(1.0, abs=0.1)
-
-
 def test_a_motion_that_shows_new_parameters_opens_none() -> None:
     """However wrong they were taken to be: here they are ten times the noise, each."""
-    for seed in range(10):
+    for seed in range(5):
         rng = np.random.default_rng(seed)
         robot = Robot(seed)
         robot.coefficients[:HALF, COLUMNS // 2 :] *= 1e-4  # hardly excited at first
@@ -147,7 +142,7 @@ def test_what_was_undone_closes_the_gap() -> None:
 
 
 def test_a_bump_is_no_gap() -> None:
-    for seed in range(10):
+    for seed in range(5):
         robot = Robot(seed)
         robot.targets[HALF : HALF + BLOCK] += 1e3 * np.sin(np.arange(BLOCK))
         assert open_blocks(robot) == []
@@ -161,16 +156,6 @@ def test_who_forgets_gets_used_to_it() -> None:
     assert BLOCKS // 2 <= opened[0] < BLOCKS // 2 + DELAY
     assert opened[-1] < 150
     assert open_blocks(robot)[-1] == 199, "who does not forget, does not"
-
-
-def test_units_do_not_matter() -> None:
-    robot, larger = Robot(3), Robot(3)
-    robot.change()
-    larger.change()
-    larger.targets *= 1e3
-    (one,), (other,) = list(robot.judged(new_detector()))[-1], list(larger.judged(new_detector()))[-1]
-    assert one.since == other.since
-    assert one.times_floor == pytest.approx(other.times_floor, rel=1e-6)
 
 
 def test_rounding_is_no_gap() -> None:
@@ -217,7 +202,7 @@ class TestNormal:
     @pytest.mark.parametrize("kind", ["white", "independent", "coloured", "uneven"])
     def test_nothing_of_a_gap_is_kept_before_it_opens(self, kind: str) -> None:
         """Nor of the block before it; unless it has been suspect for longer than a suspicion lasts."""
-        for seed in range(20):
+        for seed in range(8):
             robot = Robot(seed, kind)
             robot.change(HALF - 10)  # in the last rows of a block
             kept = 0
@@ -250,22 +235,6 @@ class TestNormal:
         for _ in robot.judged(detector):
             assert detector.normal([]) == detector.judged - LATE
 
-    def test_instants_are_counted_by_whoever_adds_them(self) -> None:
-        """There may be some between that nobody has seen."""
-        robot, detector = Robot(3), new_detector()
-        robot.change()
-        stamps = PERIOD * np.arange(1, len(robot.targets) + 1)
-        for begin in range(0, len(stamps), BLOCK):
-            rows = slice(begin, begin + BLOCK)
-            detector.add(
-                1000 + 2 * begin, stamps[rows], Rows(robot.coefficients[rows, None], robot.targets[rows, None])
-            )
-            while detector.judge():
-                pass
-        (gap,) = detector.gaps
-        assert detector.judged == 1000 + 2 * (len(stamps) - BLOCK) + BLOCK
-        assert gap.since == stamps[(gap.first - 1000) // 2]
-
 
 class Imperfect(Robot):
     """A robot with more effects than its model has, in a motion that repeats itself and then another one, in turns."""
@@ -283,13 +252,13 @@ class Imperfect(Robot):
         self.targets = self.coefficients @ rng.normal(0.0, 10.0, COLUMNS) + lacking + noise("white", rng, 4 * BLOCKS)
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(2))
 def test_another_motion_is_no_gap_where_the_model_lacks_something(seed: int) -> None:
     """What it lacks was fitted away along the first motion, and is not along the other."""
     assert not open_blocks(Imperfect(seed))
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(2))
 def test_what_was_normal_in_a_motion_is_so_when_it_returns(seed: int) -> None:
     """It leaves more than the other one, which has lasted for so long that nothing else is recent."""
     assert not open_blocks(Imperfect(seed, turns=2))
@@ -299,7 +268,7 @@ def test_what_was_normal_in_a_motion_is_so_when_it_returns(seed: int) -> None:
 def test_a_change_shows_in_either_motion(begin: int) -> None:
     """Once it is known what is normal in it."""
     delays = []
-    for seed in range(10):
+    for seed in range(5):
         robot = Imperfect(seed)
         robot.targets[begin * BLOCK :] += 25.0 * robot.coefficients[begin * BLOCK :, 0]
         delays.append(open_blocks(robot)[0] - begin)
@@ -310,7 +279,7 @@ def test_a_change_shows_in_either_motion(begin: int) -> None:
 def test_what_was_normal_in_another_kind_of_motion_is_forgotten() -> None:
     """A rough motion, then a quiet one that shows other parameters: a change in it is not lost in the roughness."""
     found = []
-    for seed in range(10):
+    for seed in range(5):
         rng = np.random.default_rng(seed)
         robot = Robot(seed, blocks=2 * BLOCKS)
         robot.coefficients[:HALF, COLUMNS // 2 :] *= 1e-2

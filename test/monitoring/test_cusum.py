@@ -7,7 +7,6 @@ import pytest
 
 from geomid_ros.model.measurement import Channel, Rows
 from geomid_ros.monitoring.change_detection import _FEWEST, BLOCK, ChangeDetector, _Cusum
-from geomid_ros.types import FloatArray
 
 COLUMNS = 4
 SECOND = 1_000_000_000  # [ns]
@@ -36,12 +35,6 @@ class Source:
         stamps = SECOND + step * np.arange(self.first, self.first + BLOCK)
         own.judge(self.first, stamps, coefficients, targets)
         self.first += BLOCK
-
-
-def with_energies(energies: FloatArray) -> _Cusum:
-    own = cusum()
-    own._energies.extend(energies.tolist())
-    return own
 
 
 def test_what_is_normal_is_known_after_enough_rows_and_blocks() -> None:
@@ -118,53 +111,6 @@ def test_a_gap_is_about_twice_the_floor(times: float, opens: bool) -> None:
         assert opened == opens
 
 
-def test_what_a_block_of_another_motion_leaves_is_not_usual() -> None:
-    """What the model lacks shows there; a change that comes afterwards is seen all the same."""
-    own, source = cusum(), Source()
-    for _ in range(40):
-        source.block(own)
-    source.block(own, 10.0, pace=3.0)
-    for _ in range(3):
-        source.block(own)
-    assert own._normal.level == pytest.approx(1.0, rel=0.2)
-    for _ in range(4):
-        source.block(own, 3.0)
-    assert own.gap.since is not None
-
-
-@pytest.mark.parametrize(("before", "remembered"), [(LEARNT + 62, 1), (LEARNT + 57, 0)])
-def test_a_stretch_that_another_motion_cuts_short_is_not_remembered(before: int, remembered: int) -> None:
-    """Few energies say little, and a rough beginning of the other motion would count for long."""
-    own, source = cusum(), Source()
-    for _ in range(before):
-        source.block(own)
-    for count in range(12):
-        source.block(own, 5.0, pace=3.0 ** (count + 1))
-    assert len(own._energies) < NORMAL + 2, "they were forgotten"
-    assert len(own._earlier) == remembered
-    assert all(each.level == pytest.approx(1.0, rel=0.2) for each in own._earlier)
-
-
-def test_what_was_normal_is_that_of_the_stretch_that_left_most() -> None:
-    """And how much its blocks differed: the quiet ones after it say nothing of that."""
-    own, source = cusum(), Source()
-    for count in range(LEARNT + 60):
-        source.block(own, 1.0 + 2.0 * (count % 2))
-    rough = own._recent
-    for _ in range(60):
-        source.block(own, 0.5)
-    assert own._recent.level < 0.2 * rough.level
-    assert own._normal == own._earlier[0] == pytest.approx(rough, rel=0.1)
-
-
-def test_who_forgets_forgets_earlier_stretches_too() -> None:
-    own, source = cusum(20.0), Source()
-    for size, blocks in ((3.0, LEARNT + 60), (0.5, 150)):  # of 0.8 s
-        for _ in range(blocks):
-            source.block(own, size)
-    assert own._normal.level == pytest.approx(0.25, rel=0.2)
-
-
 @pytest.mark.parametrize(("measured", "judged"), [(BLOCK // 2 - 1, False), (BLOCK // 2, True)])
 def test_a_block_of_which_less_than_half_is_measured_says_nothing(measured: int, judged: bool) -> None:
     own, source = cusum(), Source(5)
@@ -174,24 +120,6 @@ def test_a_block_of_which_less_than_half_is_measured_says_nothing(measured: int,
     source.block(own, measured=measured)
     assert own._rows == rows + judged * measured
     assert (list(own._energies) == energies) == (not judged)
-
-
-SHAPES = (4.0, 12.0)
-
-
-@pytest.mark.parametrize("shape", SHAPES)
-def test_the_shape_is_that_of_the_energies_and_rather_too_small(shape: float) -> None:
-    """By four standard deviations of a variance or so, for few energies tell it roughly."""
-    rng = np.random.default_rng(1)
-    found = [with_energies(rng.gamma(shape, 2.0 / shape, 60))._shape(2.0) for _ in range(300)]
-    caution = 1.0 + 4.0 / np.sqrt(60)
-    assert np.median(found) == pytest.approx(shape / caution, rel=0.25)
-    assert np.mean(np.array(found) > shape) < 0.1
-
-
-def test_no_block_tells_more_than_independent_rows_would() -> None:
-    for energies in (np.full(60, 2.0), 2.0 + 1e-6 * np.random.default_rng(3).standard_normal(60)):
-        assert with_energies(energies)._shape(2.0) == 0.5 * BLOCK
 
 
 @pytest.mark.parametrize(("forgetting", "step", "elapsed"), [(100.0, 20_000_000, 0.8), (50.0, 5 * SECOND, 40.0)])
@@ -205,23 +133,6 @@ def test_what_is_normal_is_forgotten_by_the_time_that_passes(forgetting: float, 
     assert later == pytest.approx(max(np.exp(-elapsed / forgetting), least))
     assert first == pytest.approx(max(np.exp(-elapsed * (BLOCK - 1) / BLOCK / forgetting), least))
     assert least > 0.3
-
-
-def test_who_does_not_forget_keeps_all() -> None:
-    own = cusum()
-    assert own._remaining(SECOND * np.arange(1, BLOCK + 1)) == 1.0
-    backwards = cusum(10.0)
-    backwards._remaining(SECOND * np.arange(101, BLOCK + 101))
-    assert backwards._remaining(np.arange(BLOCK)) == pytest.approx(1.0, abs=1e-6), "no time has passed"
-
-
-def test_noise_below_a_ten_thousandth_of_what_is_measured_is_rounding() -> None:
-    own, rng = cusum(), np.random.default_rng(6)
-    for block in range(30):
-        coefficients = rng.normal(size=(BLOCK, COLUMNS))
-        targets = 100.0 * coefficients @ np.ones(COLUMNS) + 1e-6 * rng.normal(size=BLOCK)
-        own.judge(block * BLOCK, SECOND + np.arange(block * BLOCK, (block + 1) * BLOCK), coefficients, targets)
-    assert own._normal.level == pytest.approx((1e-4 * 200.0) ** 2, rel=0.1)
 
 
 def test_rows_that_nobody_judges_do_not_fill_the_memory() -> None:

@@ -12,7 +12,6 @@ import pytest
 from files.gaps import gap_page
 
 from geomid_ros.files.models.sidecar import EffectEntry, QuantityEntry
-from geomid_ros.report.gap_figures import elapsed
 from geomid_ros.report.gap_page import GapPage, write_gap_page
 from geomid_ros.report.gap_words import measured, ratio, verdict_sentence
 
@@ -167,19 +166,6 @@ def test_simulated_again(drawn: Draw) -> None:
     assert "before 10.9" in text
     assert "No resimulation" not in text
     assert "No resimulation: MuJoCo has the day off." in drawn(PAGES["ambiguous"]).text
-
-
-def test_thirty_joints_make_no_endless_page(drawn: Draw) -> None:
-    assert len(drawn(PAGES["thirty joints"]).pictures) <= 20
-
-
-def test_time_goes_on_without_pauses() -> None:
-    """Of two recordings an hour apart, and of a later one that was given first."""
-    steps = np.arange(5, dtype=np.int64) * 100_000_000
-    later = 3_600_000_000_000 + steps
-    expected = np.arange(10) * 0.1
-    np.testing.assert_allclose(elapsed(np.concatenate([steps, later])), expected, atol=1e-9)
-    np.testing.assert_allclose(elapsed(np.concatenate([later, steps])), expected, atol=1e-9)
 
 
 def test_the_page_is_whole_or_not_there(tmp_path: Path) -> None:

@@ -196,24 +196,6 @@ def test_the_page_is_small_however_long_the_recording(channels: int, samples: in
     assert 100_000 < (tmp_path / "report.html").stat().st_size < MOST_BYTES
 
 
-def test_wide_content_scrolls_in_itself(tmp_path: Path) -> None:
-    """No table of many columns stands outside of what scrolls, at no width; both colour schemes are there."""
-    page, text = written(page_of("joint1", "a_joint_whose_name_goes_on_" * 4), tmp_path)
-    assert "@media (prefers-color-scheme: dark)" in text
-    assert any(a.get("content") == "width=device-width, initial-scale=1" for _, a in page.elements)
-    within = re.sub(r'<div class="wide">.*?</table></div>', "", text, flags=re.DOTALL)
-    assert set(re.findall(r"<table[^>]*>", within)) == {'<table class="bars">', '<table class="ranges">'}
-
-
-def test_long_names_break_between_words(tmp_path: Path) -> None:
-    """In a narrow column, behind underscores: a mark that whoever copies the name does not get."""
-    page, text = written(page_of("left_knee<b>_joint"), tmp_path)
-    assert "link left_knee<b>_joint 5.500" in page.text
-    rows = re.findall(r'<th scope="row(?:group)?"[^>]*>(?:link |at |/)?(left.*?)</th>', text)
-    assert len(rows) == 7
-    assert set(rows) == {"left_<wbr>knee&lt;b&gt;_<wbr>joint"}
-
-
 def test_no_channel_and_no_effect_is_a_page_too(tmp_path: Path) -> None:
     page = page_of("joint1")
     page = replace(

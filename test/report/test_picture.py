@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import struct
-import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,10 +13,10 @@ import pytest
 from matplotlib.figure import Figure
 
 from geomid_ros.errors import GeomidError
-from geomid_ros.report import ellipsoids, page, robot_drawing, sheet
+from geomid_ros.report import ellipsoids, sheet
 from geomid_ros.report.drawing import identification_figure
 from geomid_ros.report.ellipsoids import BodyDrawing, Ellipsoid
-from geomid_ros.report.series import BINS, Clock, Series, limits, thinned
+from geomid_ros.report.series import Series
 from geomid_ros.report.sheet import write_picture
 
 POINT = Ellipsoid(np.zeros(3), np.zeros(3), np.eye(3), 0.0)
@@ -73,14 +71,10 @@ def panels(figure: Figure) -> dict[str, str]:
 
 
 AWKWARD = {
-    "many": (chain(30), channels(36)),
     "more than the table has": (chain(40), channels(3)),
-    "one body": (chain(1), channels(3)),
     "nothing": ([], []),
     "a point": ([BodyDrawing("p", np.zeros(3), None, POINT, POINT, 0.0)], channels(1)),
     "no numbers": ([BodyDrawing("p", np.zeros(3), None, NOWHERE, NOWHERE, np.nan)], [channel("short", samples=1)]),
-    "no measurement": (chain(2), [replace(channel("x"), measured=np.full(300, np.nan))]),
-    "no times": (chain(2), [replace(channel("x"), times=np.full(300, np.nan))]),
     "constant": (chain(2), [Series("x", "N", np.arange(5.0), *(3 * [np.zeros(5)]))]),
     "names like formulas": ([replace(chain(1)[0], name="$a_{b$ $" + 40 * "x")], [channel("$x_{$")]),
 }
@@ -120,17 +114,6 @@ def test_failing_write_leaves_the_old_picture(tmp_path: Path, monkeypatch: pytes
     assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("p.png", "old")]
 
 
-def test_pyplot_is_not_imported(tmp_path: Path) -> None:
-    code = (
-        "import sys, pathlib\n"
-        "from test_picture import chain, channels, identification_picture\n"
-        f"identification_picture(pathlib.Path({str(tmp_path / 'p.png')!r}), 't', chain(2), channels(2), 'n')\n"
-        "sys.exit('matplotlib.pyplot' in sys.modules)"
-    )
-    folders = os.pathsep.join([str(Path(__file__).parent), str(Path(__file__).parents[2])])
-    subprocess.run([sys.executable, "-c", code], check=True, env=os.environ | {"PYTHONPATH": folders})
-
-
 def test_the_most_improved_channels_are_shown_in_their_order() -> None:
     series = [channel(f"joint{k}", error) for k, error in enumerate(np.linspace(1.5, 0.1, 20))]
     figure = drawn(chain(1), series)
@@ -161,85 +144,3 @@ def test_huge_tiny_and_far_bodies_are_marked_and_do_not_ruin_the_view() -> None:
     assert np.max(np.abs(points)) < 2.5
     assert 0.005 < min(extents(bodies)) < max(extents(bodies)) < 1.0
     assert [d.marks for d in ellipsoids.made_visible(chain(6))] == 6 * [""]
-
-
-def test_outline_is_that_of_the_ellipsoid() -> None:
-    rng = np.random.default_rng(0)
-    axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    solid = Ellipsoid(rng.normal(size=3), np.array([0.3, 0.1, 0.05]), axes, 1.0)
-    view = ellipsoids.view_of(rng.normal(size=(5, 3)))
-    sphere = rng.normal(size=(100_000, 3))
-    sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
-    flat = view.flat(sphere @ (axes * solid.semi_axes).T)
-    np.testing.assert_allclose(flat.max(axis=0), ellipsoids.half_widths(view, solid), rtol=1e-3)
-    turn, stretch, _ = np.linalg.svd(view.sphere_map(solid)[:2])
-    radii = np.linalg.norm(flat @ turn / stretch, axis=1)
-    assert radii.max() == pytest.approx(1.0, abs=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("across", "towards"), [([0.0, 1.0, 0.0], [1.0, 0.0, 0.0]), ([1.0, 0.0, 0.0], [0.0, -1.0, 0.0])]
-)
-def test_a_person_is_seen_from_the_front_and_an_arm_from_its_side(across: list[float], towards: list[float]) -> None:
-    points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], across])
-    rotation = ellipsoids.view_of(points).rotation
-    assert rotation[2] @ towards > 0.8
-    assert rotation[0] @ across > 0.8
-    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
-
-
-def test_every_peak_of_a_long_line_survives() -> None:
-    times = 1e-3 * np.arange(100_001)
-    values = 1e-3 * np.sin(times)
-    values[[0, 777, 50_000, 100_000]] = [5.0, -7.0, 9.0, -3.0]
-    clock = Clock.of([Series("x", "N", times, values, values, values)])
-    seconds, kept = thinned(times, values, clock)
-    assert len(kept) <= 2 * BINS + 2
-    np.testing.assert_array_equal(np.interp(times[[0, 777, 50_000, 100_000]], seconds, kept), [5.0, -7.0, 9.0, -3.0])
-
-
-def test_pauses_are_shortened_and_break_the_line() -> None:
-    times = np.concatenate([3600.0 + np.arange(0.0, 5.0, 0.01), np.arange(0.0, 5.0, 0.01)])
-    clock = Clock.of([Series("x", "N", times, times, times, times)])
-    seconds, values = thinned(times, times, clock)
-    assert np.count_nonzero(np.isnan(values)) == 1
-    assert (np.nanmin(seconds), clock.label) == (0.0, "time [s], pauses shortened")
-    assert 10.0 < np.nanmax(seconds) < 11.0
-
-
-def test_samples_of_a_slower_channel_are_joined() -> None:
-    series = channel("x")
-    values = np.where(np.arange(300) % 3 == 0, series.measured, np.nan)
-    assert not np.any(np.isnan(thinned(series.times, values, Clock.of([series]))[1]))
-
-
-def test_limits_show_peaks_but_no_outliers() -> None:
-    series = channel("x")
-    series.measured[100], series.predicted[200] = 2.0, 1e6
-    low, high = limits(series)
-    assert -2.0 < low < -1.0
-    assert 2.0 < high < 5.0
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        (0.0, "0"),
-        (1.0, "1.00"),
-        (0.0123, "0.0123"),
-        (123.4, "123"),
-        (-45.61, "-45.6"),
-        (1000.0, "1000"),
-        (1.3e6, "1.3e6"),
-        (4e-7, "4.0e-7"),
-        (np.nan, "—"),
-    ],
-)
-def test_numbers_are_short(value: float, text: str) -> None:
-    assert page.number(value) == text
-
-
-def test_badges_do_not_overlap() -> None:
-    places = robot_drawing._spread(np.zeros((30, 2)), 0.2)
-    distances = np.linalg.norm(places[:, None] - places, axis=-1) + np.eye(30)
-    assert distances.min() > 0.19

@@ -52,12 +52,6 @@ def test_a_right_model_has_the_error_that_noise_makes(tmp_path: Path) -> None:
     assert list(found.after.values()) == pytest.approx([1.0] * 9, abs=SCATTER)
 
 
-@pytest.mark.parametrize("size", [0.5, 2.0])
-def test_the_unit_is_the_noise(tmp_path: Path, size: float) -> None:
-    found = simulated(files(tmp_path, "a"), files(tmp_path, "a"), recording(noise=size))
-    assert list(found.after.values()) == pytest.approx([size] * 9, rel=SCATTER)
-
-
 def test_a_wrong_model_has_more_in_proportion(tmp_path: Path) -> None:
     ratios = []
     for stiffness in (2.0, 4.0):
@@ -269,14 +263,3 @@ def test_noise_is_the_remainder_at_the_size_of_the_floor() -> None:
     np.testing.assert_allclose(found.values[:, 0], noise_example().values[:, 0])
     assert np.all(np.isnan(found.values[:, 8]))
     assert np.all(found.only(names).values[:, 8] == 0.0)
-
-
-def test_noise_repeats_itself() -> None:
-    noise = noise_example()
-    assert noise.duration == pytest.approx(30.0)
-    found = noise.at(np.array([0.0, 0.015, noise.duration]), 0.0)
-    np.testing.assert_allclose(found[0], noise.values[0])
-    np.testing.assert_allclose(found[1], 0.5 * (noise.values[1] + noise.values[2]))
-    np.testing.assert_allclose(found[2], noise.values[0], atol=1e-6)
-    np.testing.assert_array_equal(noise.at(np.zeros(1), 3 * PERIOD), noise.at(np.full(1, 3 * PERIOD), 0.0))
-    assert np.all(noise.only(["none"]).values == 0.0)

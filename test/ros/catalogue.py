@@ -17,54 +17,23 @@ class Fault:
     tests: tuple[str, ...]
 
 
-def _message(case: str) -> str:
-    return f"test_catalogue_messages.py::test_a_bad_message_is_named_and_leaves_no_trace[{case}]"
-
-
-def _stream(case: str) -> str:
-    return f"test_catalogue_messages.py::test_a_bad_stream_is_named_and_leaves_no_trace[{case}]"
-
-
-def _jump(case: str) -> str:
-    return f"test_catalogue_streams.py::test_time_that_jumps_begins_a_segment_and_costs_nothing[{case}]"
-
-
-def _second(case: str) -> str:
-    return f"test_catalogue_streams.py::test_a_second_publisher_is_named_and_believed_no_more_than_the_first[{case}]"
-
-
-def _declared(case: str) -> str:
-    return f"test_catalogue_wrench.py::test_a_sensor_that_is_declared_wrongly_is_named[{case}]"
-
-
-def _changes(case: str) -> str:
-    return f"test_catalogue_wrench.py::test_a_sensor_that_changes_is_named[{case}]"
-
-
-def _solver(case: str) -> str:
-    return f"test_catalogue_failures.py::test_a_solver_that_fails_keeps_the_last_estimate[{case}]"
-
-
-def _exception(case: str) -> str:
-    return f"test_catalogue_failures.py::test_an_exception_costs_the_messages_it_meets[{case}]"
-
-
-def _console(name: str) -> str:
-    return f"test_catalogue_console.py::test_{name}"
+_message = "test_catalogue_messages.py::test_a_bad_message_is_named_and_leaves_no_trace[{}]".format
+_stream = "test_catalogue_messages.py::test_a_bad_stream_is_named_and_leaves_no_trace[{}]".format
+_jump = "test_catalogue_streams.py::test_time_that_jumps_begins_a_segment_and_costs_nothing[{}]".format
+_second = "test_catalogue_streams.py::test_a_second_publisher_is_named_and_believed_no_more_than_the_first[{}]".format
+_declared = "test_catalogue_wrench.py::test_a_sensor_that_is_declared_wrongly_is_named[{}]".format
+_changes = "test_catalogue_wrench.py::test_a_sensor_that_changes_is_named[{}]".format
+_solver = "test_catalogue_failures.py::test_a_solver_that_fails_keeps_the_last_estimate[{}]".format
+_exception = "test_catalogue_failures.py::test_an_exception_costs_the_messages_it_meets[{}]".format
+_console = "test_catalogue_console.py::test_{}".format
 
 
 def _bags(name: str) -> str:
     return f"{_BAGS}::test_{name}"
 
 
-def _both(case: str) -> str:
-    return f"../session/test_ledger_findings.py::test_a_fault_gets_the_same_answer_in_a_bag_and_in_a_node[{case}]"
-
-
-def _disk(case: str) -> str:
-    return f"test_catalogue_failures.py::test_a_disk_that_cannot_be_written_stops_nothing[{case}]"
-
-
+_both = "../session/test_ledger_findings.py::test_a_fault_gets_the_same_answer_in_a_bag_and_in_a_node[{}]".format
+_disk = "test_catalogue_failures.py::test_a_disk_that_cannot_be_written_stops_nothing[{}]".format
 _BAGS = "../files/test_bag_faults.py"
 _NAMES = "../commands/test_names.py::test_"
 _REFUSALS_TEST = "../commands/test_refusals.py::test_"

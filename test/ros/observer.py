@@ -17,6 +17,8 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
+from geomid_ros.live.saving import SLOW
+
 T = TypeVar("T")
 PATIENCE = 300.0  # [s] for what must come some time: the machine may be busy
 MATCHING = 1.0  # [s] a subscriber knows of a publisher a little later than the publisher of it
@@ -111,10 +113,10 @@ class Observer:
         return answer.result()
 
     def trigger(self, service: str) -> tuple[bool, str]:
-        """Whether a service succeeded, and what it said; asked again while a busy machine makes it late."""
+        """Whether a service succeeded, and what it said; asked again while a busy machine makes it or its disk late."""
         end = time.monotonic() + 5.0 * PATIENCE
         response = self.call(Trigger, service, Trigger.Request())
-        while LATE in response.message and time.monotonic() < end:
+        while (LATE in response.message or SLOW in response.message) and time.monotonic() < end:
             response = self.call(Trigger, service, Trigger.Request())
         return response.success, response.message
 

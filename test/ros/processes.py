@@ -76,7 +76,7 @@ class Process:
 
     def seconds_to_end(self, number: signal.Signals | None = None) -> float:
         """How long it takes to end after a signal, or from now on, but for what its threads wait for a processor."""
-        begin, before = time.monotonic(), self.waits()
+        begin, before = time.monotonic(), self.waits(children=True)
         if number is not None:
             self.send(number)
         waits, seconds = before, 0.0
@@ -86,18 +86,21 @@ class Process:
                 self._process.wait()
                 raise AssertionError(f"still running after {time.monotonic() - begin:.0f} s:\n{self.output}")
             time.sleep(0.01)
-            waits = {**waits, **self.waits()}
+            waits = {**waits, **self.waits(children=True)}
             waited = sum(wait - before.get(thread, 0.0) for thread, wait in waits.items())
             seconds = time.monotonic() - begin - waited
         return seconds
 
-    def waits(self) -> dict[str, float]:
-        """How long [s] each thread could have run, had the machine had a processor to spare."""
-        waits = {}
-        with suppress(OSError):  # the process has just ended
-            for thread in Path(f"/proc/{self.pid}/task").iterdir():
-                with suppress(OSError):  # the thread has just ended
-                    waits[thread.name] = 1e-9 * int((thread / "schedstat").read_bytes().split()[1])
+    def waits(self, *, children: bool = False) -> dict[str, float]:
+        """How long [s] each thread could have run, had the machine had a processor to spare; ``children``: also those
+        of the processes that it has started, for which it may wait."""
+        waits, pids = {}, [str(self.pid)]
+        while pids:
+            with suppress(OSError):  # the process has just ended
+                for thread in Path(f"/proc/{pids.pop()}/task").iterdir():
+                    with suppress(OSError):  # the thread has just ended
+                        waits[thread.name] = 1e-9 * int((thread / "schedstat").read_bytes().split()[1])
+                        pids += (thread / "children").read_text().split() if children else []
         return waits
 
     def end(self, number: signal.Signals = signal.SIGINT) -> int:

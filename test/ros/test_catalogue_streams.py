@@ -68,11 +68,10 @@ def test_26_a_clock_stepped_back_a_little_is_waited_out(rig: Rig) -> None:
     before, after = rig.begin()
     rig.feed(before)
     rig.published()
-    begin, heard = len(rig.arrays), len(rig.inertias)
+    begin = len(rig.arrays)
     rig.send(before[-60:])
     rig.settled(begin)
     rig.says(begin, None, "joint_states rejected: stamp not later than the one before")
-    assert len(rig.inertias) == heard
     rig.feed(after)
     rig.assert_same_as_twin()
 
@@ -82,11 +81,10 @@ def test_28_a_paused_simulation(rig: Rig) -> None:
     before, after = rig.begin()
     rig.feed(before)
     rig.published()
-    begin, heard = len(rig.arrays), len(rig.inertias)
+    begin = len(rig.arrays)
     rig.send(before[-2:] * 100)
     rig.settled(begin)
     rig.says(begin, None, "joint_states rejected: stamp not later than the one before")
-    assert len(rig.inertias) == heard
     rig.feed(after)
     rig.assert_same_as_twin()
 
@@ -167,7 +165,7 @@ def test_41_a_saturated_effort_costs_the_messages_that_have_it_for_long(rig: Rig
     rig.send(messages)
     rig.twin.feed(spared)
     rig.settled(begin)
-    rig.says(begin, WARN, "joint_states rejected: effort of 'joint2' saturated")
+    rig.says(begin, None, "joint_states rejected: effort of 'joint2' saturated")  # an error where only such came
     rig.assert_same_as_twin()
     rig.feed(rig.shifted(later(item, 2 * SECOND) for item in GOOD[900:1100]))
     rig.assert_same_as_twin()
@@ -215,7 +213,7 @@ def test_a_second_publisher_is_named_and_believed_no_more_than_the_first(name: s
     before, after = rig.begin()
     rig.feed(before)
     rig.published()
-    begin, heard = len(rig.arrays), len(rig.inertias)
+    begin = len(rig.arrays)
     with impostor(rig) as publisher:
         for item in after[:40]:
             if item.topic == "/joint_states":
@@ -225,25 +223,22 @@ def test_a_second_publisher_is_named_and_believed_no_more_than_the_first(name: s
                 rig.sent["/joint_states"] += 1
         rig.settled(begin)
         rig.says(begin, ERROR, TWO, "/impostor, /observer")
-        assert len(rig.inertias) == heard
     assert rig.node.running
     rig.feed(after[40:])
     rig.assert_same_as_twin()
 
 
 def test_17_a_publisher_that_is_replaced(rig: Rig) -> None:
-    """Its successor's messages are taken as its own."""
+    """Its successor's messages are taken as its own, once all that it has sent has come and it has gone."""
     before, after = rig.begin()
     rig.feed(before)
-    rig.published()
-    begin = len(rig.arrays)
+    rig.settled(len(rig.arrays))
     node, old = rig.stage.observer.node, rig.publishers["/joint_states"]
+    rig.publishers["/joint_states"] = node.create_publisher(JointState, "/joint_states", plenty())
+    rig.says(len(rig.arrays), ERROR, TWO)
     node.destroy_publisher(old)
-    rig.publishers["/joint_states"] = new = node.create_publisher(JointState, "/joint_states", plenty())
-    rig.stage.observer.wait_for(
-        lambda: new.get_subscription_count() and node.count_publishers("/joint_states") == 1, "it"
-    )
-    rig.stage.observer.spin(MATCHING)
+    begin = len(rig.arrays)
+    rig.told("its end", begin, lambda _, status: TWO not in status.message)
     rig.says(begin, WARN, "no messages on joint_states")
     rig.feed(after)
     rig.settled(begin)

@@ -6,7 +6,6 @@ import errno
 import itertools
 import json
 import os
-import resource
 import signal
 import threading
 import time
@@ -24,7 +23,6 @@ from signals.feeding import completed
 
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded
-from geomid_ros.files.checkpoints.checkpoint_folder import CheckpointFolder
 from geomid_ros.live import saving
 from geomid_ros.live.saving import Checkpoints
 from geomid_ros.live.worker import Worker
@@ -70,11 +68,6 @@ def generations(folder: Path) -> list[Checkpoint]:
 def rows(folder: Path) -> int:
     """Those of the newest checkpoint."""
     return generations(folder)[-1].memory.summary.rows
-
-
-def at_peace(status: DiagnosticStatus, values: dict[str, str]) -> bool:
-    """All is well, but for a disk that a busy machine makes slow."""
-    return values["rows"] != "0" and (status.level == DiagnosticStatus.OK or "the disk is slow" in status.message)
 
 
 def told(stage: Stage, look: Callable[[DiagnosticStatus, dict[str, str]], bool], what: str) -> dict[str, str]:
@@ -151,28 +144,6 @@ def test_told_to_end_it_keeps_everything(stage: Stage, tmp_path: Path) -> None:
     }
 
 
-def test_another_robot_s_is_refused_aloud(stage: Stage, tmp_path: Path) -> None:
-    """And kept; the robot that is there is identified, and its rows are kept, too."""
-    folder, other = tmp_path / "kept", session("arm7")
-    with closing(keeper(folder, other)) as there:
-        there.write(other.checkpoint())
-    content = (folder / "checkpoint-a.safetensors").read_bytes()
-    node = stage.node(keeping(folder))
-    told(
-        stage,
-        lambda status, _: status.level == DiagnosticStatus.ERROR and "another robot" in status.message,
-        "a refusal",
-    )
-    assert "of another robot" in node.output
-    stage.observer.publish(MESSAGES[:HALF], KINDS)
-    values = told(stage, at_peace, "peace")
-    assert "another robot" in values["beginning"]
-    assert node.end() == 0
-    assert rows(folder) > 0
-    (aside,) = folder.glob("unused-*")
-    assert aside.read_bytes() == content
-
-
 def test_without_a_place_for_checkpoints_it_estimates(stage: Stage, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     node = stage.node(keeping(tmp_path / "file"))
@@ -182,34 +153,6 @@ def test_without_a_place_for_checkpoints_it_estimates(stage: Stage, tmp_path: Pa
     told(stage, lambda status, _: status.level == DiagnosticStatus.ERROR and "file" in status.message, "an error")
     assert node.end() == 0
     assert (tmp_path / "file").read_text() == "in the way"
-
-
-def test_a_disk_that_becomes_full_stops_nothing(stage: Stage, tmp_path: Path) -> None:
-    """As far as a process can tell: no file may grow any more. What was safe stays, and with room again it goes on."""
-    folder = tmp_path / "kept"
-    node = stage.node(keeping(folder))
-    inertias = stage.observer.collect(InertiaStamped, "/geomid/inertias", latched())
-    stage.observer.publish(MESSAGES[:HALF], KINDS)
-    safe = int(told(stage, lambda _, values: values["rows"] != "0", "rows that are safe")["rows"])
-    least = min(path.stat().st_size for path in folder.glob("checkpoint-*")) // 2
-    resource.prlimit(node._process.pid, resource.RLIMIT_FSIZE, (least, resource.RLIM_INFINITY))
-    inertias.clear()
-    stage.observer.publish(MESSAGES[HALF:], KINDS)
-    told(
-        stage,
-        lambda status, _: status.level == DiagnosticStatus.ERROR and "File too large" in status.message,
-        "an error",
-    )
-    stage.observer.wait_for(lambda: inertias, "estimates that go on")
-    assert rows(folder) >= safe
-    resource.prlimit(node._process.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-    told(stage, lambda status, values: at_peace(status, values) and int(values["rows"]) > safe, "peace")
-    assert node.end() == 0
-    assert rows(folder) > safe
-
-
-def keeper(folder: Path, of: Session) -> CheckpointFolder:
-    return CheckpointFolder(folder, of.meaning, of.model.channels, of.configuration.buffer.folds)
 
 
 def wait_until(look: Callable[[], object]) -> None:
@@ -289,20 +232,6 @@ def test_what_was_to_be_forgotten_is(tmp_path: Path) -> None:
         of.identifier.reset()
         wait_until(lambda: rows_safe(kept) == 0)
     assert rows(tmp_path) == 0
-
-
-def test_the_older_one_serves_with_a_warning(tmp_path: Path) -> None:
-    of = fed(session(), 0, HALF)
-    with closing(keeper(tmp_path, of)) as there:
-        for _ in range(2):
-            there.write(of.checkpoint())
-    with (tmp_path / "checkpoint-b.safetensors").open("r+b") as file:
-        file.seek(5000)
-        file.write(b"damage")
-    with closing(Checkpoints(session(), tmp_path, 3600.0)) as kept:
-        assert kept.status.error == ""
-        assert f"resumed from checkpoint 1 with {of.identifier.rows} rows" in kept.status.warning
-        assert "checkpoint-b.safetensors is not used: the checksum is wrong" in kept.status.warning
 
 
 def test_the_first_solve_begins_where_the_last_ended(tmp_path: Path) -> None:

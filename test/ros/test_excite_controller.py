@@ -114,16 +114,6 @@ def test_a_server_that_goes_is_told(controller: ActionController) -> None:
     assert "the controller is gone: nothing serves /arm_controller/follow_joint_trajectory" in controller.problem
 
 
-def test_the_message_has_all_points() -> None:
-    message = message_of(MOTION)
-    assert message.joint_names == ["a", "b"]
-    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (0, 0), "from when it arrives"
-    times = [(point.time_from_start.sec, point.time_from_start.nanosec) for point in message.points]
-    assert times == [(0, 500_000_000), (2, 250_000_000)]
-    assert [list(point.positions) for point in message.points] == [[1.0, 2.0], [3.0, 4.0]]
-    assert [list(point.accelerations) for point in message.points] == [[1.0, 1.0]] * 2
-
-
 @pytest.fixture
 def installed(monkeypatch: pytest.MonkeyPatch) -> None:
     """``control_msgs``, as far as it is needed."""

@@ -26,7 +26,6 @@ from .stage import Stage, description, messages, staged
 
 SAME = 1e-6  # relative: what is identified live and from the bag
 RATE = 1.0  # as a robot sends: the first estimate comes while there are data left to predict
-DURATIONS = {"arm3": 8.0, "arm7": 12.0}  # [s] of the bags
 
 
 @dataclass

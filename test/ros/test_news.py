@@ -79,11 +79,6 @@ def test_after_a_reset_there_is_a_first_estimate_again() -> None:
     assert said(some, nothing, some) == [first, [], first]
 
 
-def test_names_without_end_do_not_fill_the_console() -> None:
-    (first,) = said(status(0, {f"link{number}": True for number in range(100)}))[0]
-    assert first.endswith("link7 2.000 ± 0.010 kg and 92 more")
-
-
 def test_the_same_news_are_said_once_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:
     now, log = [5.0], Lines()
     monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
@@ -102,8 +97,3 @@ def test_a_node_says_what_comes_and_what_it_has_found(stage: Stage) -> None:
     lines = re.findall(r"\[INFO\] \S+ \[geomid\]: (.*)", node.output)
     assert re.fullmatch(r"joint_states: receiving \d+ messages/s", lines[1])
     assert lines[0].startswith("identifying 3 links")
-
-
-def test_a_node_that_is_to_wait_says_so(stage: Stage) -> None:
-    node = stage.node({"active": False})
-    stage.observer.wait_for(lambda: "waiting for ~/start, as the parameter active is false" in node.output, "the line")

@@ -98,16 +98,6 @@ def test_the_estimates_are_those_of_one_process(solving: SolvingProcess) -> None
     assert solving.warning == ""
 
 
-def test_errors_are_those_of_one_process(solving: SolvingProcess) -> None:
-    empty, full = session(0), session()
-    for each in (empty, full):
-        each.identifier.solve_with(solving.remote(EstimationTask.solve))
-    with pytest.raises(GeomidError, match="no usable rows"):
-        empty.identifier.solve()
-    assert full.identifier.solve().rows_accepted > 0
-    assert solving.warning == ""
-
-
 def test_recordings_are_judged_there_and_alike(solving: SolvingProcess, monkeypatch: pytest.MonkeyPatch) -> None:
     """By what the supervisor builds; here, judging would fail."""
     faulty = {"effort_gain": -1.0}

@@ -7,7 +7,6 @@ latched (test_description), stamps that jump (test_catalogue_streams).
 from __future__ import annotations
 
 import json
-import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,26 +14,23 @@ from typing import Any
 
 import numpy as np
 import pytest
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from files.recordings import TYPES, Recorded
 from geometry_msgs.msg import InertiaStamped, WrenchStamped
 from model.robots import urdf
 from nav_msgs.msg import Odometry
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rosgraph_msgs.msg import Clock
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import String
 from test_configs import in_force
 
 from geomid_ros.types import FloatArray
 
-from .in_motion import COULOMB, SECOND, InMotion, in_time, noisy
+from .in_motion import COULOMB, InMotion, in_time, noisy
 from .observer import MATCHING, latched, plenty
 from .processes import Process
-from .spoiling import later, stamp_of
-from .stage import Stage, description, messages
+from .stage import Stage, description
 
 CONFIG = Path(__file__).parents[2] / "config"
 KINDS = {
@@ -43,7 +39,6 @@ KINDS = {
     "nav_msgs/msg/Odometry": Odometry,
     "sensor_msgs/msg/Imu": Imu,
 }
-BEST_EFFORT = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT)
 FAR = 6.0  # standard deviations; links have ten quantities each, and friction is not the only thing that is simplified
 
 
@@ -165,20 +160,6 @@ def test_a_universal_robot(stage: Stage, tmp_path: Path) -> None:
     assert setup.friction == pytest.approx(6 * [COULOMB], rel=0.2), "in N m, with the right gains"
 
 
-def test_a_franka(stage: Stage) -> None:
-    """Best effort, on a topic of another name, with a hand whose fingers nobody mentions."""
-    text, fingers = urdf("panda.urdf"), ["panda_finger_joint1", "panda_finger_joint2"]
-    robot = InMotion(text, duration=6.0, rate=200.0, seed=1, locked=fingers, swing=0.8)
-    arguments = ("-r", "joint_states:=franka/joint_states", "-p", f"locked_joints:={json.dumps(fingers)}")
-    setup = Setup(stage, CONFIG / "franka.yaml", text, *arguments)
-    states = robot.joint_states(noisy(robot.efforts(), 0.1, seed=2), topic="/franka/joint_states")
-    setup.publish(states, qos=BEST_EFFORT)
-    setup.told(joint_states="/franka/joint_states")
-    links = setup.saved()
-    assert_masses_are_true(links, robot.truth)
-    assert "panda_leftfinger" in links["panda_link7"]["merged"]
-
-
 def with_finger(text: str) -> str:
     """The small arm with a finger that slides on its tool; what sensors are fixed to is called as in ros2_control."""
     return text.replace("wrist_ft", "ft_frame").replace(
@@ -265,80 +246,3 @@ def test_a_person_on_a_force_plate(stage: Stage) -> None:
     links = setup.saved()
     assert_masses_are_true(links, robot.truth)
     assert total(links) == pytest.approx(sum(body[0] for body in robot.truth.values()), rel=2e-3)
-
-
-def two_arms() -> str:
-    """Two small arms that look away from each other, on one body."""
-    sides = []
-    for side, yaw in (("left", 1.57), ("right", -1.57)):
-        _, _, arm = description("arm3").replace("wrist_ft", "tool0").partition('<robot name="arm3">')
-        arm = re.sub(r'(name|link)="', rf'\1="{side}_', arm.replace("</robot>", ""))
-        sides.append(
-            f'''{arm}<joint name="{side}_shoulder" type="fixed"><origin xyz="0 0 0.5" rpy="0.5 0 {yaw}"/>
-            <parent link="torso"/><child link="{side}_base_link"/></joint>'''
-        )
-    return f'<robot name="two_arms"><link name="torso"/>{"".join(sides)}</robot>'
-
-
-def test_two_arms_on_one_topic(stage: Stage) -> None:
-    """Two drivers, each with a clock phase of its own, and two wrench topics."""
-    text = two_arms()
-    cuts = ["left_tool0", "right_tool0"]
-    setup = Setup(stage, CONFIG / "dual_arm.yaml", text)
-    streams = []
-    for side, begin in (("left", 0.0), ("right", 0.003)):
-        robot = InMotion(text, duration=7.0, rate=100.0, seed=3, cuts=cuts, begin=begin)
-        joints = [joint for joint in robot.joints if joint.startswith(side)]
-        wrench = noisy(-robot.carried(f"{side}_tool0"), 0.05, seed=5)
-        topic = f"/{side}_force_torque_sensor_broadcaster/wrench"
-        states = robot.joint_states(noisy(robot.efforts(), 0.05, seed=6), joints)
-        streams.append(in_time(states, robot.wrenches(topic, f"{side}_tool0", wrench)))
-    setup.publish(*streams)
-    setup.told()
-    links = setup.saved()
-    assert_masses_are_true(links, robot.truth)
-    for tool in cuts:
-        assert links[tool]["mass"] == pytest.approx(robot.truth[tool][0], rel=0.01)
-
-
-def test_a_payload_within_two_seconds_of_motion(stage: Stage) -> None:
-    """Of a known arm; taken up, and put down again after ``~/reset``."""
-    bare = urdf("ur10_robot.urdf")
-    setup = Setup(stage, CONFIG / "payload.yaml", with_tool(bare, "tool0", mass=0.3))
-    for payload, begin in ((1.5, 0.0), (0.3, 60.0)):
-        loaded = with_tool(bare, "tool0", mass=payload)
-        known = InMotion(loaded, duration=2.0, rate=125.0, seed=1, cuts=["tool0"], begin=begin, swing=0.8, error=0.0)
-        assert stage.observer.trigger(f"/{setup.name}/reset")[0]
-        wrench = noisy(-known.carried("tool0"), 0.1, seed=3)
-        states = known.joint_states(noisy(known.efforts(), 0.3, seed=2))
-        setup.publish(in_time(states, known.wrenches("/force_torque_sensor_broadcaster/wrench", "tool0", wrench)))
-        setup.told()
-        (link,) = setup.saved().values()
-        assert link["name"] == "tool0"
-        assert link["mass"] == pytest.approx(payload, rel=0.1)
-        assert link["com"] == pytest.approx(known.truth["tool0"][1:4] / payload, abs=0.01)
-        stage.observer.wait_for(
-            lambda payload=payload: abs(setup.inertias[-1].inertia.m / payload - 1.0) < 0.1, "the payload on the topic"
-        )
-        assert {message.header.frame_id for message in setup.inertias} == {"tool0"}
-
-
-def test_a_simulation_that_begins_again(stage: Stage) -> None:
-    """Its clock and all stamps fall back to nothing; what was found is kept."""
-    setup = Setup(stage, CONFIG / "geomid.yaml", description("arm3"), "-p", "use_sim_time:=true")
-    states = [item for item in messages("arm3") if item.topic == "/joint_states"]
-    states = [later(item, SECOND - stamp_of(states[0])) for item in states]
-    clock = stage.observer.node.create_publisher(Clock, "/clock", 10)
-    setup.publish(states[:500])
-    clock.publish(Clock(clock=Time(sec=6)))
-    rows = int(setup.told()["rows"])
-    stage.observer.wait_for(lambda: any(array.header.stamp.sec == 6 for array in setup.arrays), "simulated time")
-    clock.publish(Clock(clock=Time(sec=1)))
-    again = setup.sent.copy()
-    setup.publish(states[:500])
-    values = setup.told()
-    assert setup.sent["/joint_states"] == 2 * again["/joint_states"]
-    assert values["joint_states noted: clock set back: a new segment begins"] == "1"
-    assert int(values["rows"]) > 1.5 * rows
-    stage.observer.wait_for(lambda: setup.arrays[-1].header.stamp.sec == 1, "simulated time from its beginning")
-    assert setup.saved().keys() == {"link1", "link2", "link3"}

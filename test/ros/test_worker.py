@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import queue
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -22,11 +20,9 @@ from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live import inbox
 from geomid_ros.live import worker as module
 from geomid_ros.live.inbox import Received
-from geomid_ros.live.status import Status
 from geomid_ros.live.threads import Activity
 from geomid_ros.live.worker import Worker
 from geomid_ros.monitoring.change_detection import BLOCK
-from geomid_ros.ros.diagnostics import Diagnostics
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 
@@ -143,17 +139,6 @@ def test_without_rows_the_answer_is_an_error(quiet: Watched) -> None:
     assert quiet.worker.status(active=True).warnings == ()
 
 
-def test_a_doubtful_model_is_warned_of_first(quiet: Watched, tmp_path: Path) -> None:
-    quiet.feed()
-    document = quiet.session.document(quiet.final())
-    model = tmp_path / "estimate.json"
-    model.write_text(json.dumps(document | {"verdict": {"result": "doubtful", "reasons": ["gravity is missing"]}}))
-    with closing(Watched(NEVER, model=str(model))) as watched:
-        status = Diagnostics("geomid").array(watched.worker.status(active=False)).status[0]
-    assert status.level == b"\x01"
-    assert status.message.startswith(f"{model}: this model's verdict is 'doubtful': gravity is missing")
-
-
 def test_an_error_in_a_message_costs_the_message(quiet: Watched) -> None:
     quiet.feed(0, 100)
     quiet.worker.take([Received("joint_states", b"nonsense")])
@@ -195,15 +180,6 @@ def test_an_error_of_the_solver_keeps_the_last_estimate(quiet: Watched, monkeypa
     assert isinstance(quiet.final(), GeomidError)
     assert quiet.worker.estimate is first
     assert "division by zero" in quiet.worker.solver.problem
-
-
-def test_predictions_come_once_there_is_an_estimate(quiet: Watched) -> None:
-    quiet.feed(0, 400)
-    quiet.final()
-    assert quiet.samples == 0
-    quiet.feed(400)
-    quiet.final()
-    assert quiet.samples > 10
 
 
 def test_what_is_forgotten_while_it_is_solved_for_stays_forgotten(
@@ -262,14 +238,6 @@ def test_estimates_are_made_as_data_grow_by_a_tenth_or_cease(quiet: Watched) -> 
     assert solved_for(quiet) == []
 
 
-def test_one_that_forgets_estimates_in_every_period() -> None:
-    with closing(Watched(NEVER, forgetting_time=1e6)) as watched:
-        for end in (500, 520, 540):
-            watched.feed(0 if end == 500 else end - 20, end)
-            end_of_period(watched)
-            assert len(solved_for(watched)) == 1
-
-
 def test_effects_are_chosen_anew_once_half_of_what_is_remembered_is_new(
     quiet: Watched, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -290,61 +258,6 @@ def test_effects_are_chosen_anew_once_half_of_what_is_remembered_is_new(
         assert len(afresh) < 2 or afresh[-1] == (rows > 2 * first)
     assert afresh.count(True) == 2
     assert afresh.count(False) >= 5
-
-
-def test_closing_makes_the_estimate_up_to_date() -> None:
-    watched = Watched(NEVER)
-    watched.feed(0, 500)
-    watched.final()
-    watched.feed(500, 520)
-    watched.worker.close()
-    first, last = solved_for(watched)
-    assert first < last == watched.session.identifier.rows
-    assert watched.worker.estimate is not None
-    assert watched.worker.estimate.rows_accepted == last
-
-
-def test_once_it_is_closed_no_estimate_is_begun(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A solve that took longer than closing would wait is the last one."""
-    quiet.feed(0, 500)
-    quiet.final()
-    monkeypatch.setattr(module, "_PATIENCE", 0.05)
-    solve, solving, may_end = quiet.session.identifier.solve, threading.Event(), threading.Event()
-    begun = []
-
-    def slowly(warm: Any) -> Estimate:
-        begun.append(warm)
-        solving.set()
-        may_end.wait(PATIENCE)
-        return solve(warm)
-
-    monkeypatch.setattr(quiet.session.identifier, "solve", slowly)
-    quiet.feed(500)
-    quiet.worker.final_estimate(lambda _: None)
-    assert solving.wait(PATIENCE)
-    quiet.close()
-    may_end.set()
-    quiet.worker.solver._thread.join(PATIENCE)
-    assert not quiet.worker.solver._thread.is_alive()
-    assert begun == [None]
-
-
-def test_closing_begins_no_estimate_from_scratch() -> None:
-    watched = Watched(NEVER)
-    watched.feed()
-    watched.worker.close()
-    assert watched.session.identifier.rows > 0
-    assert solved_for(watched) == []
-
-
-def test_resets_at_any_time_leave_both_threads_alive(busy: Watched) -> None:
-    for _ in range(5):
-        busy.feed()
-        busy.worker.reset()
-    busy.feed()
-    assert isinstance(busy.final(), Estimate)
-    assert busy.worker._intake.is_alive()
-    assert busy.worker.solver._thread.is_alive()
 
 
 def test_who_waits_when_it_closes_has_an_answer() -> None:
@@ -397,24 +310,6 @@ def test_a_recording_is_judged_before_it_is_solved(quiet: Watched, monkeypatch: 
     quiet.worker.final_estimate(answers.put)
     assert isinstance(answers.get(timeout=PATIENCE), Estimate)
     assert done[: done.index("solved")].count("judged") > 0
-
-
-def test_closing_a_busy_one_ends_it() -> None:
-    watched = Watched(SOON)
-    watched.feed()
-    watched.worker.close()
-    assert watched.worker.status(active=True).accounts["joint_states"].received == len(JOINTS)
-    assert not watched.worker._intake.is_alive()
-    assert not watched.worker.solver._thread.is_alive()
-
-
-def test_one_that_forgets_goes_on_estimating() -> None:
-    """It remembers no more rows after a while, but others."""
-    with closing(Watched(SOON, forgetting_time=0.2)) as watched:
-        for begin in range(0, len(JOINTS), 200):
-            before = watched.estimates.qsize()
-            watched.feed(begin, begin + 200)
-            wait_until(lambda: watched.estimates.qsize() > before)  # noqa: B023 it is waited for here
 
 
 def test_rows_are_counted_once_though_taking_them_fails(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -514,19 +409,6 @@ def test_a_burst_is_taken_however_long_it_waits(
     assert taken == 30
 
 
-def test_what_comes_behind_a_task_after_a_pause_is_taken(quiet: Watched, now: list[float]) -> None:
-    """Nothing has waited, however long ago the last message came."""
-    quiet.feed(0, 20)
-    quiet.final()
-    with standing_still(quiet):
-        now[0] = 100.0
-        quiet.worker.reset()
-        quiet.feed(20, 40)
-    quiet.final()
-    account = quiet.worker.status(active=True).accounts["joint_states"]
-    assert (account.accepted, account.received) == (40, 40)
-
-
 def test_the_intake_outlives_whatever_fails_behind_a_message(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
     """The messages were taken, and so are those to come."""
     with monkeypatch.context() as patch:
@@ -555,28 +437,6 @@ def test_what_is_asked_for_again_is_not_solved_again(quiet: Watched) -> None:
     assert quiet.final() is not first
 
 
-def test_the_status_can_be_asked_for_all_the_time(busy: Watched) -> None:
-    """While ledgers get new reasons, and rows are counted."""
-    feeding = threading.Thread(target=feed_much, args=(busy,))
-    feeding.start()
-    statuses = 0
-    while feeding.is_alive():
-        ledgers = busy.worker.status(active=True).accounts
-        for ledger in ledgers.values():
-            assert ledger.received == ledger.accepted + ledger.rejected.total()
-        statuses += 1
-    feeding.join()
-    assert statuses > 0
-    busy.final()
-
-
-def feed_much(watched: Watched) -> None:
-    for index, message in enumerate(JOINTS):
-        watched.worker.take([Received(*message)])
-        watched.worker.take([Received(*STATES[index].changed(name=[f"joint {index}"] * 3).raw)])
-        time.sleep(2e-4)
-
-
 def test_the_time_from_receipt_to_row_counts_from_the_callback_on(quiet: Watched) -> None:
     """Once for every batch of instants that became rows, with the wait before the intake takes the message."""
     begin = time.perf_counter()
@@ -594,39 +454,6 @@ def test_the_time_from_receipt_to_row_counts_from_the_callback_on(quiet: Watched
     later = quiet.worker.status(active=True).receipt_to_row[len(before) :]
     assert len(later) > 0
     assert min(later) > 0.2
-
-
-def test_diagnostics_tell_quantiles_of_the_time_from_receipt_to_row() -> None:
-    seconds = tuple(1e-3 * k for k in range(101))
-    stream = Diagnostics("geomid").array(Status(active=True, receipt_to_row=seconds)).status[0]
-    told = {pair.key: pair.value for pair in stream.values}
-    assert told["receipt to row p50 [ms]"] == "50"
-    assert told["receipt to row p99 [ms]"] == "99"
-    assert told["receipt to row max [ms]"] == "100"
-    nothing = Diagnostics("geomid").array(Status(active=True)).status[0]
-    assert not any(pair.key.startswith("receipt") for pair in nothing.values)
-
-
-def test_the_priors_weight_is_kept_between_solves_and_chosen_anew_for_other_data(
-    quiet: Watched, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    warm: list[Any] = []
-    solve = quiet.session.identifier.solve
-    monkeypatch.setattr(quiet.session.identifier, "solve", lambda start: warm.append(start) or solve(start))
-    for begin, end in ((0, 400), (400, 500), (500, 900)):
-        quiet.feed(begin, end)
-        wait_until(lambda: quiet.worker.status(active=True).queue == 0)
-        if begin == 0:
-            quiet.final()
-        else:
-            quiet.worker.solver._solve_once(quiet.worker.solver._warm_start())
-    estimate = quiet.worker.estimate
-    assert estimate is not None
-    assert [start is not None for start in warm] == [False, True, True]
-    assert [start.effects_alone for start in warm[1:]] == [False, True]
-    following = quiet.worker.solver._warm_start()
-    assert following is not None
-    assert not following.effects_alone, "chosen for the rows of now"
 
 
 def wait_until(look: Any) -> None:

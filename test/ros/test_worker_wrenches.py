@@ -24,12 +24,10 @@ from geomid_ros.live.status import Status
 from geomid_ros.live.worker import Worker
 from geomid_ros.model.samples import Samples
 from geomid_ros.ros.diagnostics import Diagnostics
-from geomid_ros.session import training
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 
 from .in_motion import SECOND, START, InMotion, in_time, noisy
-from .spoiling import later
 from .stage import NO_CHOICE
 
 SECONDS, RATE = 42.0, 50.0
@@ -288,27 +286,6 @@ def test_what_was_solved_for_before_a_change_was_noticed_chooses_nothing(working
     assert working.worker.solver.changed_sensors == ("/wrist",)
     assert working.worker.solver._warm_start() is None
     assert working.worker.estimate is not None, "there is none better yet"
-
-
-def test_a_sensor_may_speak_again_after_a_reset(working: Working) -> None:
-    wrong, right = messages(8.0, wrist=lambda _, value: -value), messages(8.0)
-    working.feed(wrong)
-    working.worker.reset()
-    status = working.feed([later(item, 100 * SECOND) for item in right])
-    assert not any("wrench" in reason for reason in status.rows_rejected)
-    assert not status.problems
-
-
-def test_what_can_be_taken_back_is_bounded(working: Working, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of what waits to be judged, too."""
-    monkeypatch.setattr(training, "MOST_BYTES", 100 * 8 * CHANNELS * (working.session.model.dimension + 1))
-    working.worker.reset()
-    monkeypatch.setattr(working.worker.solver, "_detect_changes", lambda: None)
-    items = messages(8.0)
-    working.take(items)
-    working.final()
-    assert len(working.session.identifier._recent.instants) == 100
-    assert_same(working.final(), samples(items))
 
 
 def wait_until(look: Callable[[], bool]) -> None:

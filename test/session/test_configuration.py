@@ -103,30 +103,10 @@ def test_defaults() -> None:
 class TestValues:
     """What may be written in a file."""
 
-    def test_integers_are_numbers(self, tmp_path: Path) -> None:
-        configuration = read(tmp_path, "gamma: 1\ngravity: [0, 0, -10]\nfilter:\n  cutoff: 3")
-        assert configuration["gamma"] == 1.0
-        assert configuration.gravity.tolist() == [0.0, 0.0, -10.0]
-        assert configuration.signals([]).cutoff == 3.0
-
     @pytest.mark.parametrize("text", ["1e-3", "1.0e-3", "+1E-3", "0.001", "10.e-4"])
     def test_numbers_are_written_as_for_ros(self, text: str, tmp_path: Path) -> None:
         """YAML 1.1 takes 1e-3 for a text, the node's parser does not."""
         assert read(tmp_path, f"gamma: {text}")["gamma"] == 1e-3
-
-    def test_texts_that_look_like_numbers_stay_texts(self, tmp_path: Path) -> None:
-        assert read(tmp_path, "links: ['1e3', 3e]")["links"] == ["1e3", "3e"]
-
-    def test_an_empty_list_is_one_empty_text(self, tmp_path: Path) -> None:
-        for text in ('[""]', "[]"):
-            configuration = read(tmp_path, f"effects: {text}\nlinks: {text}\nwrenches: {text}")
-            assert configuration.effects == []
-            assert configuration.links is None
-            assert configuration.sensors == []
-
-    def test_effects_named_twice_count_once(self) -> None:
-        names = ["rotor_inertia", "effort_offset", "rotor_inertia"]
-        assert [effect.name for effect in Configuration({"effects": names}).effects] == names[:2]
 
     def test_candidates_are_tried_with_some_constants_and_not_where_they_are_identified_anyway(self) -> None:
         assert {effect.name for effect in Configuration().candidates} == {*DEFAULT_CANDIDATES, "coulomb_friction"}
@@ -135,10 +115,6 @@ class TestValues:
         several = Configuration({"candidates": ["stribeck_friction"]}).candidates
         assert len(several) == len(set(several)) > 1
         assert Configuration({"candidates": [""]}).candidates == []
-
-    def test_effects_bring_what_they_consist_of(self) -> None:
-        names = [effect.name for effect in Configuration({"effects": ["spring", "stribeck_friction"]}).effects]
-        assert names == ["spring", "effort_offset", "coulomb_friction", "stribeck_friction"]
 
     def test_gains_by_joint_stand_beside_the_common_one(self, tmp_path: Path) -> None:
         configuration = read(tmp_path, "effort_gain: 2\njoint:\n  left.elbow:\n    effort_gain: -13.6")
@@ -168,10 +144,6 @@ class TestValues:
         sensors = [WrenchSensor("/ft", "flange", "external", ("fx",), -1.0)]
         assert configuration.with_sensors(sensors).sensors == sensors
         assert configuration.with_sensors(sensors)["gamma"] == 0.5
-
-    def test_parameters_of_ros_itself_are_passed_over(self, tmp_path: Path) -> None:
-        text = "use_sim_time: true\nqos_overrides:\n  /joint_states:\n    subscription:\n      depth: 3\ngamma: 0.5"
-        assert read(tmp_path, text).given == {"gamma": 0.5}
 
 
 MISTAKES: dict[str, tuple[str, str]] = {

@@ -41,11 +41,6 @@ def test_what_is_simulated_again_is_the_end_that_is_held_out(session: Session) -
     assert set(late.entries.columns.columns) == {SIGN, SMOOTH_SIGN, REST}
 
 
-def test_the_end_does_not_keep_the_whole_recording(session: Session) -> None:
-    (late,) = GapReader(session, Bags(fitted=[BAG], hold_out=SHARE)).sharp()
-    assert {name for name, array in late.arrays.items() if array.base is not None} == set()
-
-
 def test_recordings_are_judged_as_a_whole(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is kept of a long one to find a delay depends on how much comes at once."""
     monkeypatch.setattr("geomid_ros.model.samples.PIECE", 100)

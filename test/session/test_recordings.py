@@ -86,20 +86,6 @@ def test_what_is_surely_fitted_is_passed_on_while_the_bag_is_read(
     assert kept_most <= share * 45 + size, "no more is remembered than may be held out, and what came last"
 
 
-def test_all_or_nothing() -> None:
-    whole = recording(10)
-    for share, expected in ((0.0, (10, 0)), (1.0, (0, 10))):
-        ((early, late),) = divided([whole], share)
-        assert (len(early), len(late)) == expected
-
-
-def test_a_division_copies_nothing_unless_the_clock_was_set_back() -> None:
-    whole = recording(40)
-    ((early, late),) = divided([whole], 0.3)
-    assert np.shares_memory(early.stamps, whole.stamps)
-    assert np.shares_memory(late.stamps, whole.stamps)
-
-
 @pytest.mark.parametrize("order", [[(20, 40), (0, 20)], [(20, 30), (0, 20), (30, 40)], [(30, 40), (0, 30)]])
 def test_where_the_clock_was_set_back_the_stamps_decide(order: list[tuple[int, int]]) -> None:
     whole = recording(40)

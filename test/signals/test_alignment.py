@@ -11,7 +11,6 @@ import pytest
 from geomid_ros.errors import InputError
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
-from geomid_ros.signals.grid_values import GridValues
 from geomid_ros.signals.messages import Message
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
@@ -26,92 +25,22 @@ from .feeding import (
     completed,
     feed,
     in_time,
-    jittered,
     joint_messages,
     push,
     regular,
     wrench_messages,
-    wrenches,
 )
 
 SENSOR = WrenchSensor("/wrench", "tool", "mounted")
-TOLERANCE = 1e-3  # the filter's ripple, relative
 
 
 def pipeline(period: float = 0.01, **settings: float) -> SignalPipeline:
     return SignalPipeline(JOINTS, sensors=[SENSOR], settings=SignalSettings(period=period, **settings))
 
 
-def recording(duration: float = 5.0) -> list[Message]:
-    """Joints at 100 Hz, a wrench at 500 Hz that is stamped 0.7 ms later."""
-    return in_time(joint_messages(regular(0.01, duration)), wrench_messages(regular(0.002, duration, offset=0.0007)))
-
-
 def common(samples: Samples, stamps: IntArray) -> Samples:
     """The samples at these instants."""
     return samples.select(np.isin(samples.stamps, stamps))
-
-
-@pytest.mark.parametrize("period", [0.01, 0.004, 0.0023], ids=["joints'", "in between", "odd"])
-def test_topics_of_different_rates_are_aligned(period: float) -> None:
-    """Positions, efforts and wrenches each equal their formula at the same instants."""
-    samples = feed(pipeline(period), recording())
-    motion, stamps = Motion(), samples.stamps
-    assert np.all(stamps % round(period * 1e9) == 0)
-    for order, kind in enumerate(("position", "velocity", "acceleration")):
-        formula = motion.derivative(stamps, order)
-        size = np.max(np.abs(formula))
-        np.testing.assert_allclose(getattr(samples, kind), formula, rtol=0, atol=3 * TOLERANCE * size)
-    np.testing.assert_allclose(samples.effort, motion.effort(stamps), rtol=0, atol=TOLERANCE * 10.0)
-    np.testing.assert_allclose(samples.wrenches[:, 0], wrenches(stamps), rtol=0, atol=2 * TOLERANCE)
-    assert samples.base_pose.shape == (len(stamps), 0)
-
-
-def test_every_array_has_the_shape_that_is_written() -> None:
-    samples = feed(pipeline(), recording())
-    count = len(samples)
-    shapes = {name: array.shape for name, array in samples.arrays.items()}
-    assert shapes == {
-        "stamps": (count,),
-        "position": (count, 3),
-        "velocity": (count, 3),
-        "acceleration": (count, 3),
-        "effort": (count, 3),
-        "base_pose": (count, 0),
-        "base_velocity": (count, 0),
-        "base_acceleration": (count, 0),
-        "wrenches": (count, 1, 6),
-        "effects": (count, 0),
-        "standing": (count, 0),
-    }
-    assert samples.stamps.dtype == np.int64
-    with pytest.raises(ValueError, match="read-only"):
-        samples.position[0] = 0.0
-
-
-@pytest.mark.parametrize("period", [0.01, 0.0], ids=["configured", "inferred"])
-def test_collecting_often_or_once_is_the_same(period: float) -> None:
-    messages = recording()
-    often, parts = pipeline(period), []
-    for message in messages:
-        often.push(message)
-        part = often.collect()
-        if part is not None:
-            parts.append(part)
-    assert len(parts) > 50
-    assert_same(Samples.concatenate(parts), feed(pipeline(period), messages), tolerance=1e-12)
-    assert often.collect() is None
-
-
-@pytest.mark.parametrize("period", [0.01, 0.0], ids=["configured", "inferred"])
-@pytest.mark.parametrize("late", [1, 333, 1400])
-def test_it_does_not_matter_when_listening_began(period: float, late: int) -> None:
-    """Who joins later makes the same samples of what is left."""
-    messages = recording()
-    first, second = feed(pipeline(period), messages), feed(pipeline(period), messages[late:])
-    assert 0 < len(second) <= len(first)
-    np.testing.assert_array_equal(second.stamps, first.stamps[-len(second) :])
-    assert_same(second, common(first, second.stamps), tolerance=1e-12)
 
 
 def test_the_period_is_that_of_the_joints() -> None:
@@ -122,12 +51,6 @@ def test_the_period_is_that_of_the_joints() -> None:
     samples = feed(alone, joint_messages(lossy))
     assert np.all(samples.stamps % 10_000_000 == 0)
     assert alone.lag == pytest.approx(SignalPipeline(JOINTS, settings=SignalSettings(period=0.01)).lag)
-
-
-def test_messages_before_the_period_is_known_are_not_lost() -> None:
-    """Inferring the period delays samples, it does not cost any."""
-    messages = recording()
-    assert_same(feed(pipeline(0.0), messages), feed(pipeline(0.01), messages), tolerance=1e-12)
 
 
 def test_joints_may_be_too_slow_for_the_cutoff() -> None:
@@ -179,23 +102,6 @@ def interleaved(topics: list[list[Message]], longest: int, random: np.random.Gen
             count = random.integers(1, longest + 1)
             yield from topic[:count]
             del topic[:count]
-
-
-def test_a_topic_that_falls_silent_does_not_fill_the_memory() -> None:
-    """Joints go on for a minute and a half after the wrench stopped; when it is back, so are the samples."""
-    stamps = regular(0.05, 100.0)
-    joints, wrench = joint_messages(stamps), wrench_messages(stamps)
-    silent = [*wrench[:100], *wrench[1900:]]
-    waiting, longest = pipeline(0.05, cutoff=2.0), 0
-    for _ in push(waiting, in_time(joints, silent)):
-        longest = max(longest, len(waiting._sampler._streams["joint_states"].segment._on_grid.values))
-    assert 60.0 / 0.05 < longest < 65.0 / 0.05
-    assert len(waiting._sampler._streams["joint_states"].segment._on_grid.values) < 100
-    samples = waiting.collect()
-    assert samples is not None
-    assert np.max(np.diff(samples.stamps)) > 90e9
-    whole = feed(pipeline(0.05, cutoff=2.0), in_time(joints, wrench))
-    assert_same(samples, common(whole, samples.stamps), tolerance=1e-9)
 
 
 @pytest.mark.parametrize("cutoff", [2.0, 0.2])
@@ -252,22 +158,6 @@ def test_a_gap_starts_a_new_segment(topic: str) -> None:
     assert both[1].stamps[0] >= gap[1] + half_a_kernel
 
 
-def test_a_pause_shorter_than_a_gap_is_bridged() -> None:
-    stamps = regular(0.01, 6.0)
-    kept = stamps[(stamps < START + 3_000_000_000) | (stamps > START + 3_030_000_000)]
-    samples = feed(pipeline(), in_time(joint_messages(kept), wrench_messages(stamps)))
-    assert len(segments(samples)) == 1
-    np.testing.assert_allclose(samples.position, Motion().derivative(samples.stamps, 0), rtol=0, atol=3 * TOLERANCE)
-    assert len(segments(feed(pipeline(max_gap=0.02), in_time(joint_messages(kept), wrench_messages(stamps))))) == 2
-
-
-def test_irregular_joints_are_aligned_with_an_irregular_wrench() -> None:
-    messages = in_time(joint_messages(jittered(0.01, 6.0)), wrench_messages(jittered(0.003, 6.0, seed=1)))
-    samples = feed(pipeline(), messages)
-    np.testing.assert_allclose(samples.position, Motion().derivative(samples.stamps, 0), rtol=0, atol=3 * TOLERANCE)
-    np.testing.assert_allclose(samples.wrenches[:, 0], wrenches(samples.stamps), rtol=0, atol=3 * TOLERANCE)
-
-
 def test_the_order_of_joints_is_each_messages_own() -> None:
     rng = np.random.default_rng(2)
     messages = joint_messages(regular(0.01, 6.0), velocity=True)
@@ -321,20 +211,3 @@ def test_topics_must_differ(topic: str) -> None:
     sensors = [SENSOR, WrenchSensor(topic, "foot", "external")]
     with pytest.raises(InputError, match="topics must differ"):
         SignalPipeline(JOINTS, sensors=sensors)
-
-
-def test_values_on_the_grid_are_kept_in_little_room_however_many_pass() -> None:
-    rng = np.random.default_rng(0)
-    passed, on_grid, expected = 1000, GridValues(), rng.normal(size=(2, 3))
-    on_grid.extend(passed, expected)
-    for _ in range(2000):
-        new = rng.normal(size=(rng.integers(1, 5), 3))
-        on_grid.extend(on_grid.end, new)
-        expected = np.concatenate([expected, new])
-        if len(expected) > 40:
-            surplus = int(rng.integers(1, 40))
-            on_grid.drop_before(on_grid.first + surplus)
-            expected, passed = expected[surplus:], passed + surplus
-        assert on_grid.first == passed
-        np.testing.assert_array_equal(on_grid.values, expected)
-    assert len(on_grid._room) < 4 * 40

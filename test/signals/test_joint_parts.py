@@ -44,10 +44,6 @@ def test_parts_with_the_same_stamps_are_the_whole() -> None:
     assert pipeline.ledger.topics["joint_states"].accepted == 2 * len(WHOLE)
 
 
-def test_messages_of_the_whole_are_a_part_too() -> None:
-    assert_same(feed(merging(), WHOLE), expected(), tolerance=0.0)
-
-
 def test_parts_with_stamps_of_their_own_meet_on_the_line_between() -> None:
     """Two rates: the motion's curvature over a millisecond is all that is lost."""
     quick = [only(message, "shoulder") for message in joint_messages(regular(0.001, 4.0), velocity=True)]

@@ -13,7 +13,6 @@ from geomid_ros.signals.arrived import plausible
 from geomid_ros.signals.joint_messages import JointReader, RejectedError
 from geomid_ros.signals.joint_parts import JointParts
 from geomid_ros.signals.messages import JointMessage
-from geomid_ros.signals.velocity_choice import VelocityChoice
 
 from .feeding import START, read
 
@@ -41,17 +40,6 @@ def test_numbers_are_in_the_robot_s_order_and_efforts_in_its_units() -> None:
     mixed = {"position": (2.0, NAN, 1.0), "velocity": (4.0, 9.0, 3.0), "effort": (6.0, 1e99, 5.0)}
     values = read(reader(), message(0, names=("b", "other", "a"), **mixed))
     np.testing.assert_allclose(values, [1.0, 2.0, 3.0, 4.0, 5.0, -12.0])
-
-
-def test_nothing_is_unmeasured_before_the_first_message() -> None:
-    assert reader().unmeasured == ()
-
-
-def test_an_effort_that_was_never_measured_is_left_out_from_the_start() -> None:
-    own = reader()
-    values = read(own, message(0, effort=(1.0, NAN)))
-    assert np.isnan(values[5])
-    assert own.unmeasured == ("b",)
 
 
 def test_an_effort_that_fails_costs_messages_for_the_longest_gap_and_then_its_joint() -> None:
@@ -129,12 +117,6 @@ def test_without_velocities_positions_tell_whether_the_robot_moves(step: float, 
         read(own, again)
 
 
-def test_without_velocities_a_robot_that_has_never_moved_stands_still() -> None:
-    own = reader()
-    for count in range(3):
-        read(own, message(0, position=(0.3, 0.2), velocity=(), stamp=START + count * STEP))
-
-
 def test_one_number_that_changes_is_enough() -> None:
     own = reader()
     read(own, message(0))
@@ -197,13 +179,6 @@ class TestParts:
     def stamps(self, step: int, begin: int = 0, end: int = 2 * SECOND) -> list[int]:
         return list(range(begin + START, end + START + 1, step))
 
-    def test_a_part_is_in_the_robot_s_order_and_has_a_reader_of_its_own(self) -> None:
-        parts = self.parts()
-        assert parts.part(("c", "x", "a")) == ("a", "c")
-        assert parts.part(("a", "c")) == ("a", "c")
-        assert parts.part(("b",)) == ("b",)
-        assert set(parts.readers) == {("a", "c"), ("b",)}
-
     def test_a_joint_comes_with_the_same_others(self) -> None:
         parts = self.parts()
         parts.part(("a", "c"))
@@ -214,69 +189,8 @@ class TestParts:
         with pytest.raises(RejectedError, match="no joint names"):
             parts.part(())
 
-    @pytest.mark.parametrize("slow", ["right", "left"])
-    def test_the_whole_is_at_the_stamps_of_the_fastest(self, slow: str) -> None:
-        fast, others = self.stamps(STEP), self.stamps(5 * STEP // 2)
-        found = self.fed(self.parts(), *((fast, others) if slow == "right" else (others, fast)))
-        assert list(found) == fast
-        for stamp, whole in found.items():
-            np.testing.assert_allclose(whole, np.tile([stamp, 2.0 * stamp, stamp], (3, 1)), rtol=1e-12)
-
-    @pytest.mark.parametrize(("pause", "joined"), [(MAX_GAP, True), (MAX_GAP + 2, False)])
-    def test_between_messages_further_apart_than_a_gap_there_is_nothing(self, pause: int, joined: bool) -> None:
-        before = self.stamps(STEP)
-        right = [*before, *(stamp + pause for stamp in self.stamps(STEP, 2 * self.SECOND))]
-        found = self.fed(self.parts(), self.stamps(STEP, 0, 2 * self.SECOND + 2 * MAX_GAP), right)
-        between = [stamp for stamp in found if before[-1] < stamp < before[-1] + pause]
-        assert bool(between) == joined
-
-    def test_what_begins_later_is_waited_for(self) -> None:
-        right = self.stamps(STEP, self.SECOND, 3 * self.SECOND)
-        found = self.fed(self.parts(), self.stamps(STEP, 0, 3 * self.SECOND), right)
-        assert list(found) == right
-
     def test_two_of_three_joints_are_not_the_robot(self) -> None:
         assert self.fed(self.parts(), self.stamps(STEP), []) == {}
-
-    def test_after_a_restart_time_begins_anew(self) -> None:
-        parts = self.parts()
-        self.fed(parts, self.stamps(STEP, self.SECOND), self.stamps(STEP, self.SECOND, 3 * self.SECOND))
-        parts.restart()
-        early = self.stamps(STEP, 0, 10 * STEP)
-        assert list(self.fed(parts, early, early)) == early
-
-
-class TestVelocityChoice:
-    """Of a joint whose position's derivative is 1, each time."""
-
-    def chosen(self, given: np.ndarray) -> np.ndarray:
-        """Which of the N samples take the message's velocity."""
-        one = np.ones((len(given), 1))
-        velocity, acceleration = VelocityChoice(1).choose(given[:, None], 7.0 * one, one, 0.0 * one)
-        taken = acceleration[:, 0] == 7.0
-        np.testing.assert_array_equal(velocity[:, 0], np.where(taken, given, 1.0))
-        return taken
-
-    def test_it_takes_a_hundred_samples_to_be_believed(self) -> None:
-        assert np.flatnonzero(self.chosen(np.full(150, 1.001)))[0] == 99
-
-    @pytest.mark.parametrize(("off", "believed"), [(0.04, True), (-0.04, True), (0.06, False), (-0.06, False)])
-    def test_it_may_be_off_by_five_percent(self, off: float, believed: bool) -> None:
-        assert self.chosen(np.full(150, 1.0 + off))[-1] == believed
-
-    def test_one_that_is_missing_begins_anew(self) -> None:
-        given = np.full(250, 1.001)
-        given[120] = NAN
-        taken = self.chosen(given)
-        assert taken[119]
-        assert not np.any(taken[120:220])
-        assert taken[220]
-
-    def test_of_the_past_only_the_last_hundred_or_so_matter(self) -> None:
-        """A disagreement fades by a hundredth with each sample: of 0.5^2 in 100 samples to 0.05^2 in 300 or so."""
-        given = np.concatenate([np.full(1000, 1.5), np.full(1000, 1.0)])
-        first = int(np.flatnonzero(self.chosen(given))[0]) - 1000
-        assert first == pytest.approx(np.log(0.05**2 / 0.5**2) / np.log(0.99), abs=2)
 
 
 def test_efforts_that_are_held_are_the_driver_s_fault_and_told_once() -> None:

@@ -18,12 +18,6 @@ def account(accepted: int, *reasons: str, lost: int = 0) -> Account:
     return Account(accepted, Counter(reasons), Counter(reasons), Counter(dict.fromkeys(reasons, 2)), lost)
 
 
-def test_a_new_account_is_empty() -> None:
-    assert Account() == Account(accepted=0, rejected=Counter(), dropped=Counter(), noted=Counter(), lost=0)
-    assert Account().received == 0
-    assert Ledger().topics == {}
-
-
 def test_every_message_is_counted_once() -> None:
     ledger = Ledger()
     for _ in range(3):

@@ -16,7 +16,7 @@ from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, IntArray
 
-from .feeding import feed, in_time, jittered, regular, seconds
+from .feeding import feed, in_time, regular, seconds
 
 STAMPS = regular(0.01, 4.0)
 Trajectory = Callable[[float], pin.SE3]
@@ -35,36 +35,10 @@ def flown(trajectory: Trajectory, stamps: IntArray = STAMPS, *, flips: bool = Fa
     return feed(pipeline, in_time(joints, poses))
 
 
-def screw(twist: FloatArray) -> Trajectory:
-    """A constant twist from some pose."""
-    start = pin.SE3(pin.exp3(np.array([0.4, -1.0, 2.0])), np.array([1.0, -2.0, 0.5]))
-    return lambda time: start * pin.exp6(time * twist)
-
-
 def wandering(time: float) -> pin.SE3:
     """A smooth flight: translation and rotation vector are sines of up to 0.9 Hz."""
     phase = 2.0 * np.pi * np.array([0.3, 0.5, 0.9]) * time
     return pin.SE3(pin.exp3(0.5 * np.sin(phase)) @ pin.exp3(np.array([0.0, 0.0, 0.8 * time])), 0.3 * np.cos(phase))
-
-
-SCREWS = {
-    "at rest": np.zeros(6),
-    "straight": np.array([0.3, -0.2, 0.5, 0.0, 0.0, 0.0]),
-    "turning": np.array([0.0, 0.0, 0.0, 0.4, -1.0, 2.0]),
-    "a screw": np.array([1.0, -0.5, 0.3, 2.0, 3.0, -1.0]),
-}
-
-
-@pytest.mark.parametrize("stamps", [STAMPS, jittered(0.01, 4.0)], ids=["regular", "irregular"])
-@pytest.mark.parametrize("case", SCREWS)
-def test_a_constant_twist_is_found_exactly(case: str, stamps: IntArray) -> None:
-    """Twist and pose exact, acceleration zero; the screw turns through pi several times on the way."""
-    samples = flown(screw(SCREWS[case]), stamps, flips=True)
-    np.testing.assert_allclose(samples.base_velocity, np.tile(SCREWS[case], (len(samples), 1)), rtol=0, atol=1e-9)
-    np.testing.assert_allclose(samples.base_acceleration, 0.0, rtol=0, atol=1e-7)
-    for pose, time in zip(samples.base_pose, seconds(samples.stamps), strict=True):
-        error = pin.log6(pin.XYZQUATToSE3(pose).actInv(screw(SCREWS[case])(time)))
-        np.testing.assert_allclose(error.vector, 0.0, rtol=0, atol=1e-9)
 
 
 def test_a_flight_is_differentiated() -> None:
@@ -113,14 +87,6 @@ def test_the_world_frame_does_not_matter() -> None:
         np.testing.assert_allclose(error.vector, 0.0, rtol=0, atol=1e-9)
 
 
-def test_the_sign_of_a_quaternion_does_not_matter() -> None:
-    plain, flipped = flown(wandering), flown(wandering, flips=True)
-    for kind in ("base_velocity", "base_acceleration"):
-        np.testing.assert_allclose(getattr(flipped, kind), getattr(plain, kind), rtol=0, atol=1e-9)
-    cosines = np.abs(np.sum(flipped.base_pose[:, 3:] * plain.base_pose[:, 3:], axis=1))
-    np.testing.assert_allclose(cosines, 1.0, rtol=0, atol=1e-12)
-
-
 def test_quaternions_may_be_rounded() -> None:
     """Lengths off by up to half a percent (single precision, careless drivers) are made good."""
     lengths = iter(np.random.default_rng(2).uniform(0.995, 1.005, len(STAMPS)))
@@ -148,28 +114,6 @@ def test_velocity_and_acceleration_belong_to_the_pose() -> None:
     rates = np.gradient(samples.base_velocity, step, axis=0)[1:-1]
     size = np.max(np.abs(rates))
     np.testing.assert_allclose(rates, samples.base_acceleration[1:-1], rtol=0, atol=0.02 * size)
-
-
-def test_collecting_often_or_late_is_the_same() -> None:
-    poses = [PoseMessage(int(t), pin.SE3ToXYZQUAT(wandering(float(seconds(t))))) for t in STAMPS]
-    joints = [JointMessage(int(stamp), ("joint",), [0.0], [], [0.0]) for stamp in STAMPS]
-    settings = SignalSettings(period=0.01)
-    messages, results = in_time(joints, poses), []
-    for late in (0, 1, 150):
-        pipeline = SignalPipeline(["joint"], floating_base=True, settings=settings)
-        parts = []
-        for message in messages[late:]:
-            pipeline.push(message)
-            part = pipeline.collect() if late else None
-            parts += [part] if part is not None else []
-        results.append(Samples.concatenate(parts) if parts else pipeline.collect())
-    whole = results[0]
-    for part in results[1:]:
-        assert 0 < len(part) <= len(whole)
-        for kind in ("stamps", "base_pose", "base_velocity", "base_acceleration"):
-            np.testing.assert_allclose(
-                getattr(part, kind), getattr(whole, kind)[-len(part) :], rtol=0, atol=1e-12, err_msg=kind
-            )
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 0.0999, 0.1001, 1.0, 3.0, 3.1415])

@@ -56,12 +56,6 @@ def test_only_the_last_seconds_are_kept() -> None:
     np.testing.assert_array_equal(stamps, START + PERIOD * np.arange(400, 600))
 
 
-def test_nothing_is_kept_of_no_seconds() -> None:
-    recent = Recent(0.0)
-    feed(pipeline(recent), 0, 100)
-    assert recent.entries() == []
-
-
 def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MOST_BYTES", 30_000)
     recent = Recent(60.0)
@@ -78,13 +72,3 @@ def test_a_clock_that_is_set_back_starts_afresh() -> None:
     feed(target, 0, 300, earlier)
     assert {bool(entry.stamps[0] < START) for entry in recent.entries()} == {True}
     assert len(recent.entries()) > 500
-
-
-def test_it_can_be_cleared() -> None:
-    recent = Recent(60.0)
-    target = pipeline(recent)
-    feed(target, 0, 300)
-    recent.clear()
-    assert recent.entries() == []
-    feed(target, 300, 310)
-    assert len(recent.entries()) == 20

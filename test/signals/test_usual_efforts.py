@@ -27,11 +27,3 @@ def test_another_unit_is_suspicious_and_what_goes_on_is_not(usual: tuple[UsualEf
     before, after = efforts[:-1], efforts[1:]
     assert not np.any(learned.jump(before, after))
     assert np.mean(learned.jump(before, -after)) > 0.5
-
-
-def test_zeros_and_small_efforts_are_no_other_unit(usual: tuple[UsualEfforts, FloatArray]) -> None:
-    """Else messages in which efforts are not told, or of a robot at rest, would be held until others have come."""
-    learned, efforts = usual
-    assert not np.any(learned.jump(efforts[:-1], np.zeros_like(efforts[1:])))
-    noise = 0.5 * np.random.default_rng(1).normal(size=(2, 200, JOINTS))
-    assert not np.any(learned.jump(*noise))

@@ -16,7 +16,6 @@ from scipy.interpolate import CubicSpline
 from geomid_ros.simulation import EFFECTS, WRIST_FRAME, Hidden, SimulationOptions
 from geomid_ros.simulation.effects.measurement import sensed
 from geomid_ros.simulation.motion import RunTrace
-from geomid_ros.simulation.robot import build_robot
 from geomid_ros.types import FloatArray
 
 from .conftest import Run, simulated
@@ -217,18 +216,3 @@ def test_a_payload_behind_the_sensor_weighs_on_it(tmp_path: Path) -> None:
     bare = s.run.independent.carried_wrench(s.run.trace, WRIST_FRAME, "tool")
     added = np.linalg.norm(s.run.trace.wrench[0, :3]) - np.linalg.norm(bare[0, :3])
     assert added == pytest.approx(9.81 * 0.4, rel=1e-6)
-
-
-def test_several_at_once_add_up(tmp_path: Path) -> None:
-    hide = (Hidden("viscous_friction", "joint1", 1.5), Hidden("spring", "joint1"), Hidden("rotor_inertia", "joint3"))
-    run = simulated(replace(OPTIONS, hide=hide), tmp_path)
-    smooth = run.independent.smooth_effort(run.trace)
-    spring = run.robot.effects[1].parameters
-    smooth[:, 0] += spring["stiffness"] * (run.trace.position[:, 0] - spring["equilibrium"])
-    np.testing.assert_allclose(run.trace.effort, smooth, rtol=0.0, atol=EXACT)
-
-
-def test_nothing_hidden_is_the_rigid_robot(tmp_path: Path) -> None:
-    run = simulated(replace(OPTIONS, hide=()), tmp_path)
-    assert build_robot(replace(OPTIONS, hide=())).effects == ()
-    np.testing.assert_allclose(run.trace.effort, run.independent.smooth_effort(run.trace), rtol=0.0, atol=EXACT)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.simulation.description import read_description
-from geomid_ros.simulation.motion import FADE_IN, SetPoints, exciting_motion
+from geomid_ros.simulation.motion import SetPoints, exciting_motion
 from geomid_ros.simulation.options import MOTIONS, SimulationOptions
 from geomid_ros.simulation.robots import robot_description
 
@@ -19,12 +19,6 @@ TIMES = np.linspace(0.0, 9.0, 9001)
 
 def motion(options: SimulationOptions = OPTIONS) -> SetPoints:
     return exciting_motion(TIMES, JOINTS, options, np.random.default_rng(1))
-
-
-def test_starts_at_rest_in_the_middle_of_the_range() -> None:
-    np.testing.assert_allclose(motion().position[0], [joint.centre for joint in JOINTS], atol=1e-12)
-    np.testing.assert_allclose(motion().velocity[0], 0.0, atol=1e-12)
-    np.testing.assert_allclose(motion().acceleration[0], 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", MOTIONS)
@@ -39,26 +33,6 @@ def test_derivatives(kind: str) -> None:
     assert off.mean() < (0.01 if kind == "points" else 1e-9)
 
 
-def test_points_are_rested_at() -> None:
-    still = motion(replace(OPTIONS, motion="points")).velocity == 0.0
-    np.testing.assert_allclose(still.mean(0), 0.1, atol=0.05)
-
-
-def test_chirps_get_faster() -> None:
-    """Each joint turns round ever more often."""
-    velocity = motion(replace(OPTIONS, motion="chirp", motion_period=6.0)).velocity
-    for column in velocity.T:
-        turns = np.flatnonzero(np.diff(np.sign(column[2000:])))
-        assert np.all(np.diff(turns, n=2) < 0)
-        assert len(turns) > 4
-
-
-def test_aperiodic_motions_do_not_repeat() -> None:
-    position = motion(replace(OPTIONS, motion="aperiodic")).position
-    faded, later = np.searchsorted(TIMES, (FADE_IN, FADE_IN + OPTIONS.motion_period))
-    assert np.abs(position[later:] - position[faded : faded + len(position) - later]).max() > 0.1
-
-
 @pytest.mark.parametrize("kind", MOTIONS)
 @pytest.mark.parametrize(("reach", "speed"), [(0.7, 0.6), (0.1, 1.0), (1.0, 0.1)])
 def test_uses_its_share_of_the_limits(reach: float, speed: float, kind: str) -> None:
@@ -67,9 +41,3 @@ def test_uses_its_share_of_the_limits(reach: float, speed: float, kind: str) -> 
     used_range = np.abs(whole.position - centre).max(0) / half / reach
     used_speed = np.abs(whole.velocity).max(0) / top / speed
     np.testing.assert_allclose(np.maximum(used_range, used_speed), 1.0, rtol=1e-9)
-
-
-def test_is_periodic_once_faded_in() -> None:
-    position = motion().position
-    faded, later = np.searchsorted(TIMES, (FADE_IN, FADE_IN + OPTIONS.motion_period))
-    np.testing.assert_allclose(position[later:], position[faded : faded + len(position) - later], atol=1e-9)

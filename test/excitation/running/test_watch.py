@@ -82,11 +82,6 @@ def test_an_effort_beyond_its_limit_stops_it_at_once(watch: Watch) -> None:
     assert why == "the effort of joint 'a' is -20.5, its limit 20"
 
 
-def test_every_message_of_a_look_is_looked_at(watch: Watch) -> None:
-    strong, good = state(PERIOD, effort=99.0), state(2.0 * PERIOD)
-    assert "effort of joint 'a' is 99" in watch.look([strong, good], PERIOD)
-
-
 def test_efforts_that_are_not_measured_stop_nothing(watch: Watch) -> None:
     assert stopped(watch, lambda time: state(time, effort=np.nan)) == (np.inf, "")
 
@@ -150,13 +145,6 @@ def stopped_before(watch: Watch, end: float) -> str:
 def test_silence_stops_it_within_50_ms(watch: Watch) -> None:
     """As looks last 5 ms, and a command takes none."""
     assert SILENCE < silent_after(watch, lambda _: None) <= 0.05
-
-
-def test_pauses_do_not_add_up(watch: Watch) -> None:
-    """Twenty of 30 ms each, with a message after each."""
-    for number in range(1, 21):
-        assert [watch.look([], LOOK) for _ in range(6)] == [""] * 6
-        assert watch.look([state(0.03 * number)], LOOK) == ""
 
 
 def test_a_message_that_is_repeated_is_silence(watch: Watch) -> None:
