@@ -116,6 +116,7 @@ class RobotKeywords(TypedDict, total=False):
     odom_topic: str
     imu: str | None
     contacts: Texts | None
+    alike: str | None
 
 
 class RecordingKeywords(RobotKeywords, total=False):
@@ -149,6 +150,7 @@ class RobotOptions:
         odom_topic: topic of the base's pose.
         imu: an IMU on the base in place of its pose, as ``TOPIC:FRAME``.
         contacts: feet on the ground, as ``FRAME`` or ``FRAME:RADIUS`` [m], whose forces the legs' efforts tell.
+        alike: ``urdf`` if links that are alike in it (legs, arms) err mostly alike, ``none`` if each errs by itself.
     """
 
     urdf: PathLike | None = None
@@ -165,6 +167,7 @@ class RobotOptions:
     odom_topic: str = "odom"
     imu: str | None = None
     contacts: Texts | None = None
+    alike: str | None = None
 
     @property
     def topics(self) -> Topics:
@@ -194,6 +197,7 @@ class RobotOptions:
             "merge_joint_states": self.merge or None,
             "floating_base": self.floating_base or None,
             "imu.frame": None if self.imu is None else Imu.parse(self.imu).frame,
+            "alike": self.alike,
             "contacts": entries("contacts", self.contacts or ()) or None,
         }
         said = {name: value for name, value in own.items() if value is not None}

@@ -128,6 +128,7 @@ robot_options = together(
         ),
         joint_topic_option,
         click.option("--merge", is_flag=True, help="Several publishers send joint states, each for some joints."),
+        click.option("--alike", type=click.Choice(("urdf", "none")), help="Links that err alike.  [default: urdf]"),
         click.option("--cutoff", type=float, metavar="HZ", help="Cutoff of the low-pass filter on all signals."),
         description_options,
         click.option(

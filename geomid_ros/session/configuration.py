@@ -49,6 +49,7 @@ class Parameter:
 # ROS cannot tell the type of an empty list: one empty string stands for it.
 _NONE = [""]
 _SIDES = ("motor", "link")
+_ALIKE = ("urdf", "none")
 # Parameters that every node has, by the beginning of their names: not ours to check.
 _OF_ROS = ("use_sim_time", "qos_overrides.", "start_type_description_service")
 _KINDS = {bool: "true or false", float: "a number", str: "a text"}
@@ -59,6 +60,7 @@ PARAMETERS = (
     Parameter("robot_description", "", "URDF text; empty: taken from the topic robot_description"),
     Parameter("model", "", "estimate.json of an earlier run to start from instead of the URDF's inertias"),
     Parameter("prior", "", "population.json of the robot's type to start from instead of the URDF's inertias"),
+    Parameter("alike", "urdf", "links that are alike in the URDF (legs, arms) err mostly alike; none: each by itself"),
     Parameter("links", _NONE, "moving links to identify; empty: all with a mass"),
     Parameter("known", _NONE, "weighed masses, as LINK=MASS:STD, LINK+LINK=MASS:STD or total=MASS:STD [kg]"),
     Parameter("effects", list(DEFAULT_EFFECTS), "effects identified at every joint and wrench sensor"),
@@ -124,6 +126,7 @@ PARAMETERS = (
 _NOT_OF_ROWS = (
     *("robot_description", "model", "prior", "known", "gamma", "objective", "solver", "sigma.*", "still_speed"),
     *(
+        "alike",
         "still_distance",
         "solve_period",
         "gap.memory",
@@ -174,6 +177,7 @@ class Configuration:
         self._values = {name: self._checked(name, value) for name, value in own.items()}
         _ = (
             self.effects,
+            self.alike,
             self.behind_gear(()),
             self.candidates,
             self.sensors,
@@ -276,6 +280,13 @@ class Configuration:
             return make()
         except InputError as error:
             raise InputError(f"{self.source}: {key}{error}") from error
+
+    @property
+    def alike(self) -> bool:
+        """Whether links that are alike in the URDF err mostly alike."""
+        if self["alike"] not in _ALIKE:
+            raise InputError(f"{self.source}: {unknown_name('value of alike', self['alike'], _ALIKE)}")
+        return bool(self["alike"] == _ALIKE[0])
 
     @property
     def links(self) -> list[str] | None:

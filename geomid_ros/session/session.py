@@ -41,6 +41,7 @@ from geomid_ros.files.models.readers import ELEMENTS, URDF
 from geomid_ros.files.models.urdf import inertia_of, with_effects, with_inertials
 from geomid_ros.files.models.written_model import WrittenModel, handover_entry, written_model
 from geomid_ros.model.absent_joints import lockable
+from geomid_ros.model.alike_parts import AlikeParts, alike_parts, said_alike
 from geomid_ros.model.columns import Columns
 from geomid_ros.model.imu import ImuMount
 from geomid_ros.model.measurement import MeasurementModel
@@ -164,13 +165,22 @@ class Session:
     def _estimator_settings(self) -> EstimatorSettings:
         """With the population that is the prior. Raises InputError where several priors are given, or none fits."""
         settings = self.configuration.estimator([channel.name for channel in self.model.channels])
-        settings = replace(settings, files={reader: ELEMENTS[reader] for reader in self._readers})
+        settings = replace(
+            settings, files={reader: ELEMENTS[reader] for reader in self._readers}, alike=self._alike_parts()
+        )
         if not (path := self.configuration["prior"]):
             return settings
         for other in ("model", "gamma"):
             if self.configuration[other]:
                 raise InputError(f"{self.configuration.source}: prior and {other} are both given; choose one")
         return replace(settings, population=read_population(Path(path)))
+
+    def _alike_parts(self) -> tuple[AlikeParts, ...]:
+        """Links that are alike, if the prior is that of the URDF. Raises InputError for what the option cannot be."""
+        configuration = self.configuration
+        if configuration.alike and not any(configuration[other] for other in ("model", "prior", "gamma")):
+            return alike_parts(self.model.robot, self.model.identified)
+        return ()
 
     def judge(self) -> None:
         """Judge the recording as a whole, by the samples that :attr:`check` was told of so far."""
@@ -303,8 +313,8 @@ class Session:
     def notes(self) -> list[str]:
         """What is worth knowing, in sentences, and casts no doubt on results."""
         names = ", ".join(dict.fromkeys(self._unchecked))
-        unchecked = f"{names}: no CRCs; corruption cannot be detected"
-        return [*self.settled, unchecked] if names else self.settled
+        unchecked = [f"{names}: no CRCs; corruption cannot be detected"] if names else []
+        return [*self.settled, *unchecked, *said_alike(self._settings.alike)]
 
     def begin_recording(self, bag: Bag) -> None:
         """Note that the samples to come are of another recording, and what is missing of it."""
