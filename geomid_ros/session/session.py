@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -165,9 +165,7 @@ class Session:
     def _estimator_settings(self) -> EstimatorSettings:
         """With the population that is the prior. Raises InputError where several priors are given, or none fits."""
         settings = self.configuration.estimator([channel.name for channel in self.model.channels])
-        settings = replace(
-            settings, files={reader: ELEMENTS[reader] for reader in self._readers}, alike=self._alike_parts()
-        )
+        settings = replace(settings, files={reader: ELEMENTS[reader] for reader in self._readers}, alike=self.alike)
         if not (path := self.configuration["prior"]):
             return settings
         for other in ("model", "gamma"):
@@ -175,8 +173,9 @@ class Session:
                 raise InputError(f"{self.configuration.source}: prior and {other} are both given; choose one")
         return replace(settings, population=read_population(Path(path)))
 
-    def _alike_parts(self) -> tuple[AlikeParts, ...]:
-        """Links that are alike, if the prior is that of the URDF. Raises InputError for what the option cannot be."""
+    @cached_property
+    def alike(self) -> tuple[AlikeParts, ...]:
+        """Links that are alike, if the prior is that of the URDF."""
         configuration = self.configuration
         if configuration.alike and not any(configuration[other] for other in ("model", "prior", "gamma")):
             return alike_parts(self.model.robot, self.model.identified)
@@ -314,7 +313,7 @@ class Session:
         """What is worth knowing, in sentences, and casts no doubt on results."""
         names = ", ".join(dict.fromkeys(self._unchecked))
         unchecked = [f"{names}: no CRCs; corruption cannot be detected"] if names else []
-        return [*self.settled, *unchecked, *said_alike(self._settings.alike)]
+        return [*self.settled, *unchecked, *said_alike(self.alike)]
 
     def begin_recording(self, bag: Bag) -> None:
         """Note that the samples to come are of another recording, and what is missing of it."""
