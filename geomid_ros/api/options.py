@@ -9,12 +9,14 @@ from typing import Any, NamedTuple, TypeAlias, TypedDict
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import bags_in
+from geomid_ros.files.disk import read_text
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.models.xacro import SUFFIX, urdf_of_xacro
 from geomid_ros.model.imu import Imu
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, Topics, recorded_description
+from geomid_ros.signals.messages import COMMANDS, IMU
 
 PathLike: TypeAlias = str | Path
 """The path of a file or a folder."""
@@ -24,6 +26,11 @@ Texts: TypeAlias = str | Sequence[str]
 """One text or several."""
 Config: TypeAlias = PathLike | Mapping[str, Any] | Configuration
 """A parameter file (YAML), or parameters by their full names, as in ``{"filter.cutoff": 8.0}``."""
+
+
+def _lines(text: str) -> list[str]:
+    """The entries of a file, or the one that the text is."""
+    return read_text(Path(text), "file of gains").split() if Path(text).is_file() else [text]
 
 
 def paths(given: Paths) -> list[Path]:
@@ -117,6 +124,8 @@ class RobotKeywords(TypedDict, total=False):
     imu: str | None
     contacts: Texts | None
     alike: str | None
+    command: str | None
+    gains: Texts
 
 
 class RecordingKeywords(RobotKeywords, total=False):
@@ -151,6 +160,10 @@ class RobotOptions:
         imu: an IMU on the base in place of its pose, as ``TOPIC:FRAME``.
         contacts: feet on the ground, as ``FRAME`` or ``FRAME:RADIUS`` [m], whose forces the legs' efforts tell.
         alike: ``urdf`` if links that are alike in it (legs, arms) err mostly alike, ``none`` if each errs by itself.
+        command: topic of the joints' set-points (JointState), as efforts their feed-forward; what is held out is
+            simulated under them. Without gains efforts are measured.
+        gains: of the joints' controllers, whose efforts are those of the set-points, as ``KP:KD`` or ``JOINT=KP:KD``
+            [N m/rad, N m s/rad], or files with one of these on each line.
     """
 
     urdf: PathLike | None = None
@@ -168,12 +181,14 @@ class RobotOptions:
     imu: str | None = None
     contacts: Texts | None = None
     alike: str | None = None
+    command: str | None = None
+    gains: Texts = ()
 
     @property
     def topics(self) -> Topics:
         """The topics that recordings are read from."""
-        imu = () if self.imu is None else (Imu.parse(self.imu).topic,)
-        return Topics(self.joint_topic, self.odom_topic, *imu)
+        imu = IMU if self.imu is None else Imu.parse(self.imu).topic
+        return Topics(self.joint_topic, self.odom_topic, imu, self.command or COMMANDS)
 
     def description(self, bags: Sequence[Path], model: PathLike | None = None) -> DescribedRobot:
         """The robot description, see :func:`~geomid_ros.api.options.description`."""
@@ -198,6 +213,7 @@ class RobotOptions:
             "floating_base": self.floating_base or None,
             "imu.frame": None if self.imu is None else Imu.parse(self.imu).frame,
             "alike": self.alike,
+            "command.gains": [own for text in entries("gains", self.gains) for own in _lines(text)] or None,
             "contacts": entries("contacts", self.contacts or ()) or None,
         }
         said = {name: value for name, value in own.items() if value is not None}

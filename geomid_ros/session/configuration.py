@@ -18,6 +18,7 @@ from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import BufferSettings
 from geomid_ros.files.parameter_file import read_parameter_file
 from geomid_ros.model.contacts import Contact
+from geomid_ros.model.controller import Gains
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS, IdentifiedEffect, identified_effect
 from geomid_ros.model.sensors import AXES, WrenchSensor
 from geomid_ros.model.weighed_masses import WeighedMass
@@ -81,6 +82,13 @@ PARAMETERS = (
     ),
     Parameter("wrench.*.axes", list(AXES), "measured axes"),
     Parameter("wrench.*.sign", 1.0, "-1 if the sensor reports the reaction", -1.0, 1.0),
+    Parameter(
+        "command.gains",
+        _NONE,
+        "gains of motors without torque sensors, as KP:KD or JOINT=KP:KD; efforts are those of the set-points on "
+        "joint_commands",
+    ),
+    Parameter("command.delay", 0.0, "time until a command acts [s]; what is left of it is identified", -0.5, 0.5),
     Parameter("merge_joint_states", False, "joint_states has several publishers, each with some of the joints"),
     Parameter("effort_gain", 1.0, "factor from message efforts to N m (or N); negative reverses the sign", -1e6, 1e6),
     Parameter("joint.*.effort_gain", 1.0, "the same for one joint", -1e6, 1e6),
@@ -182,6 +190,7 @@ class Configuration:
             self.candidates,
             self.sensors,
             self.contacts,
+            self.gains,
             self.gravity,
             self.buffer,
             self.signals(()),
@@ -314,6 +323,12 @@ class Configuration:
                 f"{self.source}: contacts need an IMU on the base (--imu TOPIC:FRAME, imu.frame) or its pose"
             )
         return [self._naming_source("", partial(Contact.parse, text)) for text in self["contacts"]]
+
+    @property
+    def gains(self) -> dict[str, Gains]:
+        """Gains by joint, those of all others under an empty name; none if efforts are measured."""
+        pairs = (text.rpartition("=") for text in self["command.gains"])
+        return {joint: self._naming_source("command.gains: ", partial(Gains.parse, own)) for joint, _, own in pairs}
 
     @property
     def sensors(self) -> list[WrenchSensor]:

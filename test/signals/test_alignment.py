@@ -83,6 +83,7 @@ def test_every_array_has_the_shape_that_is_written() -> None:
         "wrenches": (count, 1, 6),
         "effects": (count, 0),
         "standing": (count, 0),
+        "commands": (count, 4, 0),
     }
     assert samples.stamps.dtype == np.int64
     with pytest.raises(ValueError, match="read-only"):
