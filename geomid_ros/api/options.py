@@ -9,14 +9,14 @@ from typing import Any, NamedTuple, TypeAlias, TypedDict
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import bags_in
-from geomid_ros.files.disk import read_text
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.models.xacro import SUFFIX, urdf_of_xacro
+from geomid_ros.files.parameter_file import read_parameter_file
 from geomid_ros.model.imu import Imu
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, Topics, recorded_description
-from geomid_ros.signals.messages import COMMANDS, IMU
+from geomid_ros.signals.messages import COMMANDS, IMU, ODOM
 
 PathLike: TypeAlias = str | Path
 """The path of a file or a folder."""
@@ -28,9 +28,16 @@ Config: TypeAlias = PathLike | Mapping[str, Any] | Configuration
 """A parameter file (YAML), or parameters by their full names, as in ``{"filter.cutoff": 8.0}``."""
 
 
-def _lines(text: str) -> list[str]:
-    """The entries of a file, or the one that the text is."""
-    return read_text(Path(text), "file of gains").split() if Path(text).is_file() else [text]
+def _gains_of(text: str) -> list[str]:
+    """The entries of ``gains`` that a text is, or that the parameters of a joint_trajectory_controller are in the file
+    of this name. Raises InputError naming the file."""
+    if not Path(text).is_file():
+        return [text]
+    said = read_parameter_file(Path(text))
+    joints = [name[len("gains.") : -len(".p")] for name in said if name.startswith("gains.") and name.endswith(".p")]
+    if not joints:
+        raise InputError(f"{text}: expected gains.JOINT.p and .d, as a joint_trajectory_controller has them")
+    return [f"{joint}={said[f'gains.{joint}.p']}:{said.get(f'gains.{joint}.d', 0.0)}" for joint in joints]
 
 
 def paths(given: Paths) -> list[Path]:
@@ -163,7 +170,7 @@ class RobotOptions:
         command: topic of the joints' set-points (JointState), as efforts their feed-forward; what is held out is
             simulated under them. Without gains efforts are measured.
         gains: of the joints' controllers, whose efforts are those of the set-points, as ``KP:KD`` or ``JOINT=KP:KD``
-            [N m/rad, N m s/rad], or files with one of these on each line.
+            [N m/rad, N m s/rad], or the parameter file of a joint_trajectory_controller.
     """
 
     urdf: PathLike | None = None
@@ -177,7 +184,7 @@ class RobotOptions:
     wrench: Texts = ()
     joint_topic: str = "joint_states"
     floating_base: bool = False
-    odom_topic: str = "odom"
+    odom_topic: str = ODOM
     imu: str | None = None
     contacts: Texts | None = None
     alike: str | None = None
@@ -187,6 +194,8 @@ class RobotOptions:
     @property
     def topics(self) -> Topics:
         """The topics that recordings are read from."""
+        if self.imu is not None and self.odom_topic != ODOM:
+            raise InputError("--odom-topic beside --imu: an IMU is in place of the base's pose; leave one of them out")
         imu = IMU if self.imu is None else Imu.parse(self.imu).topic
         return Topics(self.joint_topic, self.odom_topic, imu, self.command or COMMANDS)
 
@@ -213,7 +222,7 @@ class RobotOptions:
             "floating_base": self.floating_base or None,
             "imu.frame": None if self.imu is None else Imu.parse(self.imu).frame,
             "alike": self.alike,
-            "command.gains": [own for text in entries("gains", self.gains) for own in _lines(text)] or None,
+            "command.gains": [own for text in entries("gains", self.gains) for own in _gains_of(text)] or None,
             "contacts": entries("contacts", self.contacts or ()) or None,
         }
         said = {name: value for name, value in own.items() if value is not None}

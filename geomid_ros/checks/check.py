@@ -16,7 +16,7 @@ from geomid_ros.checks.commands import wrong_gains
 from geomid_ros.checks.description import impossible_description
 from geomid_ros.checks.evidence import FOLLOWS, HALF, LEAST_SIGMA
 from geomid_ros.checks.instants import FEWEST, Instants, Kept, Stretch
-from geomid_ros.checks.legs import carried_weight
+from geomid_ros.checks.legs import carried_weight, unnamed_feet
 from geomid_ros.checks.stuck import frozen_position, held_efforts
 from geomid_ros.checks.subject import Subject
 from geomid_ros.checks.transforms import transforms
@@ -73,8 +73,10 @@ class JudgementTask:
         elif efforts_alone(self.model):
             check = EffortCheck(self.model, excerpt.kept, self.gains)
             findings, remarks = check.findings(), check.remarks
-        elif self.model.legs is not None and (found := carried_weight(self.model.legs, excerpt.kept.samples)):
-            findings = [found]
+        elif self.model.legs is not None:
+            samples = excerpt.kept.samples
+            both = carried_weight(self.model.legs, samples), unnamed_feet(self.model.robot, self.model.legs, samples)
+            findings = [found for found in both if found is not None]
         if not findings:  # a motion that is not the robot's would be the sensors' fault, too
             wrong = (self._wrench(sensor, excerpt) for sensor in self.model.mounted)
             findings = [finding for finding in wrong if finding is not None]

@@ -130,8 +130,8 @@ robot_options = together(
             "--gains",
             multiple=True,
             metavar="[JOINT=]KP:KD",
-            help="Gains of motors without torque sensors, or a file with them; efforts are those of --command; may be "
-            "repeated.",
+            help="Gains of motors without torque sensors, whose efforts are those of --command, or a parameter file of "
+            "a joint_trajectory_controller; may be repeated.",
         ),
         click.option(
             "--command",

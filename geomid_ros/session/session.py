@@ -16,6 +16,7 @@ from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.check import Judge, JudgementTask, RecordingCheck, efforts_alone
 from geomid_ros.checks.commands import encoder_zeros
 from geomid_ros.checks.imu import displaced_imu, turned_imu
+from geomid_ros.checks.legs import never_lifted
 from geomid_ros.checks.unexplained import unexplained
 from geomid_ros.checks.verdict import (
     HEAVIER,
@@ -275,6 +276,7 @@ class Session:
             findings = findings or displaced_imu(self.model, samples, estimate.parameters)
         if self._controller is not None:
             peculiar += encoder_zeros(self._controller, estimate.effects, self.robot.joint_names)
+        peculiar += never_lifted(self.model, estimate)
         peculiar += [] if held_out is None else unlike(estimate, held_out)
         impossible = tuple(impossible_links(self.urdf, self._source, self._suspects(estimate)))
         return verdict(

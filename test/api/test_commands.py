@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -64,8 +65,9 @@ def test_efforts_are_those_of_commands_and_their_delay_is_found(without_efforts:
     assert found.verdict.word == measured.verdict.word
     for joint in JOINTS:
         assert found.rms[joint] < 1.3 * measured.rms[joint]
-    file = without_efforts.parent / "gains.txt"
-    file.write_text("\n".join(GAINS))
+    file = without_efforts.parent / "controller.yaml"
+    gains = {joint: {"p": p, "d": d} for joint, p, d in zip(JOINTS, KP.tolist(), KD.tolist(), strict=True)}
+    file.write_text(json.dumps({"controller": {"ros__parameters": {"gains": gains}}}))
     assert geomid_ros.identify(without_efforts, URDF, command=TOPIC, gains=str(file)).rms == found.rms
 
 
