@@ -83,8 +83,8 @@ def test_a_foot_that_no_contact_names_is_found(folder: Path, tmp_path: Path) -> 
 
 
 def test_an_imu_that_is_turned_is_told(folder: Path, tmp_path: Path) -> None:
-    """By the angle, and the total mass is as right as without. The simulated legs are not alike, and two of them stand in
-    all that is fitted: what the others tell of them is wrong."""
+    """By the angle, and the total mass is as right as without. The simulated legs are not alike, and two of them stand
+    in all that is fitted: what the others tell of them is wrong."""
     (tmp_path / "turned.urdf").write_text(misplaced(urdf("go2.urdf"), np.deg2rad(4.0), 0.0), encoding="utf-8")
     result = geomid(
         "identify", folder / "walk", "--urdf", tmp_path / "turned.urdf", *LEGS, "--alike", "none", "--out", tmp_path
