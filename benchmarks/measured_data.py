@@ -68,6 +68,7 @@ CASES = {
     "kr300": Case("kuka_kr300/kr300.urdf", ("kuka_kr300/FF_A", "kuka_kr300/FF_B"), ("kuka_kr300/FF_C",)),
     "med7": Case("kuka_med7/med7.urdf", ("kuka_med7/measurements",)),
     "tx40": Case("staubli_tx40/tx40.urdf", ("staubli_tx40/tx40",)),
+    "go2_air": Case("go2_air/go2.urdf", ("go2_air/traj_0",), gap=False),
     "wrist": Case(
         "wrist_ft_payload/tool.urdf",
         ("wrist_ft_payload/run",),

@@ -32,6 +32,9 @@ def generate_launch_description() -> LaunchDescription:
                 "joint_states", default_value="joint_states", description="Topic of the joints' states."
             ),
             DeclareLaunchArgument("odom", default_value="odom", description="Topic of a floating base's pose."),
+            DeclareLaunchArgument(
+                "joint_commands", default_value="joint_commands", description="Topic of set-points, with command.gains."
+            ),
             DeclareLaunchArgument("imu", default_value="imu", description="Topic of an IMU on a moving base."),
             DeclareLaunchArgument(
                 "urdf", default_value="", description="URDF or xacro for robot_state_publisher, where none runs yet."
@@ -54,6 +57,7 @@ def generate_launch_description() -> LaunchDescription:
                     ("joint_states", joint_states),
                     ("odom", LaunchConfiguration("odom")),
                     ("imu", LaunchConfiguration("imu")),
+                    ("joint_commands", LaunchConfiguration("joint_commands")),
                 ],
                 output="screen",
             ),

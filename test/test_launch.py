@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 import yaml
 
-from geomid_ros.signals.messages import IMU, JOINT_STATES, ODOM
+from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM
 
 ROOT = Path(__file__).parents[1]
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
@@ -117,7 +117,7 @@ def test_by_default_the_node_alone_is_started(actions: list[Made]) -> None:
     assert node["package"] == "geomid_ros"
     assert callable(scripts[node["executable"]].load())
     assert node["parameters"][1] == {"use_sim_time": "false"}
-    assert node["remappings"] == [(JOINT_STATES, JOINT_STATES), (ODOM, ODOM), (IMU, IMU)]
+    assert node["remappings"] == [(topic, topic) for topic in (JOINT_STATES, ODOM, IMU, COMMANDS)]
 
 
 @pytest.mark.parametrize("config", [path.name for path in sorted((ROOT / "config").glob("*.yaml"))])

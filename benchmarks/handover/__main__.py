@@ -42,10 +42,6 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
-_SETS = {
-    **CASES,
-    "go2_air": Case("go2_air/go2.urdf", ("go2_air/traj_0",)),
-}
 _GAINS = 20.0, 1.5  # of the controller of go2_air [N m/rad, N m s/rad]
 _FITTED = 0.7  # of the time
 _COLUMNS = "URDF given", "inertias only", "file", "with sidecar", "estimate"
@@ -53,7 +49,7 @@ _COLUMNS = "URDF given", "inertias only", "file", "with sidecar", "estimate"
 
 def figures(name: str) -> dict[str, Any]:
     """Totals by reader and column, and the closed loop where it can be simulated."""
-    case = _SETS[name]
+    case = CASES[name]
     found = geomid_ros.identify(
         [DATA / bag for bag in case.train],
         DATA / case.urdf,
@@ -171,12 +167,12 @@ def main() -> None:
     if not DATA.is_dir():
         sys.exit(f"the measured recordings are not there: {DATA}")
     parser = argparse.ArgumentParser(prog="python -m benchmarks.handover", description=__doc__)
-    parser.add_argument("sets", nargs="*", metavar="SET", help=f"of {', '.join(_SETS)}; all unless given")
+    parser.add_argument("sets", nargs="*", metavar="SET", help=f"of {', '.join(CASES)}; all unless given")
     parser.add_argument("--out", type=Path, help="file for the figures (JSON)")
     parser.add_argument("--before", type=Path, help="figures of an earlier run to print beside")
     arguments = parser.parse_args()
     before = json.loads(arguments.before.read_text()) if arguments.before else {}
-    kept = {name: figures(name) for name in arguments.sets or _SETS}
+    kept = {name: figures(name) for name in arguments.sets or CASES}
     _show(kept, before)
     if arguments.out:
         arguments.out.write_text(json.dumps(kept, indent=2))

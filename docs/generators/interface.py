@@ -18,13 +18,14 @@ from geomid_ros.ros.node import GeomidNode
 _NAMESPACE, _NAME = "/namespace", "geomid"
 # With these the node opens all that it ever opens: simulated time, a wrench sensor, a floating base in two ways.
 _ARGUMENTS = ["--ros-args", "-r", f"__ns:={_NAMESPACE}", "-p", "use_sim_time:=true"]
-_BASES = (["-p", "floating_base:=true"], ["-p", "imu.frame:=LINK"])
+_BASES = (["-p", "floating_base:=true"], ["-p", "imu.frame:=LINK", "-p", "command.gains:=['20:1']"])
 _SENSOR = ["-p", "wrenches:=['NAME']", "-p", "wrench.NAME.frame:=LINK"]
 
 _MEANINGS = {
     "joint_states": "joints in any order; velocity is used if present and consistent with the position",
     "robot_description": "the URDF, unless it is given as a parameter",
     "odom": "pose of a floating base, with `floating_base`",
+    "joint_commands": "set-points of joints whose efforts are not measured, with `command.gains`",
     "imu": "angular velocity and acceleration of a floating base, with `imu.frame`",
     "NAME": "one for every sensor in `wrenches`, here `NAME`; `wrench.NAME.topic` sets another topic",
     "~/inertias": "one message per link; `frame_id` is the link, `com` in its frame, "

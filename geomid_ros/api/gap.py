@@ -178,7 +178,6 @@ def find_gap(
     urdf: PathLike | None = None,
     *,
     simulated: Paths = (),
-    command: str | None = None,
     reader: str = URDF,
     progress: Progress = silent,
     **options: Unpack[RecordingKeywords],
@@ -191,7 +190,6 @@ def find_gap(
         bags: rosbag folders, or .mcap and .db3 files.
         urdf: path or text of the robot description, see :class:`~geomid_ros.RecordingOptions`.
         simulated: recordings of your simulator under the commands of each bag, in the same order.
-        command: topic of the recorded joint set-points (JointState), for a simulation in closed loop.
         reader: who will read the description that is written: urdf, moveit, isaac, gazebo, drake or mujoco.
         progress: called with the current stage and its completed share, 0 to 1.
         options: which robot it is and how its recordings are read, see :class:`~geomid_ros.RecordingOptions`; with
@@ -214,7 +212,7 @@ def find_gap(
     session.check_description()
     of_bags = GapReader(session, recorded, progress)
     sharp = of_bags.sharp()
-    commands = of_bags.sharp(command) if command else []
+    commands = of_bags.sharp(chosen.command) if chosen.command else []
     try:
         result = find(session, recordings, progress)
     except InputError as error:

@@ -16,7 +16,7 @@ import numpy as np
 from geomid_ros.api.options import PathLike, Paths, RecordingKeywords, RecordingOptions, Texts, entries
 from geomid_ros.checks.verdict import DOUBTFUL, Verdict
 from geomid_ros.errors import GeomidError, unknown_name
-from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
+from geomid_ros.estimation.estimate import SURE, EffectEstimate, Estimate, LinkEstimate
 from geomid_ros.estimation.suggested_motions import suggested_motions
 from geomid_ros.exports.handover import HandedOver, JudgedFile
 from geomid_ros.files.disk import staged, write_json, write_text
@@ -27,6 +27,7 @@ from geomid_ros.files.models.readers import DESCRIBED_FOR, ELEMENTS, READERS, UR
 from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.gap.evidence.standing import StandingRemainder
+from geomid_ros.model.effects import effect_class
 from geomid_ros.model.samples import Samples
 from geomid_ros.report.identification_page import IdentificationPage, write_identification_page
 from geomid_ros.report.series import Series, series_of
@@ -42,6 +43,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from geomid_ros.resimulation.closed_loop import Tracking
+
+
+_DELAYS = 3  # times a recording is read again with the delay of commands that was found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -326,7 +330,6 @@ def identify(
     links: Texts | None = None,
     known: Texts = (),
     reader: str = URDF,
-    command: str | None = None,
     progress: Progress = silent,
     **options: Unpack[RecordingKeywords],
 ) -> Identification:
@@ -345,7 +348,6 @@ def identify(
         links: names of the links to identify; None for the configured ones.
         known: weighed masses, as ``LINK=MASS:STD``, ``LINK+LINK=MASS:STD`` or ``total=MASS:STD`` [kg].
         reader: who will read the description that is written: urdf, moveit, isaac, gazebo, drake or mujoco.
-        command: topic of the joints' set-points (JointState), to simulate what is held out under them.
         progress: called with the current stage and its completed share, 0 to 1.
         options: which robot it is and how its recordings are read, see :class:`~geomid_ros.RecordingOptions`.
 
@@ -358,15 +360,26 @@ def identify(
     recorded = chosen.bags(bags)
     parameters = chosen.configuration(chosen.model, **_parameters(prior, effects, candidates, links, known))
     robot = chosen.description(recorded.fitted, chosen.model)
-    session, (held_out, judged) = read_with_locked(
-        lambda configured: Session(robot.text, configured, robot.source, readers=(*READERS,)),
-        parameters,
-        lambda session: _read(session, recorded, progress),
-    )
+
+    def solved(parameters: Configuration) -> tuple[Session, list[Samples], list[Samples], Estimate]:
+        session, (held_out, judged) = read_with_locked(
+            lambda configured: Session(robot.text, configured, robot.source, readers=(*READERS,)),
+            parameters,
+            lambda session: _read(session, recorded, progress),
+        )
+        session.check_description()
+        progress("solving", 0.0)
+        return session, held_out, judged, session.identifier.solve()
+
+    session, held_out, judged, estimate = solved(parameters)
+    for _ in range(_DELAYS):
+        if (delay := _late(estimate)) is None:
+            break
+        parameters = parameters.with_values({"command.delay": parameters["command.delay"] + delay})
+        session, held_out, judged, estimate = solved(parameters)
+    if parameters["command.delay"]:
+        session.settled.append(f"commands act {1e3 * parameters['command.delay']:.1f} ms after their stamps")
     session.settled.extend(robot.notes)
-    session.check_description()
-    progress("solving", 0.0)
-    estimate = session.identifier.solve()
     return Identification(
         session=session,
         bags=recorded,
@@ -374,8 +387,14 @@ def identify(
         held_out=held_out,
         judged=judged,
         reader=reader,
-        command=command,
+        command=chosen.command,
     )
+
+
+def _late(estimate: Estimate) -> float | None:
+    """How late commands act [s], if they do: a delay is identified to first order, as it becomes smaller exactly."""
+    delays = (effect for effect in estimate.effects if effect_class(effect.name).place == "commands")
+    return next((effect.value for effect in delays if abs(effect.value) > SURE * effect.std), None)
 
 
 def _recording(share: float) -> str:

@@ -11,10 +11,12 @@ from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import bags_in
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.models.xacro import SUFFIX, urdf_of_xacro
+from geomid_ros.files.parameter_file import read_parameter_file
 from geomid_ros.model.imu import Imu
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, Topics, recorded_description
+from geomid_ros.signals.messages import COMMANDS, IMU, ODOM
 
 PathLike: TypeAlias = str | Path
 """The path of a file or a folder."""
@@ -24,6 +26,18 @@ Texts: TypeAlias = str | Sequence[str]
 """One text or several."""
 Config: TypeAlias = PathLike | Mapping[str, Any] | Configuration
 """A parameter file (YAML), or parameters by their full names, as in ``{"filter.cutoff": 8.0}``."""
+
+
+def _gains_of(text: str) -> list[str]:
+    """The entries of ``gains`` that a text is, or that the parameters of a joint_trajectory_controller are in the file
+    of this name. Raises InputError naming the file."""
+    if not Path(text).is_file():
+        return [text]
+    said = read_parameter_file(Path(text))
+    joints = [name[len("gains.") : -len(".p")] for name in said if name.startswith("gains.") and name.endswith(".p")]
+    if not joints:
+        raise InputError(f"{text}: expected gains.JOINT.p and .d, as a joint_trajectory_controller has them")
+    return [f"{joint}={said[f'gains.{joint}.p']}:{said.get(f'gains.{joint}.d', 0.0)}" for joint in joints]
 
 
 def paths(given: Paths) -> list[Path]:
@@ -116,6 +130,9 @@ class RobotKeywords(TypedDict, total=False):
     odom_topic: str
     imu: str | None
     contacts: Texts | None
+    alike: str | None
+    command: str | None
+    gains: Texts
 
 
 class RecordingKeywords(RobotKeywords, total=False):
@@ -149,6 +166,11 @@ class RobotOptions:
         odom_topic: topic of the base's pose.
         imu: an IMU on the base in place of its pose, as ``TOPIC:FRAME``.
         contacts: feet on the ground, as ``FRAME`` or ``FRAME:RADIUS`` [m], whose forces the legs' efforts tell.
+        alike: ``urdf`` if links that are alike in it (legs, arms) err mostly alike, ``none`` if each errs by itself.
+        command: topic of the joints' set-points (JointState), as efforts their feed-forward; what is held out is
+            simulated under them. Without gains efforts are measured.
+        gains: of the joints' controllers, whose efforts are those of the set-points, as ``KP:KD`` or ``JOINT=KP:KD``
+            [N m/rad, N m s/rad], or the parameter file of a joint_trajectory_controller.
     """
 
     urdf: PathLike | None = None
@@ -162,15 +184,20 @@ class RobotOptions:
     wrench: Texts = ()
     joint_topic: str = "joint_states"
     floating_base: bool = False
-    odom_topic: str = "odom"
+    odom_topic: str = ODOM
     imu: str | None = None
     contacts: Texts | None = None
+    alike: str | None = None
+    command: str | None = None
+    gains: Texts = ()
 
     @property
     def topics(self) -> Topics:
         """The topics that recordings are read from."""
-        imu = () if self.imu is None else (Imu.parse(self.imu).topic,)
-        return Topics(self.joint_topic, self.odom_topic, *imu)
+        if self.imu is not None and self.odom_topic != ODOM:
+            raise InputError("--odom-topic beside --imu: an IMU is in place of the base's pose; leave one of them out")
+        imu = IMU if self.imu is None else Imu.parse(self.imu).topic
+        return Topics(self.joint_topic, self.odom_topic, imu, self.command or COMMANDS)
 
     def description(self, bags: Sequence[Path], model: PathLike | None = None) -> DescribedRobot:
         """The robot description, see :func:`~geomid_ros.api.options.description`."""
@@ -194,6 +221,8 @@ class RobotOptions:
             "merge_joint_states": self.merge or None,
             "floating_base": self.floating_base or None,
             "imu.frame": None if self.imu is None else Imu.parse(self.imu).frame,
+            "alike": self.alike,
+            "command.gains": [own for text in entries("gains", self.gains) for own in _gains_of(text)] or None,
             "contacts": entries("contacts", self.contacts or ()) or None,
         }
         said = {name: value for name, value in own.items() if value is not None}

@@ -12,15 +12,17 @@ import numpy as np
 from geomid_ros.checks.candidates import Decision, Tried, contradicted, decide
 from geomid_ros.checks.causes import MODEL, Cause, Finding
 from geomid_ros.checks.changes import changes, lags
+from geomid_ros.checks.commands import wrong_gains
 from geomid_ros.checks.description import impossible_description
 from geomid_ros.checks.evidence import FOLLOWS, HALF, LEAST_SIGMA
 from geomid_ros.checks.instants import FEWEST, Instants, Kept, Stretch
-from geomid_ros.checks.legs import carried_weight
+from geomid_ros.checks.legs import carried_weight, unnamed_feet
 from geomid_ros.checks.stuck import frozen_position, held_efforts
 from geomid_ros.checks.subject import Subject
 from geomid_ros.checks.transforms import transforms
 from geomid_ros.checks.unexplained import Residuals, hint
 from geomid_ros.checks.wrenches import WrenchSensorCheck, can_be_judged
+from geomid_ros.model.controller import Controller
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.moving import SIGN, STILL
 from geomid_ros.model.samples import Samples
@@ -53,21 +55,28 @@ class JudgementTask:
         model: of the robot.
         gains: ``(joints,)`` factors that the messages' efforts are multiplied by.
         sensors: the names of the wrench sensors in the configuration, by topic.
+        controller: that efforts were computed with, if they were.
     """
 
     model: MeasurementModel
     gains: FloatArray
     sensors: Mapping[str, str]
+    controller: Controller | None = None
 
     def judge(self, excerpt: Excerpt) -> Judgement:
         """What a recording seems to be, by an excerpt of it."""
         findings: list[Finding] = []
         remarks: list[str] = []
-        if efforts_alone(self.model):
+        names = self.model.robot.joint_names
+        if self.controller and (other := wrong_gains(self.controller, excerpt.kept.samples, names)):
+            findings = [other]
+        elif efforts_alone(self.model):
             check = EffortCheck(self.model, excerpt.kept, self.gains)
             findings, remarks = check.findings(), check.remarks
-        elif self.model.legs is not None and (found := carried_weight(self.model.legs, excerpt.kept.samples)):
-            findings = [found]
+        elif self.model.legs is not None:
+            samples = excerpt.kept.samples
+            both = carried_weight(self.model.legs, samples), unnamed_feet(self.model.robot, self.model.legs, samples)
+            findings = [found for found in both if found is not None]
         if not findings:  # a motion that is not the robot's would be the sensors' fault, too
             wrong = (self._wrench(sensor, excerpt) for sensor in self.model.mounted)
             findings = [finding for finding in wrong if finding is not None]

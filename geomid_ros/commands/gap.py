@@ -24,7 +24,6 @@ from geomid_ros.commands.options import OUT, PATH, reader_option, recording_opti
     type=PATH,
     help="Recording of your simulator under the commands of a bag; one for each of BAGS, in their order.",
 )
-@click.option("--command", help="Topic of the recorded joint set-points (JointState), for a simulation in closed loop.")
 @reader_option
 @click.option("--out", default=Path("geomid_gap"), **OUT)
 @report_option

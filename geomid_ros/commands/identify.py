@@ -41,10 +41,6 @@ from geomid_ros.errors import one_line
     help="Start from this population.json, written by 'geomid fleet' for this type of robot.",
 )
 @reader_option
-@click.option(
-    "--command",
-    help="Topic of the recorded joint set-points (JointState), for a closed-loop simulation of the held-out data.",
-)
 @click.option("--out", default=Path("geomid_out"), **OUT)
 @report_option
 @click.option("--json", "as_json", is_flag=True, help="Print estimate.json instead of tables.")

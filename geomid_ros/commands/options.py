@@ -126,8 +126,21 @@ robot_options = together(
             metavar="TOPIC:FRAME:ROLE[:AXES]",
             help="Wrench topic; ROLE is mounted or external, -ROLE reverses the sign; AXES as in fz,tx,ty.",
         ),
+        click.option(
+            "--gains",
+            multiple=True,
+            metavar="[JOINT=]KP:KD",
+            help="Gains of motors without torque sensors, whose efforts are those of --command, or a parameter file of "
+            "a joint_trajectory_controller; may be repeated.",
+        ),
+        click.option(
+            "--command",
+            metavar="TOPIC",
+            help="Topic of the recorded joint set-points (JointState); identify and gap simulate under them.",
+        ),
         joint_topic_option,
         click.option("--merge", is_flag=True, help="Several publishers send joint states, each for some joints."),
+        click.option("--alike", type=click.Choice(("urdf", "none")), help="Links that err alike.  [default: urdf]"),
         click.option("--cutoff", type=float, metavar="HZ", help="Cutoff of the low-pass filter on all signals."),
         description_options,
         click.option(

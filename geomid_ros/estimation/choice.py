@@ -261,7 +261,7 @@ class _Rows:
             weights = np.append(np.repeat(spreads, 10) ** -2.0, np.full(len(manifold.scales), ROUNDING))
             return ProfileObjective(profile, weights, known_rows)
 
-        def likely(point: Point, whitener: FloatArray) -> FloatArray:
+        def likely(point: Point, whitener: FloatArray, _: FloatArray) -> FloatArray:
             unsure = np.sum(whitener[:, links] ** 2, axis=0)
             return likely_spreads(manifold.log(prior, point)[links], unsure, usual)
 

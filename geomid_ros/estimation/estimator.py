@@ -11,7 +11,9 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation import estimate_parts, uncertainty
+from geomid_ros.estimation.alike_prior import AlikePrior
 from geomid_ros.estimation.choice import choose
+from geomid_ros.estimation.coupled_prior import CoupledPrior, fit_beside
 from geomid_ros.estimation.estimate import SURE, Estimate
 from geomid_ros.estimation.file_fits import fit_files
 from geomid_ros.estimation.fit import INDEPENDENT, Fit, fit
@@ -19,13 +21,14 @@ from geomid_ros.estimation.identified import WITHIN
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.estimation.paper_estimator import OBJECTIVES
 from geomid_ros.estimation.population import Population
-from geomid_ros.estimation.population_prior import PopulationPrior, fit_with_population, unlike_population
+from geomid_ros.estimation.population_prior import PopulationPrior
 from geomid_ros.estimation.posterior import effect_columns
 from geomid_ros.estimation.problem import Problem, subproblem
 from geomid_ros.estimation.solvers import SOLVERS
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.model.alike_parts import AlikeParts
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_rows
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
@@ -53,6 +56,7 @@ class EstimatorSettings:
         known: Weighed masses.
         cutoff: Of the filter that made the rows [Hz], which says how many of them are independent.
         population: Of the robot's type, in place of the URDF as the prior.
+        alike: Links whose errors in the URDF are mostly the same ones.
         files: By who reads it, the file's elements (:meth:`~geomid_ros.model.effects.ParameterForm.said_by`): the
             parameters are also fitted as far as such a file can hold them.
     """
@@ -66,6 +70,7 @@ class EstimatorSettings:
     known: tuple[WeighedMass, ...] = ()
     cutoff: float = np.inf
     population: Population | None = None
+    alike: tuple[AlikeParts, ...] = ()
     files: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -141,11 +146,13 @@ def estimate(
         solve = partial(fit, tolerance=settings.tolerance, max_steps=settings.max_steps)
         if begun is not None:
             solve = partial(solve, start=problem.manifold.point(begun.parameters[columns]), spreads=begun.spreads)
-        return _with_population(settings.population, problem, solve)
+        return _beside(_coupled(settings, problem), problem, solve)
 
     kept = None if warm is None else _kept(model, warm)
     if warm is None or kept is None or warm.effects_alone:
-        columns = choose(_beside(settings.population, whole), kept)
+        coupled = _coupled(settings, whole)
+        beside = whole if coupled is None else coupled.problem_at(coupled.problem.prior_point, coupled.trusted)
+        columns = choose(beside, kept)
         result = _estimate(columns, model, fitted(columns), settings)
         while len(unsure := _unsure(model, result, columns)):
             columns = np.setdiff1d(columns, unsure)
@@ -158,23 +165,19 @@ def estimate(
     return replace(result, within=within, seconds=time.perf_counter() - begin)
 
 
-def _with_population(
-    population: Population | None, problem: Problem, solve: Callable[..., Fit]
-) -> tuple[Fit, Iterable[str]]:
-    """A fit, beside a population if there is one, and warnings in sentences."""
-    if population is None:
+def _coupled(settings: EstimatorSettings, problem: Problem) -> CoupledPrior | None:
+    """What couples parameters of the prior: the robot's population; else parts of a URDF that are alike, if any are."""
+    if settings.population is not None:
+        return PopulationPrior.of(settings.population, problem)
+    return AlikePrior.of(settings.alike, problem) if settings.alike and problem.given is None else None
+
+
+def _beside(prior: CoupledPrior | None, problem: Problem, solve: Callable[..., Fit]) -> tuple[Fit, Iterable[str]]:
+    """A fit, beside a coupled prior if there is one, and warnings in sentences."""
+    if prior is None:
         return solve(problem), ()
-    beside = PopulationPrior.of(population, problem)
-    found, weights = fit_with_population(beside, solve)
-    return found, unlike_population(beside, weights)
-
-
-def _beside(population: Population | None, whole: Problem) -> Problem:
-    """A problem beside a population, of which its robot is one."""
-    if population is None:
-        return whole
-    prior = PopulationPrior.of(population, whole)
-    return prior.problem_at(prior.problem.prior_point, dict.fromkeys(prior.population.blocks, 1.0))
+    found, weights = fit_beside(prior, solve)
+    return found, prior.unlike(weights)
 
 
 def _kept(model: MeasurementModel, warm: WarmStart) -> IntArray:

@@ -132,15 +132,15 @@ def fit_scales(
     objective: Callable[[FloatArray], ProfileObjective],
     start: Point,
     scales: FloatArray,
-    likely: Callable[[Point, FloatArray], FloatArray] | None,
+    likely: Callable[[Point, FloatArray, FloatArray], FloatArray] | None,
 ) -> ProfileFit:
     """The minimum for those ``scales (n,)`` of the prior that are most likely, by MacKay's fixed point.
 
     Args:
         objective: for given scales.
         start, scales: where to begin.
-        likely: the scales to go on with, from the minimum and the whitener ``(D, D)`` of the Hessian there; None to
-            keep those that are given.
+        likely: the scales to go on with, from the minimum, the whitener ``(D, D)`` of the Hessian there and the scales
+            so far; None to keep those that are given.
     """
     point = start
     for _ in range(ROUNDS):
@@ -149,7 +149,8 @@ def fit_scales(
         point, before = solution.point, scales
         if likely is None:
             break
-        scales = likely(point, definite.whitener(solution.evaluation.information + np.diag(trusted.weights)))
+        whitener = definite.whitener(solution.evaluation.information + np.diag(trusted.weights))
+        scales = likely(point, whitener, scales)
         if np.all(np.abs(np.log(scales / before)) < _SETTLED):
             break
     return ProfileFit(objective(scales), point, scales)

@@ -25,6 +25,7 @@ from geomid_ros.gap.judgement.written import folded, written
 from geomid_ros.gap.result import GapResult
 from geomid_ros.inference.fit import unfitted
 from geomid_ros.inference.prior import Prior
+from geomid_ros.model.alike_parts import AlikeParts
 from geomid_ros.model.effects import KnownEffect, effect_class, values_of
 from geomid_ros.model.measurement import Coefficient, MeasurementModel
 from geomid_ros.model.moving import REST
@@ -66,6 +67,7 @@ def find_gap(
     held_out: Sequence[Samples],
     settings: GapSettings = _DEFAULT,
     *,
+    alike: Sequence[AlikeParts] = (),
     nominal: FloatArray | None = None,
     deviations: FloatArray | None = None,
     known: LinksInformation | None = None,
@@ -90,6 +92,7 @@ def find_gap(
             several) give the noise floor without a model.
         held_out: what is judged on, in the same form: the last 30 % of a bag, or other bags.
         settings: the cutoff of the samples, and how wrong inertias usually are.
+        alike: links whose errors in the URDF are mostly the same ones, if the model has the URDF's inertias.
         nominal: the model's parameters ``(D,)``, NaN where they are not known: those of an ``estimate.json``. The
             URDF's inertias and no effects unless given.
         deviations: their standard deviations ``(D,)``, NaN where they are not known.
@@ -114,7 +117,7 @@ def find_gap(
     held = Records.make(held_out or train, settings.cutoff)
     _check(bare, records)
     _check_held_out(bare, held)
-    prior = _prior(model, nominal, deviations, known, settings)
+    prior = replace(_prior(model, nominal, deviations, known, settings), alike=alike)
     prior, own = _with_beside(bare, records, prior, beside)
     prior = _with_least_spreads(bare, records, prior)
     if simulated:
@@ -316,7 +319,7 @@ def _as_simulated(
     inertias = total_model(model, found).inertias[list(model.identified)].ravel()
     values = np.array([found.value(term) for term in found.terms])
     spreads = np.maximum(_SPREAD_OF_SIMULATED * np.abs(values), _LEAST_SPREAD)
-    return replace(prior, inertias=inertias, terms=found.terms, values=values, spreads=spreads, known=None)
+    return replace(prior, inertias=inertias, terms=found.terms, values=values, spreads=spreads, known=None, alike=())
 
 
 def _coefficients(model: MeasurementModel, prior: NamesPrior, said: Collection[EffectTerm]) -> FloatArray:

@@ -15,6 +15,7 @@ from typing import Any, Generic
 
 import numpy as np
 
+from geomid_ros.estimation.alike_prior import cost_of_own, likely_own
 from geomid_ros.estimation.link_spreads import cost_of_spreads, likely_spreads
 from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, fit_scales
 from geomid_ros.geometry import definite, pseudo_inertia
@@ -40,6 +41,7 @@ class JointFit(Generic[Chosen, Term]):
         weights: the prior's share of it ``(D,)``, what other recordings say apart.
         spreads: of the links' errors ``(links,)``, geodesic distances.
         inflation: factor on the variances of what other recordings say.
+        own_spreads: of the errors that each link has by itself that is alike to others ``(n,)``.
         changes: what each candidate adds to what was known of its coefficients, or the parameters of its body ``(k,)``.
     """
 
@@ -53,6 +55,7 @@ class JointFit(Generic[Chosen, Term]):
     weights: FloatArray
     spreads: FloatArray
     inflation: float
+    own_spreads: FloatArray
     changes: Mapping[Chosen, FloatArray]
 
     @property
@@ -198,22 +201,29 @@ def _free_fit(
     profile = Profile(manifold, products, design.counts, known)
     point = _first_point(manifold, known, None if afresh else start, bodies, terms)
 
+    own_spreads = prior.own_spreads if start is None else start.own_spreads
+    ends = [len(spreads), len(spreads) + 1]
+
     def objective(wide: FloatArray) -> ProfileObjective:
-        trusted = np.append(np.repeat(wide[:-1], 10) ** -2.0, weights[first:])
-        return ProfileObjective(profile, trusted, np.concatenate([rows / np.sqrt(wide[-1]), zero]))
+        links, inflation, apart = np.split(wide, ends)
+        trusted = np.append(np.repeat(links, 10) ** -2.0, weights[first:])
+        alike = priors.rows_of_alike(prior.alike, apart, known, manifold.dimension)
+        return ProfileObjective(profile, trusted, np.concatenate([rows / np.sqrt(inflation), zero, alike]))
 
-    def likely(point: Point, whitener: FloatArray) -> FloatArray:
-        unsure = np.sum(whitener[:, :first] ** 2, axis=0)
-        spreads = likely_spreads(manifold.log(known, point)[:first], unsure, prior.link_spreads, prior.certainty)
-        return np.append(spreads, priors.inflation_of(rows, manifold, point, known, whitener))
+    def likely(point: Point, whitener: FloatArray, before: FloatArray) -> FloatArray:
+        tangent, unsure = manifold.log(known, point)[:first], np.sum(whitener[:, :first] ** 2, axis=0)
+        spreads = likely_spreads(tangent, unsure, prior.link_spreads, prior.certainty)
+        apart = likely_own(prior.alike, np.split(before, ends)[2], tangent, whitener[:, :first])
+        return np.concatenate([spreads, [priors.inflation_of(rows, manifold, point, known, whitener)], apart])
 
-    begin = np.append(spreads, inflation)
+    begin = np.concatenate([spreads, [inflation], own_spreads])
     if afresh and bodies:
         point = priors.centred_payloads(objective(begin), point, len(bodies))
     found = fit_scales(objective, point, begin, None if fixed else likely)
-    spreads, inflation, point = found.scales[:-1], float(found.scales[-1]), found.point
+    spreads, (inflation,), own_spreads = np.split(found.scales, ends)
+    point = found.point
     score = found.score + design.cost + cost_of_spreads(spreads, prior.link_spreads, prior.certainty)
-    score += priors.cost_of_inflation(rows, inflation) + prior.cost
+    score += priors.cost_of_inflation(rows, inflation) + prior.cost + cost_of_own(prior.alike, own_spreads)
     score += sum(c.cost for c in chosen)
     places = {term: place for place, term in enumerate(terms)}
     payloads = iter(point.parameters[first : manifold.inertial.stop].reshape(-1, 10))
@@ -234,6 +244,7 @@ def _free_fit(
         weights=found.objective.weights,
         spreads=spreads,
         inflation=inflation,
+        own_spreads=own_spreads,
         changes=changes,
     )
 
@@ -260,6 +271,7 @@ def unfitted(prior: Prior[Term]) -> JointFit[Any, Term]:
         weights=np.ones(size),
         spreads=prior.link_spreads,
         inflation=1.0,
+        own_spreads=prior.own_spreads,
         changes={},
     )
 

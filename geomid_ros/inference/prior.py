@@ -11,11 +11,14 @@ from typing import Generic
 
 import numpy as np
 
+from geomid_ros.estimation.alike_prior import common_spreads, held_together
 from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.geometry.symmetric import SIZE
 from geomid_ros.inference.hypothesis import Term
+from geomid_ros.model.alike_parts import OWN_SPREAD, AlikeParts
 from geomid_ros.types import FloatArray
 
 SPREAD_OF_PAYLOADS = 3.0
@@ -46,6 +49,7 @@ class Prior(Generic[Term]):
         known: what other recordings say of the links.
         changed_link: one that is another now than in the other recordings.
         cost: minus twice the logarithm of what this makes of the other recordings' probability.
+        alike: links whose errors are mostly the same ones.
         held: rows ``(r, k)`` that hold combinations of coefficients at zero, for their terms and values.
     """
 
@@ -59,15 +63,21 @@ class Prior(Generic[Term]):
     known: LinksInformation | None = None
     changed_link: int | None = None
     cost: float = 0.0
+    alike: Sequence[AlikeParts] = ()
     held: Callable[[Sequence[Term], FloatArray], FloatArray] = nothing_held
 
     @property
     def link_spreads(self) -> FloatArray:
         """The usual size of each link's error ``(links,)``."""
-        spreads = np.full(len(self.inertias) // 10, self.spread)
+        spreads = common_spreads(self.alike, np.full(len(self.inertias) // 10, self.spread))
         if self.changed_link is not None:
             spreads[self.changed_link] = _SPREAD_OF_CHANGED
         return spreads
+
+    @property
+    def own_spreads(self) -> FloatArray:
+        """The usual size of the part of their errors that each of the n links has by itself that are alike ``(n,)``."""
+        return np.full(sum(len(group.members) for group in self.alike), OWN_SPREAD)
 
     def with_changed(self, link: int) -> Prior[Term]:
         """The same of a robot of which a link has been changed since the other recordings: these say of the other links
@@ -141,6 +151,17 @@ def known_rows(known: LinksInformation | None, dimension: int) -> FloatArray:
         return np.zeros((0, dimension + 1))
     others = np.zeros((len(known.rows), dimension - known.rows.shape[1]))
     return np.column_stack([known.rows, others, known.residuals])
+
+
+def rows_of_alike(alike: Sequence[AlikeParts], own: FloatArray, known: Point, dimension: int) -> FloatArray:
+    """Rows for D parameters, and as the last column their residuals at the prior, zero, that hold links together which
+    are alike, ``(10 n, D + 1)``, for the ``own (n,)`` spreads; linearised at the prior."""
+    rows = np.zeros((SIZE * len(own), dimension + 1))
+    root = held_together(alike, own, SIZE * len(known.pseudo_inertias))
+    for link, jacobian in enumerate(known.links_jacobian if len(own) else ()):
+        places = slice(SIZE * link, SIZE * (link + 1))
+        rows[:, places] = np.linalg.solve(jacobian.T, root[:, places].T).T
+    return rows
 
 
 def inflation_of(

@@ -17,7 +17,8 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray, IntArray
 
-_DIRECTIONS = 3
+DIRECTIONS = 3
+"""Of the force on a foot: so many joints tell it."""
 _NEARLY_SINGULAR = 0.1
 """Smallest singular value of a leg's Jacobian as a share of the largest: beyond it noise of efforts is magnified."""
 
@@ -72,10 +73,10 @@ class Legs:
             raise unknown_name("link of a contact", frame, robot.tree.links)
         above = {joint.name for joint in robot.tree.joints_above(frame)}
         joints = np.array([index for index, name in enumerate(robot.joint_names) if name in above], dtype=np.int64)
-        if len(joints) < _DIRECTIONS:
+        if len(joints) < DIRECTIONS:
             raise InputError(
                 f"contacts: {len(joints)} moving joints are between the base and '{frame}', expected at least "
-                f"{_DIRECTIONS}: the forces of the ground are found from a leg's efforts; measure them (--wrench)"
+                f"{DIRECTIONS}: the forces of the ground are found from a leg's efforts; measure them (--wrench)"
             )
         return joints
 

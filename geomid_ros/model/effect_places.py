@@ -14,12 +14,14 @@ from geomid_ros.model.robot import Robot
 
 @dataclass(frozen=True)
 class EffectPlaces:
-    """The places on a ``robot``: on ``links`` that are identified, at sensors of ``topics`` that are predicted."""
+    """The places on a ``robot``: on ``links`` that are identified, at sensors of ``topics`` that are predicted;
+    ``commanded``: whether efforts are those of commands."""
 
     robot: Robot
     links: Sequence[str]
     topics: Sequence[str]
     layout: ChannelLayout
+    commanded: bool = False
 
     def of(self, effect: Effect) -> list[Place]:
         """Where an effect may act."""
@@ -31,6 +33,8 @@ class EffectPlaces:
             case "robot":
                 felt = self.layout.efforts or effect.turns_gravity
                 return [OnRobot()] if felt and not self.robot.floating_base else []
+            case "commands":
+                return [OnRobot()] if self.commanded else []
             case "link":
                 return [OnLink(place, self._mover(link)) for place, link in enumerate(self.links)]
             case "sensor":

@@ -111,6 +111,7 @@ class MeasurementModel:
         candidates: Sequence[IdentifiedEffect] = (),
         behind_gear: Collection[str] = (),
         contacts: Sequence[Contact] = (),
+        commanded: bool = False,
     ) -> None:
         """A model of a robot.
 
@@ -123,6 +124,7 @@ class MeasurementModel:
             behind_gear: names of the joints whose efforts are measured behind the gear, where a motor is not felt.
             candidates: may act at every usual place of their kind where none of the same name is known.
             contacts: the feet of a floating base, whose forces the efforts of their legs tell.
+            commanded: whether efforts are those of commands, which may act late.
 
         Raises:
             InputError: for a link or sensor that does not fit the robot, or where nothing measured can be predicted.
@@ -150,7 +152,7 @@ class MeasurementModel:
         joints, base = len(robot.joints) if self._efforts_usable else 0, len(AXES) if self.legs else 0
         self.layout = ChannelLayout.of(joints, self._row_sensors, base)
         topics = [sensor.topic for sensor in self._row_sensors]
-        self.places = EffectPlaces(robot, self.body_names, topics, self.layout)
+        self.places = EffectPlaces(robot, self.body_names, topics, self.layout, commanded)
         self.coefficients = self._coefficients()
         self._number()
         if not self.channels:

@@ -33,6 +33,8 @@ class Samples:
     ``effects (N, entries)`` are the ``entries`` of effects' columns, computed before the filter and filtered as the
     efforts were; a column that is not among them is computed from the motion given here, which is right when that is
     exact. ``standing (N, feet)``: which feet may touch the ground, none if it has no columns.
+    ``commands (N, 4, joints)``: set-points of position and velocity, the feed-forward, and the efforts that messages
+    report, where efforts are those of commands; else without joints.
     """
 
     stamps: IntArray
@@ -47,12 +49,15 @@ class Samples:
     effects: FloatArray = None  # type: ignore[assignment]  # replaced by an array without columns
     entries: Entries = NO_ENTRIES
     standing: BoolArray = None  # type: ignore[assignment]  # the same
+    commands: FloatArray = None  # type: ignore[assignment]  # the same
 
     def __post_init__(self) -> None:
         if self.effects is None:
             object.__setattr__(self, "effects", np.zeros((len(self.position), 0)))
         if self.standing is None:
             object.__setattr__(self, "standing", np.zeros((len(self.position), 0), dtype=np.bool_))
+        if self.commands is None:
+            object.__setattr__(self, "commands", np.zeros((len(self.position), 4, 0)))
         if self.effects.shape[1] != len(self.entries):
             raise ValueError(f"{self.effects.shape[1]} entries of effects' columns, expected {len(self.entries)}")
         for name, values in self.arrays.items():

@@ -20,7 +20,7 @@ _MOST_NAMED_OF_MANY = 2
 MOST_LISTED = 3
 """Parts of a sentence that lists, and rivals that are compared with."""
 _ALIKE = 3.0  # standard deviations
-_NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
+_NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck", "imu": "IMU"}
 _VARIABLES = {
     "position": "its position",
     "velocity": "its velocity",

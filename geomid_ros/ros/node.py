@@ -44,14 +44,14 @@ from geomid_ros.session.configuration import PARAMETERS, Configuration, Paramete
 from geomid_ros.session.session import Session
 from geomid_ros.signals.decoding import read_without_rosbags
 from geomid_ros.signals.ledger import Ledger, count_reason
-from geomid_ros.signals.messages import IMU, JOINT_STATES, ODOM
+from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM
 
 _CHANGED = "the robot description has changed; it is used after ~/reset"
 
 
 class GeomidNode(Node):
-    """Subscribes to ``joint_states``, wrench topics, ``odom`` or ``imu``, and ``robot_description``; publishes what it
-    finds."""
+    """Subscribes to ``joint_states``, ``joint_commands``, wrench topics, ``odom`` or ``imu``, and
+    ``robot_description``; publishes what it finds."""
 
     def __init__(self, solving: SolvingProcess | None = None) -> None:
         """
@@ -108,6 +108,8 @@ class GeomidNode(Node):
         # In a group of its own: other callbacks of its group, of messages too, would wait for the disk.
         self.create_service(Trigger, "~/save", self._save, callback_group=MutuallyExclusiveCallbackGroup())
         self._inputs.listen(JointState, JOINT_STATES, several=self._configuration["merge_joint_states"])
+        if self._configuration.gains:
+            self._inputs.listen(JointState, COMMANDS)
         if self._configuration["imu.frame"]:
             self._inputs.listen(Imu, IMU)
         elif self._configuration.floating_base:

@@ -18,6 +18,7 @@ from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import BufferSettings
 from geomid_ros.files.parameter_file import read_parameter_file
 from geomid_ros.model.contacts import Contact
+from geomid_ros.model.controller import Gains
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS, IdentifiedEffect, identified_effect
 from geomid_ros.model.sensors import AXES, WrenchSensor
 from geomid_ros.model.weighed_masses import WeighedMass
@@ -49,6 +50,7 @@ class Parameter:
 # ROS cannot tell the type of an empty list: one empty string stands for it.
 _NONE = [""]
 _SIDES = ("motor", "link")
+_ALIKE = ("urdf", "none")
 # Parameters that every node has, by the beginning of their names: not ours to check.
 _OF_ROS = ("use_sim_time", "qos_overrides.", "start_type_description_service")
 _KINDS = {bool: "true or false", float: "a number", str: "a text"}
@@ -59,6 +61,7 @@ PARAMETERS = (
     Parameter("robot_description", "", "URDF text; empty: taken from the topic robot_description"),
     Parameter("model", "", "estimate.json of an earlier run to start from instead of the URDF's inertias"),
     Parameter("prior", "", "population.json of the robot's type to start from instead of the URDF's inertias"),
+    Parameter("alike", "urdf", "links that are alike in the URDF (legs, arms) err mostly alike; none: each by itself"),
     Parameter("links", _NONE, "moving links to identify; empty: all with a mass"),
     Parameter("known", _NONE, "weighed masses, as LINK=MASS:STD, LINK+LINK=MASS:STD or total=MASS:STD [kg]"),
     Parameter("effects", list(DEFAULT_EFFECTS), "effects identified at every joint and wrench sensor"),
@@ -79,6 +82,13 @@ PARAMETERS = (
     ),
     Parameter("wrench.*.axes", list(AXES), "measured axes"),
     Parameter("wrench.*.sign", 1.0, "-1 if the sensor reports the reaction", -1.0, 1.0),
+    Parameter(
+        "command.gains",
+        _NONE,
+        "gains of motors without torque sensors, as KP:KD or JOINT=KP:KD; efforts are those of the set-points on "
+        "joint_commands",
+    ),
+    Parameter("command.delay", 0.0, "time until a command acts [s]; what is left of it is identified", -0.5, 0.5),
     Parameter("merge_joint_states", False, "joint_states has several publishers, each with some of the joints"),
     Parameter("effort_gain", 1.0, "factor from message efforts to N m (or N); negative reverses the sign", -1e6, 1e6),
     Parameter("joint.*.effort_gain", 1.0, "the same for one joint", -1e6, 1e6),
@@ -124,6 +134,7 @@ PARAMETERS = (
 _NOT_OF_ROWS = (
     *("robot_description", "model", "prior", "known", "gamma", "objective", "solver", "sigma.*", "still_speed"),
     *(
+        "alike",
         "still_distance",
         "solve_period",
         "gap.memory",
@@ -174,10 +185,12 @@ class Configuration:
         self._values = {name: self._checked(name, value) for name, value in own.items()}
         _ = (
             self.effects,
+            self.alike,
             self.behind_gear(()),
             self.candidates,
             self.sensors,
             self.contacts,
+            self.gains,
             self.gravity,
             self.buffer,
             self.signals(()),
@@ -278,6 +291,13 @@ class Configuration:
             raise InputError(f"{self.source}: {key}{error}") from error
 
     @property
+    def alike(self) -> bool:
+        """Whether links that are alike in the URDF err mostly alike."""
+        if self["alike"] not in _ALIKE:
+            raise InputError(f"{self.source}: {unknown_name('value of alike', self['alike'], _ALIKE)}")
+        return bool(self["alike"] == _ALIKE[0])
+
+    @property
     def links(self) -> list[str] | None:
         """The links to identify, None for all."""
         return self["links"] or None
@@ -303,6 +323,12 @@ class Configuration:
                 f"{self.source}: contacts need an IMU on the base (--imu TOPIC:FRAME, imu.frame) or its pose"
             )
         return [self._naming_source("", partial(Contact.parse, text)) for text in self["contacts"]]
+
+    @property
+    def gains(self) -> dict[str, Gains]:
+        """Gains by joint, those of all others under an empty name; none if efforts are measured."""
+        pairs = (text.rpartition("=") for text in self["command.gains"])
+        return {joint: self._naming_source("command.gains: ", partial(Gains.parse, own)) for joint, _, own in pairs}
 
     @property
     def sensors(self) -> list[WrenchSensor]:

@@ -109,6 +109,7 @@ def find(session: Session, recordings: Recordings, progress: Progress) -> GapRes
         recordings.train,
         recordings.held_out,
         GapSettings(cutoff=recordings.cutoff),
+        alike=session.alike,
         nominal=session.prior,
         deviations=session.loaded.deviations(session.model),
         known=session.loaded.information(session.model),

@@ -18,7 +18,7 @@ from geomid_ros.session.session import Session
 from geomid_ros.session.training import TrainingData
 from geomid_ros.signals.decoding import Decoder
 from geomid_ros.signals.ledger import Reason, meaning_of
-from geomid_ros.signals.messages import IMU, JOINT_STATES, message_type
+from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, message_type
 from geomid_ros.signals.pipeline import SignalPipeline
 
 HELD_OUT = 0.3
@@ -51,6 +51,7 @@ class Topics:
     joint_states: str
     odom: str
     imu: str = IMU
+    commands: str = COMMANDS
     joint_option: str = "--joint-topic"
 
 
@@ -260,6 +261,8 @@ def _resolved_topics(bag: Bag, session: Session, topics: Topics) -> dict[str, st
     if session.robot.floating_base:
         imu = session.base_topic == IMU
         asked[session.base_topic] = (topics.imu, "--imu") if imu else (topics.odom, "--odom-topic")
+    if COMMANDS in session.topics:
+        asked[COMMANDS] = (topics.commands, "--command")
     asked |= {sensor.topic: (sensor.topic, _WRENCH_OPTION) for sensor in session.model.sensors}
     return {bag.find_topic(name, message_type(own), option): own for own, (name, option) in asked.items()}
 

@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,9 @@ import numpy as np
 
 from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.check import Judge, JudgementTask, RecordingCheck, efforts_alone
+from geomid_ros.checks.commands import encoder_zeros
 from geomid_ros.checks.imu import displaced_imu, turned_imu
+from geomid_ros.checks.legs import never_lifted
 from geomid_ros.checks.unexplained import unexplained
 from geomid_ros.checks.verdict import (
     HEAVIER,
@@ -41,7 +43,9 @@ from geomid_ros.files.models.readers import ELEMENTS, URDF
 from geomid_ros.files.models.urdf import inertia_of, with_effects, with_inertials
 from geomid_ros.files.models.written_model import WrittenModel, handover_entry, written_model
 from geomid_ros.model.absent_joints import lockable
+from geomid_ros.model.alike_parts import AlikeParts, alike_parts, said_alike
 from geomid_ros.model.columns import Columns
+from geomid_ros.model.controller import Controller
 from geomid_ros.model.imu import ImuMount
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
@@ -50,7 +54,7 @@ from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recording_facts import Recorded, faulty_streams, peculiarities
 from geomid_ros.session.solidity import impossible_links
 from geomid_ros.signals.ledger import Account, Ledger
-from geomid_ros.signals.messages import IMU, JOINT_STATES, ODOM, Accepted, message_type
+from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, Accepted, message_type
 from geomid_ros.signals.pipeline import SignalPipeline, ignore
 from geomid_ros.signals.recent import Recent
 from geomid_ros.signals.settings import SignalSettings
@@ -91,6 +95,7 @@ class Session:
         sensors = self.loaded.sensors(configuration.sensors)
         self._sensors = sensors
         self.robot = self.read_robot(urdf, source)
+        self._controller = self._read_controller()
         effects = configuration.effects
         local = self.loaded.local_effects(effects)
         model = MeasurementModel(
@@ -102,6 +107,7 @@ class Session:
             candidates=configuration.candidates,
             behind_gear=configuration.behind_gear(self.robot.joint_names),
             contacts=configuration.contacts,
+            commanded=self._controller is not None,
         )
         self.model = model.with_known_loads(self.loaded.parameters(model))
         self._settings = self._estimator_settings()
@@ -111,7 +117,7 @@ class Session:
         gains = configuration.signals(joints).effort_gains(joints)
         # Judged in another thread than rows are made in: pinocchio's buffers are not shared.
         own = self.model.with_gravity(self.robot.gravity)
-        self.new_check = partial(RecordingCheck, JudgementTask(own, gains, named))
+        self.new_check = partial(RecordingCheck, JudgementTask(own, gains, named, self._controller))
         """Makes a check of other recordings of this robot."""
         self.check = self.new_check()
         """Told of all samples, it judges them as a whole."""
@@ -132,6 +138,13 @@ class Session:
         self._elsewhere = Recorded()  # of recordings that were read elsewhere
         self.recent = Recent(configuration["gap.memory"])
         self.pipeline = self.new_pipeline(on_accepted=self.recent, ledger=ledger)
+
+    def _read_controller(self) -> Controller | None:
+        """The gains that efforts are computed with; None if they are measured. Raises InputError."""
+        try:
+            return Controller.of(self.configuration.gains, self.robot.joint_names, self.configuration["command.delay"])
+        except InputError as error:
+            raise InputError(f"{self.configuration.source}: command.gains: {error}") from error
 
     def read_robot(self, urdf: str, source: str) -> Robot:
         """The robot of a description with the same links and joints as this one's. Raises InputError naming the
@@ -164,13 +177,21 @@ class Session:
     def _estimator_settings(self) -> EstimatorSettings:
         """With the population that is the prior. Raises InputError where several priors are given, or none fits."""
         settings = self.configuration.estimator([channel.name for channel in self.model.channels])
-        settings = replace(settings, files={reader: ELEMENTS[reader] for reader in self._readers})
+        settings = replace(settings, files={reader: ELEMENTS[reader] for reader in self._readers}, alike=self.alike)
         if not (path := self.configuration["prior"]):
             return settings
         for other in ("model", "gamma"):
             if self.configuration[other]:
                 raise InputError(f"{self.configuration.source}: prior and {other} are both given; choose one")
         return replace(settings, population=read_population(Path(path)))
+
+    @cached_property
+    def alike(self) -> tuple[AlikeParts, ...]:
+        """Links that are alike, if the prior is that of the URDF."""
+        configuration = self.configuration
+        if configuration.alike and not any(configuration[other] for other in ("model", "prior", "gamma")):
+            return alike_parts(self.model.robot, self.model.identified)
+        return ()
 
     def judge(self) -> None:
         """Judge the recording as a whole, by the samples that :attr:`check` was told of so far."""
@@ -253,6 +274,9 @@ class Session:
         if self.base_topic == IMU:
             peculiar += turned_imu(self.model, estimate)
             findings = findings or displaced_imu(self.model, samples, estimate.parameters)
+        if self._controller is not None:
+            peculiar += encoder_zeros(self._controller, estimate.effects, self.robot.joint_names)
+        peculiar += never_lifted(self.model, estimate)
         peculiar += [] if held_out is None else unlike(estimate, held_out)
         impossible = tuple(impossible_links(self.urdf, self._source, self._suspects(estimate)))
         return verdict(
@@ -303,8 +327,8 @@ class Session:
     def notes(self) -> list[str]:
         """What is worth knowing, in sentences, and casts no doubt on results."""
         names = ", ".join(dict.fromkeys(self._unchecked))
-        unchecked = f"{names}: no CRCs; corruption cannot be detected"
-        return [*self.settled, unchecked] if names else self.settled
+        unchecked = [f"{names}: no CRCs; corruption cannot be detected"] if names else []
+        return [*self.settled, *unchecked, *said_alike(self.alike)]
 
     def begin_recording(self, bag: Bag) -> None:
         """Note that the samples to come are of another recording, and what is missing of it."""
@@ -345,7 +369,8 @@ class Session:
     def topics(self) -> tuple[str, ...]:
         """The topics that data are expected on, as the pipeline calls them."""
         base = (self.base_topic,) if self.robot.floating_base else ()
-        return (JOINT_STATES, *base, *(sensor.topic for sensor in self.model.sensors))
+        commands = () if self._controller is None else (COMMANDS,)
+        return (JOINT_STATES, *commands, *base, *(sensor.topic for sensor in self.model.sensors))
 
     @property
     def meaning(self) -> dict[str, Any]:
@@ -408,6 +433,7 @@ class Session:
             joints_heard=self.joints_heard,
             mount=self._imu_mount,
             loads=None if self.model.legs is None else self.model.legs.loads,
+            controller=self._controller,
         )
 
     @property

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.model.sensors import WrenchSensor
-from geomid_ros.signals.ledger import Reason
+from geomid_ros.signals.joint_names import missing_joint
+from geomid_ros.signals.ledger import Reason, driver_error
 from geomid_ros.signals.limits import LARGEST_NUMBER, UNLIKE_ONE
 from geomid_ros.signals.messages import Block
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
@@ -84,6 +85,24 @@ def poses(block: Block) -> tuple[FloatArray, AnyArray]:
     good = without_refusal(refusals)
     values[good, 3:] /= norms[good, None]
     return values, refusals
+
+
+def commands(block: Block, joints: Sequence[str]) -> tuple[FloatArray, AnyArray]:
+    """Set-points of positions and velocities and the feed-forward of ``joints``, one after the other ``(N, 3 joints)``,
+    zero where a message says none, and why some cannot be used."""
+    count, names = len(block.stamps), list(block.names)
+    values, refusals = np.zeros((count, 3, len(joints))), np.full(count, None)
+    if missing := missing_joint(joints, names):
+        refusals[:] = missing
+        return values.reshape(count, -1), refusals
+    order = [names.index(joint) for joint in joints]
+    for kind, said in enumerate(block.arrays):
+        if said.shape[1] == len(names):
+            values[:, kind] = said[:, order]
+        elif said.shape[1] or not kind:
+            refusals[:] = driver_error(f"a command of {said.shape[1]} numbers for {len(names)} names")
+    refusals[~plausible(values).all(axis=(1, 2))] = "command not finite"
+    return values.reshape(count, -1), refusals
 
 
 def wrenches(block: Block, sensor: WrenchSensor) -> tuple[FloatArray, AnyArray]:

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from geomid_ros.signals.limits import MOST_LAYOUTS
-from geomid_ros.signals.messages import JOINT_STATES, ODOM, Block, message_type, parse
+from geomid_ros.signals.messages import COMMANDS, JOINT_STATES, ODOM, Block, message_type, parse
 from geomid_ros.types import AnyArray, BoolArray, IntArray
 
 _STAMP = slice(4, 12)  # seconds and nanoseconds, 4 bytes each
@@ -152,13 +152,13 @@ def _layout(topic: str, data: bytes, message: Any, block: Block) -> _Layout | No
     texts = [message.header.frame_id, *([message.child_frame_id] if topic == ODOM else ())]
     for text in texts:
         place = _after_text(place, text, fixed)
-    if topic == JOINT_STATES:
+    if topic in (JOINT_STATES, COMMANDS):
         place = _after_count(place, fixed)
         for text in message.name:
             place = _after_text(place, text, fixed)
     fields = []
     for array in block.arrays:
-        if topic == JOINT_STATES:
+        if topic in (JOINT_STATES, COMMANDS):
             place = _after_count(place, fixed)
         count = array.shape[1]
         begin = _aligned(place, 8) if count else place

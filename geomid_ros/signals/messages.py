@@ -12,8 +12,10 @@ from geomid_ros.types import FloatArray, IntArray, frozen
 JOINT_STATES = "joint_states"
 ODOM = "odom"
 IMU = "imu"
+COMMANDS = "joint_commands"
 _TYPES = {
     JOINT_STATES: "sensor_msgs/msg/JointState",
+    COMMANDS: "sensor_msgs/msg/JointState",
     ODOM: "nav_msgs/msg/Odometry",
     IMU: "sensor_msgs/msg/Imu",
 }
@@ -51,6 +53,13 @@ class JointMessage(_ReadOnly):
     position: FloatArray
     velocity: FloatArray
     effort: FloatArray
+
+
+class CommandMessage(JointMessage):
+    """Set-points of joints, and as efforts the feed-forward; any but the positions may be empty."""
+
+    __slots__ = ()
+    topic: ClassVar[str] = COMMANDS
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -118,8 +127,8 @@ class Block:
 class Accepted:
     """N messages that were accepted: their topic, stamps [ns] and checked numbers in the robot's order, read-only.
 
-    ``stamps (N,)``; ``values (N, numbers)`` are positions, velocities and efforts of all joints, one after the other, a
-    pose (7 numbers), a wrench (6), or an IMU's angular velocity and specific force (6).
+    ``stamps (N,)``; ``values (N, numbers)`` are positions, velocities and efforts of all joints, one after the other
+    (of commands, too), a pose (7 numbers), a wrench (6), or an IMU's angular velocity and specific force (6).
     """
 
     topic: str
@@ -156,15 +165,17 @@ def parse(topic: str, message: Any) -> Message:
     """The value of a ROS message, read by attribute: rclpy's messages and those of rosbags look the same.
 
     Args:
-        topic: the name by which the pipeline knows it: JOINT_STATES, ODOM, IMU, or that of a declared wrench sensor.
+        topic: the name by which the pipeline knows it: JOINT_STATES, COMMANDS, ODOM, IMU, or that of a declared wrench
+            sensor.
         message: of the type :func:`message_type` of this topic.
 
     Raises:
         AttributeError, TypeError or ValueError for what is no such message.
     """
     header = message.header
-    if topic == JOINT_STATES:
-        return JointMessage(_stamp(header), tuple(message.name), message.position, message.velocity, message.effort)
+    if topic in (JOINT_STATES, COMMANDS):
+        kind = JointMessage if topic == JOINT_STATES else CommandMessage
+        return kind(_stamp(header), tuple(message.name), message.position, message.velocity, message.effort)
     if topic == ODOM:
         p, q = message.pose.pose.position, message.pose.pose.orientation
         return PoseMessage(_stamp(header), np.array((p.x, p.y, p.z, q.x, q.y, q.z, q.w)))

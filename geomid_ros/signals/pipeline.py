@@ -16,18 +16,28 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.model.columns import NO_COLUMNS, Columns
+from geomid_ros.model.controller import Controller
 from geomid_ros.model.imu import ImuMount
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.signals.admission import Admission, Source
-from geomid_ros.signals.arrived import NO_STAMP, NOT_VALID, Arrived, inertial, poses, without_refusal, wrenches
+from geomid_ros.signals.arrived import (
+    NO_STAMP,
+    NOT_VALID,
+    Arrived,
+    commands,
+    inertial,
+    poses,
+    without_refusal,
+    wrenches,
+)
 from geomid_ros.signals.gate import Gate
 from geomid_ros.signals.joint_gate import JointGate
 from geomid_ros.signals.joint_messages import JointReader, RejectedError
 from geomid_ros.signals.joint_parts import SILENT, JointParts, Part
 from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.limits import MOST_JOINTS
-from geomid_ros.signals.messages import IMU, JOINT_STATES, ODOM, Accepted, Block, Message
+from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, Accepted, Block, Message
 from geomid_ros.signals.sampler import Sampler
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.signals.stance import Stance
@@ -61,6 +71,7 @@ class SignalPipeline:
         joints_heard: set[str] | None = None,
         mount: ImuMount | None = None,
         loads: Callable[[Samples], FloatArray] | None = None,
+        controller: Controller | None = None,
     ) -> None:
         """
         Args:
@@ -77,6 +88,7 @@ class SignalPipeline:
             ledger: is told what becomes of every message.
             joints_heard: the names of joints in messages are added to it.
             mount: of the IMU on a floating base, whose messages come on IMU.
+            controller: of the joints: efforts are those of commands, which come on COMMANDS.
             loads: of the feet, whose stance samples carry; see :class:`~geomid_ros.signals.stance.Stance`.
 
         Raises:
@@ -84,11 +96,10 @@ class SignalPipeline:
         """
         self._joints = tuple(joints)
         self._sensors = {sensor.topic: sensor for sensor in sensors}
-        if len({JOINT_STATES, ODOM, IMU, *self._sensors}) < 3 + len(sensors):
+        reserved = JOINT_STATES, ODOM, IMU, COMMANDS
+        if len({*reserved, *self._sensors}) < len(reserved) + len(sensors):
             named = ", ".join(sensor.topic for sensor in sensors)
-            raise InputError(
-                f"wrench topics must differ from each other, '{JOINT_STATES}', '{ODOM}' and '{IMU}': {named}"
-            )
+            raise InputError(f"wrench topics must differ from each other and from {', '.join(reserved)}: {named}")
         self._max_gap = settings.max_gap_ns
         self._gains = settings.effort_gains(self._joints)
         self._continuous = np.array([joint in continuous for joint in self._joints], dtype=bool)
@@ -96,7 +107,7 @@ class SignalPipeline:
         self._limits = np.full((2, len(self._joints)), np.inf) if limits is None else limits
         self.ledger = ledger or Ledger()
         self.joints_heard = set() if joints_heard is None else joints_heard
-        self._on_accepted = on_accepted
+        self._on_accepted, self._commanded = on_accepted, controller is not None
         self._reader = self._new_reader(self._joints)
         resolved = round(0.5e9 / settings.cutoff)
         note = partial(self.ledger.note, JOINT_STATES)
@@ -108,7 +119,10 @@ class SignalPipeline:
         self._open: Counter[str] = Counter()  # messages of which nothing has become yet
         self._joined: list[tuple[Source, IntArray, IntArray, FloatArray]] = []  # that wait for the other parts
         base = [ODOM if mount is None else IMU] if floating_base else []
-        self._sampler = Sampler(settings, self._continuous, (*self._sensors, *base), effect_columns, self.ledger, mount)
+        topics = (*self._sensors, *base)
+        self._sampler = Sampler(
+            settings, self._continuous, topics, effect_columns, self.ledger, mount=mount, controller=controller
+        )
         self._stance = Stance(loads, settings.cutoff) if loads is not None else None
 
     def _new_reader(self, joints: Sequence[str]) -> JointReader:
@@ -141,6 +155,8 @@ class SignalPipeline:
     @property
     def unmeasured(self) -> tuple[str, ...]:
         """The joints whose efforts are left out, as they have not been measured for long."""
+        if self._commanded:
+            return ()
         if self._parts is None:
             return self._reader.unmeasured
         failed = [joint for reader in self._parts.readers.values() for joint in reader.unmeasured]
@@ -220,6 +236,8 @@ class SignalPipeline:
     def _numbers(self, source: Source, block: Block) -> tuple[FloatArray, AnyArray]:
         if block.topic == JOINT_STATES:
             return self._reader_of(source).numbers(block)
+        if block.topic == COMMANDS:
+            return commands(block, self._joints)
         if block.topic == ODOM:
             return poses(block)
         if block.topic == IMU:

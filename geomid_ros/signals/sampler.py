@@ -10,17 +10,18 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.model.columns import Columns, Entries
+from geomid_ros.model.columns import Columns, Entries, PlacedColumn
+from geomid_ros.model.controller import Controller
 from geomid_ros.model.imu import ImuMount
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.imu_segment import ImuSegment
 from geomid_ros.signals.joint_messages import FROZEN
 from geomid_ros.signals.ledger import Account, Ledger, driver_error
 from geomid_ros.signals.limits import HORIZON, MOST_WAITING, PERIOD_ROUNDING
-from geomid_ros.signals.messages import IMU, JOINT_STATES, ODOM, Accepted
+from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, Accepted
 from geomid_ros.signals.periods import FEWEST, FEWEST_IN_BURSTS, RegularClock, in_bursts
 from geomid_ros.signals.settings import SignalSettings
-from geomid_ros.signals.streams import Grid, JointSegment, PoseSegment, Stream, VectorSegment
+from geomid_ros.signals.streams import Grid, HeldSegment, JointSegment, PoseSegment, Stream, VectorSegment
 from geomid_ros.signals.velocity_choice import VelocityChoice
 from geomid_ros.types import BoolArray, IntArray
 
@@ -48,6 +49,7 @@ class Sampler:
         effect_columns: Columns,
         ledger: Ledger,
         mount: ImuMount | None = None,
+        controller: Controller | None = None,
     ) -> None:
         """
         Args:
@@ -57,12 +59,13 @@ class Sampler:
             effect_columns: those of effects that samples carry.
             ledger: is told of accepted messages that are given up.
             mount: of the IMU.
+            controller: of the joints, if efforts are those of commands.
         """
         self._settings = settings
         self._continuous = continuous
         self._wrenches = [topic for topic in topics if topic not in (ODOM, IMU)]
         self._base = next((topic for topic in topics if topic in (ODOM, IMU)), None)
-        self._mount = mount
+        self._mount, self._controller = mount, controller
         self._max_gap = settings.max_gap_ns
         self._effort_delay = settings.effort_delay_ns
         self._entries = Entries(effect_columns, len(continuous))
@@ -147,6 +150,8 @@ class Sampler:
             stamps = self._clock.times(stamps)
         elif accepted.topic == JOINT_STATES:
             self._watch(stamps)
+        if accepted.topic == COMMANDS and self._controller is not None:
+            stamps = stamps + self._controller.delay
         self._streams[accepted.topic].push(stamps, values)
         self._newest[accepted.topic] = int(stamps[-1])
         if accepted.topic == JOINT_STATES and self._effort_delay:
@@ -189,6 +194,8 @@ class Sampler:
         self._streams |= {topic: Stream(self._max_gap, partial(VectorSegment, grid)) for topic in self._wrenches}
         if self._effort_delay:
             self._streams[_EFFORTS] = Stream(self._max_gap, partial(VectorSegment, grid))
+        if self._controller is not None:
+            self._streams[COMMANDS] = Stream(self._max_gap, partial(HeldSegment, grid))
         if self._mount is not None:
             self._streams[IMU] = Stream(self._max_gap, partial(ImuSegment, grid, self._mount))
         elif self._base is not None:
@@ -232,6 +239,14 @@ class Sampler:
         if remark := self._velocity.remark():
             self._ledger.note(JOINT_STATES, remark)
         effort = self._streams[_EFFORTS].segment.filtered(instants)[0] if self._effort_delay else value[:, 2]
+        effects, commands = self._joint_stream.segment.effects(instants), np.zeros((count, 4, 0))
+        if self._controller is not None:
+            own, rates, _ = (part.reshape(count, 3, -1) for part in self._streams[COMMANDS].segment.filtered(instants))
+            commands = np.concatenate([own, effort[:, None]], axis=1)
+            effort = self._controller.efforts(own, value[:, 0], velocity)
+            for column in self._entries.columns.columns:
+                if isinstance(column, PlacedColumn) and column.effect.place == "commands":
+                    effects[:, self._entries.of(column)[0]] = self._controller.rate(rates)
         pose = base_velocity = base_acceleration = np.zeros((count, 0))
         if self._base is not None:
             pose, base_velocity, base_acceleration = self._streams[self._base].segment.filtered(instants)
@@ -248,8 +263,9 @@ class Sampler:
             base_velocity=base_velocity,
             base_acceleration=base_acceleration,
             wrenches=wrenches,
-            effects=self._joint_stream.segment.effects(instants),
+            effects=effects,
             entries=self._entries,
+            commands=commands,
         )
         return samples if self._mount is None else samples.select(self._with_gravity(instants))
 

@@ -141,6 +141,14 @@ class VectorSegment(Segment):
             return
         stamps, values = (np.concatenate(parts) for parts in zip(*self._nodes, strict=True))
         times = np.arange(instants.start, instants.stop) * self._grid.period
+        self._on_grid.extend(instants.start, self._between(stamps, values, times))
+        self._next = instants.stop
+        oldest = int(np.searchsorted(stamps, (instants.stop - 1) * self._grid.period, side="right")) - 1
+        kept = slice(max(0, min(oldest, len(stamps) - 3)), None)
+        self._nodes = [(stamps[kept].copy(), values[kept].copy())]
+
+    def _between(self, stamps: IntArray, values: FloatArray, times: IntArray) -> FloatArray:
+        """Values at ``times`` [ns] among ``stamps (N,)`` of ``values (N, ...)``."""
         left = np.clip(np.searchsorted(stamps, times) - 2, 0, len(stamps) - 4)
         origins = stamps[left]
         nodes = (stamps[left[:, None] + np.arange(4)] - origins[:, None]).astype(float)
@@ -148,9 +156,7 @@ class VectorSegment(Segment):
         on_grid = weights[:, :1] * values[left]
         for node in range(1, 4):
             on_grid += weights[:, node, None] * values[left + node]
-        self._on_grid.extend(instants.start, on_grid)
-        self._next = instants.stop
-        self._nodes = [(stamps[-3:].copy(), values[-3:].copy())]
+        return np.asarray(on_grid)
 
     def ready(self) -> range:
         reached, half = self._reached, self._grid.half
@@ -164,6 +170,29 @@ class VectorSegment(Segment):
     def drop_before(self, instant: int) -> None:
         self._interpolate()
         self._on_grid.drop_before(instant - self._grid.half)
+
+
+class HeldSegment(VectorSegment):
+    """Vectors that hold until the next ones come, filtered component by component: commands. At an instant of the grid
+    they are what they are on average from half a period before to half a period after."""
+
+    @property
+    def _reached(self) -> range:
+        reached, period = super()._reached, self._grid.period
+        return range(reached.start, min(reached.stop, (self._last_stamps[-1] - period // 2) // period + 1))
+
+    def _between(self, stamps: IntArray, values: FloatArray, times: IntArray) -> FloatArray:
+        begin = times - self._grid.period // 2
+        end = begin + self._grid.period
+        first, last = (np.maximum(np.searchsorted(stamps, side, side="right") - 1, 0) for side in (begin, end))
+        ends = np.append(stamps[1:], np.iinfo(np.int64).max)
+        total = np.zeros((len(times), *values.shape[1:]))
+        for further in range(int(np.max(last - first)) + 1):  # one after the other, in whichever blocks they come
+            node = np.minimum(first + further, len(stamps) - 1)
+            until = np.minimum(ends[node], end)
+            total += np.where(first + further <= last, until - begin, 0)[:, None] * values[node]
+            begin = until
+        return np.asarray(total / self._grid.period)
 
 
 class JointSegment(VectorSegment):

@@ -27,6 +27,7 @@ from geomid_ros.types import FloatArray
 
 _STEP = 1e-3  # [s]
 _PER_SET_POINT = 10  # steps
+_WHOLE = 1e-6  # steps between messages may be off a whole number by rounding
 _STANCE = (0.0, 0.8, -1.6)  # [rad] hip, thigh and knee of a leg that stands
 _STIFFNESS, _DAMPING = 250.0, 5.0  # of the joints' controllers [N m/rad], [N m s/rad]
 _SHORTEST = 4.0  # [s] of a gait
@@ -88,6 +89,9 @@ class WalkOptions:
         for name, (value, low, high) in ranges.items():
             if not low <= value <= high or np.isinf(value):
                 raise InputError(f"{name} is {value:g}; it has to be from {low:g} to {high:g}")
+        every = 1.0 / (self.rate * _STEP)
+        if abs(every - round(every)) > _WHOLE:
+            raise InputError(f"rate is {self.rate:g}; it has to be {1.0 / _STEP:g} Hz over a whole number, as 250 Hz")
 
 
 def simulate_walk(out: Path, options: WalkOptions) -> tuple[Path, Path]:
@@ -125,6 +129,8 @@ def true_bodies(robot: Description, options: WalkOptions) -> list[LinkInertia]:
     """The robot's links as they are: the URDF's with an error, and the payload on the root link."""
     numbers = generator(options.seed, RandomStream.INERTIA)
     bodies = [perturbed(body, options.inertia_error, numbers) for body in robot.inertias]
+    if not options.payload:
+        return bodies
     box = LinkInertia("", options.payload, np.array(options.payload_at), 2e-3 * options.payload * np.eye(3))
     return [
         body_of(body.name, pseudo_inertia(body) + pseudo_inertia(box)) if body.name == robot.root else body

@@ -51,6 +51,7 @@ def test_masses_are_found(folder: Path, tmp_path: Path) -> None:
     done("identify", folder / "walk", "--urdf", folder / "go2.urdf", *LEGS, "--hold-out", "0", "--out", tmp_path)
     document = read(tmp_path)
     assert document["verdict"]["result"] == "usable", document["verdict"]
+    assert not [each for each in document["warnings"] if "never left the ground" in each]
     robot = Robot(urdf("go2.urdf"), floating_base=True)
     truth = dict(zip(robot.body_names, true_parameters(robot, folder / "walk.truth.json"), strict=True))
     links = {link["name"]: link for link in document["links"]}
@@ -68,10 +69,26 @@ def test_masses_are_found(folder: Path, tmp_path: Path) -> None:
         assert moments[0] + moments[1] > moments[2]
 
 
+def test_a_foot_that_no_contact_names_is_found(folder: Path, tmp_path: Path) -> None:
+    """By what its leg bears; and legs that are not lifted in what is fitted are told."""
+    arguments = ["identify", folder / "walk", "--urdf", folder / "go2.urdf", *LEGS, "--out", tmp_path]
+    arguments[arguments.index("--contacts") + 1] = ",".join(CONTACTS[:3])
+    assert geomid(*arguments).exit_code == STATUS[DOUBTFUL]
+    document = read(tmp_path)
+    (sentence,) = (reason for reason in document["verdict"]["reasons"] if "no contact names" in reason)
+    share = float(re.findall(r"(\d+) % at 'RR_foot'", sentence)[0])
+    assert 10.0 < share < 50.0
+    (standing,) = (each for each in document["warnings"] if "never left the ground" in each)
+    assert standing.startswith("RL_foot never")
+
+
 def test_an_imu_that_is_turned_is_told(folder: Path, tmp_path: Path) -> None:
-    """By the angle, and the total mass is as right as without."""
+    """By the angle, and the total mass is as right as without. The simulated legs are not alike, and two of them stand
+    in all that is fitted: what the others tell of them is wrong."""
     (tmp_path / "turned.urdf").write_text(misplaced(urdf("go2.urdf"), np.deg2rad(4.0), 0.0), encoding="utf-8")
-    result = geomid("identify", folder / "walk", "--urdf", tmp_path / "turned.urdf", *LEGS, "--out", tmp_path)
+    result = geomid(
+        "identify", folder / "walk", "--urdf", tmp_path / "turned.urdf", *LEGS, "--alike", "none", "--out", tmp_path
+    )
     document = read(tmp_path)
     (sentence,) = (each for each in document["warnings"] if "IMU" in each)
     angle = float(sentence.partition("turned by ")[2].partition(" degrees")[0])

@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.model.contacts import Contact
+from geomid_ros.model.contacts import Contact, Legs
 from geomid_ros.model.effects import identified_effect
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
@@ -147,3 +147,17 @@ def test_a_contact_is_parsed(text: str, contact: Contact) -> None:
 def test_another_form_of_a_contact_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="FRAME or FRAME:RADIUS"):
         Contact.parse(text)
+
+
+@pytest.mark.parametrize(("knee", "known"), [(-0.02, False), (-0.3, False), (-0.6, True), (-1.4, True)])
+def test_a_straight_leg_tells_no_force(knee: float, known: bool) -> None:
+    """Along the leg no joint feels it. The rows of the base are left out then, not those of other legs."""
+    robot = Robot(urdf("go2.urdf"), floating_base=True)
+    legs = Legs(robot, [Contact("FL_foot", RADIUS), Contact("FR_foot", RADIUS)])
+    samples = bent(robot, seed=4)
+    position = samples.position.copy()
+    position[:, robot.joint_names.index("FL_calf_joint")] = knee
+    position[:, robot.joint_names.index("FL_thigh_joint")] = -0.5 * knee
+    forces = legs.forces(with_values(samples, position=position))
+    assert np.all(np.isfinite(forces[:, 0])) == known
+    assert np.all(np.isfinite(forces[:, 1]))

@@ -21,12 +21,14 @@ ROOT = Path(__file__).parents[2]
 POLICY = ROOT / "security/geomid.policy.xml"
 EVERYTHING = {
     "floating_base": True,
+    "command": {"gains": ["20:1"]},
     "wrenches": ["wrench"],
     "wrench": {"wrench": {"frame": "flange"}},
     "use_sim_time": True,
 }
 WITH_IMU = {key: value for key, value in EVERYTHING.items() if key != "floating_base"} | {"imu": {"frame": "base_link"}}
 ODOMETRY, IMU = ("odom", "nav_msgs/msg/Odometry"), ("imu", "sensor_msgs/msg/Imu")
+COMMANDS = "joint_commands", "sensor_msgs/msg/JointState"
 SETTLING = 1.0  # [s] in which what should not be there would be discovered
 
 Opened: TypeAlias = dict[str, set[tuple[str, str]]]
@@ -104,7 +106,7 @@ def test_the_running_node_opens_what_is_documented(seen: dict[str, Opened]) -> N
 
 def test_with_the_defaults_it_opens_no_more_than_it_needs(seen: dict[str, Opened]) -> None:
     needless = {("/plain/wrench", "geometry_msgs/msg/WrenchStamped"), ("/clock", "rosgraph_msgs/msg/Clock")}
-    needless |= {(full(name, "/plain"), kind) for name, kind in (ODOMETRY, IMU)}
+    needless |= {(full(name, "/plain"), kind) for name, kind in (ODOMETRY, IMU, COMMANDS)}
     expected = documented("/plain")
     expected["subscribe"] -= needless
     assert seen["defaults"] == expected

@@ -100,6 +100,19 @@ def test_an_acceleration_that_is_not_gravity_on_average_is_not_used(scale: float
     assert meaning_of(noted) == "driver error"
 
 
+@pytest.mark.parametrize(("scale", "used"), [(0.72, True), (1.28, True), (0.66, False), (1.34, False)])
+def test_up_to_three_tenths_of_gravity_may_be_a_bias(scale: float, used: bool) -> None:
+    """The base is shaken: on average the acceleration is gravity to some hundredths."""
+    assert bool(list(completed(new_pipeline(), messages(scale)))) == used
+
+
+def test_what_is_levelled_is_forgotten() -> None:
+    """Two seconds on, with what the filter needs."""
+    pipeline = new_pipeline()
+    feed(pipeline, messages())
+    assert 200 < len(pipeline._sampler._streams[IMU].segment._levelled.values) < 400 < len(STAMPS)
+
+
 @pytest.mark.parametrize(("places", "value"), [([16], -1.0), ([28], -1.0), ([14], np.nan), ([25], np.inf)])
 def test_messages_without_measurements_are_refused(places: Sequence[int], value: float) -> None:
     """A covariance of -1 says that there is none (sensor_msgs/Imu)."""

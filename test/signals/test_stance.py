@@ -55,6 +55,12 @@ def test_a_foot_swings_while_it_bears_nothing_a_period_before_and_after() -> Non
     assert not found.standing[:, 2].any()
 
 
+@pytest.mark.parametrize(("load", "stands"), [(0.09, False), (0.11, True)])
+def test_a_foot_is_in_the_air_below_a_tenth_of_its_share(load: float, stands: bool) -> None:
+    found = judged(samples_at(STEP * np.arange(1, 21), np.full((20, 1), load)), [20])
+    assert np.all(found.standing == stands)
+
+
 def test_what_is_not_known_stands() -> None:
     loads = np.full((20, 1), 0.01)
     loads[10] = np.nan

@@ -77,12 +77,21 @@ def test_what_is_recorded(options: WalkOptions, tmp_path: Path) -> None:
         simulate_walk(tmp_path / "bag", options)
 
 
+def test_without_a_payload_the_trunk_is_that_of_the_urdf() -> None:
+    robot = read_description(urdf("go2.urdf"))
+    exact = replace(OPTIONS, payload=0.0, inertia_error=0.0)
+    for body, nominal in zip(true_bodies(robot, exact), robot.inertias, strict=True):
+        assert body.mass == pytest.approx(nominal.mass)
+        np.testing.assert_allclose(body.com, nominal.com, atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"gaits": ("run",)}, "unknown gait 'run'"),
         ({"duration": 1.0}, "duration is 1; it has to be from 4"),
         ({"rate": 0.0}, "rate is 0"),
+        ({"rate": 300.0}, "rate is 300; it has to be 1000 Hz over a whole number"),
         ({"feet": {"FL_foot": 0.022}}, "12 moving joints and 1 feet"),
         ({"feet": {**FEET, "RR_foot": 0.0}}, "radius of RR_foot is 0"),
         ({"feet": {"FL_fot": 0.022}}, "unknown link 'FL_fot'"),

@@ -39,6 +39,7 @@ DEFAULT_EFFECTS = (
     "effort_offset",
     "wrench_offset",
     "imu_offset",
+    "command_delay",
 )
 """Names of the effects that are identified at every joint and sensor unless the user says otherwise."""
 
@@ -69,6 +70,7 @@ _FILES = (
     "payload",
     "wrench_offset",
     "imu_offset",
+    "command_delay",
     "saturating_friction",
     "quadratic_friction",
     "coupled_motor",

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-PlaceKind: TypeAlias = Literal["joint", "joints", "robot", "link", "sensor", "base"]
+PlaceKind: TypeAlias = Literal["joint", "joints", "robot", "link", "sensor", "base", "commands"]
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def place_named(kind: PlaceKind, name: str, joints: Sequence[str]) -> Place | No
     pairs = ((a, b) for a in range(len(joints)) for b in range(len(joints)) if a != b)
     if kind == "joints":
         return next((AtJoints(a, b) for a, b in pairs if pair_name(joints[a], joints[b]) == name), None)
-    return OnRobot() if kind == "robot" else None
+    return OnRobot() if kind in ("robot", "commands") else None
 
 
 def pair_name(first: str, second: str) -> str:

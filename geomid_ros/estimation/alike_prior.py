@@ -1,0 +1,123 @@
+"""Parts that are alike: their errors have a part in common, of the usual size, and one of their own, a fifth of it.
+
+With the tangent coordinates d_i of n links at their priors, mirrored to those of the first, the covariance of the
+errors is ``s^2 (1 1^T + I / 25)``. That is, but for a hundredth, a prior of each link alone of spread ``s sqrt(n)``,
+and rows that hold the links to their mean. A link that is unlike the others is let go alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from geomid_ros.estimation.coupled_prior import DOUBTED, CoupledPrior
+from geomid_ros.estimation.link_spreads import CERTAINTY, cost_of_spreads, likely_spreads
+from geomid_ros.estimation.problem import Problem
+from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.geometry.symmetric import SIZE
+from geomid_ros.model.alike_parts import OWN_SPREAD, AlikeParts
+from geomid_ros.types import FloatArray
+
+
+def common_spreads(parts: Sequence[AlikeParts], usual: FloatArray) -> FloatArray:
+    """Spreads of each link alone ``(links,)``, of which the ``usual (links,)`` ones are those of its whole error."""
+    spreads = usual.copy()
+    for group in parts:
+        spreads[list(group.members)] *= np.sqrt(len(group.members))
+    return spreads
+
+
+def from_common(parts: Sequence[AlikeParts], own: FloatArray, size: int) -> FloatArray:
+    """Rows ``(n, 10, size)`` that take the tangent coordinates of all links to how far the n links that are alike are
+    from what they have in common: the mean, weighted by the ``own (n,)`` spreads."""
+    found, first = [], 0
+    for group in parts:
+        every = np.zeros((len(group.members), SIZE, size))
+        for rows, member, signs in zip(every, group.members, group.signs, strict=True):
+            rows[:, SIZE * member : SIZE * (member + 1)] = np.diag(signs)
+        precisions = own[first : first + len(every)] ** -2.0
+        found.append(every - np.tensordot(precisions / np.sum(precisions), every, 1))
+        first += len(every)
+    return np.concatenate(found) if found else np.zeros((0, SIZE, size))
+
+
+def held_together(parts: Sequence[AlikeParts], own: FloatArray, size: int) -> FloatArray:
+    """The same ``(10 n, size)`` in units of the own spreads: the rows of the prior."""
+    return np.asarray((from_common(parts, own, size) / own[:, None, None]).reshape(-1, size))
+
+
+def likely_own(parts: Sequence[AlikeParts], own: FloatArray, tangent: FloatArray, whitener: FloatArray) -> FloatArray:
+    """The likely own spreads ``(n,)`` at the ``tangent (k,)`` coordinates of all links, from those before, with
+    the ``whitener (r, k)`` of their covariance."""
+    rows = from_common(parts, own, len(tangent)).reshape(-1, len(tangent))
+    return likely_spreads(rows @ tangent, np.sum((whitener @ rows.T) ** 2, axis=0), np.full(len(own), OWN_SPREAD))
+
+
+def cost_of_own(parts: Sequence[AlikeParts], own: FloatArray) -> float:
+    """Minus twice the logarithm of the distribution of the ``own (n,)`` spreads, with the normalisation of the rows, up
+    to a constant."""
+    cost, first = cost_of_spreads(own, np.full(len(own), OWN_SPREAD)), 0
+    for group in parts:
+        precisions = own[first : first + len(group.members)] ** -2.0
+        cost += SIZE * float(np.log(np.sum(precisions)) - np.sum(np.log(precisions)))
+        first += len(precisions)
+    return cost
+
+
+@dataclass(frozen=True, eq=False)
+class AlikePrior(CoupledPrior):
+    """Groups of ``parts`` that are alike."""
+
+    parts: Sequence[AlikeParts]
+
+    @staticmethod
+    def of(parts: Sequence[AlikeParts], problem: Problem) -> AlikePrior:
+        """The prior of a problem whose links have those of the URDF."""
+        spreads, columns = common_spreads(parts, problem.usual), np.arange(problem.manifold.inertial.stop)
+        return AlikePrior(replace(problem, given_spreads=spreads), columns, parts)
+
+    @cached_property
+    def manifold(self) -> ParameterManifold:
+        """That of the links."""
+        return ParameterManifold(self.problem.manifold.links, 0, np.zeros(0))
+
+    @cached_property
+    def mean(self) -> Point:
+        """The links' priors."""
+        return self.manifold.point(self.problem.prior[self.columns])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The links that are alike to others."""
+        return tuple(name for group in self.parts for name in group.names)
+
+    @property
+    def freedom(self) -> float:
+        """That of the usual spread of a link."""
+        return CERTAINTY
+
+    def root(self, weights: Mapping[str, float]) -> FloatArray:
+        """Of each link in units of its own error."""
+        return held_together(self.parts, self._own(weights), len(self.columns))
+
+    def off(self, name: str, weights: Mapping[str, float], /) -> FloatArray:
+        """Of a link from the mean of those that are alike, which counts them by their weights."""
+        place = self.names.index(name)
+        return np.asarray(from_common(self.parts, self._own(weights), len(self.columns))[place] / OWN_SPREAD)
+
+    def _own(self, weights: Mapping[str, float]) -> FloatArray:
+        return OWN_SPREAD * np.array([weights[name] for name in self.names]) ** -0.5
+
+    def unlike(self, weights: Mapping[str, float]) -> Iterator[str]:
+        """A sentence for each link that is unlike the others."""
+        for group in self.parts:
+            for name in group.names:
+                if weights[name] < DOUBTED:
+                    others = ", ".join(other for other in group.names if other != name)
+                    yield (
+                        f"link '{name}' differs from {others}, which are the same part by the URDF, and was released "
+                        "from them; check for a repair or a load on it, or give '--alike none'"
+                    )

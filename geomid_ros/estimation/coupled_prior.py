@@ -1,0 +1,125 @@
+"""A prior that couples parameters, beside which a problem is fitted.
+
+Minus twice the logarithm of the prior is ``|R t|^2`` with the tangent coordinates t at its mean. It enters the fit as
+rows, linearised where the fit ended, until that does not move: the minimum is that of the geodesic prior. A block of
+coordinates that is unlike what the prior says is let go, by the weight that a t-distribution gives to its distance.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geomid_ros.estimation.fit import Fit
+from geomid_ros.estimation.problem import Problem
+from geomid_ros.estimation.tolerances import ROUNDS, SETTLED
+from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.model.weighed_masses import WeighedRows
+from geomid_ros.types import FloatArray, IntArray
+
+DOUBTED = 0.5
+"""A block of less weight is told."""
+
+
+@dataclass(frozen=True, eq=False)
+class CoupledPrior(ABC):
+    """A prior of some parameters, the ``columns (k,)`` of a ``problem``."""
+
+    problem: Problem
+    columns: IntArray
+
+    @property
+    @abstractmethod
+    def manifold(self) -> ParameterManifold:
+        """That of its parameters."""
+
+    @property
+    @abstractmethod
+    def mean(self) -> Point:
+        """Where its tangent coordinates are zero."""
+
+    @property
+    @abstractmethod
+    def names(self) -> tuple[str, ...]:
+        """Its blocks."""
+
+    @abstractmethod
+    def root(self, weights: Mapping[str, float]) -> FloatArray:
+        """Rows ``(r, k)`` of the tangent coordinates, for these weights of the blocks."""
+
+    @property
+    @abstractmethod
+    def freedom(self) -> float:
+        """Degrees of freedom of the t-distribution of each block's distance."""
+
+    @abstractmethod
+    def off(self, name: str, weights: Mapping[str, float], /) -> FloatArray:
+        """Rows ``(r, k)`` that take the tangent coordinates to the distance of a block in units of its usual size."""
+
+    @abstractmethod
+    def unlike(self, weights: Mapping[str, float]) -> Iterator[str]:
+        """A sentence for each block that was let go."""
+
+    @property
+    def trusted(self) -> dict[str, float]:
+        """The weights of the blocks, if nothing is let go."""
+        return dict.fromkeys(self.names, 1.0)
+
+    def tangent(self, point: Point) -> FloatArray:
+        """Coordinates ``(k,)`` of a point of the problem's manifold at the mean."""
+        return self.manifold.log(self.mean, self.manifold.point(point.parameters[self.columns]))
+
+    def problem_at(self, point: Point, weights: Mapping[str, float]) -> Problem:
+        """The problem with the prior's rows, linearised at a point of its manifold, for these weights of the blocks."""
+        tangent, root, known = self.tangent(point), self.root(weights), self.problem.known
+        rows = np.zeros((len(root), self.problem.model.dimension))
+        rows[:, self.columns] = np.linalg.solve(self._derivative(tangent).T, root.T).T
+        targets = rows @ point.parameters - root @ tangent
+        return replace(self.problem, known=known.plus(WeighedRows(rows, targets)))
+
+    def _derivative(self, tangent: FloatArray) -> FloatArray:
+        return self.manifold.exp_derivative(self.mean, tangent)
+
+    def weights(self, found: Fit, before: Mapping[str, float]) -> dict[str, float]:
+        """The weights of the blocks, by the expected squares of their coordinates at a fit."""
+        tangent = self.tangent(found.point)
+        expected = np.outer(tangent, tangent) + self._covariance(found, tangent)
+        weights = {}
+        for name in self.names:
+            off = self.off(name, before)
+            square = float(np.sum((off @ expected) * off))
+            weights[name] = min(1.0, (self.freedom + len(off)) / (self.freedom + square))
+        return weights
+
+    def _covariance(self, found: Fit, tangent: FloatArray) -> FloatArray:
+        """The posterior's, in the prior's coordinates."""
+        manifold, point = self.problem.manifold, found.point
+        information = found.solution.evaluation.information + np.diag(found.objective.prior_weights)
+        derivative = manifold.exp_derivative(point, np.zeros(manifold.dimension))[self.columns]
+        moved = np.linalg.solve(self._derivative(tangent), derivative)
+        return np.asarray(moved @ np.linalg.solve(self.problem.independent * information, moved.T))
+
+
+def fit_beside(prior: CoupledPrior, solve: Callable[..., Fit]) -> tuple[Fit, dict[str, float]]:
+    """Fit beside a prior.
+
+    Args:
+        prior: of the problem.
+        solve: fits a problem, as :func:`~geomid_ros.estimation.fit.fit` with its other arguments.
+
+    Returns:
+        The fit, of the problem with the prior's rows, and the weights of the prior's blocks.
+    """
+    found = solve(prior.problem_at(prior.problem.prior_point, prior.trusted))
+    weights = prior.weights(found, prior.trusted)
+    for _ in range(ROUNDS):
+        point, before = found.point, weights
+        found = solve(prior.problem_at(point, weights), start=point, spreads=found.spreads)
+        weights = prior.weights(found, before)
+        change = max(abs(np.log(weights[name] / before[name])) for name in weights)
+        if change < SETTLED and np.max(np.abs(prior.tangent(found.point) - prior.tangent(point))) < SETTLED:
+            break
+    return found, weights

@@ -1,0 +1,110 @@
+"""Parts that are alike: links of different limbs whose inertia and geometry in the URDF are equal up to a mirror."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import pinocchio as pin
+
+from geomid_ros.geometry import pseudo_inertia, symmetric
+from geomid_ros.geometry.manifold import ParameterManifold
+from geomid_ros.model.robot import Body, Robot
+from geomid_ros.types import FloatArray, frozen
+
+OWN_SPREAD = 0.04
+"""Usual distance of a part from those that are alike: a fifth of that of a link from its CAD file. Links of a URDF that
+are no nearer to each other are not alike."""
+_REVOLUTE = "JointModelR"  # as the names of pinocchio's joints that turn begin, about whatever axis
+_MIRRORS = np.array(list(product((1.0, -1.0), repeat=3)))
+
+
+@dataclass(frozen=True, eq=False)
+class AlikeParts:
+    """``names`` of links that are alike, their places ``members (n,)`` among the identified bodies, and the ``signs (n,
+    10)`` of their tangent coordinates, which the mirror that takes a link to the first one changes; ``motors``: whether
+    the URDF says how strong the motors are that move them, which is the same for all."""
+
+    names: tuple[str, ...]
+    members: tuple[int, ...]
+    signs: FloatArray
+    motors: bool
+
+
+def alike_parts(robot: Robot, identified: Sequence[int]) -> tuple[AlikeParts, ...]:
+    """The groups of alike links among the ``identified`` bodies of a robot, two links or more each."""
+    model, bodies = robot.pinocchio_model, [robot.bodies[index] for index in identified]
+    groups: list[list[tuple[int, FloatArray]]] = []
+    for place, body in enumerate(bodies):
+        for group in groups:
+            mirror = _mirror(model, bodies[group[0][0]], body)
+            if mirror is not None and not any(_is_one_limb(model, bodies[other], body) for other, _ in group):
+                group.append((place, mirror))
+                break
+        else:
+            groups.append([(place, _MIRRORS[0])])
+    return tuple(_parts(model, bodies, group) for group in groups if len(group) > 1)
+
+
+def _parts(model: pin.Model, bodies: Sequence[Body], group: Sequence[tuple[int, FloatArray]]) -> AlikeParts:
+    members = tuple(place for place, _ in group)
+    mirrors = np.array([np.append(mirror, 1.0) for _, mirror in group])
+    _, effort, _ = _motor(model, bodies[members[0]].joint)
+    return AlikeParts(
+        names=tuple(bodies[place].name for place in members),
+        members=members,
+        signs=frozen(mirrors[:, symmetric.ROWS] * mirrors[:, symmetric.COLUMNS]),
+        motors=effort > 0.0,
+    )
+
+
+def said_alike(groups: Sequence[AlikeParts]) -> Iterator[str]:
+    """A sentence, if any links are alike."""
+    named = [", ".join(group.names) + " (motors of one type)" * group.motors for group in groups]
+    if named:
+        yield f"alike in the URDF, so their errors are taken for mostly the same (--alike none): {'; '.join(named)}"
+
+
+def _is_one_limb(model: pin.Model, first: Body, second: Body) -> bool:
+    """Whether one of two bodies moves the other, or both are fixed to each other."""
+    return first.joint in model.supports[second.joint] or second.joint in model.supports[first.joint]
+
+
+def _mirror(model: pin.Model, first: Body, second: Body) -> FloatArray | None:
+    """Signs ``(3,)`` of the axes of the mirror that takes a body to another; None if they are not alike.
+
+    Of several, as for a round body, the one that takes the place of the one joint to that of the other.
+    """
+    joints = [body.joint for body in (first, second)]
+    if 0 in joints or len({_motor(model, joint) for joint in joints}) > 1:
+        return None
+    one, other = (model.jointPlacements[joint].translation for joint in joints)
+    nearest = np.argsort(np.linalg.norm(_MIRRORS * one - other, axis=1), kind="stable")
+    return next((mirror for mirror in _MIRRORS[nearest] if _are_alike(model, first, second, mirror)), None)
+
+
+def _motor(model: pin.Model, joint: int) -> tuple[str, float, float]:
+    """What moves a joint, in which way, whatever its axis: with the largest effort and speed of the URDF."""
+    own = model.joints[joint]
+    return own.shortname()[: len(_REVOLUTE)], float(model.effortLimit[own.idx_v]), float(model.velocityLimit[own.idx_v])
+
+
+def _are_alike(model: pin.Model, first: Body, second: Body, mirror: FloatArray) -> bool:
+    """Whether a mirror takes one body to another: its inertia, and the joints that it carries."""
+    signs = np.append(mirror, 1.0)
+    matrices = pseudo_inertia.from_parameters(np.array([first.parameters, second.parameters]))
+    matrices[0] *= np.outer(signs, signs)
+    manifold = ParameterManifold(1, 0, np.zeros(0))
+    points = (manifold.point(pseudo_inertia.to_parameters(matrix)) for matrix in matrices)
+    if manifold.distance(*points) > OWN_SPREAD:
+        return False
+    carried = [[p.translation for p in _carried(model, body.joint)] for body in (first, second)]
+    if len(carried[0]) != len(carried[1]):
+        return False
+    return all(np.linalg.norm(mirror * a - b) <= OWN_SPREAD * np.linalg.norm(b) for a, b in zip(*carried, strict=True))
+
+
+def _carried(model: pin.Model, joint: int) -> list[pin.SE3]:
+    return [model.jointPlacements[other] for other in range(1, model.njoints) if model.parents[other] == joint]

@@ -1,0 +1,68 @@
+"""The controllers of motors that have no torque sensors: efforts from set-points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.types import FloatArray
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Of a joint's controller: ``kp`` [N m/rad, N/m] and ``kd`` [N m s/rad, N s/m]."""
+
+    kp: float
+    kd: float
+
+    @staticmethod
+    def parse(text: str) -> Gains:
+        """From ``KP:KD``. Raises InputError."""
+        try:
+            kp, kd = map(float, text.split(":"))
+        except ValueError:
+            kp = kd = np.nan
+        if not (0.0 < kp < np.inf and 0.0 <= kd < np.inf):
+            raise InputError(f"gains '{text}' are not of the form KP:KD, e.g. 20:0.5 [N m/rad, N m s/rad], KP above 0")
+        return Gains(kp, kd)
+
+
+@dataclass(frozen=True, eq=False)
+class Controller:
+    """The gains of all joints ``(joints,)``: effort = kp (q_c - q) + kd (v_c - v) + feed-forward.
+
+    Commands act ``delay`` [ns] after their stamps.
+    """
+
+    kp: FloatArray
+    kd: FloatArray
+    delay: int = 0
+
+    @staticmethod
+    def of(gains: Mapping[str, Gains], joints: Sequence[str], delay: float) -> Controller | None:
+        """Of ``gains`` by joint, those of all others under an empty name, and a ``delay`` [s]; None without any.
+
+        Raises InputError for an unknown joint, or one without gains.
+        """
+        if not gains:
+            return None
+        for name in gains:
+            if name and name not in joints:
+                raise unknown_name("joint with gains", name, joints)
+        own = [gains.get(joint, gains.get("")) for joint in joints]
+        if None in own:
+            raise InputError(f"joint '{joints[own.index(None)]}' has no gains; give KP:KD for all joints")
+        kp, kd = np.array([(each.kp, each.kd) for each in own if each is not None]).T
+        return Controller(kp, kd, round(1e9 * delay))
+
+    def efforts(self, commands: FloatArray, position: FloatArray, velocity: FloatArray) -> FloatArray:
+        """Efforts ``(N, joints)`` by ``commands (N, 3, joints)`` of position, velocity and feed-forward."""
+        wanted, speed, forward = commands.swapaxes(0, 1)
+        return np.asarray(self.kp * (wanted - position) + self.kd * (speed - velocity) + forward)
+
+    def rate(self, commands: FloatArray) -> FloatArray:
+        """By how much efforts ``(N, joints)`` change per second of set-points whose derivatives are ``commands``."""
+        return self.efforts(commands, np.zeros_like(commands[:, 0]), np.zeros_like(commands[:, 0]))

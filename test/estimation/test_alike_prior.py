@@ -1,0 +1,117 @@
+"""Parts that are alike: a common error is told by any of them, and one that is unlike the others is let go."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from model.robots import urdf
+
+from geomid_ros.estimation.alike_prior import AlikePrior
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimator import EstimatorSettings
+from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.estimation.problem import Problem
+from geomid_ros.model.alike_parts import AlikeParts, alike_parts
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import Robot
+from geomid_ros.model.weighed_masses import weighed_rows
+from geomid_ros.types import FloatArray
+
+from .arms import Truth, efforts, motion, samples
+
+THIGHS = ("FL_thigh", "FR_thigh", "RL_thigh", "RR_thigh")
+HEAVIER = 1.4
+
+
+@cache
+def quadruped() -> MeasurementModel:
+    """A Go2 that hangs from its trunk."""
+    return MeasurementModel(Robot(urdf("go2.urdf")), [])
+
+
+@cache
+def parts() -> tuple[AlikeParts, ...]:
+    return alike_parts(quadruped().robot, quadruped().identified)
+
+
+def nominal() -> FloatArray:
+    return np.array([body.parameters for body in quadruped().robot.bodies])
+
+
+def identifier(heavy: tuple[str, ...], legs: tuple[str, ...], alike: bool) -> Identifier:
+    """That was told the efforts of some ``legs`` of a robot with ``heavy`` links."""
+    model, rng = quadruped(), np.random.default_rng(5)
+    robot, links = model.robot, nominal()
+    for name in heavy:
+        links[robot.body_names.index(name)] *= HEAVIER
+    moving = motion(rng, len(robot.joints), 10.0, rate=50.0)
+    measured = efforts(robot, Truth(links, {}), moving)
+    measured += 0.05 * rng.normal(size=measured.shape)
+    measured[:, [name[:2] not in legs for name in robot.joint_names]] = np.nan
+    result = Identifier(model, EstimatorSettings(alike=parts() if alike else ()))
+    result.add(samples(moving, measured, rate=50.0))
+    return result
+
+
+def alike_prior() -> AlikePrior:
+    """Of a problem whose rows do not matter."""
+    model, summary = quadruped(), identifier((), ("FL",), False).snapshot()
+    known, sigmas = weighed_rows(model, ()), np.full(len(model.channels), np.nan)
+    return AlikePrior.of(parts(), Problem(model, summary, None, known, sigmas, None, 1.0))
+
+
+def masses(found: Estimate) -> dict[str, float]:
+    """Relative to the URDF's."""
+    by_name = dict(zip(quadruped().robot.body_names, nominal()[:, 0], strict=True))
+    return {link.name: link.mass / by_name[link.name] for link in found.links}
+
+
+def test_the_covariance_is_that_of_a_common_error_and_of_small_ones() -> None:
+    """``s^2 (1 1^T + I / 25)`` in mirrored coordinates: of four parts, to a hundredth."""
+    prior = alike_prior()
+    root = prior.root(prior.trusted)
+    covariance = np.linalg.inv(np.diag(np.repeat(prior.problem.usual, 10) ** -2.0) + root.T @ root)
+    for group in parts():
+        places = [10 * member + 4 for member in group.members]
+        signs = group.signs[:, 4]
+        found = covariance[np.ix_(places, places)] * np.outer(signs, signs)
+        np.testing.assert_allclose(found, 0.04 * (np.ones((4, 4)) + np.eye(4) / 25.0), rtol=0.02)
+
+
+def test_a_link_of_less_weight_is_held_less() -> None:
+    """The rows of ``W - W 1 1^T W / 1^T W 1`` with the precisions W: the common error is integrated out."""
+    prior = alike_prior()
+    root = prior.root(prior.trusted | {"FR_thigh": 0.3})
+    places = [10 * member + 4 for member in parts()[1].members]
+    precisions = 25.0 / 0.2**2 * np.array([1.0, 0.3, 1.0, 1.0])
+    expected = np.diag(precisions) - np.outer(precisions, precisions) / np.sum(precisions)
+    signs = parts()[1].signs[:, 4]
+    found = (root.T @ root)[np.ix_(places, places)] * np.outer(signs, signs)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_one_leg_tells_of_the_others() -> None:
+    together, alone = (masses(identifier(THIGHS, ("FL",), alike).solve()) for alike in (True, False))
+    for name in THIGHS[1:]:
+        assert alone[name] == pytest.approx(1.0, abs=1e-6)
+        assert together[name] == pytest.approx(together[THIGHS[0]], rel=0.03)
+    assert together[THIGHS[0]] > 1.2
+
+
+def test_a_leg_that_was_repaired_is_let_go_and_told() -> None:
+    found = identifier(THIGHS[1:2], ("FL", "FR", "RL", "RR"), True).solve()
+    told = [warning for warning in found.warnings if "same part" in warning]
+    assert len(told) == 1
+    assert told[0].startswith("link 'FR_thigh' differs from FL_thigh, RL_thigh, RR_thigh")
+    free = identifier(THIGHS[1:2], ("FL", "FR", "RL", "RR"), False).solve()
+    for name in THIGHS:
+        assert masses(found)[name] == pytest.approx(masses(free)[name], abs=0.1)
+
+
+def test_parts_that_are_alike_are_not_told_as_unlike() -> None:
+    found = identifier(THIGHS, ("FL", "FR", "RL", "RR"), True).solve()
+    assert not [warning for warning in found.warnings if "same part" in warning]
+    every = np.array([masses(found)[name] for name in THIGHS])
+    assert np.ptp(every) < 0.05
