@@ -13,7 +13,7 @@ import yaml
 from commands.running import geomid
 from files.recordings import Recorded, altered
 
-from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
+from geomid_ros.checks.verdict import STATUS, USABLE
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.configuration import Configuration, find_parameter
 
@@ -111,17 +111,15 @@ def in_amperes(bag: Path, folder: Path) -> Path:
     return altered(bag, folder, divided)
 
 
-def identified(bag: Path, urdf: Path, config: str, out: Path, *more: str, doubt: str = "") -> dict[str, float]:
+def identified(bag: Path, urdf: Path, config: str, out: Path, *more: str) -> dict[str, float]:
     """RMS residuals, summed over the channels: of the URDF, and of what is found, on the end of the bag.
 
-    The result is usable, or there is a ``doubt`` about it.
+    The result is usable.
     """
     arguments = ("--config", ROOT / "config" / config, "--hold-out", "0.3", "--json", "--out", out, *more)
     result = geomid("identify", bag, "--urdf", urdf, *arguments)
-    assert result.exit_code == STATUS[DOUBTFUL if doubt else USABLE], result.output
-    document = json.loads(result.stdout)
-    assert doubt in " ".join(document["verdict"]["reasons"])
-    rms = document["rms"]
+    assert result.exit_code == STATUS[USABLE], result.output
+    rms = json.loads(result.stdout)["rms"]
     return {kind: sum(rms[kind].values()) for kind in ("nominal", "held_out")}
 
 
@@ -140,9 +138,10 @@ def test_a_measured_franka(tmp_path: Path) -> None:
     folder = MEASURED / "panda_unisa_rosbag2"
     urdf = tmp_path / "fer.urdf"
     urdf.write_text((folder / "panda_nohand.urdf").read_text().replace("panda_joint", "fer_joint"))
-    heavy = {"doubt": "kg in all instead of the URDF's 16.1 kg"}  # 24 s at 30 Hz do not say what its links weigh
-    found = identified(folder / "panda_exciting_trajectory", urdf, "franka.yaml", tmp_path / "out", **heavy)
+    found = identified(folder / "panda_exciting_trajectory", urdf, "franka.yaml", tmp_path / "out")
     assert found["held_out"] < 0.7 * found["nominal"]
+    links = json.loads((tmp_path / "out/estimate.json").read_text())["links"]
+    assert sum(link["mass"] for link in links) == pytest.approx(16.1, rel=0.1)
 
 
 @needs_recordings

@@ -21,7 +21,7 @@ from .effects import PAYLOAD, effect
 def one_of_each() -> list[KnownEffect]:
     """Every effect with numbers within its range, viscous friction first."""
     places = {"joint": "joint1", "joints": "joint1+joint2", "robot": "", "link": "tool", "sensor": "/wrench"}
-    places["base"] = "base"
+    places |= {"base": "base", "commands": ""}
     return [
         effect("payload", "tool", **PAYLOAD)
         if name == "payload"

@@ -205,7 +205,7 @@ def test_a_quadruped(stage: Stage) -> None:
         robot.wrenches(f"/{foot.lower()}/wrench", foot, noisy(force, 0.3, seed))
         for seed, (foot, force) in enumerate(forces.items())
     ]
-    setup = Setup(stage, CONFIG / "legged.yaml", text)
+    setup = Setup(stage, CONFIG / "legged.yaml", text, "-p", "alike:=none")  # each of its links is another one
     setup.publish(in_time(robot.joint_states(noisy(robot.efforts(forces), 0.1, seed=9)), robot.odometry(), *feet))
     setup.told()
     links = setup.saved()
