@@ -110,7 +110,7 @@ def _best(chosen: _Fit, left: IntArray) -> tuple[int, _Fit | None]:
     starts = (chosen, chosen.firm)
     gains = np.max([start.gains(left) for start in starts], axis=0)
     column = int(left[np.argmax(gains)])
-    if np.max(gains) < max(_VISIBLE * float(np.max(chosen.rows.by_channel(chosen.rows.judging))), TOLD**2):
+    if np.max(gains) < max(_VISIBLE * float(np.max(chosen.rows.counts[chosen.rows.fast])), TOLD**2):
         return column, None
     columns = np.sort(np.append(chosen.every, column))
     return column, min((chosen.rows.fit(columns, start) for start in starts), key=lambda fit: fit.score)
@@ -135,7 +135,8 @@ class _Rows:
     @property
     def enough(self) -> bool:
         """Whether some channel has more independent rows than unknowns without a choice: fewer ask for nothing."""
-        return bool(np.any(self._telling))
+        unknowns = [len(np.intersect1d(channel.columns, self.standing)) for channel in self.problem.model.channels]
+        return bool(np.any(self.counts[self.fast] > unknowns))
 
     @property
     def columns(self) -> range:
@@ -197,33 +198,18 @@ class _Rows:
         """Independent rows of each group."""
         return self.problem.independent * self.problem.counts[: -len(self.problem.model.channels)]
 
-    @cached_property
-    def _telling(self) -> BoolArray:
-        """Whether each group has more independent rows than unknowns without a choice ``(groups,)``."""
-        unknowns = [len(np.intersect1d(channel.columns, self.standing)) for channel in self.problem.model.channels]
-        return np.asarray(self.counts > np.resize(unknowns, len(self.counts)))
-
-    @cached_property
-    def slower(self) -> BoolArray:
-        """Whether each group is of slow motion, beside enough rows of the same channel in fast motion ``(groups,)``."""
-        channels = len(self.problem.model.channels)
-        return (np.arange(len(self.counts)) >= channels) & np.resize(self._telling[:channels], len(self.counts))
+    @property
+    def fast(self) -> slice:
+        """The groups of fast motion, by which effects are judged: near rest the shape of dry friction may stand for
+        an effect."""
+        return slice(len(self.problem.model.channels))
 
     @cached_property
     def floors(self) -> FloatArray:
         """Least noise of each group: a channel's in slow motion is no less than in fast motion."""
-        fast = self.problem.least_sigmas[: len(self.problem.model.channels)]
-        return np.where(self.slower, np.resize(fast, len(self.counts)), 0.0)
-
-    @cached_property
-    def judging(self) -> FloatArray:
-        """Independent rows of each group by which effects are judged: near rest the shape of dry friction may stand for
-        an effect."""
-        return np.where(self.slower, 0.0, self.counts)
-
-    def by_channel(self, groups: FloatArray) -> FloatArray:
-        """The sums ``(channels,)`` of numbers ``(groups,)``."""
-        return np.asarray(np.sum(groups.reshape(-1, len(self.problem.model.channels)), axis=0))
+        floors = np.resize(self.problem.least_sigmas[self.fast], len(self.counts))
+        floors[self.fast] = 0.0
+        return floors
 
     def fit(self, columns: IntArray, start: _Fit | None = None, *, spreads: FloatArray | None = None) -> _Fit:
         """Fit these parameters, from an earlier fit where one is given; with ``spreads (links,)`` of the links, unless
@@ -341,15 +327,8 @@ class _Fit:
 
     def is_visible_beside(self, smaller: _Fit) -> bool:
         """Whether it leaves clearly less of some channel, links as they were fitted or such as stay near the prior."""
-        pairs = ((self, smaller), (self.firm, smaller.firm))
-        return any(bool(np.any(one.decreases(other) > -np.log(1.0 - _VISIBLE))) for one, other in pairs)
-
-    def decreases(self, other: _Fit) -> FloatArray:
-        """By how much less it leaves of each channel than another fit: logarithms ``(channels,)``, the mean over the
-        channel's rows."""
-        counts, total = self.rows.judging, self.rows.by_channel(self.rows.judging)
-        decreases = self.rows.by_channel(counts * np.log(other.left / self.left))
-        return decreases / np.where(total > 0.0, total, np.inf)
+        pairs, fast = ((self, smaller), (self.firm, smaller.firm)), self.rows.fast
+        return any(bool(np.any(one.left[fast] < (1.0 - _VISIBLE) * other.left[fast])) for one, other in pairs)
 
     @cached_property
     def _vector(self) -> FloatArray:

@@ -130,14 +130,15 @@ def estimate(
     begin = time.perf_counter()
     if summary.rows == 0:
         raise InputError("no usable rows: nothing was measured, or the robot never moved")
+    independent = _independent(summary, settings.cutoff)
     whole = Problem(
         model,
-        summary,
+        _pooled(model, summary, independent),
         given=prior,
         known=weighed_rows(model, settings.known).plus(known),
         sigmas=_configured_sigmas(model, settings),
         gamma=settings.gamma,
-        independent=_independent(summary, settings.cutoff),
+        independent=independent,
         given_spreads=spreads,
     )
 
@@ -205,6 +206,14 @@ def _independent(summary: RowSummary, cutoff: float) -> float:
     if not (np.isfinite(cutoff) and summary.period > 0.0):
         return 1.0
     return min(INDEPENDENT * cutoff * summary.period, 1.0)
+
+
+def _pooled(model: MeasurementModel, summary: RowSummary, independent: float) -> RowSummary:
+    """The rows, those of slow motion among those of fast motion where these alone do not tell a channel's unknowns."""
+    first = model.dimension - len(model.coefficients)
+    standing = [column < first or not model.coefficients[column - first].optional for column in range(model.dimension)]
+    unknowns = [np.count_nonzero(np.array(standing)[channel.columns]) for channel in model.channels]
+    return summary.pooled(independent * summary.counts()[: len(unknowns)] <= unknowns)
 
 
 def least_inflation(summary: RowSummary, cutoff: float) -> float:

@@ -152,17 +152,18 @@ class Problem:
     def noise(self, parameters: FloatArray) -> FloatArray:
         """The standard deviation of each group that is most likely at ``parameters (D,)``.
 
-        Nothing is surer in slow motion, or at rest, where dry friction may have any value, than in fast motion. A
-        channel that has hardly more rows of a regime, and of faster ones, than unknowns says nothing of its noise.
+        Nothing is surer in slow motion, or at rest, where dry friction may have any value, than in fast motion. A group
+        that has hardly more rows than unknowns says nothing of its noise, unless one of faster motion does.
         """
         columns = np.array([len(channel.columns) for channel in self.model.channels])
         counts, squares, least = (
             each.reshape(REGIMES, -1) for each in (self.counts, self.squares(parameters), self.least_sigmas)
         )
-        found = np.maximum(np.sqrt(squares / np.maximum(counts, 1.0)), np.where(counts > columns, least, 0.0))
-        telling = np.cumsum(counts, axis=0) > columns
-        sigmas = np.maximum.accumulate(np.where(telling, found, 0.0))
-        return self._with_given(np.where(telling, sigmas, least).ravel())
+        telling = counts > columns
+        found = np.maximum(np.sqrt(squares / np.maximum(counts, 1.0)), np.where(telling, least, 0.0))
+        known = np.logical_or.accumulate(telling)
+        sigmas = np.maximum.accumulate(np.where(known, found, 0.0))
+        return self._with_given(np.where(known, sigmas, least).ravel())
 
     def _with_given(self, sigmas: FloatArray) -> FloatArray:
         given = np.resize(self.sigmas, len(sigmas))

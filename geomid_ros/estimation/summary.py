@@ -17,7 +17,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.channel_summary import ChannelSummary, joined, together, triangular, usable
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.moving import REGIMES
-from geomid_ros.types import FloatArray, IntArray
+from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,6 +227,16 @@ class RowSummary:
         for fold in copy._summaries:  # noqa: SLF001 its own
             for part in fold[channel :: len(self.channels)]:
                 part.factor = triangular(np.column_stack([part.factor[:, :-1], part.factor @ np.append(own, 1.0)]))
+        return copy
+
+    def pooled(self, channels: BoolArray) -> RowSummary:
+        """A copy in which the rows of slow motion are among those of fast motion, for some channels ``(channels,)``."""
+        copy = self._copy(self.channels)
+        for fold in copy._summaries:  # noqa: SLF001 its own
+            for fast in np.flatnonzero(channels).tolist():
+                slow = fast + len(self.channels)
+                fold[fast] = together([fold[fast], fold[slow]])
+                fold[slow] = ChannelSummary(fold[slow].factor[:0])
         return copy
 
     def snapshot(self) -> RowSummary:

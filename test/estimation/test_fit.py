@@ -186,3 +186,30 @@ def test_what_was_fitted_first_is_known_to_its_own_size_at_best() -> None:
     own = np.abs(found.prior_point.reals) / found.manifold.scales
     assert np.all(errors[found.model.positives :] >= own)
     assert np.max(own) > 2.0 * USUAL_SPREAD_OF_REALS
+
+
+@pytest.mark.parametrize("fast", [0, 5, 60])
+def test_rows_of_slow_motion_stand_for_those_of_fast_motion_where_these_are_few(fast: int) -> None:
+    """A few instants of a start-up do not say how sure a robot's efforts are that creeps then."""
+    case = arm("arm3", 0, seconds=20)
+    slow = np.arange(len(case.samples))[:, None] >= fast
+    speeds = np.sign(case.samples.velocity) * np.where(slow, 0.025, 1.0)
+    moving = replace(case.samples, velocity=speeds)
+    clean = efforts(case.model.robot, case.true, moving)
+    noise = NOISE * np.random.default_rng(0).normal(size=clean.shape)
+    identifier = Identifier(case.model, EstimatorSettings(cutoff=10.0))
+    identifier.add(replace(moving, effort=clean + noise))
+    np.testing.assert_allclose(identifier.solve().sigmas, NOISE, rtol=0.15)
+
+
+@pytest.mark.parametrize("rows", [12, 25, 33, 36, 45])
+@pytest.mark.parametrize("slow", [1, 4, 12])
+def test_few_rows_of_all_kinds_are_no_proof_of_an_exact_sensor(rows: int, slow: int) -> None:
+    case = arm("arm3", 0, seconds=20)
+    chosen = np.random.default_rng(rows).choice(len(case.samples), rows, replace=False)
+    samples = case.samples.select(np.sort(chosen))
+    speeds = samples.velocity.copy()
+    speeds[:slow] = np.sign(speeds[:slow]) * 0.025
+    identifier = Identifier(case.model, EstimatorSettings())
+    identifier.add(replace(samples, velocity=speeds))
+    assert np.all(identifier.solve().sigmas > 0.1 * NOISE)
