@@ -30,6 +30,7 @@ from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.alike_parts import AlikeParts
 from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.moving import REGIMES
 from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_rows
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
@@ -130,15 +131,14 @@ def estimate(
     begin = time.perf_counter()
     if summary.rows == 0:
         raise InputError("no usable rows: nothing was measured, or the robot never moved")
-    independent = _independent(summary, settings.cutoff)
     whole = Problem(
         model,
-        _pooled(model, summary, independent),
+        _pooled(model, summary),
         given=prior,
         known=weighed_rows(model, settings.known).plus(known),
         sigmas=_configured_sigmas(model, settings),
         gamma=settings.gamma,
-        independent=independent,
+        independent=_independent(summary, settings.cutoff),
         given_spreads=spreads,
     )
 
@@ -208,12 +208,13 @@ def _independent(summary: RowSummary, cutoff: float) -> float:
     return min(INDEPENDENT * cutoff * summary.period, 1.0)
 
 
-def _pooled(model: MeasurementModel, summary: RowSummary, independent: float) -> RowSummary:
-    """The rows, those of slow motion among those of fast motion where these alone do not tell a channel's unknowns."""
+def _pooled(model: MeasurementModel, summary: RowSummary) -> RowSummary:
+    """The rows, those of slow motion among those of fast motion where these are fewer, or no more than unknowns."""
     first = model.dimension - len(model.coefficients)
     standing = [column < first or not model.coefficients[column - first].optional for column in range(model.dimension)]
     unknowns = [np.count_nonzero(np.array(standing)[channel.columns]) for channel in model.channels]
-    return summary.pooled(independent * summary.counts()[: len(unknowns)] <= unknowns)
+    fast, slow, _ = summary.counts().reshape(REGIMES, -1)
+    return summary.pooled(fast <= np.maximum(slow, unknowns))
 
 
 def least_inflation(summary: RowSummary, cutoff: float) -> float:
