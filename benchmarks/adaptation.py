@@ -109,6 +109,8 @@ class Adapting:
         age = self.link.late if after and self.link.late is not None else self.link.readings
         if cycle % self.link.period == 0 and 0 <= cycle - age < len(self._seen):
             now, at = cycle * CYCLE, cycle - age
+            if after:  # none comes until they are as late
+                at = max(at, round(_MISHAP / CYCLE) - self.link.readings)
             if not (after and self.link.stop):
                 self.correction.learn(now, self._seen[at], self.commanded[:, at])
             arrival = cycle + self.link.efforts

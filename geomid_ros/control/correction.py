@@ -49,22 +49,27 @@ class Correction:
         self._heard = self._sent = -np.inf
         self._last = np.zeros(len(joints))
 
+    def go_on_from(self, other: Correction) -> None:
+        """Change gradually from what another one gave last."""
+        self._last, self._sent = other._last, other._sent
+
     def learn(self, now: float, reading: Reading, commanded: FloatArray) -> None:
         """Adapt to a reading and the motion ``(3, joints)`` that was ``commanded`` for its time."""
         before = self._before or reading
-        if not reading.is_complete or reading.time < before.time:
+        if not reading.is_complete:
             return
         self._before = reading
         step = reading.time - before.time
-        if step == 0.0:
+        if step <= 0.0:
+            self._check_clock(step, "of joint states ")
             return
         self._heard = now
         faults = faults_of(self._joints, self._limits, reading, before, commanded[1])
         if late := self.delay.take(max(0.0, now - reading.time) + step, step):
-            faults["late"] = late
+            faults.append(late)
         rows, residuals = self._missing(np.array([reading.position, *commanded[1:]]), reading.effort)
         if not self.adaptation.explains(rows, residuals):
-            faults["contact"] = "no payload explains the efforts; the robot may touch something"
+            faults.append("no payload explains the efforts; the robot may touch something")
         self.latch.take(now, faults)
         if not faults and not self.latch.reason:
             tangent = needed(self.adaptation.point, rows, residuals)
@@ -77,14 +82,26 @@ class Correction:
         residuals = effort - self._efforts(motion[:, None])[0] - rows @ self.adaptation.change
         return rows / noise[:, None], residuals / noise
 
+    def _check_clock(self, passed: float, whose: str = "") -> None:
+        if passed < 0.0:
+            self.latch.close(f"the clock {whose}went back by {-passed:.3g} s")
+
     def __call__(self, now: float, commanded: FloatArray) -> FloatArray:
         """Efforts ``(joints,)`` to add to those of the identified model, at the motion ``commanded (3, joints)``."""
         if np.isfinite(self._heard) and now - self._heard > LASTING:
             self.latch.close(f"no joint states for {1e3 * (now - self._heard):.0f} ms")
-        wanted = np.zeros(len(self._joints))
+        passed, self._sent = now - self._sent, now
+        self._check_clock(passed)
+        most, change = LARGEST_SHARE * self._limits, FASTEST * self._limits * max(0.0, min(passed, LASTING))
+        wanted = np.clip(self._wanted(commanded), -most, most)
+        self._last = np.clip(wanted, self._last - change, self._last + change)
+        return self._last
+
+    def _wanted(self, commanded: FloatArray) -> FloatArray:
+        """Efforts ``(joints,)`` before bounds; zeros where the correction is off."""
         if not self.latch.reason:
             wanted = self._rows_of(commanded) @ self.adaptation.change
-        most, change = LARGEST_SHARE * self._limits, FASTEST * self._limits * max(0.0, min(now - self._sent, LASTING))
-        self._last = np.clip(np.clip(wanted, -most, most), self._last - change, self._last + change)
-        self._sent = now
-        return self._last
+            if np.isfinite(wanted).all():
+                return np.asarray(wanted)
+            self.latch.close("the efforts to add are not finite; the motion that is commanded is wrong")
+        return np.zeros(len(self._joints))

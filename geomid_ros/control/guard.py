@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ LASTING = 0.1
 LATER = 2.0
 """Allowed delay as a multiple of the delay that the gain is set for; the loop is stable up to pi times."""
 _SATURATED = 0.99  # of the effort limit
-_MEMORY = 1.0  # [s] in which a long delay is forgotten
+_MEMORY = 1.0  # [s] in which a long delay is forgotten, and what was wrong for LASTING
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,19 +42,22 @@ class Reading:
 
 
 class Latch:
-    """Remembers since when something is wrong, and why the correction is off."""
+    """Adds up for how long something is wrong, and remembers why the correction is off."""
 
     def __init__(self) -> None:
-        self._since: dict[str, float] = {}
+        self._before = -np.inf
+        self._is_wrong = False
+        self._wrong = 0.0  # [s], less what is forgotten
         self.reason = ""
         """Why the correction is off, in a sentence; empty while it is on."""
 
-    def take(self, now: float, faults: Mapping[str, str]) -> None:
-        """Note what is wrong ``now`` [s]: sentences by kind."""
-        self._since = {kind: self._since.get(kind, now) for kind in faults}
-        for kind, since in self._since.items():
-            if now - since >= LASTING:
-                self.close(faults[kind])
+    def take(self, now: float, faults: Sequence[str]) -> None:
+        """Note what is wrong from ``now`` [s] on, in sentences: what comes and goes adds up."""
+        passed, self._before = max(0.0, now - self._before), now
+        self._wrong = self._wrong + passed if self._is_wrong else max(0.0, self._wrong - passed * LASTING / _MEMORY)
+        self._is_wrong = bool(faults)
+        if faults and self._wrong >= LASTING:
+            self.close(faults[0])
 
     def close(self, reason: str) -> None:
         """Switch off, for the first ``reason``."""
@@ -78,8 +81,8 @@ class Delay:
 
 def faults_of(
     joints: tuple[str, ...], limits: FloatArray, reading: Reading, before: Reading, commanded: FloatArray
-) -> dict[str, str]:
-    """What is wrong with a reading after the one ``before``, by kind.
+) -> list[str]:
+    """What is wrong with a reading after the one ``before``, in sentences.
 
     Args:
         joints: names.
@@ -87,10 +90,10 @@ def faults_of(
         reading, before: what was measured.
         commanded: velocities ``(joints,)``.
     """
-    faults = {}
+    faults = []
     used = np.abs(reading.effort) / limits
     if np.max(used) >= _SATURATED:
-        faults["saturation"] = f"the effort of joint '{joints[int(np.argmax(used))]}' saturates"
+        faults.append(f"the effort of joint '{joints[int(np.argmax(used))]}' saturates")
     if reading.repeats(before) and np.max(np.abs(commanded)) > STANDING:
-        faults["frozen"] = "joint states repeat while the robot is to move"
+        faults.append("joint states repeat while the robot is to move")
     return faults

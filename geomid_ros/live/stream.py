@@ -73,8 +73,10 @@ class Stream:
         before, last = self._last
         step = 1e-9 * (stamp - before)
         position, velocity = numbers[:2]
-        if last.shape[1] != len(position) or not 0.0 < step < model.memory:
+        if last.shape[1] != len(position) or abs(step) >= model.memory:
             motion = np.array([position, np.nan_to_num(velocity), np.zeros_like(position)])
+        elif step <= 0.0:  # a stamp twice, or two messages in the wrong order, say nothing about accelerations
+            return np.array([position, np.where(np.isnan(velocity), last[1], velocity), last[2]])
         else:
             way = np.where(
                 model.turning, np.remainder(position - last[0] + np.pi, 2.0 * np.pi) - np.pi, position - last[0]

@@ -52,6 +52,7 @@ class Adapting:
         self._start = 0.0
         self._position = np.zeros(len(self._joints))
         self._said = ""
+        self._lacking = "none has come"  # why no joint states can be used
         self._inertias = node.create_publisher(InertiaStamped, "~/inertia", 10)
         self._corrections = node.create_publisher(JointState, "~/correction", 10)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -61,6 +62,7 @@ class Adapting:
         node.create_service(Trigger, "~/reset", self._reset)
         node.create_timer(LASTING / 4.0, self._send)
         node.create_timer(1.0, self._report)
+        node.get_logger().info(f"link '{self._link}' adapts to a payload of at most {heaviest:g} kg")
 
     def _new(self) -> Correction:
         model, parameters = self._session.model, identified(self._session)
@@ -71,9 +73,13 @@ class Adapting:
         """Begin anew from another model of the robot; what is off stays off."""
         reason = self._correction.latch.reason
         self._session = session
-        self._correction = self._new()
+        self._begin_anew()
         if reason:
             self._correction.latch.close(reason)
+
+    def _begin_anew(self) -> None:
+        before, self._correction = self._correction, self._new()
+        self._correction.go_on_from(before)
 
     @property
     def _now(self) -> float:
@@ -97,15 +103,21 @@ class Adapting:
 
     def _on_state(self, message: JointState) -> None:
         places = {name: place for place, name in enumerate(message.name)}
-        fields = message.position, message.velocity, message.effort
-        if any(joint not in places for joint in self._joints) or any(len(own) != len(places) for own in fields):
-            return  # the watchdog says so
+        fields = {"positions": message.position, "velocities": message.velocity, "efforts": message.effort}
+        absent = [f"'{joint}'" for joint in self._joints if joint not in places]
+        absent = absent or [name for name, values in fields.items() if len(values) != len(message.name)]
+        if absent:
+            self._lacking = f"they lack {', '.join(absent)}"
+            return  # if some came before, the watchdog says so
         own = [places[joint] for joint in self._joints]
-        position, velocity, effort = (np.array(values)[own] for values in fields)
+        position, velocity, effort = (np.array(values)[own] for values in fields.values())
         stamp = message.header.stamp
         time = stamp.sec + 1e-9 * stamp.nanosec or self._now
-        self._position = position
-        self._correction.learn(self._now, Reading(time, position, velocity, effort), self._commanded(time))
+        reading = Reading(time, position, velocity, effort)
+        self._lacking = "" if reading.is_complete else "they are not finite"
+        if reading.is_complete:
+            self._position = position
+        self._correction.learn(self._now, reading, self._commanded(time))
         self._send()
 
     def _send(self) -> None:
@@ -135,8 +147,11 @@ class Adapting:
     def _report(self) -> None:
         """Publish the status, and log once why the correction is off."""
         reason, change = self._correction.latch.reason, float(self._correction.adaptation.change[0])
-        level = DiagnosticStatus.ERROR if reason else DiagnosticStatus.OK
-        sentence = f"off until ~/reset: {reason}" if reason else f"{change:+.2f} kg"
+        level, sentence = DiagnosticStatus.OK, f"{change:+.2f} kg"
+        if reason:
+            level, sentence = DiagnosticStatus.ERROR, f"off until ~/reset: {reason}"
+        elif self._lacking:
+            level, sentence = DiagnosticStatus.WARN, f"no usable joint states: {self._lacking}"
         if reason and reason != self._said:
             self._node.get_logger().error(f"adaptation of '{self._link}' is {sentence}")
         self._said = reason
@@ -147,6 +162,6 @@ class Adapting:
         self._diagnostics.publish(array)
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._correction = self._new()
+        self._begin_anew()
         response.success, response.message = True, "adaptation begins anew from the identified model"
         return response

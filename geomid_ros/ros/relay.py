@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from rclpy.exceptions import NameValidationException, ParameterException
@@ -52,7 +53,7 @@ class FeedforwardRelay:
         node.create_subscription(JointTrajectory, _IN, self._relay, 10)
         link = str(node.declare_parameter("link", "").value)
         heaviest = float(node.declare_parameter("heaviest_payload", 0.0).value)
-        if heaviest < 0.0:
+        if not 0.0 <= heaviest < math.inf:
             raise InputError(f"heaviest_payload is {heaviest:g}, expected a mass in kg, or 0 for no adaptation")
         self._adapting = Adapting(node, self._session, link, heaviest) if heaviest else None
         self._log.info(f"fills the efforts of {node.resolve_topic_name(_IN)} for {self._publisher.topic_name}")

@@ -20,7 +20,7 @@ from geomid_ros.api.options import RobotOptions
 from geomid_ros.api.verify import identified
 from geomid_ros.control.adaptation import BODY, MARGIN, Adaptation, divergence, needed, share_of
 from geomid_ros.control.correction import FASTEST, LARGEST_SHARE, Correction
-from geomid_ros.control.guard import LASTING, LATER, Reading
+from geomid_ros.control.guard import LASTING, LATER, Latch, Reading
 from geomid_ros.control.motor_efforts import MotorEfforts
 from geomid_ros.errors import InputError
 from geomid_ros.geometry import pseudo_inertia, spd
@@ -186,10 +186,28 @@ def frozen_at(begin: float) -> Change:
     return change
 
 
+def late(time: float) -> float:
+    """None comes until they are as late."""
+    return time if time < BEGIN else max(BEGIN - PERIOD, time - 0.07)
+
+
+def is_now_and_then(time: float) -> bool:
+    """For 80 of 100 ms."""
+    return time >= BEGIN and round(time / PERIOD) % 10 < 8
+
+
 BEGIN = 4.0
 FAULTS: dict[str, tuple[Change, str]] = {
     "frozen": (frozen_at(BEGIN), "joint states repeat while the robot is to move"),
-    "late": (lambda reading: replace(reading, time=reading.time - 0.09 * (reading.time >= BEGIN)), "ms"),
+    "late": (lambda reading: replace(reading, time=late(reading.time)), "joint states are .* ms late"),
+    "set back": (
+        lambda reading: replace(reading, time=reading.time - 3.0 * (reading.time >= BEGIN)),
+        r"the clock of joint states went back by 2\.99 s",
+    ),
+    "now and then": (
+        lambda reading: replace(reading, effort=reading.effort * (1e3 if is_now_and_then(reading.time) else 1.0)),
+        r"the effort of joint '\w+' saturates",
+    ),
     "silent": (lambda reading: replace(reading, time=min(reading.time, BEGIN)), "no joint states for 1.0 ms"),
     "nothing measured": (
         lambda reading: replace(reading, effort=reading.effort * (np.nan if reading.time >= BEGIN else 1.0)),
@@ -215,6 +233,52 @@ def test_what_goes_wrong_switches_it_off(case: str, arm: Arm) -> None:
     assert divergence(correction.adaptation.point, before) < 1e-2
     arm.learn(correction, BEGIN + 0.2, BEGIN + 0.2 + LARGEST_SHARE / FASTEST, change)
     np.testing.assert_array_equal(correction(BEGIN + 0.3, arm.commanded(BEGIN)), 0.0)
+
+
+def test_what_is_seldom_wrong_is_forgotten() -> None:
+    """Only one of ten milliseconds and less; a fifth of the time adds up."""
+    often, seldom = Latch(), Latch()
+    for time in range(5000):
+        often.take(1e-3 * time, ["wrong"] if time % 50 < 10 else [])
+        seldom.take(1e-3 * time, ["wrong"] if time % 50 < 4 else [])
+    assert (often.reason, seldom.reason) == ("wrong", "")
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_a_clock_that_goes_back_ends_it_gradually(quiet: bool, arm: Arm) -> None:
+    """Whether joint states come or not."""
+    correction = arm.correction()
+    arm.learn(correction, 0.0, BEGIN)
+    sent = [correction(BEGIN + DELAY, arm.commanded(BEGIN))]
+    assert np.any(sent[0])
+    for time in np.arange(1.0, 1.0 + LARGEST_SHARE / FASTEST + 2.0 * PERIOD, PERIOD):
+        if not quiet:
+            correction.learn(time, arm.reading(time, loaded=False), arm.commanded(time))
+        sent.append(correction(time, arm.commanded(time)))
+    assert correction.latch.reason.startswith("the clock ")
+    assert "went back by" in correction.latch.reason
+    np.testing.assert_array_equal(sent[-1], 0.0)
+    assert np.max(np.abs(np.diff(sent, axis=0)) / arm.efforts.limits) <= FASTEST * PERIOD * (1.0 + 1e-9)
+
+
+def test_a_motion_that_is_no_number_ends_it(arm: Arm) -> None:
+    correction = arm.correction()
+    arm.learn(correction, 0.0, 2.0)
+    for time in (2.0, 2.02, 2.04, 2.06, 2.08, 2.1):
+        sent = correction(time, np.full_like(arm.commanded(time), np.nan))
+        assert np.isfinite(sent).all()
+    assert "are not finite" in correction.latch.reason
+    np.testing.assert_array_equal(sent, 0.0)
+
+
+def test_another_correction_goes_on_gradually(arm: Arm) -> None:
+    before, after = arm.correction(), arm.correction()
+    arm.learn(before, 0.0, BEGIN)
+    sent = [before(BEGIN + DELAY, arm.commanded(BEGIN))]
+    after.go_on_from(before)
+    sent += [after(BEGIN + DELAY + step * 0.002, arm.commanded(BEGIN)) for step in range(1, 40)]
+    assert np.max(np.abs(np.diff(sent, axis=0)) / arm.efforts.limits) <= FASTEST * 0.002 * (1.0 + 1e-9)
+    np.testing.assert_array_equal(sent[-1], 0.0)
 
 
 def test_a_fast_loop_learns_no_faster_than_one_of_ten_milliseconds() -> None:

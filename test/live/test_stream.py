@@ -95,6 +95,24 @@ def test_efforts_are_in_the_unit_of_the_messages(identification: Identification)
     np.testing.assert_allclose(with_gains * [*GAINS.values()], without, atol=1e-9)
 
 
+@pytest.mark.parametrize("velocities", [True, False])
+def test_stamps_twice_and_in_the_wrong_order_change_no_acceleration(
+    velocities: bool, identification: Identification
+) -> None:
+    def motion_of(sent: list[bytes]) -> FloatArray:
+        stream = Stream()
+        stream.use(identification.session, identification.estimate)
+        return np.concatenate([predicted.motion for predicted in stream.predict(sent)], axis=1)
+
+    sent = messages(velocities=velocities)
+    plain = motion_of(sent)
+    for places in (np.repeat(np.arange(len(sent)), 2), np.insert(np.arange(len(sent)), 500, [400, 499, 480])):
+        found = motion_of([sent[place] for place in places])
+        np.testing.assert_array_equal(found[0], plain[0, places])
+        np.testing.assert_array_equal(found[2], plain[2, np.maximum.accumulate(places)])
+        assert np.isfinite(found[1]).all()
+
+
 def test_what_cannot_be_used_costs_itself(identification: Identification) -> None:
     """Messages of other joints, torn ones, and those after a pause, of which no acceleration is known."""
     stream, sent = Stream(), messages()
