@@ -14,7 +14,17 @@ from geomid_ros.inference.prior import Prior
 from geomid_ros.inference.selection import Selection
 from geomid_ros.model.columns import Columns, column_of
 from geomid_ros.model.dry_friction import held_from_driving
-from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, AtSensor, Effect, MotionEffect, OnLink, Place, joints_of
+from geomid_ros.model.effects import (
+    DEFAULT_EFFECTS,
+    EFFECTS,
+    AtSensor,
+    Effect,
+    MotionEffect,
+    OnLink,
+    Place,
+    SituationEffect,
+    joints_of,
+)
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.moving import REST, SIGN, SMOOTH_SIGN
 from geomid_ros.types import FloatArray
@@ -159,7 +169,8 @@ NamesSearch: TypeAlias = Selection[Candidate, EffectTerm]
 
 def candidates(model: MeasurementModel, known: Collection[EffectTerm] = (), *, bare: bool = True) -> list[Candidate]:
     """All names for a robot with its sensors, and changes of what is ``known`` of it: it keeps its constants; ``bare``:
-    whether nothing is known of its joints, so that they have what joints have."""
+    whether nothing is known of its joints, so that they have what joints have. What depends on loads is none of a robot
+    on its legs: there the ground loads them, too."""
     has = {(term.effect.name, term.place) for term in known}
     changes = [Candidate.of(*own, known=True) for own in dict.fromkeys((term.effect, term.place) for term in known)]
     found = [c for c in changes if set(c.terms) <= set(known)]
@@ -168,7 +179,7 @@ def candidates(model: MeasurementModel, known: Collection[EffectTerm] = (), *, b
         for cls in EFFECTS.values()
         for effect in cls.variants()
         for place in model.places.of(effect)
-        if (effect.name, place) not in has
+        if (effect.name, place) not in has and not (model.legs and isinstance(effect, SituationEffect))
     ]
     return sorted(found, key=_order)
 

@@ -111,16 +111,23 @@ class Legs:
             coefficients: ``(N, channels, D)``.
             targets: ``(N, channels)``.
         """
-        q = self._robot.configuration(samples)[0]
-        transmissions = self._transmissions(q)
-        for joints, (jacobian, inverse), stands in zip(self.joints, transmissions, samples.standing.T, strict=False):
-            at = np.flatnonzero(stands)[:, None]
-            onto_base = jacobian[at[:, 0], :, :6].transpose(0, 2, 1) @ inverse[at[:, 0]]
+        for joints, stands, onto_base in self.standing(samples):
+            at = stands[:, None]
             singular = np.isnan(onto_base).any(axis=(1, 2))
             onto_base[singular], targets[at[singular], base] = 0.0, np.nan
             coefficients[at, base] -= onto_base @ coefficients[at, joints]
             targets[at, base] -= (onto_base @ targets[at, joints][:, :, None])[:, :, 0]
             targets[at, joints] = np.nan
+
+    def standing(self, samples: Samples) -> list[tuple[IntArray, IntArray, FloatArray]]:
+        """Of each leg its joints, the instants ``(n,)`` at which it stands, and the matrix ``(n, 6, leg)`` that makes
+        the ground's wrench on the base of its joints' efforts; NaN where that magnifies noise."""
+        found = []
+        transmissions = self._transmissions(self._robot.configuration(samples)[0])
+        for joints, (jacobian, inverse), stands in zip(self.joints, transmissions, samples.standing.T, strict=False):
+            at = np.flatnonzero(stands)
+            found.append((joints, at, jacobian[at, :, :6].transpose(0, 2, 1) @ inverse[at]))
+        return found
 
     def _transmissions(self, q: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
         """Of each foot the Jacobian ``(N, 3, 6 + joints)`` of where it touches, in the world's axes, and the matrix

@@ -8,7 +8,7 @@ coefficients, then the real ones.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -510,6 +510,17 @@ class MeasurementModel:
             return dict(zip(channels, own.T, strict=True))
         columns = self._sensed(samples, effect, place)[:, :, index]
         return {channel: column for channel, column in zip(channels, columns.T, strict=True) if np.any(column)}
+
+    def eliminate_ground(self, samples: Samples, columns: Iterable[dict[int, FloatArray]]) -> None:
+        """Put into the base's channels, in place, what columns ``(N,)`` by channel say of the ground's forces in the
+        legs that stand, as :meth:`rows` has it of its own."""
+        for joints, at, onto_base in self.legs.standing(samples) if self.legs else ():
+            for own in columns:
+                for place in [place for place, joint in enumerate(joints) if joint in own]:
+                    ground = np.zeros((len(samples), len(self.layout.base)))
+                    ground[at] = np.nan_to_num(onto_base[:, :, place]) * own[joints[place]][at, None]
+                    for channel, of_axis in zip(self.layout.base, ground.T, strict=True):
+                        own[channel] = own.get(channel, 0.0) - of_axis
 
     def _sensed(self, samples: Samples, effect: SensorEffect, place: Place) -> FloatArray:
         """What a unit of each of an effect's coefficients adds to each axis of a sensor ``(N, axes, coefficients)``."""

@@ -96,14 +96,8 @@ def find(session: Session, recordings: Recordings, progress: Progress) -> GapRes
     """Run :func:`~geomid_ros.gap.workflow.find_gap` with the session's model and what is known of it.
 
     Raises:
-        InputError: the recordings are too short, without motion or without anything measured, or forces of the ground
-            are found from efforts.
+        InputError: the recordings are too short, without motion or without anything measured.
     """
-    if session.model.legs is not None:
-        raise InputError(
-            "gaps are not found while forces of the ground are found from efforts (contacts): what acts in a leg that "
-            "stands would be taken for these forces. Hang the robot up, and leave out --imu and --contacts"
-        )
     return find_gap(
         session.model,
         recordings.train,

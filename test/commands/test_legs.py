@@ -106,10 +106,19 @@ def test_an_imu_elsewhere_is_told(folder: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(place, [-100.0, 0.0, 0.0], atol=15.0)
 
 
-def test_gaps_are_refused(folder: Path, tmp_path: Path) -> None:
-    """What acts in a leg that stands is not told from the ground's forces."""
-    said = refused("gap", folder / "walk", "--urdf", folder / "go2.urdf", *LEGS[:-2], "--out", tmp_path / "out")
-    assert "gaps are not found while forces of the ground are found from efforts" in " ".join(said.split())
+def test_a_load_on_the_trunk_is_named(folder: Path, tmp_path: Path) -> None:
+    """Beside a model of the same robot without it, from another motion: nothing else is sure."""
+    empty = WalkOptions(robot=str(folder / "go2.urdf"), feet=FEET, imu=IMU, gaits=("wobble", "lift"), duration=20.0)
+    simulate_walk(tmp_path / "empty", replace(empty, rate=250.0, motion_seed=5, payload=0.0))
+    geomid("identify", tmp_path / "empty", "--urdf", folder / "go2.urdf", *LEGS, "--out", tmp_path / "model")
+    arguments = [folder / "walk", "--urdf", folder / "go2.urdf", *LEGS[:-2], "--out", tmp_path / "gap"]
+    geomid("gap", *arguments, "--model", tmp_path / "model" / "estimate.json")
+    document = json.loads((tmp_path / "gap" / "gap.json").read_text(encoding="utf-8"))
+    (sure,) = (finding for finding in document["findings"] if finding["probability"] > 0.95)
+    assert (sure["effect"], sure["link"]) == ("payload", "base")
+    numbers = {name: parameter["value"] for name, parameter in sure["parameters"].items()}
+    assert numbers["mass"] == pytest.approx(empty.payload, rel=0.05)
+    np.testing.assert_allclose([numbers[f"com_{axis}"] for axis in "xyz"], empty.payload_at, atol=0.01)
 
 
 def scaled(key: str, factor: float) -> Callable[[Recorded], Recorded]:

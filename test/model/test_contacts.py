@@ -78,6 +78,27 @@ def test_forces_of_the_ground_drop_out_of_the_rows(name: str, feet: tuple[str, .
         assert_equal(predicted[~stands][:, joints], measured[~stands][:, joints])
 
 
+def test_columns_of_effects_lose_the_ground_as_rows_do() -> None:
+    """Column by column, what effects add to each channel is what the rows have of them where a target is left."""
+    robot = Robot(urdf("go2.urdf"), floating_base=True)
+    feet = ("FL_foot", "FR_foot", "RL_foot", "RR_foot")
+    model = MeasurementModel(
+        robot, [identified_effect("viscous_friction")], contacts=[Contact(foot, RADIUS) for foot in feet]
+    )
+    samples = bent(robot, seed=2)
+    standing = np.random.default_rng(3).random((len(samples), len(feet))) < 0.6
+    samples = replace(with_values(samples, effort=samples.velocity), standing=standing)
+    columns = [model.columns_of(samples, c.effect, c.place, c.index) for c in model.coefficients]
+    model.eliminate_ground(samples, columns)
+    rows = model.rows(samples)
+    dense = np.zeros((*rows.targets.shape, len(columns)))
+    for index, own in enumerate(columns):
+        for channel, column in own.items():
+            dense[:, channel, index] = column
+    left = np.isfinite(rows.targets)
+    assert_equal(dense[left], rows.coefficients[left][:, len(model.nominal_inertias) :])
+
+
 def test_a_foot_bears_what_its_leg_says() -> None:
     """By the URDF; a share of what each foot bears when all stand."""
     robot = Robot(urdf("go2.urdf"), floating_base=True)

@@ -191,6 +191,7 @@ def term_columns(
             found[term] = {channel: column for channel, column in enumerate(columns.T) if np.any(column)}
         elif isinstance(term.effect, MotionEffect | SensorEffect):
             found[term] = model.columns_of(records.samples, term.effect, term.place, term.index)
+    model.eliminate_ground(records.samples, found.values())
     return found
 
 
