@@ -26,7 +26,7 @@ from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.files.models.readers import DESCRIBED_FOR, ELEMENTS, READERS, URDF
 from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.tables import tables, write_tables
-from geomid_ros.gap.evidence.standing import StandingRemainder
+from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.model.effects import effect_class
 from geomid_ros.model.samples import Samples
 from geomid_ros.report.identification_page import IdentificationPage, write_identification_page

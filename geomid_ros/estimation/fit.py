@@ -12,11 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.estimation.fixed_point import Extrapolation
 from geomid_ros.estimation.link_spreads import likely_spreads
 from geomid_ros.estimation.objective import ProductsObjective, ResidualObjective, row_weights
 from geomid_ros.estimation.problem import Problem
-from geomid_ros.estimation.solvers import Solution, trust_region
+from geomid_ros.estimation.solvers import Extrapolation, Solution, trust_region
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
 from geomid_ros.estimation.tolerances import LEAST_GRADIENT
 from geomid_ros.geometry import definite

@@ -1,7 +1,8 @@
-"""Two solvers: a trust region on the manifold, and the alternation of the paper."""
+"""Two solvers, a trust region on the manifold and the alternation of the paper; and faster fixed-point iterations."""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -23,6 +24,9 @@ _ROUNDING = 1e-13
 _SHORTEST = 1e-12  # step
 _NEARLY = 0.99  # of the radius: a step that long is as good as one to the ball's end
 _CLOSE = 1e-10  # relative width of a bracket
+_REMEMBERED = 6  # last rounds of a fixed-point iteration
+_ROUNDING_OF_MOVES = 1e-8  # of the least squares
+_FURTHEST = 30.0  # times the last round's move; g is not as linear as that
 GRADIENT = 1e-8
 """Norm at which a solve ends, as a share of the objective's scale."""
 _, _FLAT, _SETTLED, _ROUNDED = ENDS = (
@@ -205,3 +209,23 @@ def cyclic(objective: Objective, start: Point, tolerance: float = 1e-8, max_step
 
 
 SOLVERS: dict[str, Callable[..., Solution]] = {"trust_region": trust_region, "cyclic": cyclic}
+
+
+class Extrapolation:
+    """Faster fixed-point iterations ``x <- g(x)`` (Anderson; Walker & Ni, SIAM J. Numer. Anal., 2011).
+
+    The next round begins at the combination of the last rounds that, if g were linear, would move least."""
+
+    def __init__(self) -> None:
+        self._rounds: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=_REMEMBERED)
+
+    def next(self, begun: FloatArray, ended: FloatArray) -> FloatArray:
+        """The next x ``(n,)`` after a round that began at x and ended at g(x)."""
+        self._rounds.append((ended, ended - begun))
+        ends, moves = (np.array(each).T for each in zip(*self._rounds, strict=True))
+        shares, *_ = np.linalg.lstsq(np.diff(moves), moves[:, -1], rcond=_ROUNDING_OF_MOVES)
+        further = np.diff(ends) @ shares
+        if not np.max(np.abs(further)) <= _FURTHEST * np.max(np.abs(ended - begun)):
+            self._rounds.clear()
+            return ended
+        return np.asarray(ended - further)

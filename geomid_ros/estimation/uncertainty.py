@@ -9,7 +9,7 @@ import numpy as np
 
 from geomid_ros.estimation.channel_summary import triangular
 from geomid_ros.estimation.estimate import FINEST, LinksInformation
-from geomid_ros.estimation.fixed_point import Extrapolation
+from geomid_ros.estimation.solvers import Extrapolation
 from geomid_ros.geometry import definite, pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.weighed_masses import WeighedRows

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.gap import candidates as library
-from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesFit, NamesPrior, NamesSearch
+from geomid_ros.gap.candidates import CLEARLY, Candidate, EffectTerm, NamesFit, NamesPrior, NamesSearch
+from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.gap.evidence.linearised_problem import Columns, LinearisedProblem, total_model
 from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
 from geomid_ros.gap.evidence.record import Records, TotalModel
-from geomid_ros.gap.evidence.standing import StandingRemainder
 from geomid_ros.gap.result import SURE
 from geomid_ros.inference.fit import fit, unfitted
 from geomid_ros.inference.probability import Support, Supports
@@ -27,7 +27,6 @@ _SETTLED = 0.5  # standard deviations
 _TOLD_BY_ROWS = 0.25  # directions for each row, which leaves most of the noise as it is
 _MEDIAN_OF_GAUSSIAN = 0.6745
 _WHITENINGS = 4  # of a remainder by the noise that it leaves
-_CLEARLY = 12.0  # in minus twice a logarithm: as unlikely as one in four hundred
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -112,17 +111,17 @@ def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
     rests = [search.fit([]), *(search.without(names, c) for c in names.chosen)]
     priors = [search.prior.with_changed(link) for link in range(len(names.inertias))]
     scores = [min(fit(search.design, prior, rest.chosen, rest).score for rest in rests) for prior in priors]
-    if min(scores) > names.score - _CLEARLY:
+    if min(scores) > names.score - CLEARLY:
         return analysis
 
     def with_changed(prior: NamesPrior) -> tuple[float, Analysis]:
         changed = _searched(task, prior, "searching with a link changed")
         return fit(search.design, prior, changed.names.chosen, changed.names).score, changed
 
-    likely = [prior for prior, score in zip(priors, scores, strict=True) if score < min(scores) + _CLEARLY]
+    likely = [prior for prior, score in zip(priors, scores, strict=True) if score < min(scores) + CLEARLY]
     (score, changed), *others = sorted(map(with_changed, likely), key=lambda found: found[0])
     contested = float(sum(np.exp(0.5 * (score - other)) for other, _ in others))
-    return replace(changed, contested=contested) if score < names.score - _CLEARLY else analysis
+    return replace(changed, contested=contested) if score < names.score - CLEARLY else analysis
 
 
 def _searched(task: _Task, prior: NamesPrior, stage: str) -> Analysis:

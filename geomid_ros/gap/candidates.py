@@ -32,6 +32,8 @@ from geomid_ros.types import FloatArray
 ODDS = 0.01
 """Prior odds of a name at a place, and that a link has been changed; what joints of a robot that nothing is known of
 have is as likely as not."""
+CLEARLY = 12.0
+"""A difference of minus twice a logarithm that is as unlikely by chance as one in four hundred."""
 _OF_COUPLED = 0.05  # of these: most joints have motors of their own
 
 

@@ -14,12 +14,11 @@ from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.estimation.link_spreads import CERTAINTY
 from geomid_ros.gap.analysis import analyse, standing_remainder
 from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesPrior, not_driving
+from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, root_mean_square, total_model
 from geomid_ros.gap.evidence.record import Records
-from geomid_ros.gap.evidence.standing import StandingRemainder
 from geomid_ros.gap.judgement.changed_links import changed_links
-from geomid_ros.gap.judgement.held_out import HeldOut
-from geomid_ros.gap.judgement.locate import located
+from geomid_ros.gap.judgement.held_out import HeldOut, located
 from geomid_ros.gap.judgement.verdict import findings, ranking, unexplained, verdict
 from geomid_ros.gap.judgement.written import folded, written
 from geomid_ros.gap.result import GapResult
@@ -57,7 +56,6 @@ _FEWEST_ROWS = 30  # of fewer no channel tells its noise
 _SPREAD_OF_EFFECTS = 0.02  # of the coefficients that the model already has, relative
 _LEAST_SHARE = 0.01  # of what is measured: what was found so small was found no better than this
 _CERTAINTY_OF_IDENTIFIED = 100.0  # what was identified is hardly ever as wrong as a drawing
-_SPREAD_OF_SIMULATED = 0.02
 _LEAST_SPREAD = 1e-3
 
 
@@ -318,7 +316,7 @@ def _as_simulated(
     found = analyse(model, records, replace(prior, known=None), report).names
     inertias = total_model(model, found).inertias[list(model.identified)].ravel()
     values = np.array([found.value(term) for term in found.terms])
-    spreads = np.maximum(_SPREAD_OF_SIMULATED * np.abs(values), _LEAST_SPREAD)
+    spreads = np.maximum(_SPREAD_OF_EFFECTS * np.abs(values), _LEAST_SPREAD)
     return replace(prior, inertias=inertias, terms=found.terms, values=values, spreads=spreads, known=None, alike=())
 
 

@@ -19,7 +19,7 @@ from geomid_ros.files.checkpoints.checkpoint import Checkpoint
 from geomid_ros.files.checkpoints.checkpoint_folder import CheckpointFolder, Restored
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.files.models.written_model import ESTIMATE
-from geomid_ros.gap.evidence.standing import StandingRemainder
+from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.live.threads import Activity, start_daemon, start_later
 from geomid_ros.live.worker import Worker
 from geomid_ros.session.session import Session

@@ -13,7 +13,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.posterior import POSTERIOR, read_remainder
 from geomid_ros.gap.candidates import library_columns
-from geomid_ros.gap.evidence.standing import StandingRemainder
+from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import CUTOFF, GapSettings, find_gap, lacking, left_by_model
 from geomid_ros.model.samples import Samples

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomid_ros.estimation.fixed_point import Extrapolation
+from geomid_ros.estimation.solvers import Extrapolation
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -16,8 +16,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import EffectEstimate
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.files.models.posterior import POSTERIOR, read_posterior, read_remainder, write_posterior
-from geomid_ros.gap.evidence.features import Basis
-from geomid_ros.gap.evidence.standing import StandingRemainder
+from geomid_ros.gap.evidence.features import Basis, StandingRemainder
 from geomid_ros.model.effects import Quantity
 
 from .estimates import estimate_of, link_estimate

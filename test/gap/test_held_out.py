@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geomid_ros.gap.judgement.locate import strongest
+from geomid_ros.gap.judgement.held_out import strongest
 from geomid_ros.gap.result import GapResult, Located
 from geomid_ros.gap.workflow import GapSettings, find_gap
 

@@ -9,10 +9,9 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.gap.analysis import standing_remainder
-from geomid_ros.gap.evidence.features import LARGEST_SCALE
+from geomid_ros.gap.evidence.features import LARGEST_SCALE, StandingRemainder
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.evidence.record import Records
-from geomid_ros.gap.evidence.standing import StandingRemainder
 from geomid_ros.gap.workflow import find_gap, lacking
 from geomid_ros.inference.fit import unfitted
 from geomid_ros.model.samples import Samples

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.gap import candidates as library
-from geomid_ros.gap.judgement.locate import located, share, strongest
+from geomid_ros.gap.judgement.held_out import located, share, strongest
 from geomid_ros.gap.judgement.naming import sentence, settled_by
 from geomid_ros.model.effects import EFFECTS, Quantity
 

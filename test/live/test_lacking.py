@@ -13,7 +13,7 @@ from estimation.arms import efforts, motion, shipped, truth
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.posterior import POSTERIOR, read_posterior, read_remainder
 from geomid_ros.files.models.written_model import ESTIMATE
-from geomid_ros.gap.evidence.standing import StandingRemainder
+from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.live import saving as module
 from geomid_ros.live.gap_search import look_for_gap
 from geomid_ros.live.saving import Saving

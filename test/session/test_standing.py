@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.files.models import posterior as files
-from geomid_ros.gap.evidence.features import Basis
-from geomid_ros.gap.evidence.standing import StandingRemainder
+from geomid_ros.gap.evidence.features import Basis, StandingRemainder
 from geomid_ros.session.gap import standing_of
 
 NOTHING = np.zeros((0, 0))

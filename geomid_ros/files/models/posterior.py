@@ -5,7 +5,7 @@ A NumPy archive without pickled objects. ``posterior`` is a JSON text: ``format`
 :class:`~geomid_ros.estimation.posterior.Posterior` of the same names, where their coordinates are described.
 
 From format 2 on, ``remainder`` in that text may hold ``joints`` and ``channels`` of a
-:class:`~geomid_ros.gap.evidence.standing.StandingRemainder`. Then ``knots`` are those of its basis, and each channel
+:class:`~geomid_ros.gap.evidence.features.StandingRemainder`. Then ``knots`` are those of its basis, and each channel
 has its ``scales_N`` and ``mean_N``, which is empty where nothing is known, and ``triangle_N``: the upper triangle, row
 by row, in float32.
 """
@@ -26,8 +26,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.files.disk import read_bytes, write_bytes
 from geomid_ros.files.schema import plain, structured
-from geomid_ros.gap.evidence.features import LARGEST_SCALE, Basis
-from geomid_ros.gap.evidence.standing import StandingRemainder
+from geomid_ros.gap.evidence.features import LARGEST_SCALE, Basis, StandingRemainder
 from geomid_ros.types import AnyArray, FloatArray, frozen
 
 POSTERIOR = "posterior.npz"

@@ -9,10 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesFit
-from geomid_ros.gap.evidence.features import Basis, Features, features
+from geomid_ros.gap.evidence.features import Basis, Features, StandingRemainder, features
 from geomid_ros.gap.evidence.noise import Autoregression, runs_of
 from geomid_ros.gap.evidence.record import Records, TotalModel
-from geomid_ros.gap.evidence.standing import StandingRemainder
 from geomid_ros.inference.design import ChannelRows, Design
 from geomid_ros.model.effects import Effect, MotionEffect, Place, SensorEffect, Situation, SituationEffect, joints_of
 from geomid_ros.model.measurement import MeasurementModel, Rows

@@ -11,8 +11,7 @@ from geomid_ros.estimation.estimate import is_told
 from geomid_ros.gap.analysis import Analysis
 from geomid_ros.gap.candidates import Candidate, NamesFit
 from geomid_ros.gap.judgement import naming
-from geomid_ros.gap.judgement.held_out import HeldOut
-from geomid_ros.gap.judgement.locate import strongest
+from geomid_ros.gap.judgement.held_out import HeldOut, strongest
 from geomid_ros.gap.result import Finding, Ranked, Rival, Unexplained, Verdict, confidence_of
 from geomid_ros.inference.fit import scattered
 from geomid_ros.inference.probability import probability_of_square

@@ -12,7 +12,7 @@ import numpy as np
 
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_REALS
 from geomid_ros.gap.analysis import Analysis
-from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesFit, NamesPrior
+from geomid_ros.gap.candidates import CLEARLY, Candidate, EffectTerm, NamesFit, NamesPrior
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.evidence.record import Records, TotalModel
 from geomid_ros.gap.judgement import naming
@@ -37,7 +37,6 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
 _REFITS = 2  # the second along what the first one found
-_LEAST_EVIDENCE = 12.0  # of an ordinary effect, that it is not nothing
 _UNCHANGED = 1e-3  # of its uncertainty: how much may move what is as it was
 _ORDINARY = tuple(cls() for name, cls in EFFECTS.items() if name in DEFAULT_EFFECTS)
 
@@ -127,7 +126,7 @@ class _Refit:
         if absurd or not ordinary:
             return min(absurd, key=lambda c: c not in ordinary, default=None)
         least = min(ordinary, key=lambda c: _evidence(found, c))
-        return least if _evidence(found, least) < _LEAST_EVIDENCE else None
+        return least if _evidence(found, least) < CLEARLY else None
 
     def _ordinary_beside(self, sure: Sequence[Candidate]) -> list[Candidate]:
         """The ordinary effects of all joints and sensors where nothing is known of them."""
