@@ -43,11 +43,11 @@ from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.simulation.description import LinkInertia
 from geomid_ros.simulation.inertias import body_of, pseudo_inertia
 from geomid_ros.simulation.motion import exciting_motion
+from geomid_ros.simulation.options import RandomStream, generator
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.recording import closed_loop
 from geomid_ros.simulation.robot import build_robot
 from geomid_ros.simulation.robots import robot_description
-from geomid_ros.simulation.seeds import RandomStream, generator
 from geomid_ros.types import FloatArray
 
 CYCLE = 1e-3  # [s] of the controller

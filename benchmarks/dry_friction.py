@@ -36,10 +36,9 @@ from geomid_ros.simulation.bag import write_bag
 from geomid_ros.simulation.effects.physics import TrueEffect
 from geomid_ros.simulation.motion import RunTrace, exciting_motion
 from geomid_ros.simulation.options import Hidden, SimulationOptions
-from geomid_ros.simulation.recording import closed_loop, record
-from geomid_ros.simulation.robot import TrueRobot, build_robot, measured
+from geomid_ros.simulation.recording import closed_loop, record, write_truth
+from geomid_ros.simulation.robot import TrueRobot, build_robot
 from geomid_ros.simulation.robots import robot_description
-from geomid_ros.simulation.truth import write_truth
 from geomid_ros.types import FloatArray
 
 ROBOT = "arm7"
@@ -106,7 +105,7 @@ class Arm:
             true = (
                 record(robot, closed_loop(robot, self.options), self.options) if self._simulated else self._moved(robot)
             )
-            write_bag(bag, measured(true, robot, self.options), robot.plant.joints, robot.nominal.text, self.options)
+            write_bag(bag, robot.published(true, self.options), robot.plant.joints, robot.nominal.text, self.options)
             robot = replace(robot, effects=(*robot.effects, *self._dry(robot)))
             write_truth(path, robot, self.options, {})
         return bag, json.loads(path.read_text(encoding="utf-8"))

@@ -16,15 +16,12 @@ from geomid_ros.signals.messages import JOINT_STATES
 from geomid_ros.simulation import Hidden, SimulationOptions
 from geomid_ros.simulation.bag import START, write_bag
 from geomid_ros.simulation.description import UrdfLimits
-from geomid_ros.simulation.effects.measurement import sensed
 from geomid_ros.simulation.motion import FADE_IN, SetPoints, exciting_motion
+from geomid_ros.simulation.options import RandomStream, generator
 from geomid_ros.simulation.plant import Plant
-from geomid_ros.simulation.realistic.loop import RealisticLoop
-from geomid_ros.simulation.realistic.robot import RealisticRobot, build_realistic
-from geomid_ros.simulation.realistic.sensors import published
-from geomid_ros.simulation.recorder import JointController, check_motion, run, slowed, tuned_controller
+from geomid_ros.simulation.realistic.robot import RealisticLoop, RealisticRobot, build_realistic
+from geomid_ros.simulation.recorder import JointController, check_motion, run, tuned_controller
 from geomid_ros.simulation.recording import sampling
-from geomid_ros.simulation.seeds import RandomStream, generator
 from geomid_ros.types import FloatArray
 
 REST = "rest"
@@ -51,9 +48,9 @@ class Change:
     payload: Hidden | None = None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _ChangingLoop(RealisticLoop):
-    """Becomes another loop, ``after``, with which it shares what a step remembers."""
+    """Becomes another loop, ``after``, whose bristles are bent as its own."""
 
     after: RealisticLoop | None = None
     share: Callable[[float], float] = lambda _: 0.0  # of what the other is, at a time [s]
@@ -62,6 +59,7 @@ class _ChangingLoop(RealisticLoop):
         share = self.share(0.5 * half_step * self.step)
         if self.after is None or share == 0.0:
             return super().acceleration(half_step, position, velocity)
+        self.after.bend = self.bend
         other = self.after.acceleration(half_step, position, velocity)
         own = super().acceleration(half_step, position, velocity)  # last: the bristles are bent by its dry friction
         return own + share * (other - own)
@@ -75,8 +73,7 @@ def messages(options: SimulationOptions, parts: Sequence[Part], change: Change |
         loop = replace(loop, after=_after(loop, options, change), share=_share(change))
     trace = run(loop, sampling(robot, options))
     check_motion(trace, robot.joints)
-    seen = sensed(trace, robot.plant.joints, robot.effects)
-    seen = published(seen, robot.sensors, generator(options.recording_seed, RandomStream.NOISE))
+    seen = robot.published(trace, options)
     with tempfile.TemporaryDirectory(prefix="geomid_") as folder:
         bag = Path(folder) / "bag"
         write_bag(bag, seen, robot.plant.joints, robot.nominal.text, options)
@@ -90,11 +87,11 @@ def _loop(robot: RealisticRobot, options: SimulationOptions, parts: Sequence[Par
     nominal = Plant(robot.nominal, robot.nominal.inertias)
     setpoints = _motion(2 * sampling(robot, options).steps + 1, robot.joints, options, parts)
     controller: JointController = tuned_controller(setpoints, nominal, robot.plant, robot.joints, nominal)
-    return _ChangingLoop(robot.plant, slowed(controller, robot.plant, options.step), options.step, robot)
+    return _ChangingLoop(robot.plant, controller.slowed(robot.plant, options.step), options.step, robot)
 
 
 def _after(loop: RealisticLoop, options: SimulationOptions, change: Change) -> RealisticLoop:
-    """The loop of the changed robot, with the same memory."""
+    """The loop of the changed robot."""
     robot = loop.truth
     if change.payload is not None:
         robot = build_realistic(replace(options, hide=(change.payload,)))
@@ -103,7 +100,7 @@ def _after(loop: RealisticLoop, options: SimulationOptions, change: Change) -> R
         own = robot.friction
         scaled = ("level", "excess", "stiffness", "damping", "viscous")  # the bristles bend as before, and push more
         robot = replace(robot, friction=replace(own, **{name: factor * getattr(own, name) for name in scaled}))
-    return RealisticLoop(robot.plant, loop.controller, loop.step, robot, loop.memory)
+    return RealisticLoop(robot.plant, loop.controller, loop.step, robot)
 
 
 def _share(change: Change) -> Callable[[float], float]:

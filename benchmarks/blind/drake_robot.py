@@ -12,8 +12,7 @@ from defusedxml import ElementTree as Reader
 
 from geomid_ros.simulation.description import Description, LinkInertia
 from geomid_ros.simulation.effects.physics import GEARS, TrueEffect, payload_inertia, play_name, rotation
-from geomid_ros.simulation.plant import GRAVITY
-from geomid_ros.simulation.simulator import Simulator
+from geomid_ros.simulation.plant import GRAVITY, Simulator
 from geomid_ros.types import FloatArray
 
 _CREEP = 0.01  # rad/s; dry friction has 71 % of its level here, 99.5 % at ten times as much

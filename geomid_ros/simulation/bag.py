@@ -9,6 +9,7 @@ import struct
 import sys
 from binascii import crc32
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -48,15 +49,11 @@ def write_bag(path: Path, trace: RunTrace, names: Sequence[str], urdf: str, opti
     ``names`` are those of the trace's joints, in its order, which is also that of the messages. A command is a
     JointState of the set-points' positions and velocities and of the controller's feed-forward efforts.
     """
-    writer = Writer(path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
-    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-    with writer:
-        description = _Topic(writer, "/robot_description", "std_msgs/msg/String", QosDurability.TRANSIENT_LOCAL)
+    with _new_bag(path, urdf) as writer:
         states = _Topic(writer, "/joint_states", "sensor_msgs/msg/JointState")
         commands = _Topic(writer, "/joint_commands", "sensor_msgs/msg/JointState") if options.commands else None
         frame = options.wrench_frame
         wrenches = _Topic(writer, WRENCH_TOPIC, "geometry_msgs/msg/WrenchStamped") if frame else None
-        description.write(START * _NANO, _message("std_msgs/msg/String", data=urdf))
         for row, (stamp, wrench_stamp) in enumerate(zip(_stamps(trace.time), _stamps(trace.wrench_time), strict=True)):
             states.write(stamp, _joint_state(stamp, names, trace.position[row], trace.velocity[row], trace.effort[row]))
             if commands is not None:
@@ -64,21 +61,27 @@ def write_bag(path: Path, trace: RunTrace, names: Sequence[str], urdf: str, opti
                 commands.write(stamp, _joint_state(stamp, names, *wanted))
             if wrenches is not None:
                 wrenches.write(wrench_stamp, _wrench(trace.wrench[row], wrench_stamp, frame))
-    add_checksums(path / f"{path.name}.mcap")
 
 
 def write_walk(path: Path, trace: WalkTrace, names: Sequence[str], urdf: str, imu: str) -> None:
     """Write ``/robot_description``, ``/joint_states`` and ``/imu``, measured at the link ``imu``, to a new bag."""
+    with _new_bag(path, urdf) as writer:
+        states = _Topic(writer, "/joint_states", "sensor_msgs/msg/JointState")
+        imus = _Topic(writer, "/imu", "sensor_msgs/msg/Imu")
+        for row, stamp in enumerate(_stamps(trace.time)):
+            states.write(stamp, _joint_state(stamp, names, trace.position[row], trace.velocity[row], trace.effort[row]))
+            imus.write(stamp, _imu(trace.angular_velocity[row], trace.specific_force[row], stamp, imu))
+
+
+@contextmanager
+def _new_bag(path: Path, urdf: str) -> Iterator[Writer]:
+    """A new bag with a robot's description, to write to; with checksums in the end."""
     writer = Writer(path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
     writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
     with writer:
         description = _Topic(writer, "/robot_description", "std_msgs/msg/String", QosDurability.TRANSIENT_LOCAL)
-        states = _Topic(writer, "/joint_states", "sensor_msgs/msg/JointState")
-        imus = _Topic(writer, "/imu", "sensor_msgs/msg/Imu")
         description.write(START * _NANO, _message("std_msgs/msg/String", data=urdf))
-        for row, stamp in enumerate(_stamps(trace.time)):
-            states.write(stamp, _joint_state(stamp, names, trace.position[row], trace.velocity[row], trace.effort[row]))
-            imus.write(stamp, _imu(trace.angular_velocity[row], trace.specific_force[row], stamp, imu))
+        yield writer
     add_checksums(path / f"{path.name}.mcap")
 
 

@@ -1,13 +1,19 @@
-"""What a quadruped does on its feet."""
+"""A quadruped, and what it does on its feet."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.types import FloatArray
 
+STEP = 1e-3
+"""[s] of the integration."""
+_WHOLE = 1e-6  # steps between messages may be off a whole number by rounding
+_SHORTEST = 4.0  # [s] of a gait
 _FADE = 0.7  # [s] at the beginning and at the end of a motion
 _PERIOD, _SWING = 0.6, 0.4  # of the trot [s], and the share of it in which a foot is lifted
 
@@ -60,3 +66,76 @@ def _trot(time: FloatArray, home: FloatArray, numbers: np.random.Generator) -> t
 
 GAITS: dict[str, Gait] = {"wobble": _wobble, "lift": _lift, "trot": _trot}
 """What a robot can do: sway with all feet down, lift its feet one by one, trot on the spot."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WalkOptions:
+    """A quadruped, its hidden truth, its gaits and its sensors. SI units; noise is Gaussian, given by its deviation.
+
+    Attributes:
+        robot: path of the URDF (the nominal model). Each leg has three joints: hip, thigh and knee.
+        feet: the radius of each foot [m], by the link in whose origin its centre is.
+        imu: link of the IMU.
+        gaits: what the robot does, in turn, each for the same time: of :data:`GAITS`.
+        payload: mass on the trunk that the URDF lacks [kg], ``payload_at`` in the root link's frame.
+        inertia_error: relative error of the URDF's inertias.
+        seed: fixes the robot; ``motion_seed`` motion and noise (``seed`` unless given).
+        gyroscope_bias, accelerometer_bias: standard deviations of constant errors.
+    """
+
+    robot: str
+    feet: Mapping[str, float]
+    imu: str
+    gaits: Sequence[str] = ("wobble", "lift", "trot")
+    duration: float = 36.0
+    rate: float = 500.0
+    seed: int = 1
+    motion_seed: int | None = None
+    payload: float = 3.0
+    payload_at: tuple[float, float, float] = (0.04, 0.02, 0.08)
+    inertia_error: float = 0.1
+    viscous_friction: float = 0.1
+    coulomb_friction: float = 0.2
+    rotor_inertia: float = 0.01
+    position_noise: float = 1e-4
+    velocity_noise: float = 1e-2
+    effort_noise: float = 0.1
+    gyroscope_noise: float = 0.005
+    gyroscope_bias: float = 0.003
+    accelerometer_noise: float = 0.05
+    accelerometer_bias: float = 0.02
+
+    def __post_init__(self) -> None:
+        for gait in self.gaits:
+            if gait not in GAITS:
+                raise unknown_name("gait", gait, GAITS)
+        ranges = {
+            "duration": (self.duration, _SHORTEST * len(self.gaits), np.inf),
+            "rate": (self.rate, 1.0, 1.0 / STEP),
+            "payload": (self.payload, 0.0, np.inf),
+            "inertia_error": (self.inertia_error, 0.0, 1.0),
+            **{f"radius of {foot}": (radius, 1e-3, 1.0) for foot, radius in self.feet.items()},
+        }
+        for name, (value, low, high) in ranges.items():
+            if not low <= value <= high or np.isinf(value):
+                raise InputError(f"{name} is {value:g}; it has to be from {low:g} to {high:g}")
+        every = 1.0 / (self.rate * STEP)
+        if abs(every - round(every)) > _WHOLE:
+            raise InputError(f"rate is {self.rate:g}; it has to be {1.0 / STEP:g} Hz over a whole number, as 250 Hz")
+
+    @property
+    def recording_seed(self) -> int:
+        """Seed of the motion and of the noise."""
+        return self.seed if self.motion_seed is None else self.motion_seed
+
+
+def parse_feet(texts: Sequence[str]) -> dict[str, float]:
+    """Radii by link, of ``LINK:RADIUS`` [m]. Raises InputError for another form."""
+    feet = {}
+    for text in texts:
+        link, _, radius = text.partition(":")
+        try:
+            feet[link] = float(radius)
+        except ValueError as error:
+            raise InputError(f"foot '{text}' is not of the form LINK:RADIUS, e.g. FL_foot:0.022 [m]") from error
+    return feet

@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
+from enum import IntEnum
+
+import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 
@@ -197,3 +200,21 @@ def _number(word: str, text: str) -> float:
             f"'{text}' has '{word}' where a number has to stand; write EFFECT:JOINT=1.5 or EFFECT:JOINT=name=1,name=2"
         )
     return value
+
+
+class RandomStream(IntEnum):
+    """What a stream of random numbers decides; they are independent, so that changing one choice leaves the others as
+    they were."""
+
+    INERTIA = 0
+    EFFECTS = 1
+    ORDER = 2
+    MOTION = 3
+    NOISE = 4
+    HIDDEN = 5
+    REALISTIC = 6
+
+
+def generator(seed: int, stream: RandomStream, *part: int) -> np.random.Generator:
+    """The numbers of one stream of a seed, or of a ``part`` of it, from their beginning."""
+    return np.random.default_rng([seed, stream, *part])

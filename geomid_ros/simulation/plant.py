@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterable
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.simulation.description import Description, LinkInertia
-from geomid_ros.simulation.effects.physics import MODEL, STRUCTURE, TrueEffect
+from geomid_ros.simulation.effects.physics import (
+    FORCES,
+    FRICTION,
+    GEARS,
+    MODEL,
+    STRUCTURE,
+    Places,
+    TrueEffect,
+    play_name,
+    wound,
+)
 from geomid_ros.simulation.inertias import set_inertia
-from geomid_ros.simulation.simulator import Simulator
-from geomid_ros.types import FloatArray
+from geomid_ros.types import FloatArray, IntArray
 
 
 def load_mujoco() -> Any:
@@ -22,6 +32,86 @@ def load_mujoco() -> Any:
         return importlib.import_module("mujoco")
     except ImportError as error:
         raise InputError(f"simulating needs MuJoCo, which does not import ({error}): pip install mujoco") from error
+
+
+_WINDINGS = 10  # each leaves a few per cent of the last one's error in how far gears are wound up at rest
+
+
+class Simulator(ABC):
+    """A robot with a fixed base, hinges and slides, driven by the joints' efforts. Nothing collides.
+
+    ``joints`` are its n motors. States ``(m,)`` have the motors at ``driven (n,)``, and among them the hinges that
+    gears with play or elasticity add; ``names`` are those of all m, for which see :func:`play_name`.
+    """
+
+    def __init__(self, names: Sequence[str], motors: Iterable[str], effects: Iterable[TrueEffect]) -> None:
+        motors, index = set(motors), {name: place for place, name in enumerate(names)}
+        self.joints = tuple(name for name in names if name in motors)
+        self.driven: IntArray = np.array([index[name] for name in self.joints])
+        places = [
+            (effect, Places(*(index.get(name, -1) for name in (effect.joint, effect.other, play_name(effect.joint)))))
+            for effect in effects
+        ]
+        self._frictions = [(effect, at.joint) for effect, at in places if effect.name in FRICTION]
+        self._forces = [(effect, at) for effect, at in places if effect.name in FORCES]
+        self._gears = [(effect, at) for effect, at in places if effect.name in GEARS]
+        self._places = places
+
+    def at_rest(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """A state, positions and velocities ``(m,)``, with the motors held at ``position (n,)``."""
+        size = len(self.driven) + len({at.play for _, at in self._gears})
+        state, rest = np.zeros(size), np.zeros(size)
+        state[self.driven] = position
+        for _ in range(_WINDINGS if self._gears else 0):
+            load = self.inverse_dynamics(state, rest, rest)
+            for effect, at in self._gears:
+                state[at.play] = -wound(effect.parameters, float(load[at.joint]))
+        return state, rest
+
+    def _friction_levels(self, position: FloatArray, velocity: FloatArray, effort: FloatArray) -> FloatArray:
+        """Magnitude of dry friction ``(m,)`` at a state under the motors' ``effort (n,)``."""
+        levels = np.zeros(len(position))
+        motors = self.driven.tolist()
+        for effect, at in self._frictions:
+            state = float(position[at]), float(velocity[at]), float(effort[motors.index(at)])
+            levels[at] += FRICTION[effect.name](effect.parameters, *state)
+        return levels
+
+    def _needed(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
+        """What the motors supply ``(m,)`` against forces that depend on the state."""
+        needed = np.zeros(len(position))
+        positions, velocities = position.tolist(), velocity.tolist()
+        for effect, at in self._forces:
+            FORCES[effect.name](effect.parameters, at, positions, velocities, needed)
+        return needed
+
+    @abstractmethod
+    def moves(self, link: str) -> bool:
+        """Whether any joint moves the link."""
+
+    @abstractmethod
+    def acceleration(self, position: FloatArray, velocity: FloatArray, effort: FloatArray) -> FloatArray:
+        """Accelerations ``(m,)`` of a state under commanded ``effort (n,)``, cut to the joints' effort limits."""
+
+    @abstractmethod
+    def effort(self) -> FloatArray:
+        """The motors' efforts ``(n,)`` at the state last given to :meth:`acceleration`."""
+
+    @abstractmethod
+    def wrench(self) -> FloatArray:
+        """Force [N] and torque [N m], ``(6,)``, at the state last given to :meth:`acceleration`; ``(0,)`` unsensed.
+
+        It is what the side of the base applies to the far side, about the sensor frame's origin in its axes: at rest
+        the force points up and equals the weight that the sensor carries.
+        """
+
+    @abstractmethod
+    def inverse_dynamics(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+        """Efforts ``(m,)`` that the motion of a state takes, dry friction apart."""
+
+    @abstractmethod
+    def inertia_matrix(self, position: FloatArray) -> FloatArray:
+        """The joint-space inertia matrix ``(m, m)`` of a state, rotors included [kg m^2 or kg]."""
 
 
 class Plant(Simulator):
@@ -55,21 +145,12 @@ class Plant(Simulator):
     def moves(self, link: str) -> bool:
         return bool(self._model.body(link).weldid[0] != 0)
 
-    def acceleration(self, position: FloatArray, velocity: FloatArray, effort: FloatArray) -> FloatArray:
-        if self._frictions:
-            self._model.dof_frictionloss[:] = self._friction_levels(position, velocity, effort)
-        if self._forces:
-            self._data.qfrc_applied[:] = -self._needed(position, velocity)
-        return self._forward(position, velocity, effort)
-
-    def driven_acceleration(
-        self, position: FloatArray, velocity: FloatArray, effort: FloatArray, added: FloatArray
+    def acceleration(
+        self, position: FloatArray, velocity: FloatArray, effort: FloatArray, added: FloatArray | float = 0.0
     ) -> FloatArray:
-        """The same where efforts ``added (m,)`` act at the hinges, which the motors do not know of."""
+        """With efforts ``added (m,)`` at the hinges, which the motors do not know of."""
+        self._model.dof_frictionloss[:] = self._friction_levels(position, velocity, effort)
         self._data.qfrc_applied[:] = added - self._needed(position, velocity)
-        return self._forward(position, velocity, effort)
-
-    def _forward(self, position: FloatArray, velocity: FloatArray, effort: FloatArray) -> FloatArray:
         positions, velocities, efforts = self._state
         positions[:] = position
         velocities[:] = velocity
@@ -108,7 +189,7 @@ GRAVITY = 9.81
 
 # MuJoCo's dry friction is a soft constraint: constant while a joint moves, but near standstill it only damps, below a
 # speed of about this time [s] times the deceleration that friction alone would cause. MuJoCo's default, 0.02, is soft.
-_FRICTION_TIME = 0.004
+FRICTION_TIME = 0.004
 _SENSOR = "wrench"
 
 
@@ -149,9 +230,9 @@ def _configure(mujoco: Any, spec: Any) -> None:
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
     spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
     spec.option.tolerance = 1e-14
-    spec.option.timestep = _FRICTION_TIME / 2.0  # the longest with which MuJoCo allows that time; the loop has its own
+    spec.option.timestep = FRICTION_TIME / 2.0  # the longest with which MuJoCo allows that time; the loop has its own
     for joint in spec.joints:
-        joint.solref_friction = [_FRICTION_TIME, 1.0]
+        joint.solref_friction = [FRICTION_TIME, 1.0]
         spec.add_actuator(trntype=mujoco.mjtTrn.mjTRN_JOINT, target=joint.name)
 
 

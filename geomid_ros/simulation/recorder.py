@@ -10,7 +10,7 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.simulation.description import UrdfLimits
 from geomid_ros.simulation.motion import RunTrace, SetPoints
-from geomid_ros.simulation.simulator import Simulator
+from geomid_ros.simulation.plant import Simulator
 from geomid_ros.types import FloatArray, IntArray
 
 _STIFFNESS = 10.0  # effort limits per rad (or m) of position error
@@ -36,6 +36,17 @@ class JointController:
             + self.damping * (self.setpoints.velocity[half_step] - velocity)
         )
 
+    def slowed(self, robot: Simulator, step: float) -> JointController:
+        """With less damping, where the ``robot`` would answer faster than steps of ``step`` [s] can follow.
+
+        A joint that moves alone, the others free, feels the inertia ``1 / (M^-1)_jj``: that of a light rotor before a
+        gear that gives, or little where the axes of two joints are nearly one line.
+        """
+        positions = self.setpoints.position[:: max(1, round(_LOOK / step))]
+        inverses = (np.linalg.inv(robot.inertia_matrix(robot.at_rest(position)[0])) for position in positions)
+        lightest = 1.0 / np.max([np.diag(inverse)[robot.driven] for inverse in inverses], axis=0)
+        return replace(self, damping=np.minimum(self.damping, _STABLE * lightest / step))
+
 
 def tuned_controller(
     setpoints: SetPoints, nominal: Simulator, robot: Simulator, joints: Sequence[UrdfLimits], tuned_on: Simulator
@@ -55,19 +66,7 @@ def tuned_controller(
     )
 
 
-def slowed(controller: JointController, robot: Simulator, step: float) -> JointController:
-    """The controller with less damping, where the ``robot`` would answer faster than steps of ``step`` [s] can follow.
-
-    A joint that moves alone, the others free, feels the inertia ``1 / (M^-1)_jj``: that of a light rotor before a gear
-    that gives, or little where the axes of two joints are nearly one line.
-    """
-    positions = controller.setpoints.position[:: max(1, round(_LOOK / step))]
-    inverses = (np.linalg.inv(robot.inertia_matrix(robot.at_rest(position)[0])) for position in positions)
-    lightest = 1.0 / np.max([np.diag(inverse)[robot.driven] for inverse in inverses], axis=0)
-    return replace(controller, damping=np.minimum(controller.damping, _STABLE * lightest / step))
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class ControlLoop:
     """A robot under control, integrated in steps of ``step`` [s] by the classical Runge-Kutta method of order 4.
 

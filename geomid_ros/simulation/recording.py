@@ -1,29 +1,29 @@
-"""From options to a bag and its truth."""
+"""From options to a bag, and what lies beside it: the planted truth, of which nothing is in the bag, and the
+controller's gains."""
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import yaml
 
 from geomid_ros.errors import InputError
 from geomid_ros.simulation.bag import write_bag
-from geomid_ros.simulation.effects.measurement import sensed
-from geomid_ros.simulation.effects.physics import TrueEffect
+from geomid_ros.simulation.description import LinkInertia
+from geomid_ros.simulation.effects.physics import sensed
 from geomid_ros.simulation.motion import RunTrace, exciting_motion
-from geomid_ros.simulation.options import SimulationOptions
-from geomid_ros.simulation.plant import Plant
-from geomid_ros.simulation.realistic.loop import RealisticLoop
-from geomid_ros.simulation.realistic.robot import RealisticRobot, build_realistic
-from geomid_ros.simulation.realistic.sensors import published
-from geomid_ros.simulation.realistic.truth import realistic_document
-from geomid_ros.simulation.recorder import ControlLoop, Sampling, check_motion, run, slowed, tuned_controller
-from geomid_ros.simulation.robot import Builder, TrueRobot, build_robot, measured
-from geomid_ros.simulation.seeds import RandomStream, generator
-from geomid_ros.simulation.truth import contributions, controller_path, truth_path, write_gains, write_truth
+from geomid_ros.simulation.options import RandomStream, SimulationOptions, generator
+from geomid_ros.simulation.plant import GRAVITY, Plant
+from geomid_ros.simulation.realistic.robot import build_realistic
+from geomid_ros.simulation.recorder import ControlLoop, JointController, Sampling, check_motion, run, tuned_controller
+from geomid_ros.simulation.robot import Builder, TrueRobot, build_robot
+from geomid_ros.types import FloatArray
 
 Progress = Callable[[float], None]
 
@@ -58,22 +58,32 @@ def simulate(
     """
     options = options or SimulationOptions()
     bag = Path(out_bag)
-    truth, gains = truth_path(bag), controller_path(bag) if options.commands else None
-    for path in filter(None, (bag, truth, gains)):
-        if path.exists():
-            raise InputError(f"{path} exists already. Choose another name or delete it first.")
-    robot: TrueRobot = build_realistic(options) if options.realistic else build_robot(options, builder)
+    truth = beside(bag, "truth.json")
+    gains = beside(bag, "controller.yaml") if options.commands else None
+    refuse_existing(bag, truth, gains)
+    robot = build_realistic(options) if options.realistic else build_robot(options, builder)
     loop = closed_loop(robot, options)
     true_trace = record(robot, loop, options, progress)
-    trace = seen(true_trace, robot, options)
+    trace = robot.published(true_trace, options)
     order = generator(options.seed, RandomStream.ORDER).permutation(len(robot.joints))
     names = [robot.plant.joints[index] for index in order]
     write_bag(bag, trace.reordered(order), names, robot.nominal.text, options)
-    more = realistic_document(robot) if isinstance(robot, RealisticRobot) else {}
-    write_truth(truth, robot, options, contributions(true_trace, robot, options), more)
+    write_truth(truth, robot, options, contributions(true_trace, robot, options))
     if gains is not None:
         write_gains(gains, robot.plant.joints, loop.controller)
     return SimulationResult(bag, truth, gains, len(trace.time))
+
+
+def beside(bag: Path, what: str) -> Path:
+    """Where something about a bag lies: ``arm7.truth.json`` beside ``arm7``."""
+    return bag.with_name(f"{bag.name}.{what}")
+
+
+def refuse_existing(*paths: Path | None) -> None:
+    """Raise InputError for a file or folder that would be overwritten."""
+    for path in filter(None, paths):
+        if path.exists():
+            raise InputError(f"{path} exists already. Choose another name or delete it first.")
 
 
 def closed_loop(robot: TrueRobot, options: SimulationOptions) -> ControlLoop:
@@ -85,10 +95,7 @@ def closed_loop(robot: TrueRobot, options: SimulationOptions) -> ControlLoop:
     public = options.realistic or options.hide is not None  # gains that reveal nothing of the truth
     tuned_on = nominal if public else robot.plant
     controller = tuned_controller(motion, nominal, robot.plant, robot.joints, tuned_on)
-    controller = slowed(controller, robot.plant, options.step)
-    if isinstance(robot, RealisticRobot):
-        return RealisticLoop(robot.plant, controller, options.step, robot)
-    return ControlLoop(robot.plant, controller, options.step)
+    return robot.controlled(controller.slowed(robot.plant, options.step), options.step)
 
 
 def record(
@@ -100,16 +107,75 @@ def record(
     return trace
 
 
-def seen(trace: RunTrace, robot: TrueRobot, options: SimulationOptions) -> RunTrace:
-    """What the robot publishes of the true motion."""
-    if not isinstance(robot, RealisticRobot):
-        return measured(trace, robot, options)
-    numbers = generator(options.recording_seed, RandomStream.NOISE)
-    return published(sensed(trace, robot.plant.joints, robot.effects), robot.sensors, numbers)
-
-
 def sampling(robot: TrueRobot, options: SimulationOptions) -> Sampling:
     """Which steps of the integration are recorded; it runs on for as long as the sensors look ahead."""
     lag = round(options.wrench_lag / options.step)
-    early = -min(effect.parameters.get("delay", 0.0) for effect in (*robot.effects, TrueEffect("", "", {})))
+    early = -min((effect.parameters.get("delay", 0.0) for effect in robot.effects), default=0.0)
     return Sampling(options.samples, options.substeps, lag, max(lag, math.ceil(early / options.step)))
+
+
+def contributions(trace: RunTrace, robot: TrueRobot, options: SimulationOptions) -> dict[str, FloatArray]:
+    """Root mean square of what the effects add to the measured efforts ``(n,)`` and wrench ``(6,)`` or ``(0,)``.
+
+    It is the difference between what perfect sensors show and what the true bodies alone would need at the motors'
+    positions; other inertias could explain a part of it.
+    """
+    bare = Plant(robot.nominal, robot.bodies, (), options.wrench_frame)
+    efforts, wrenches = [], []
+    for row in zip(trace.position, trace.velocity, trace.acceleration, strict=True):
+        efforts.append(bare.inverse_dynamics(*row))
+        bare.acceleration(*row[:2], efforts[-1])
+        wrenches.append(bare.wrench())
+    seen = sensed(trace, robot.plant.joints, robot.effects)
+    columns = [np.interp(trace.wrench_time, trace.time, column) for column in np.array(wrenches).T]
+    wrench = seen.wrench - np.reshape(columns, (-1, len(trace.time))).T
+    return {"effort": _rms(seen.effort - np.array(efforts)), "wrench": _rms(wrench)}
+
+
+def _rms(values: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+
+
+def write_truth(path: Path, robot: TrueRobot, options: SimulationOptions, added: Mapping[str, FloatArray]) -> None:
+    """Write what is true of the robot in a recording: links, effects, the noise of each channel, and the options.
+
+    A link fixed to another one stands by itself; one that no joint moves (``moves`` false) cannot show in the data.
+    ``added`` is what the effects contribute, see :func:`contributions`.
+    """
+    truth = {
+        "robot": options.robot,
+        "seed": options.seed,
+        "motion_seed": options.recording_seed,
+        "gravity": [0.0, 0.0, -GRAVITY],
+        "links": [link_entry(body, robot.plant.moves(body.name)) for body in robot.bodies],
+        "contributions": {channel: values.tolist() for channel, values in added.items()},
+        "joints": robot.plant.joints,
+        "noise": {channel: level.tolist() for channel, level in robot.noise(options).items()},
+        "options": asdict(options),
+        **robot.document(),
+    }
+    path.write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
+
+
+def link_entry(body: LinkInertia, moves: bool) -> dict[str, Any]:
+    """A link for files."""
+    return {
+        "name": body.name,
+        "mass": body.mass,
+        "com": body.com.tolist(),
+        "inertia": body.inertia.tolist(),
+        "moves": moves,
+    }
+
+
+def write_gains(path: Path, joints: Sequence[str], controller: JointController) -> None:
+    """Write ``p`` [N m/rad] and ``d`` [N m s/rad] of every joint, as a joint_trajectory_controller's parameters.
+
+    The commanded effort is the recorded feed-forward plus ``p`` times the error of position plus ``d`` times that of
+    velocity, of the motors; set-points between two messages are to be interpolated.
+    """
+    rows = zip(joints, controller.stiffness.tolist(), controller.damping.tolist(), strict=True)
+    gains = {joint: {"p": stiffness, "i": 0.0, "d": damping} for joint, stiffness, damping in rows}
+    parameters = {"joints": list(joints), "gains": gains}
+    document = {"joint_trajectory_controller": {"ros__parameters": parameters}}
+    path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from geomid_ros.simulation.description import Description, LinkInertia, UrdfLimits, read_description
 from geomid_ros.simulation.effects.choice import chosen_effects
-from geomid_ros.simulation.effects.measurement import sensed
-from geomid_ros.simulation.effects.physics import TrueEffect
+from geomid_ros.simulation.effects.physics import TrueEffect, sensed
 from geomid_ros.simulation.inertias import perturbed
 from geomid_ros.simulation.motion import RunTrace
-from geomid_ros.simulation.options import SimulationOptions
-from geomid_ros.simulation.plant import Plant
+from geomid_ros.simulation.options import RandomStream, SimulationOptions, generator
+from geomid_ros.simulation.plant import Plant, Simulator
+from geomid_ros.simulation.recorder import ControlLoop, JointController
 from geomid_ros.simulation.robots import robot_description
-from geomid_ros.simulation.seeds import RandomStream, generator
-from geomid_ros.simulation.simulator import Simulator
 from geomid_ros.types import FloatArray
 
 
@@ -35,6 +34,41 @@ class TrueRobot:
     plant: Simulator
     joints: tuple[UrdfLimits, ...]
 
+    def controlled(self, controller: JointController, step: float) -> ControlLoop:
+        """The robot under control, in steps of ``step`` [s]."""
+        return ControlLoop(self.plant, controller, step)
+
+    def published(self, trace: RunTrace, options: SimulationOptions) -> RunTrace:
+        """What arrives of a true motion: with effects of measurement, noise and resolution."""
+        numbers = generator(options.recording_seed, RandomStream.NOISE)
+        levels = self.noise(options)
+        seen = sensed(trace, self.plant.joints, self.effects)
+        memory = math.exp(-1.0 / (options.rate * options.noise_time)) if options.noise_time > 0.0 else 0.0
+        position = _noisy(seen.position, levels["position"], 0.0, numbers)
+        velocity = _noisy(seen.velocity, levels["velocity"], 0.0, numbers)
+        effort = _noisy(seen.effort, levels["effort"], memory, numbers)
+        return replace(
+            seen,
+            position=_rounded(position, options.position_step * np.ones(len(self.joints))),
+            velocity=velocity,
+            effort=_rounded(effort, options.effort_step * np.array([joint.effort for joint in self.joints])),
+            wrench=_noisy(seen.wrench, levels["wrench"][: seen.wrench.shape[1]], memory, numbers),
+        )
+
+    def noise(self, options: SimulationOptions) -> dict[str, FloatArray]:
+        """Standard deviations of each channel: position, velocity, effort ``(n,)`` and wrench ``(6,)``."""
+        each = np.ones(len(self.joints))
+        return {
+            "position": options.position_noise * each,
+            "velocity": options.velocity_noise * each,
+            "effort": options.effort_noise * np.array([joint.effort for joint in self.joints]),
+            "wrench": np.repeat([options.force_noise, options.torque_noise], 3),
+        }
+
+    def document(self) -> dict[str, Any]:
+        """What the truth says of it beside links and noise: the ``effects``."""
+        return {"effects": [effect.document for effect in self.effects]}
+
 
 Builder = Callable[[Description, Iterable[LinkInertia], Iterable[TrueEffect], str | None], Simulator]
 """Makes a simulator of a kinematic tree, true bodies, effects and the frame of a wrench sensor."""
@@ -49,36 +83,6 @@ def build_robot(options: SimulationOptions, builder: Builder = Plant) -> TrueRob
     plant = builder(nominal, bodies, effects, options.wrench_frame)
     limits = {joint.name: joint for joint in nominal.joints}
     return TrueRobot(nominal, bodies, effects, plant, tuple(limits[name] for name in plant.joints))
-
-
-def noise_levels(joints: Sequence[UrdfLimits], options: SimulationOptions) -> dict[str, FloatArray]:
-    """Standard deviations of each channel: position, velocity, effort ``(n,)`` and wrench ``(6,)``."""
-    each = np.ones(len(joints))
-    return {
-        "position": options.position_noise * each,
-        "velocity": options.velocity_noise * each,
-        "effort": options.effort_noise * np.array([joint.effort for joint in joints]),
-        "wrench": np.repeat([options.force_noise, options.torque_noise], 3),
-    }
-
-
-def measured(trace: RunTrace, robot: TrueRobot, options: SimulationOptions) -> RunTrace:
-    """The trace with effects of measurement, noise and resolution."""
-    numbers = generator(options.recording_seed, RandomStream.NOISE)
-    levels = noise_levels(robot.joints, options)
-    seen = sensed(trace, robot.plant.joints, robot.effects)
-    memory = math.exp(-1.0 / (options.rate * options.noise_time)) if options.noise_time > 0.0 else 0.0
-    limits = np.array([joint.effort for joint in robot.joints])
-    position = _noisy(seen.position, levels["position"], 0.0, numbers)
-    velocity = _noisy(seen.velocity, levels["velocity"], 0.0, numbers)
-    effort = _noisy(seen.effort, levels["effort"], memory, numbers)
-    return replace(
-        seen,
-        position=_rounded(position, options.position_step * np.ones(len(limits))),
-        velocity=velocity,
-        effort=_rounded(effort, options.effort_step * limits),
-        wrench=_noisy(seen.wrench, levels["wrench"][: seen.wrench.shape[1]], memory, numbers),
-    )
 
 
 def _noisy(values: FloatArray, level: FloatArray, memory: float, numbers: np.random.Generator) -> FloatArray:

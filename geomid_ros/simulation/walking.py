@@ -6,8 +6,8 @@ Nothing measures the base's pose or the forces of the ground.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,82 +16,22 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.simulation.bag import write_walk
 from geomid_ros.simulation.description import Description, LinkInertia, read_description
-from geomid_ros.simulation.gaits import GAITS
+from geomid_ros.simulation.gaits import GAITS, STEP, WalkOptions
 from geomid_ros.simulation.inertias import body_of, perturbed, pseudo_inertia, set_inertia
 from geomid_ros.simulation.motion import WalkTrace
-from geomid_ros.simulation.plant import GRAVITY, load_mujoco
+from geomid_ros.simulation.options import RandomStream, generator
+from geomid_ros.simulation.plant import FRICTION_TIME, GRAVITY, load_mujoco
+from geomid_ros.simulation.recording import beside, link_entry, refuse_existing
 from geomid_ros.simulation.robots import robot_description
-from geomid_ros.simulation.seeds import RandomStream, generator
-from geomid_ros.simulation.truth import link_entry, truth_path
 from geomid_ros.types import FloatArray
 
-_STEP = 1e-3  # [s]
 _PER_SET_POINT = 10  # steps
-_WHOLE = 1e-6  # steps between messages may be off a whole number by rounding
 _STANCE = (0.0, 0.8, -1.6)  # [rad] hip, thigh and knee of a leg that stands
 _STIFFNESS, _DAMPING = 250.0, 5.0  # of the joints' controllers [N m/rad], [N m s/rad]
-_SHORTEST = 4.0  # [s] of a gait
 _SETTLING = 1.0  # [s] before the motion begins, not recorded
 _CONTACT = (0.006, 1.0)  # MuJoCo's solref of the ground: time constant [s], damping ratio
-_FRICTION_TIME = 0.004  # [s] as of arms, see plant.py
 _SETTLED = 1e-6  # [m] at which the inverse kinematics stop
 _UPRIGHT = 0.7  # cosine of the trunk's tilt; beyond it the robot has fallen
-
-
-@dataclass(frozen=True, kw_only=True)
-class WalkOptions:
-    """A quadruped, its hidden truth, its gaits and its sensors. SI units; noise is Gaussian, given by its deviation.
-
-    Attributes:
-        robot: path of the URDF (the nominal model). Each leg has three joints: hip, thigh and knee.
-        feet: the radius of each foot [m], by the link in whose origin its centre is.
-        imu: link of the IMU.
-        gaits: what the robot does, in turn, each for the same time: of :data:`GAITS`.
-        payload: mass on the trunk that the URDF lacks [kg], ``payload_at`` in the root link's frame.
-        inertia_error: relative error of the URDF's inertias.
-        seed: fixes the robot; ``motion_seed`` motion and noise (``seed`` unless given).
-        gyroscope_bias, accelerometer_bias: standard deviations of constant errors.
-    """
-
-    robot: str
-    feet: Mapping[str, float]
-    imu: str
-    gaits: Sequence[str] = ("wobble", "lift", "trot")
-    duration: float = 36.0
-    rate: float = 500.0
-    seed: int = 1
-    motion_seed: int | None = None
-    payload: float = 3.0
-    payload_at: tuple[float, float, float] = (0.04, 0.02, 0.08)
-    inertia_error: float = 0.1
-    viscous_friction: float = 0.1
-    coulomb_friction: float = 0.2
-    rotor_inertia: float = 0.01
-    position_noise: float = 1e-4
-    velocity_noise: float = 1e-2
-    effort_noise: float = 0.1
-    gyroscope_noise: float = 0.005
-    gyroscope_bias: float = 0.003
-    accelerometer_noise: float = 0.05
-    accelerometer_bias: float = 0.02
-
-    def __post_init__(self) -> None:
-        for gait in self.gaits:
-            if gait not in GAITS:
-                raise unknown_name("gait", gait, GAITS)
-        ranges = {
-            "duration": (self.duration, _SHORTEST * len(self.gaits), np.inf),
-            "rate": (self.rate, 1.0, 1.0 / _STEP),
-            "payload": (self.payload, 0.0, np.inf),
-            "inertia_error": (self.inertia_error, 0.0, 1.0),
-            **{f"radius of {foot}": (radius, 1e-3, 1.0) for foot, radius in self.feet.items()},
-        }
-        for name, (value, low, high) in ranges.items():
-            if not low <= value <= high or np.isinf(value):
-                raise InputError(f"{name} is {value:g}; it has to be from {low:g} to {high:g}")
-        every = 1.0 / (self.rate * _STEP)
-        if abs(every - round(every)) > _WHOLE:
-            raise InputError(f"rate is {self.rate:g}; it has to be {1.0 / _STEP:g} Hz over a whole number, as 250 Hz")
 
 
 def simulate_walk(out: Path, options: WalkOptions) -> tuple[Path, Path]:
@@ -100,10 +40,8 @@ def simulate_walk(out: Path, options: WalkOptions) -> tuple[Path, Path]:
     Raises:
         InputError: a file exists already, or the robot cannot walk like this.
     """
-    truth = truth_path(out)
-    for path in (out, truth):
-        if path.exists():
-            raise InputError(f"{path} exists already. Choose another name or delete it first.")
+    truth = beside(out, "truth.json")
+    refuse_existing(out, truth)
     robot = read_description(robot_description(options.robot))
     bodies = true_bodies(robot, options)
     trace = measured(walk(robot, bodies, options), options)
@@ -111,18 +49,6 @@ def simulate_walk(out: Path, options: WalkOptions) -> tuple[Path, Path]:
     document = {"links": [link_entry(body, True) for body in bodies], "options": asdict(options)}
     truth.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     return out, truth
-
-
-def parse_feet(texts: Sequence[str]) -> dict[str, float]:
-    """Radii by link, of ``LINK:RADIUS`` [m]. Raises InputError for another form."""
-    feet = {}
-    for text in texts:
-        link, _, radius = text.partition(":")
-        try:
-            feet[link] = float(radius)
-        except ValueError as error:
-            raise InputError(f"foot '{text}' is not of the form LINK:RADIUS, e.g. FL_foot:0.022 [m]") from error
-    return feet
 
 
 def true_bodies(robot: Description, options: WalkOptions) -> list[LinkInertia]:
@@ -156,9 +82,9 @@ def walk(robot: Description, bodies: Sequence[LinkInertia], options: WalkOptions
     mujoco.mj_kinematics(model, data)
     lowest = min(data.body(foot).xpos[2] - radius for foot, radius in options.feet.items())
     data.qpos[2] -= lowest
-    every = round(1.0 / (options.rate * _STEP))
+    every = round(1.0 / (options.rate * STEP))
     rows = []
-    for step in range(-round(_SETTLING / _STEP), len(position)):
+    for step in range(-round(_SETTLING / STEP), len(position)):
         wanted = max(step, 0)
         state = data.qpos[7:].copy(), data.qvel[6:].copy()
         mujoco.mj_step1(model, data)
@@ -167,17 +93,16 @@ def walk(robot: Description, bodies: Sequence[LinkInertia], options: WalkOptions
         if step >= 0 and step % every == 0:
             contacts = [data.sensor(foot).data[0] for foot in options.feet]
             sensors = data.sensor("gyroscope").data.copy(), data.sensor("accelerometer").data.copy()
-            rows.append((step * _STEP, *state, data.actuator_force.copy(), *sensors, np.array(contacts)))
+            rows.append((step * STEP, *state, data.actuator_force.copy(), *sensors, np.array(contacts)))
             if data.xmat[1, 8] < _UPRIGHT:
-                raise InputError(f"the robot falls after {step * _STEP:.1f} s of {', '.join(options.gaits)}")
+                raise InputError(f"the robot falls after {step * STEP:.1f} s of {', '.join(options.gaits)}")
     names = ("time", "position", "velocity", "effort", "angular_velocity", "specific_force", "contact")
     return WalkTrace(**dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True)))
 
 
 def measured(trace: WalkTrace, options: WalkOptions) -> WalkTrace:
     """The trace with the sensors' noise and biases."""
-    seed = options.seed if options.motion_seed is None else options.motion_seed
-    numbers = generator(seed, RandomStream.NOISE)
+    numbers = generator(options.recording_seed, RandomStream.NOISE)
 
     def noisy(values: FloatArray, level: float, bias: float = 0.0) -> FloatArray:
         constant = bias * numbers.standard_normal(values.shape[1])
@@ -198,13 +123,13 @@ def _compiled(mujoco: Any, robot: Description, bodies: Sequence[LinkInertia], op
     spec.compiler.fusestatic = False
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
-    spec.option.timestep = _STEP
+    spec.option.timestep = STEP
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 10.0
     spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)  # the effort of damping is that of now
     for joint, limits in zip(spec.joints, robot.joints, strict=True):
         joint.damping, joint.frictionloss = [options.viscous_friction, 0.0, 0.0], options.coulomb_friction
-        joint.armature, joint.solref_friction = options.rotor_inertia, [_FRICTION_TIME, 1.0]
+        joint.armature, joint.solref_friction = options.rotor_inertia, [FRICTION_TIME, 1.0]
         spec.add_actuator(
             trntype=mujoco.mjtTrn.mjTRN_JOINT,
             target=joint.name,
@@ -234,14 +159,13 @@ def _compiled(mujoco: Any, robot: Description, bodies: Sequence[LinkInertia], op
 
 def _set_points(mujoco: Any, model: Any, options: WalkOptions) -> tuple[FloatArray, FloatArray]:
     """Positions and velocities ``(steps, joints)`` that bring the feet where the gaits want them."""
-    seed = options.seed if options.motion_seed is None else options.motion_seed
-    numbers = generator(seed, RandomStream.MOTION)
+    numbers = generator(options.recording_seed, RandomStream.MOTION)
     data = mujoco.MjData(model)
     data.qpos[:7] = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
     data.qpos[7:] = np.tile(_STANCE, len(options.feet))
     mujoco.mj_kinematics(model, data)
     home = np.array([data.body(foot).xpos for foot in options.feet])
-    step = _STEP * _PER_SET_POINT
+    step = STEP * _PER_SET_POINT
     time = np.arange(0.0, options.duration / len(options.gaits), step)
     ways = [GAITS[gait](time, home, numbers) for gait in options.gaits]
     trunk, feet = (np.concatenate(parts) for parts in zip(*ways, strict=True))
@@ -249,9 +173,9 @@ def _set_points(mujoco: Any, model: Any, options: WalkOptions) -> tuple[FloatArr
     for row, pose, moved in zip(wanted, trunk, home + feet, strict=True):
         rotation = _rotation(mujoco, pose[3:])
         row[:] = _joints_at(mujoco, model, data, (moved - pose[:3]) @ rotation, list(options.feet))
-    coarse, fine = step * np.arange(len(wanted)), _STEP * np.arange(len(wanted) * _PER_SET_POINT)
+    coarse, fine = step * np.arange(len(wanted)), STEP * np.arange(len(wanted) * _PER_SET_POINT)
     position = np.array([np.interp(fine, coarse, column) for column in wanted.T]).T
-    return position, np.gradient(position, _STEP, axis=0)
+    return position, np.gradient(position, STEP, axis=0)
 
 
 def _rotation(mujoco: Any, vector: FloatArray) -> FloatArray:

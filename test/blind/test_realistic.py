@@ -19,7 +19,7 @@ from benchmarks.blind.realistic.figures import figures
 from benchmarks.blind.realistic.judging import judge
 from benchmarks.blind.realistic.sizing import LEAST, MOST, sized
 from geomid_ros.simulation import Hidden, SimulationOptions
-from geomid_ros.simulation.effects.measurement import sensed
+from geomid_ros.simulation.effects.physics import sensed
 from geomid_ros.simulation.realistic.robot import build_realistic
 from geomid_ros.simulation.recording import closed_loop, record
 from geomid_ros.simulation.robots import robot_description

@@ -17,7 +17,8 @@ from model.robots import urdf
 from benchmarks.legs import CONTACTS, FEET, IMU, misplaced, true_parameters
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.model.robot import Robot
-from geomid_ros.simulation.walking import WalkOptions, simulate_walk
+from geomid_ros.simulation.gaits import WalkOptions
+from geomid_ros.simulation.walking import simulate_walk
 
 from .running import NO_CHOICE, done, geomid, read, refused
 

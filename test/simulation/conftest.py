@@ -9,10 +9,9 @@ import pytest
 
 from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.simulation.options import SimulationOptions
-from geomid_ros.simulation.recording import closed_loop, record
+from geomid_ros.simulation.recording import closed_loop, contributions, record, write_truth
 from geomid_ros.simulation.robot import TrueRobot, build_robot
 from geomid_ros.simulation.robots import WRIST_FRAME
-from geomid_ros.simulation.truth import contributions, write_truth
 
 from .independent import Independent
 

@@ -14,7 +14,7 @@ from files.recordings import QUICK
 from scipy.interpolate import CubicSpline
 
 from geomid_ros.simulation import EFFECTS, WRIST_FRAME, Hidden, SimulationOptions
-from geomid_ros.simulation.effects.measurement import sensed
+from geomid_ros.simulation.effects.physics import sensed
 from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.types import FloatArray
 

@@ -81,7 +81,7 @@ def test_the_equation_of_motion_is_pinocchios(tmp_path: Path) -> None:
     rotor = [entry["parameters"]["inertia"] for entry in truth["standing"] if entry["effect"] == "rotor_inertia"]
     spring = truth["effects"][1]["parameters"]
     for half_step in (100, 900, 5000):
-        loop.memory.bend = rng.uniform(-5e-4, 5e-4, 3)  # type: ignore[attr-defined]
+        loop.bend = rng.uniform(-5e-4, 5e-4, 3)  # type: ignore[attr-defined]
         position = loop.controller.setpoints.position[half_step] + 1e-3 * rng.standard_normal(3)
         velocity = loop.controller.setpoints.velocity[half_step] + 1e-2 * rng.standard_normal(3)
         acceleration = loop.acceleration(half_step, position, velocity)
@@ -90,7 +90,7 @@ def test_the_equation_of_motion_is_pinocchios(tmp_path: Path) -> None:
         cold = 1.0 + np.array(truth["warm_up"]["excess"]) * np.exp(
             -0.5 * half_step * loop.step / truth["warm_up"]["time"]
         )
-        bend = loop.memory.bend  # type: ignore[attr-defined]
+        bend = loop.bend  # type: ignore[attr-defined]
         eaten = changed.friction.force(bend, velocity, dry, cold)
         needed = pin.rnea(model, model.createData(), position, velocity, acceleration) + np.array(rotor) * acceleration
         needed += [0.0, 0.0, spring["stiffness"] * (position[2] - spring["equilibrium"])]
@@ -181,7 +181,7 @@ def test_it_is_a_world_apart_from_the_estimator() -> None:
     """Importing all of it loads no other room of the package, and so none of ``model/effects``."""
     script = """
         import sys
-        import geomid_ros.simulation.realistic.loop, geomid_ros.simulation.realistic.robot
+        import geomid_ros.simulation.realistic.robot
         print(sorted({name.split(".")[1] for name in sys.modules if name.startswith("geomid_ros.")}))
         """
     command = [sys.executable, "-c", "\n".join(line.strip() for line in script.splitlines())]

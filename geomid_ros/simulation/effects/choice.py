@@ -11,8 +11,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.simulation.description import Description, UrdfLimits
 from geomid_ros.simulation.effects.physics import GEARS, TrueEffect
 from geomid_ros.simulation.effects.sizes import SIZES, Site
-from geomid_ros.simulation.options import Hidden, SimulationOptions
-from geomid_ros.simulation.seeds import RandomStream, generator
+from geomid_ros.simulation.options import Hidden, RandomStream, SimulationOptions, generator
 
 WRENCH_TOPIC = "/wrench"
 """Where a recording has its wrench."""

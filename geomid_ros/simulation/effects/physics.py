@@ -1,16 +1,22 @@
-"""Physical effects, and how each acts: as an effort, as a constant of MuJoCo's model, or as a body or a hinge more."""
+"""Physical effects, and how each acts, a table for each way: ``FORCES`` and ``FRICTION`` are efforts at every state,
+``MODEL`` sets constants of MuJoCo's model, ``STRUCTURE`` adds bodies and hinges before it is compiled, ``MEASURED``
+changes what is recorded.
+
+A new effect is one small function, named after it, in one of these tables, and a public function in ``sizes``.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
 from geomid_ros.simulation.description import INERTIA_NAMES, LinkInertia
 from geomid_ros.simulation.inertias import set_inertia
+from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.types import FloatArray
 
 Parameters: TypeAlias = Mapping[str, float]
@@ -35,6 +41,13 @@ class TrueEffect:
     parameters: Parameters
     link: str = ""
     other: str = ""
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """The effect, its places and its parameters, for files."""
+        places = {"joint": self.joint, "link": self.link, "other": self.other}
+        named = {key: name for key, name in places.items() if name or key == "joint"}
+        return {"effect": self.name, **named, "parameters": dict(self.parameters)}
 
 
 @dataclass(frozen=True)
@@ -188,3 +201,44 @@ STRUCTURE: dict[str, Callable[[Any, Any, TrueEffect], None]] = {
     "joint_elasticity": _gear,
     "backlash": _gear,
 }
+
+
+def _effort_delay(trace: RunTrace, _: int, parameters: Parameters) -> RunTrace:
+    seen = trace.time - parameters["delay"]
+    columns = [np.interp(seen, trace.fine_time, column) for column in trace.fine_effort.T]
+    return replace(trace, effort=np.stack(columns, axis=1))
+
+
+def _effort_gain(trace: RunTrace, joint: int, parameters: Parameters) -> RunTrace:
+    return _with_effort(trace, joint, parameters["gain"] * trace.effort[:, joint])
+
+
+def _effort_offset(trace: RunTrace, joint: int, parameters: Parameters) -> RunTrace:
+    return _with_effort(trace, joint, trace.effort[:, joint] + parameters["offset"])
+
+
+def _drift(trace: RunTrace, joint: int, parameters: Parameters) -> RunTrace:
+    return _with_effort(trace, joint, trace.effort[:, joint] + parameters["rate"] * trace.time)
+
+
+def _wrench_offset(trace: RunTrace, _: int, parameters: Parameters) -> RunTrace:
+    return replace(trace, wrench=trace.wrench + [parameters[name] for name in ("fx", "fy", "fz", "tx", "ty", "tz")])
+
+
+def _with_effort(trace: RunTrace, joint: int, column: FloatArray) -> RunTrace:
+    effort = trace.effort.copy()
+    effort[:, joint] = column
+    return replace(trace, effort=effort)
+
+
+MEASURED = by_name(_effort_delay, _effort_offset, _effort_gain, _drift, _wrench_offset)
+"""What sensors make of the true efforts and wrench, in this order: a late signal is offset, then scaled."""
+
+
+def sensed(trace: RunTrace, joints: Sequence[str], effects: Iterable[TrueEffect]) -> RunTrace:
+    """What sensors without noise show of a true ``trace`` of ``joints``."""
+    order = list(MEASURED)
+    for effect in sorted((e for e in effects if e.name in MEASURED), key=lambda effect: order.index(effect.name)):
+        joint = joints.index(effect.joint) if effect.joint in joints else -1
+        trace = MEASURED[effect.name](trace, joint, effect.parameters)
+    return trace

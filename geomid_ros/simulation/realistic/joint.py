@@ -6,11 +6,16 @@ The friction is LuGre (Canudas de Wit, Olsson, Astrom, Lischinsky 1995): bristle
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from geomid_ros.simulation.description import UrdfLimits
+from geomid_ros.simulation.options import RandomStream, SimulationOptions, generator
 from geomid_ros.types import FloatArray
+
+_WAVES = ((8, 40), (60, 200))  # per turn: of the magnets, of the gear
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +62,23 @@ class LuGre:
         slow: FloatArray = np.exp(-((velocity / self.speed) ** 2))
         return slow
 
+    @staticmethod
+    def drawn(joints: Sequence[UrdfLimits], rotors: dict[str, float], rng: np.random.Generator) -> LuGre:
+        """Of joints with these inertias of their rotors."""
+        limit, top, rotor = np.array([(joint.effort, joint.velocity, rotors[joint.name]) for joint in joints]).T
+        n = len(joints)
+        level = 0.025 * rng.uniform(0.5, 1.5, n) * limit
+        speed = rng.uniform(0.01, 0.05, n) * top
+        stiffness = level / rng.uniform(3e-4, 1e-3, n)
+        return LuGre(
+            level=level,
+            excess=rng.uniform(0.1, 0.5, n) * level,
+            speed=speed,
+            stiffness=stiffness,
+            damping=np.sqrt(stiffness * rotor),
+            viscous=0.03 * rng.uniform(0.5, 1.5, n) * limit / top,
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Motors:
@@ -87,6 +109,19 @@ class Motors:
         unseen: FloatArray = cogging + self.ripple * effort * np.sin(2.0 * angles[0])
         return unseen
 
+    @staticmethod
+    def drawn(joints: Sequence[UrdfLimits], rng: np.random.Generator) -> Motors:
+        """Those of joints."""
+        limit = np.array([joint.effort for joint in joints])
+        n = len(joints)
+        return Motors(
+            cogging=np.stack([rng.uniform(0.5e-3, 3e-3, n) * limit for _ in _WAVES]),
+            ripple=rng.uniform(3e-3, 1.5e-2, n),
+            cycles=np.stack([rng.integers(*waves, n).astype(np.float64) for waves in _WAVES]),
+            phase=rng.uniform(0.0, 2.0 * np.pi, (len(_WAVES), n)),
+            limit=limit,
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class WarmUp:
@@ -98,3 +133,10 @@ class WarmUp:
     def cold(self, instant: float) -> FloatArray:
         """The factor ``(n,)`` at an instant [s]."""
         return 1.0 + self.excess * math.exp(-instant / self.time)
+
+    @staticmethod
+    def drawn(joints: int, options: SimulationOptions) -> WarmUp:
+        """The robot's by its seed; how cold it is when the recording starts by that of the recording."""
+        rng = generator(options.seed, RandomStream.REALISTIC, 4)
+        excess, time = rng.uniform(0.05, 0.2, joints), rng.uniform(30.0, 120.0)
+        return WarmUp(excess * generator(options.recording_seed, RandomStream.REALISTIC, 6).uniform(0.3, 1.0), time)

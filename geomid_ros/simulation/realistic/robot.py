@@ -1,32 +1,38 @@
-"""The realistic robot of a seed."""
+"""The realistic robot of a seed, its control and its integration.
+
+It is a robot as robots are: friction that slips before it slides, motors with cogging and ripple, encoders with steps,
+clocks that jitter and messages that are lost. All of it is drawn from the seed; what is hidden comes on top. The rigid
+bodies are MuJoCo's, the rest is computed here, and nothing is shared with the effects that the estimator knows.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
+from typing import Any
 
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.simulation.description import Description, LinkInertia, UrdfLimits, read_description
 from geomid_ros.simulation.effects.choice import chosen_effects
-from geomid_ros.simulation.effects.physics import FRICTION, GEARS, TrueEffect
+from geomid_ros.simulation.effects.physics import FRICTION, GEARS, TrueEffect, sensed
 from geomid_ros.simulation.inertias import perturbed
-from geomid_ros.simulation.options import Hidden, SimulationOptions
+from geomid_ros.simulation.motion import RunTrace
+from geomid_ros.simulation.options import Hidden, RandomStream, SimulationOptions, generator
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.realistic.joint import LuGre, Motors, WarmUp
-from geomid_ros.simulation.realistic.sensors import Sensors
+from geomid_ros.simulation.realistic.sensors import Sensors, published
+from geomid_ros.simulation.recorder import ControlLoop, JointController
 from geomid_ros.simulation.robot import TrueRobot
 from geomid_ros.simulation.robots import robot_description
-from geomid_ros.simulation.seeds import RandomStream, generator
 from geomid_ros.types import FloatArray
 
 LINK_MASS = "link_mass"
 """The hidden change that only realistic robots know: ``factor`` times the mass and inertia of the ``link``."""
 
 _CAD_ERROR = (0.1, 0.3)
-_WAVES = ((8, 40), (60, 200))  # per turn: of the magnets, of the gear
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +63,35 @@ class RealisticRobot(TrueRobot):
                 level[at] += FRICTION[effect.name](effect.parameters, *state)
         return level
 
+    def controlled(self, controller: JointController, step: float) -> ControlLoop:
+        """The robot under control, in steps of ``step`` [s]."""
+        return RealisticLoop(self.plant, controller, step, self)
+
+    def published(self, trace: RunTrace, options: SimulationOptions) -> RunTrace:
+        """What arrives of a true motion."""
+        numbers = generator(options.recording_seed, RandomStream.NOISE)
+        return published(sensed(trace, self.plant.joints, self.effects), self.sensors, numbers)
+
+    def noise(self, options: SimulationOptions) -> dict[str, FloatArray]:  # noqa: ARG002 its sensors have their own
+        """Standard deviations of each channel, those of rounding where an encoder makes it."""
+        rounding = self.sensors.encoder / np.sqrt(12.0)
+        return {
+            "position": rounding,
+            "velocity": np.sqrt(2.0) * rounding / self.sensors.window,
+            "effort": self.sensors.effort_noise,
+            "wrench": self.sensors.wrench_noise,
+        }
+
+    def document(self) -> dict[str, Any]:
+        """What is hidden (``effects``) and ``standing``, and the numbers of what makes it realistic, in the order of
+        the plant's joints and in the units that the classes of these names describe."""
+        parts = {name: vars(getattr(self, name)) for name in ("friction", "motors", "warm_up", "sensors")}
+        return {
+            "effects": [effect.document for effect in self.hidden],
+            "standing": [effect.document for effect in self.standing],
+            **{name: {key: np.asarray(value).tolist() for key, value in part.items()} for name, part in parts.items()},
+        }
+
 
 def build_realistic(options: SimulationOptions) -> RealisticRobot:
     """The robot of ``options.seed`` with what ``options.hide`` asks for on top."""
@@ -85,10 +120,10 @@ def build_realistic(options: SimulationOptions) -> RealisticRobot:
         joints=joints,
         standing=standing,
         hidden=(*masses, *hidden),
-        friction=_friction(joints, rotors, generator(options.seed, RandomStream.REALISTIC, 2)),
-        motors=_motors(joints, generator(options.seed, RandomStream.REALISTIC, 3)),
-        warm_up=_warm_up(len(joints), options),
-        sensors=_sensors(joints, options, generator(options.seed, RandomStream.REALISTIC, 5)),
+        friction=LuGre.drawn(joints, rotors, generator(options.seed, RandomStream.REALISTIC, 2)),
+        motors=Motors.drawn(joints, generator(options.seed, RandomStream.REALISTIC, 3)),
+        warm_up=WarmUp.drawn(len(joints), options),
+        sensors=Sensors.drawn(joints, options, generator(options.seed, RandomStream.REALISTIC, 5)),
     )
 
 
@@ -127,51 +162,40 @@ def _standing(joints: Sequence[UrdfLimits], rng: np.random.Generator) -> Iterabl
     yield TrueEffect("effort_delay", "", {"delay": rng.uniform(0.0, 1.3e-3)})
 
 
-def _friction(joints: Sequence[UrdfLimits], rotors: dict[str, float], rng: np.random.Generator) -> LuGre:
-    limit, top, rotor = np.array([(joint.effort, joint.velocity, rotors[joint.name]) for joint in joints]).T
-    n = len(joints)
-    level = 0.025 * rng.uniform(0.5, 1.5, n) * limit
-    speed = rng.uniform(0.01, 0.05, n) * top
-    stiffness = level / rng.uniform(3e-4, 1e-3, n)
-    return LuGre(
-        level=level,
-        excess=rng.uniform(0.1, 0.5, n) * level,
-        speed=speed,
-        stiffness=stiffness,
-        damping=np.sqrt(stiffness * rotor),
-        viscous=0.03 * rng.uniform(0.5, 1.5, n) * limit / top,
-    )
+@dataclass(eq=False)
+class RealisticLoop(ControlLoop):
+    """A realistic robot under control, in steps with one evaluation each.
 
+    Rigid bodies advance by the method of Beeman and Schofield, of second order. The bristles follow their own equation
+    exactly, at the step's mean speed and the dry friction of its beginning: in fast sliding they settle within much
+    less than a step, which no explicit method would bear.
 
-def _motors(joints: Sequence[UrdfLimits], rng: np.random.Generator) -> Motors:
-    limit = np.array([joint.effort for joint in joints])
-    n = len(joints)
-    return Motors(
-        cogging=np.stack([rng.uniform(0.5e-3, 3e-3, n) * limit for _ in _WAVES]),
-        ripple=rng.uniform(3e-3, 1.5e-2, n),
-        cycles=np.stack([rng.integers(*waves, n).astype(np.float64) for waves in _WAVES]),
-        phase=rng.uniform(0.0, 2.0 * np.pi, (len(_WAVES), n)),
-        limit=limit,
-    )
+    A step needs, beside positions and velocities, how far the bristles are bent ``bend (n,)`` [rad], the ``dry``
+    friction of steady sliding ``(n,)`` at its beginning, and the acceleration one step ``before``.
+    """
 
+    robot: Plant
+    truth: RealisticRobot
+    bend: FloatArray = field(default_factory=lambda: np.zeros(1))
+    dry: FloatArray = field(default_factory=lambda: np.ones(1))
+    before: FloatArray | None = None
 
-def _warm_up(joints: int, options: SimulationOptions) -> WarmUp:
-    """The robot's by its seed; how cold it is when the recording starts by that of the recording."""
-    rng = generator(options.seed, RandomStream.REALISTIC, 4)
-    excess, time = rng.uniform(0.05, 0.2, joints), rng.uniform(30.0, 120.0)
-    return WarmUp(excess * generator(options.recording_seed, RandomStream.REALISTIC, 6).uniform(0.3, 1.0), time)
+    def acceleration(self, half_step: int, position: FloatArray, velocity: FloatArray) -> FloatArray:
+        truth = self.truth
+        effort = truth.motors.supplied(self.controller.effort(half_step, position, velocity))
+        self.dry = truth.dry(velocity, position, effort)
+        cold = truth.warm_up.cold(0.5 * half_step * self.step)
+        friction = truth.friction.force(self.bend, velocity, self.dry, cold)
+        unseen = truth.motors.unseen(effort, position)
+        return self.robot.acceleration(position, velocity, effort, unseen - friction)
 
-
-def _sensors(joints: Sequence[UrdfLimits], options: SimulationOptions, rng: np.random.Generator) -> Sensors:
-    limit = np.array([joint.effort for joint in joints])
-    n = len(joints)
-    return Sensors(
-        encoder=2.0 * np.pi * 0.5 ** rng.integers(17, 21, n).astype(np.float64),
-        window=rng.uniform(1e-3, 3e-3),
-        effort_noise=rng.uniform(1e-3, 4e-3, n) * limit,
-        effort_step=rng.uniform(2e-4, 1.5e-3, n) * limit,
-        wrench_noise=np.repeat([options.force_noise, options.torque_noise], 3),
-        jitter=rng.uniform(0.02, 0.06) / options.rate,
-        lost=rng.uniform(1e-3, 1e-2),
-        burst=rng.uniform(1.0, 3.0),
-    )
+    def advance(
+        self, _: int, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        step = self.step
+        before = acceleration if self.before is None else self.before
+        change = step * (1.5 * acceleration - 0.5 * before)
+        moved = step * velocity + step**2 / 6.0 * (4.0 * acceleration - before)
+        self.bend = self.truth.friction.bent(self.bend, moved / step, self.dry, step)
+        self.before = acceleration
+        return position + moved, velocity + change

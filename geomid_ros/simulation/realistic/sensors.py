@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from geomid_ros.simulation.description import UrdfLimits
 from geomid_ros.simulation.motion import RunTrace, SetPoints
+from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.types import BoolArray, FloatArray
 
 
@@ -31,6 +34,22 @@ class Sensors:
     jitter: float
     lost: float
     burst: float
+
+    @staticmethod
+    def drawn(joints: Sequence[UrdfLimits], options: SimulationOptions, rng: np.random.Generator) -> Sensors:
+        """Those of joints."""
+        limit = np.array([joint.effort for joint in joints])
+        n = len(joints)
+        return Sensors(
+            encoder=2.0 * np.pi * 0.5 ** rng.integers(17, 21, n).astype(np.float64),
+            window=rng.uniform(1e-3, 3e-3),
+            effort_noise=rng.uniform(1e-3, 4e-3, n) * limit,
+            effort_step=rng.uniform(2e-4, 1.5e-3, n) * limit,
+            wrench_noise=np.repeat([options.force_noise, options.torque_noise], 3),
+            jitter=rng.uniform(0.02, 0.06) / options.rate,
+            lost=rng.uniform(1e-3, 1e-2),
+            burst=rng.uniform(1.0, 3.0),
+        )
 
 
 def published(trace: RunTrace, sensors: Sensors, rng: np.random.Generator) -> RunTrace:
