@@ -18,8 +18,8 @@ from rich.table import Table
 
 import geomid_ros
 from geomid_ros.files.models.loaded_model import LoadedModel
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity
-from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.written_simulation import write_found
 from geomid_ros.simulation import EFFECTS as HIDEABLE
 from geomid_ros.simulation import WRIST_FRAME, Hidden, SimulationOptions, simulate

@@ -19,10 +19,10 @@ from benchmarks.moving_base import moving_base
 from benchmarks.problem import Problem, Rows
 from benchmarks.report import Report
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.types import FloatArray
 
 _URDF = "human_description/robots/human.urdf"

@@ -14,7 +14,7 @@ from commands.running import geomid
 from files.recordings import Recorded, altered
 
 from geomid_ros.checks.verdict import STATUS, USABLE
-from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.session.configuration import Configuration, find_parameter
 
 ROOT = Path(__file__).parents[1]

@@ -25,10 +25,10 @@ from benchmarks.posterior import true_parameters
 from benchmarks.simulated_arm import Run, arm, noise, truth
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.bags.bag import Bag, RawMessage
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import DEFAULT_EFFECTS
 from geomid_ros.model.measurement import Rows
 from geomid_ros.model.samples import Samples
-from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.monitoring.change_detection import BLOCK, ChangeDetector
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import Recordings, find, gap_cutoff, gap_pipeline, gap_session, rate

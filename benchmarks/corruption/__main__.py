@@ -34,7 +34,7 @@ from benchmarks.corruption.recording import CLEAN, SOURCES, Recording
 from benchmarks.corruption.simulated import RAIL, ROBOTS, rested, simulated
 from geomid_ros.api.identify import Identification
 from geomid_ros.errors import GeomidError
-from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, read_bags
 from geomid_ros.session.session import Session

@@ -12,8 +12,8 @@ from geomid_ros.files.bags.bag import bags_in
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.models.xacro import SUFFIX, urdf_of_xacro
 from geomid_ros.files.parameter_file import read_parameter_file
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.imu import Imu
-from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, Topics, recorded_description
 from geomid_ros.signals.messages import COMMANDS, IMU, ODOM

@@ -22,11 +22,10 @@ from geomid_ros.checks.subject import Subject
 from geomid_ros.checks.transforms import transforms
 from geomid_ros.checks.unexplained import Residuals, hint
 from geomid_ros.checks.wrenches import WrenchSensorCheck, can_be_judged
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.controller import Controller
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.moving import SIGN, STILL
-from geomid_ros.model.samples import Samples
-from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.model.samples import SIGN, STILL, Samples
 from geomid_ros.types import FloatArray
 
 

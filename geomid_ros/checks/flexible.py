@@ -11,7 +11,7 @@ import numpy as np
 
 from geomid_ros.checks.evidence import SPREAD, Evidence, evidence
 from geomid_ros.estimation.tolerances import ROUNDING
-from geomid_ros.model.moving import STILL
+from geomid_ros.model.samples import STILL
 from geomid_ros.types import BoolArray, FloatArray
 
 _SLOW = 0.05  # of a joint's largest speed: below it stiction holds whatever it likes

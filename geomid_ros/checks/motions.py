@@ -12,8 +12,7 @@ from geomid_ros.checks.candidates import REASON, ROUNDS, STEP, TILT, Candidate, 
 from geomid_ros.checks.causes import Cause
 from geomid_ros.checks.efforts import compensated, exchanges, weightless
 from geomid_ros.checks.subject import Subject
-from geomid_ros.model.moving import SIGN
-from geomid_ros.model.samples import Samples
+from geomid_ros.model.samples import SIGN, Samples
 from geomid_ros.types import FloatArray, IntArray
 
 UNITS = {
@@ -109,7 +108,7 @@ def _moved(samples: Samples, matrix: FloatArray, zero: FloatArray | float = 0.0,
     """Positions times a ``matrix (joints, joints)``, from another ``zero (joints,)``, by a clock ``rate`` times as
     fast."""
     velocity, effects = rate * samples.velocity @ matrix.T, samples.effects.copy()
-    if SIGN in samples.entries.columns.place:
+    if SIGN in samples.entries:
         signs = [samples.entries.at(SIGN, joint) for joint in range(len(matrix))]
         alone = np.count_nonzero(matrix, axis=1) == 1
         effects[:, signs] = np.where(alone, np.sign(np.diag(matrix)) * effects[:, signs], np.sign(velocity))

@@ -9,9 +9,8 @@ import numpy as np
 from geomid_ros.checks.evidence import SPREAD
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.inference.prior import SPREAD_OF_PAYLOADS, usual_payload
-from geomid_ros.model.moving import SIGN
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import Samples
+from geomid_ros.model.samples import SIGN, Samples
 from geomid_ros.types import FloatArray
 
 

@@ -18,9 +18,9 @@ from geomid_ros.checks.causes import Cause, Finding, written
 from geomid_ros.checks.evidence import FOLLOWS, evidence
 from geomid_ros.checks.instants import FEWEST, STEP
 from geomid_ros.checks.rows import prior_factor
+from geomid_ros.model.channels import AXES, WrenchSensor
 from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.model.samples import Samples
-from geomid_ros.model.sensors import AXES, WrenchSensor
 from geomid_ros.types import FloatArray
 
 _OTHER_UNIT = 50.0  # times as much, or as little: no tool is

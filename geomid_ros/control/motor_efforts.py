@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.model.inverse_dynamics import InverseDynamics
+from geomid_ros.model.dynamics import InverseDynamics
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 

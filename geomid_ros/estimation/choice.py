@@ -33,8 +33,8 @@ from geomid_ros.estimation.profile_objective import (
 from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
+from geomid_ros.model.coefficients import Coefficient, Mechanism
 from geomid_ros.model.effects import Effect, Place, joints_of
-from geomid_ros.model.measurement import Coefficient, Mechanism
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _VISIBLE = 0.04

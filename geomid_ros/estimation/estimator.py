@@ -30,7 +30,7 @@ from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.alike_parts import AlikeParts
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.moving import REGIMES
+from geomid_ros.model.samples import REGIMES
 from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_rows
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 

@@ -14,7 +14,8 @@ from collections.abc import Callable, Collection, Mapping
 import numpy as np
 
 from geomid_ros.estimation.fit import Fit
-from geomid_ros.model.measurement import Coefficient, MeasurementModel
+from geomid_ros.model.coefficients import Coefficient
+from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray, IntArray, frozen
 
 

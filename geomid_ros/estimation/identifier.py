@@ -17,8 +17,7 @@ from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart, estima
 from geomid_ros.estimation.revocable_buffer import Instant, RevocableBuffer
 from geomid_ros.estimation.summary import RowSummary, SummaryState
 from geomid_ros.model.measurement import MeasurementModel, Rows
-from geomid_ros.model.moving import REGIMES, regimes
-from geomid_ros.model.samples import Samples
+from geomid_ros.model.samples import REGIMES, Samples, regimes
 from geomid_ros.model.weighed_masses import weighed_rows
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 

@@ -2,7 +2,7 @@
 
 Factors of different channels are kept apart, because their standard deviations are only known later, and so are those
 of different *folds* of time, so that what was not used for a fit can judge it. For the same reason a channel's rows
-make a *group* for each regime of its joint's motion (:func:`~geomid_ros.model.moving.regimes`): the slower a joint
+make a *group* for each regime of its joint's motion (:func:`~geomid_ros.model.samples.regimes`): the slower a joint
 moves, the less is known of its dry friction. Of C channels the group ``C r + c`` is channel c's in regime r.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.channel_summary import ChannelSummary, joined, together, triangular, usable
 from geomid_ros.model.channels import Channel
-from geomid_ros.model.moving import REGIMES
+from geomid_ros.model.samples import REGIMES
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 

@@ -11,8 +11,7 @@ from geomid_ros.model.dynamics import Dynamics
 from geomid_ros.model.effects import Effect, MotionEffect, OnLink, Place, Situation, SituationEffect, Values
 from geomid_ros.model.effects.situation import Derivatives, OfLoad
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.moving import SIGN
-from geomid_ros.model.samples import samples_of
+from geomid_ros.model.samples import SIGN, samples_of
 from geomid_ros.types import FloatArray
 
 

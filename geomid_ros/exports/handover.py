@@ -23,7 +23,7 @@ from geomid_ros.files.models.written_model import WrittenModel
 from geomid_ros.files.schema import entry
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import effect_class
-from geomid_ros.model.effects.places import pair_name
+from geomid_ros.model.effects.situation import pair_name
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples

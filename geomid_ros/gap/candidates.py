@@ -12,7 +12,7 @@ import numpy as np
 from geomid_ros.inference.fit import JointFit
 from geomid_ros.inference.prior import Prior
 from geomid_ros.inference.selection import Selection
-from geomid_ros.model.columns import Columns, column_of
+from geomid_ros.model.columns import Column, column_of
 from geomid_ros.model.dry_friction import held_from_driving
 from geomid_ros.model.effects import (
     DEFAULT_EFFECTS,
@@ -26,7 +26,7 @@ from geomid_ros.model.effects import (
     joints_of,
 )
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.moving import REST, SIGN, SMOOTH_SIGN
+from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN
 from geomid_ros.types import FloatArray
 
 ODDS = 0.01
@@ -37,7 +37,7 @@ CLEARLY = 12.0
 _OF_COUPLED = 0.05  # of these: most joints have motors of their own
 
 
-def library_columns(model: MeasurementModel) -> Columns:
+def library_columns(model: MeasurementModel) -> tuple[Column, ...]:
     """The columns of samples for the gap workflow: of all effects of joints' motion, with all constants to choose from,
     and of those that the model has."""
     found = [
@@ -47,7 +47,7 @@ def library_columns(model: MeasurementModel) -> Columns:
         if isinstance(effect, MotionEffect)
         for place in model.places.of(effect)
     ]
-    return Columns.of([*found, SIGN, SMOOTH_SIGN, REST, *model.columns.columns])
+    return tuple(dict.fromkeys([*found, SIGN, SMOOTH_SIGN, REST, *model.columns]))
 
 
 @dataclass(frozen=True)

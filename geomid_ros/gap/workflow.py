@@ -25,10 +25,10 @@ from geomid_ros.gap.result import GapResult
 from geomid_ros.inference.fit import unfitted
 from geomid_ros.inference.prior import Prior
 from geomid_ros.model.alike_parts import AlikeParts
+from geomid_ros.model.coefficients import Coefficient
 from geomid_ros.model.effects import KnownEffect, effect_class, values_of
-from geomid_ros.model.measurement import Coefficient, MeasurementModel
-from geomid_ros.model.moving import REST
-from geomid_ros.model.samples import Samples
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.samples import REST, Samples
 from geomid_ros.types import FloatArray
 
 CUTOFF = 8.0

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.model.inverse_dynamics import InverseDynamics
+from geomid_ros.model.dynamics import InverseDynamics
 from geomid_ros.session.session import Session
 from geomid_ros.signals.decoding import Decoder
 from geomid_ros.signals.joint_messages import JointReader

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
@@ -38,7 +38,7 @@ class JointColumn:
 
     def values(self, motion: Motion) -> FloatArray:
         """Its values ``(N, J)``."""
-        return self.function.column(JointMotion(motion.position, motion.velocity, motion.acceleration))
+        return self.function.column(motion)
 
 
 @dataclass(frozen=True)
@@ -61,29 +61,6 @@ def column_of(effect: MotionEffect, place: Place) -> Column:
     return JointColumn(effect) if isinstance(effect, JointEffect) else PlacedColumn(effect, place)
 
 
-@dataclass(frozen=True)
-class Columns:
-    """The columns of samples, in their order."""
-
-    columns: tuple[Column, ...] = ()
-
-    @staticmethod
-    def of(columns: Iterable[Column]) -> Columns:
-        """Each column once."""
-        return Columns(tuple(dict.fromkeys(columns)))
-
-    def __len__(self) -> int:
-        return len(self.columns)
-
-    @cached_property
-    def place(self) -> Mapping[Column, int]:
-        """Where each column stands."""
-        return {column: index for index, column in enumerate(self.columns)}
-
-
-NO_COLUMNS = Columns()
-
-
 def reached_joints(place: Place, joints: int) -> tuple[int, ...]:
     """The joints at whose efforts an effect at a place is felt: all for one of the whole robot."""
     return tuple(range(joints)) if isinstance(place, OnRobot) else joints_of(place)
@@ -94,20 +71,27 @@ class Entries:
     """The entries of columns ``(joints, K)`` that can be other than zero: those of the joints that a column reaches,
     one column after the other. Of columns with effects of two joints they are half."""
 
-    columns: Columns
+    columns: tuple[Column, ...]
     joints: int
 
     def __len__(self) -> int:
         return int(self._starts[-1])
 
+    def __contains__(self, column: Column) -> bool:
+        return column in self._place
+
+    @cached_property
+    def _place(self) -> Mapping[Column, int]:
+        return {column: index for index, column in enumerate(self.columns)}
+
     def of(self, column: Column) -> tuple[slice, tuple[int, ...]]:
         """Where the entries of one of the columns are, and at which joints."""
-        place = self.columns.place[column]
+        place = self._place[column]
         return slice(self._starts[place], self._starts[place + 1]), self._reached[place]
 
     def at(self, column: Column, joint: int) -> int:
         """The entry of one of the columns at a joint that it reaches."""
-        place = self.columns.place[column]
+        place = self._place[column]
         return self._starts[place] + self._reached[place].index(joint)
 
     def values(self, motion: Motion) -> FloatArray:
@@ -123,13 +107,13 @@ class Entries:
     @property
     def of_own_motion(self) -> Entries:
         """Those of the columns that are functions of each joint's own motion."""
-        return Entries(Columns(tuple(c for c in self.columns.columns if isinstance(c, JointColumn))), self.joints)
+        return Entries(tuple(c for c in self.columns if isinstance(c, JointColumn)), self.joints)
 
     @cached_property
     def _reached(self) -> list[tuple[int, ...]]:
         return [
             reached_joints(column.place, self.joints) if isinstance(column, PlacedColumn) else tuple(range(self.joints))
-            for column in self.columns.columns
+            for column in self.columns
         ]
 
     @cached_property
@@ -141,7 +125,7 @@ class Entries:
         """Of each effect of two joints ``(3, columns)``: the first of the two entries of each column, and the two
         joints; all are computed at once."""
         found: dict[PairEffect, list[tuple[int, ...]]] = {}
-        for start, reached, column in zip(self._starts, self._reached, self.columns.columns, strict=False):
+        for start, reached, column in zip(self._starts, self._reached, self.columns, strict=False):
             if isinstance(column, PlacedColumn) and isinstance(column.effect, PairEffect):
                 found.setdefault(column.effect, []).append((start, *reached))
         return {effect: np.array(own).T for effect, own in found.items()}
@@ -149,7 +133,7 @@ class Entries:
     @cached_property
     def _alone(self) -> list[Column]:
         """The other columns."""
-        return [c for c in self.columns.columns if not (isinstance(c, PlacedColumn) and c.effect in self._pairs)]
+        return [c for c in self.columns if not (isinstance(c, PlacedColumn) and c.effect in self._pairs)]
 
 
-NO_ENTRIES = Entries(NO_COLUMNS, 0)
+NO_ENTRIES = Entries((), 0)

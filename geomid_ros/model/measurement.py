@@ -7,75 +7,42 @@ coefficients, then the real ones.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import chain
 from types import MappingProxyType
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.geometry.manifold import ParameterManifold
-from geomid_ros.model.channels import BASE, Channel, ChannelLayout, unit_of_axis, wrench_channel
-from geomid_ros.model.columns import Columns, Entries, column_of, reached_joints
+from geomid_ros.model.channels import (
+    AXES,
+    BASE,
+    WORLD_FRAMES,
+    Channel,
+    ChannelLayout,
+    WrenchSensor,
+    unit_of_axis,
+    wrench_channel,
+)
+from geomid_ros.model.coefficients import EffectPlaces, Mechanism
+from geomid_ros.model.columns import Column, Entries, column_of, reached_joints
 from geomid_ros.model.contacts import Contact, Legs
-from geomid_ros.model.effect_places import EffectPlaces
 from geomid_ros.model.effects import (
     AtSensor,
     IdentifiedEffect,
     LoadEffect,
     MotionEffect,
     Place,
-    Quantity,
     SensorEffect,
     joint_of,
-    joints_of,
 )
-from geomid_ros.model.effects.parameters import quantities
-from geomid_ros.model.moving import REST, SIGN, SMOOTH_SIGN
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import PIECE, Samples
-from geomid_ros.model.sensors import AXES, WORLD_FRAMES, WrenchSensor
+from geomid_ros.model.samples import PIECE, REST, SIGN, SMOOTH_SIGN, Samples
 from geomid_ros.types import FloatArray, IntArray
-
-Mechanism: TypeAlias = tuple[str, Place, int]
-"""What there is once, in whatever shape: an effect by its name, where it is, and the index of the coefficient."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Coefficient:
-    """One of an effect's coefficients at a place, the one of ``index``, which is the ``parameter`` of that name;
-    ``optional``: whether it may be left out."""
-
-    effect: IdentifiedEffect
-    place: Place
-    index: int
-    place_name: str
-    parameter: str
-    unit: str
-    optional: bool = False
-
-    @property
-    def positive(self) -> bool:
-        """Whether it lives on P(1)."""
-        return self.index < self.effect.own_positives
-
-    @property
-    def mechanism(self) -> Mechanism:
-        """What it is, whatever constants its effect has: of coefficients that are the same, a model has one."""
-        return self.effect.name, self.place, self.index
-
-    def parameters(self, value: float, std: float) -> dict[str, Quantity]:
-        """Its effect's parameters: the one that it is, and the constants."""
-        own = {self.parameter: Quantity(value, std, self.unit)}
-        constants = self.effect.constants([(value, std)], math.nan, 0.0)
-        sliding = self.effect.parameters[0].units[0] != self.unit
-        first = self.effect.parameters.index(self.effect.own[-1]) + 1
-        return own | quantities(self.effect.parameters[first:], constants, sliding=sliding)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +58,7 @@ class _Carried:
     """The numbers in rows that samples with these ``columns`` carry: the row's channel and parameter, and the place
     among the columns' entries; and the parameters of ``others``, whose numbers they do not carry."""
 
-    columns: Columns
+    columns: tuple[Column, ...]
     channels: IntArray
     parameters: IntArray
     places: IntArray
@@ -138,10 +105,6 @@ class MeasurementModel:
         self.identified = self._identified_bodies(links)
         self.body_names = tuple(robot.bodies[index].name for index in self.identified)
         """Names of the identified bodies."""
-        self._common = tuple(effects)
-        self._local = local_effects
-        self._candidates = tuple(candidates)
-        self._behind_gear = frozenset(behind_gear)
         self.loading = np.array([body.parameters for body in robot.bodies])
         """What is known of all bodies ``(bodies, 10)``, for what the gears transmit."""
         self.resisting: tuple[tuple[MotionEffect, Place, float], ...] = ()
@@ -151,9 +114,18 @@ class MeasurementModel:
         self._check_sensors()
         joints, base = len(robot.joints) if self._efforts_usable else 0, len(AXES) if self.legs else 0
         self.layout = ChannelLayout.of(joints, self._row_sensors, base)
-        topics = [sensor.topic for sensor in self._row_sensors]
-        self.places = EffectPlaces(robot, self.body_names, topics, self.layout, commanded)
-        self.coefficients = self._coefficients()
+        self.places = EffectPlaces(
+            robot=robot,
+            links=self.body_names,
+            sensors=self._row_sensors,
+            layout=self.layout,
+            common=effects,
+            local=local_effects,
+            candidates=candidates,
+            behind_gear=behind_gear,
+            commanded=commanded,
+        )
+        self.coefficients = self.places.coefficients()
         self._number()
         if not self.channels:
             raise InputError(
@@ -168,50 +140,6 @@ class MeasurementModel:
             if link not in names:
                 raise unknown_name("link", link, names)
         return tuple(index for index, name in enumerate(names) if links is None or name in links)
-
-    def _coefficients(self) -> tuple[Coefficient, ...]:
-        effects = dict.fromkeys([*self._common, *chain.from_iterable(self._local.values()), *self._candidates])
-        found = [
-            coefficient
-            for effect in effects
-            for place in self.places.of(effect)
-            if self._acts(effect, place) and self._is_felt(effect, place)
-            for coefficient in self._coefficients_at(effect, place)
-        ]
-        names = [effect.name for effect in effects]
-        places = list(dict.fromkeys(coefficient.place for coefficient in found))
-        # What there is once stands together, whatever shapes it may have.
-        return tuple(sorted(found, key=lambda c: (not c.positive, names.index(c.effect.name), places.index(c.place))))
-
-    def _acts(self, effect: IdentifiedEffect, place: Place) -> bool:
-        """Whether an effect is in the model at a place: one that is known there, or one that every place has unless it
-        is known there with other constants."""
-        local = self._local.get(self.places.name(place), ())
-        everywhere = effect in self._common or (effect in self._candidates and self.places.is_usual(place))
-        return effect in local or (everywhere and effect.name not in {other.name for other in local})
-
-    def _is_felt(self, effect: IdentifiedEffect, place: Place) -> bool:
-        """Whether the sensors are on that side of the gear on which an effect acts."""
-        joints = {self.robot.joint_names[joint] for joint in joints_of(place)}
-        return not effect.before_gear or self._behind_gear.isdisjoint(joints)
-
-    def _coefficients_at(self, effect: IdentifiedEffect, place: Place) -> Iterator[Coefficient]:
-        name, sliding = self.places.name(place), self.places.slides(place)
-        forms = effect.own
-        if isinstance(place, AtSensor):
-            by_axis = {form.name: form for form in forms}
-            axes = next((sensor.axes for sensor in self.sensors if sensor.topic == place.topic), tuple(by_axis))
-            forms = tuple(by_axis[axis] for axis in axes)
-        for index, form in enumerate(forms):
-            yield Coefficient(
-                effect=effect,
-                place=place,
-                index=index,
-                place_name=name,
-                parameter=form.name,
-                unit=form.units[sliding],
-                optional=effect not in self._common and effect not in self._local.get(name, ()),
-            )
 
     def _check_sensors(self) -> None:
         for sensor in self.sensors:
@@ -527,10 +455,10 @@ class MeasurementModel:
         return effect.columns(samples.motion, [self.channels[channel].axis for channel in self._reached(place)])
 
     @property
-    def columns(self) -> Columns:
+    def columns(self) -> tuple[Column, ...]:
         """The columns of the effects, and of what tells how joints move, as samples carry them."""
         own = [column_of(c.effect, c.place) for c in self.coefficients if isinstance(c.effect, MotionEffect)]
-        return Columns.of([*own, *((SIGN, SMOOTH_SIGN, REST) if self.layout.efforts else ())])
+        return tuple(dict.fromkeys([*own, *((SIGN, SMOOTH_SIGN, REST) if self.layout.efforts else ())]))
 
     def predict(self, samples: Samples, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Measured values of every channel ``(N, channels)``, and predicted ones at parameters ``(D,)``, or at several

@@ -1,4 +1,7 @@
-"""What the robot was measured to do, as arrays over N instants. The joint axis follows :attr:`Robot.joints`."""
+"""What the robot was measured to do, as arrays over N instants, and how well that tells the joints' dry friction.
+
+The joint axis follows :attr:`Robot.joints`.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from geomid_ros.model.columns import NO_ENTRIES, Column, Columns, Entries, column_of, reached_joints
-from geomid_ros.model.effects import Motion, MotionEffect, Place
+from geomid_ros.model.columns import NO_ENTRIES, Column, Entries, JointColumn, column_of, reached_joints
+from geomid_ros.model.effects import JointMotion, Motion, MotionEffect, Place
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 _PAUSE = 1.5  # sampling periods
@@ -20,6 +23,12 @@ ACCELERATION_PER_SPEED = 4.0
 """[1/s] of usual motion."""
 PIECE = 1000
 """Samples: of so many the rows, and what else is computed of them, take little memory."""
+STILL = 0.01
+"""[rad/s or m/s] below this friction is no function of speed."""
+# At a reversal friction depends on the past: within the filter's window a joint may stand still for so short a time,
+# and must move so much one way.
+_REST_SHARE = 0.3
+_SAME_WAY = 0.97
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +98,7 @@ class Samples:
         others = np.zeros(self.position.shape)
         for effect, place, coefficient in effects:
             column, joints = column_of(effect, place), reached_joints(place, self.position.shape[1])
-            if column in self.entries.columns.place:
+            if column in self.entries:
                 strengths[[self.entries.at(column, joint) for joint in joints], joints] += coefficient
             else:
                 others[:, joints] += coefficient * self.column(column)[:, joints]
@@ -97,13 +106,13 @@ class Samples:
 
     def at_joints(self, column: Column, joints: Sequence[int]) -> FloatArray:
         """One of the effects' columns at joints that it reaches ``(N, len(joints))``."""
-        if column not in self.entries.columns.place:
+        if column not in self.entries:
             return column.values(self.motion)[:, joints]
         return self.effects[:, [self.entries.at(column, joint) for joint in joints]]
 
     def column(self, column: Column) -> FloatArray:
         """One of the effects' columns ``(N, joints)``."""
-        if column not in self.entries.columns.place:
+        if column not in self.entries:
             return column.values(self.motion)
         places, joints = self.entries.of(column)
         values = np.zeros(self.position.shape)
@@ -122,16 +131,16 @@ class Samples:
 
     def with_columns(self, chosen: Collection[Column]) -> Samples:
         """The same with none of the effects' columns but those that are ``chosen``."""
-        columns = [column for column in self.entries.columns.columns if column in chosen]
+        columns = [column for column in self.entries.columns if column in chosen]
         effects = [self.effects[:, self.entries.of(column)[0]] for column in columns]
-        entries = Entries(Columns(tuple(columns)), self.entries.joints)
+        entries = Entries(tuple(columns), self.entries.joints)
         return replace(self, effects=np.concatenate([self.effects[:, :0], *effects], axis=1), entries=entries)
 
     def with_joints(self, order: IntArray) -> Samples:
         """The samples in which joint j does what joint ``order[j]`` did; ``order (joints,)``. Columns of effects that
         act on several joints at once are not among theirs."""
         own = self.entries.of_own_motion
-        effects = [self.effects[:, self.entries.of(column)[0]][:, order] for column in own.columns.columns]
+        effects = [self.effects[:, self.entries.of(column)[0]][:, order] for column in own.columns]
         arrays: dict[str, Any] = {
             name: self.arrays[name][:, order] for name in ("position", "velocity", "acceleration", "effort")
         }
@@ -176,3 +185,45 @@ def samples_of(states: FloatArray, sensors: int = 0) -> Samples:
         base_acceleration=none,
         wrenches=np.zeros((states.shape[1], sensors, 6)),
     )
+
+
+class _Rest:
+    """Whether a joint stands still."""
+
+    def column(self, motion: JointMotion) -> FloatArray:
+        return np.asarray(np.abs(motion.velocity) < STILL, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class _Direction:
+    """The direction of motion, smoothed over a speed [rad/s or m/s]."""
+
+    smoothing: float
+
+    def column(self, motion: JointMotion) -> FloatArray:
+        return np.tanh(motion.velocity / self.smoothing)
+
+
+SIGN = JointColumn(_Direction(0.003))
+"""The direction of motion."""
+SMOOTH_SIGN = JointColumn(_Direction(0.02))
+"""The same, of friction that sets in slowly."""
+REST = JointColumn(_Rest())
+"""The share of the filter's window in which the joint stands still."""
+
+
+def moves_one_way(samples: Samples) -> BoolArray:
+    """Whether each joint moves one way at an instant ``(N, joints)``: neither at rest nor near a reversal."""
+    moving: BoolArray = (np.abs(samples.column(SIGN)) > _SAME_WAY) & (samples.column(REST) < _REST_SHARE)
+    return moving
+
+
+REGIMES = 3
+"""How many regimes of a joint's motion there are."""
+
+
+def regimes(samples: Samples) -> IntArray:
+    """The regime of each joint's motion at an instant ``(N, joints)``: 0 if it moves so fast that dry friction has its
+    full level, 1 if it moves one way more slowly, 2 at rest and near a reversal."""
+    fast = np.abs(samples.column(SMOOTH_SIGN)) > _SAME_WAY
+    return np.where(moves_one_way(samples), np.where(fast, 0, 1), REGIMES - 1)

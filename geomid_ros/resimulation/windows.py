@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.gap.result import GapResult
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import Motion
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
-from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.resimulation.written_robot import Rollout, WrittenRobot
 from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import BoolArray, FloatArray, IntArray

@@ -15,10 +15,10 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.models.sidecar import read_sidecar
 from geomid_ros.files.models.written_model import ModelFiles
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import Effect, Motion, Place, SensorEffect, Values, effect_class, joints_of, values_of
-from geomid_ros.model.effects.places import place_named
+from geomid_ros.model.effects.situation import place_named
 from geomid_ros.model.samples import Samples
-from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _STILL_SPEED = 0.02  # [rad/s, m/s] within which the sign of a velocity is smoothed

@@ -44,7 +44,7 @@ from geomid_ros.files.models.urdf import inertia_of, with_effects, with_inertial
 from geomid_ros.files.models.written_model import WrittenModel, handover_entry, written_model
 from geomid_ros.model.absent_joints import lockable
 from geomid_ros.model.alike_parts import AlikeParts, alike_parts, said_alike
-from geomid_ros.model.columns import Columns
+from geomid_ros.model.columns import Column
 from geomid_ros.model.controller import Controller
 from geomid_ros.model.imu import ImuMount
 from geomid_ros.model.measurement import MeasurementModel
@@ -406,7 +406,7 @@ class Session:
     def new_pipeline(
         self,
         settings: SignalSettings | None = None,
-        effect_columns: Columns | None = None,
+        effect_columns: tuple[Column, ...] | None = None,
         on_accepted: Callable[[Accepted], None] = ignore,
         ledger: Ledger | None = None,
     ) -> SignalPipeline:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.signals.joint_names import missing_joint
 from geomid_ros.signals.ledger import Reason, driver_error
 from geomid_ros.signals.limits import LARGEST_NUMBER, UNLIKE_ONE

@@ -15,11 +15,11 @@ from functools import partial
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.model.columns import NO_COLUMNS, Columns
+from geomid_ros.model.channels import WrenchSensor
+from geomid_ros.model.columns import Column
 from geomid_ros.model.controller import Controller
 from geomid_ros.model.imu import ImuMount
 from geomid_ros.model.samples import Samples
-from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.signals.admission import Admission, Source
 from geomid_ros.signals.arrived import (
     NO_STAMP,
@@ -65,7 +65,7 @@ class SignalPipeline:
         continuous: Sequence[str] = (),
         turning: Sequence[str] = (),
         limits: FloatArray | None = None,
-        effect_columns: Columns = NO_COLUMNS,
+        effect_columns: tuple[Column, ...] = (),
         on_accepted: Callable[[Accepted], None] = ignore,
         ledger: Ledger | None = None,
         joints_heard: set[str] | None = None,

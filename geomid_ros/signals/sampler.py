@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.model.columns import Columns, Entries, PlacedColumn
+from geomid_ros.model.columns import Column, Entries, PlacedColumn
 from geomid_ros.model.controller import Controller
 from geomid_ros.model.imu import ImuMount
 from geomid_ros.model.samples import Samples
@@ -46,7 +46,7 @@ class Sampler:
         settings: SignalSettings,
         continuous: BoolArray,
         topics: Sequence[str],
-        effect_columns: Columns,
+        effect_columns: tuple[Column, ...],
         ledger: Ledger,
         mount: ImuMount | None = None,
         controller: Controller | None = None,
@@ -244,7 +244,7 @@ class Sampler:
             own, rates, _ = (part.reshape(count, 3, -1) for part in self._streams[COMMANDS].segment.filtered(instants))
             commands = np.concatenate([own, effort[:, None]], axis=1)
             effort = self._controller.efforts(own, value[:, 0], velocity)
-            for column in self._entries.columns.columns:
+            for column in self._entries.columns:
                 if isinstance(column, PlacedColumn) and column.effect.place == "commands":
                     effects[:, self._entries.of(column)[0]] = self._controller.rate(rates)
         pose = base_velocity = base_acceleration = np.zeros((count, 0))

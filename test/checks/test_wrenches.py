@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 from geomid_ros.checks.causes import Cause
 from geomid_ros.checks.check import JudgementTask, RecordingCheck
 from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.samples import Samples
-from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, read_fitted
 from geomid_ros.session.session import Session

@@ -12,10 +12,10 @@ from geomid_ros.estimation.estimate import Estimate, interval_of_positive
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.geometry import pseudo_inertia, spd
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import identifiable
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.types import FloatArray
 
 from .arms import ALL_EFFECTS, Case, arm

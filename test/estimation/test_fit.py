@@ -16,7 +16,7 @@ from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS, USUAL_SP
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.effects import identifiable
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.moving import REGIMES, regimes
+from geomid_ros.model.samples import REGIMES, regimes
 from geomid_ros.model.weighed_masses import weighed_rows
 from geomid_ros.types import FloatArray
 

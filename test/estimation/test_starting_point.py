@@ -21,7 +21,7 @@ from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.model.effects import identifiable, joint_of
 from geomid_ros.model.effects.effort_offset import EffortOffset
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.moving import REGIMES
+from geomid_ros.model.samples import REGIMES
 from geomid_ros.types import BoolArray, FloatArray
 
 from .arms import Case, arm

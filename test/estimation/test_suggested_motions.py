@@ -11,9 +11,9 @@ from files.recordings import BAGS
 
 from geomid_ros.estimation.estimate import QUANTITIES, Estimate, LinksInformation
 from geomid_ros.estimation.suggested_motions import FAST, POSES, TILTED, suggested_motions
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.sensors import WrenchSensor
 
 NOISE = 1e-4  # [N m, N]: whatever acts at all is seen
 

@@ -9,7 +9,7 @@ import pytest
 
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.model.channels import Channel
-from geomid_ros.model.moving import REGIMES
+from geomid_ros.model.samples import REGIMES
 from geomid_ros.types import FloatArray
 
 SEEDS = pytest.mark.parametrize("seed", range(2))

@@ -9,7 +9,7 @@ from files.recordings import BAGS
 from geomid_ros.excitation.learning import weight_of
 from geomid_ros.excitation.motion import ExcitingMotion
 from geomid_ros.excitation.search import Search, expected_error, random_feasible, random_motion
-from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.session.collision_scene import Surroundings
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.excitation import DesignTask, MotionRequest, task_of

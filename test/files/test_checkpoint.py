@@ -28,8 +28,7 @@ from geomid_ros.estimation.summary import SummaryState
 from geomid_ros.files.checkpoints import checkpoint_folder
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded, encoded, pack, unpack
 from geomid_ros.files.checkpoints.checkpoint_folder import CheckpointFolder
-from geomid_ros.model.moving import REGIMES
-from geomid_ros.model.samples import Samples
+from geomid_ros.model.samples import REGIMES, Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.signals.joint_gate import CLOCK_SET

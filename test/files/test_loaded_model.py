@@ -21,11 +21,11 @@ from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.models.written_model import write_model
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import GRAVITY, Robot
-from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import JointMessage, WrenchMessage

@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.urdf import read_urdf, with_effects
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.types import FloatArray
 
 from .effects import PAYLOAD, effect

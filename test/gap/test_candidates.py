@@ -5,15 +5,15 @@ import pytest
 
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.candidates import Candidate, EffectTerm
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, AtJoint, JointMotion, MotionEffect, OnLink, OnRobot
 from geomid_ros.model.effects.backlash import CROSSINGS
 from geomid_ros.model.effects.coulomb_friction import SMOOTHINGS
 from geomid_ros.model.effects.saturating_friction import SPEEDS as SETTING_IN
 from geomid_ros.model.effects.stribeck_friction import SPEEDS
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.moving import REST, SIGN, SMOOTH_SIGN
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN
 
 from . import planted
 
@@ -106,7 +106,7 @@ def test_what_makes_no_sense_together_excludes_each_other(first: Candidate, seco
 
 
 def test_samples_carry_all_columns_that_names_are_made_of_once() -> None:
-    columns = library.library_columns(MODEL).columns
+    columns = library.library_columns(MODEL)
     assert len(set(columns)) == len(columns)
     motion = planted.recording(planted.rigid(planted.true_inertias(1, 0.1)), 1, 2.0)
     for candidate in ALL:
@@ -114,7 +114,7 @@ def test_samples_carry_all_columns_that_names_are_made_of_once() -> None:
             if isinstance(term.effect, MotionEffect):
                 assert library.column_of(term.effect, term.place) in columns
     assert {SIGN, SMOOTH_SIGN, REST} <= set(columns)
-    assert motion.entries.columns.columns == columns
+    assert motion.entries.columns == columns
 
 
 def test_a_joint_stands_still_below_a_hundredth_of_a_radian_per_second() -> None:

@@ -11,6 +11,7 @@ from geomid_ros.gap.candidates import Candidate, EffectTerm
 from geomid_ros.gap.evidence.features import Features
 from geomid_ros.gap.evidence.linearised_problem import design_of, term_columns
 from geomid_ros.gap.evidence.noise import Autoregression
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import AtJoint, AtSensor, OnLink, OnRobot, Situation
 from geomid_ros.model.effects.gravity_tilt import GravityTilt
 from geomid_ros.model.effects.payload import CarriedBody
@@ -18,7 +19,6 @@ from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.model.effects.wrench_offset import WrenchOffset
 from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.types import FloatArray
 
 from . import planted

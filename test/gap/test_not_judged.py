@@ -10,11 +10,10 @@ import pytest
 from geomid_ros.errors import InputError
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.workflow import find_gap
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.moving import REST
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import Samples
-from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.model.samples import REST, Samples
 from geomid_ros.types import FloatArray
 
 from . import planted
@@ -73,7 +72,7 @@ def test_what_a_force_plate_measures_counts_while_joints_stand_still() -> None:
     model = MeasurementModel(Robot(urdf, floating_base=True), (), (plate,))
     effects = TRAIN.effects.copy()
     entries = TRAIN.entries
-    for column in entries.columns.columns:  # at rest all the time
+    for column in entries.columns:  # at rest all the time
         if JOINT in entries.of(column)[1]:
             effects[:, entries.at(column, JOINT)] = column == REST
     records = Records.make([replace(TRAIN, effects=effects)], planted.CUTOFF)

@@ -9,18 +9,17 @@ import pinocchio as pin
 import pytest
 
 from geomid_ros.gap.evidence.record import Records, TotalModel
-from geomid_ros.model.columns import Columns, Entries, JointColumn
+from geomid_ros.model.columns import Entries, JointColumn
 from geomid_ros.model.effects import AtJoint, AtJoints, Effect, OnRobot
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.effect import JointMotion, PairEffect
 from geomid_ros.model.effects.effort_delay import EffortDelay
 from geomid_ros.model.effects.effort_gain import EffortGain
 from geomid_ros.model.effects.gravity_tilt import GravityTilt
-from geomid_ros.model.effects.places import Place
 from geomid_ros.model.effects.rotor_inertia import RotorInertia
+from geomid_ros.model.effects.situation import Place
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
-from geomid_ros.model.moving import REST, SIGN, SMOOTH_SIGN
-from geomid_ros.model.samples import Samples
+from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN, Samples
 from geomid_ros.types import FloatArray
 
 from . import planted
@@ -51,7 +50,7 @@ def samples(count: int, rate: float = 100.0, velocity: FloatArray | None = None)
 def with_columns(sign: FloatArray, rest: FloatArray, smooth: FloatArray | None = None, rate: float = 100.0) -> Samples:
     """The same with these columns ``(N, 3)``."""
     values = np.concatenate([sign, rest, sign if smooth is None else smooth], axis=1)
-    return replace(samples(len(sign), rate), effects=values, entries=Entries(Columns((SIGN, REST, SMOOTH_SIGN)), 3))
+    return replace(samples(len(sign), rate), effects=values, entries=Entries((SIGN, REST, SMOOTH_SIGN), 3))
 
 
 @pytest.mark.parametrize(("rate", "step"), [(100.0, 7), (200.0, 15), (20.0, 1), (10.0, 1)])
@@ -144,7 +143,7 @@ def test_efforts_of_a_model_are_those_of_all_its_effects_of_motion() -> None:
     plain = samples(50, velocity=velocity)
     carried = np.random.default_rng(3).normal(size=(50, 3))
     coulomb = CoulombFriction(0.003)
-    part = replace(plain, effects=carried, entries=Entries(Columns((JointColumn(coulomb),)), 3))
+    part = replace(plain, effects=carried, entries=Entries((JointColumn(coulomb),), 3))
     own = total(
         (coulomb, AtJoint(1), [0.3]),
         (coulomb, AtJoint(2), [0.1]),

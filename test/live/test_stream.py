@@ -12,7 +12,7 @@ from files.recordings import BAGS, TYPES
 import geomid_ros
 from geomid_ros.api.identify import Identification
 from geomid_ros.live.stream import Stream
-from geomid_ros.model.inverse_dynamics import InverseDynamics
+from geomid_ros.model.dynamics import InverseDynamics
 from geomid_ros.model.samples import samples_of
 from geomid_ros.types import FloatArray
 

@@ -4,7 +4,7 @@ import numpy as np
 from new_effects.coaxial_friction import CoaxialFriction
 from new_effects.supply_sag import SupplySag
 
-from geomid_ros.model.columns import Column, Columns, Entries, JointColumn, PlacedColumn
+from geomid_ros.model.columns import Column, Entries, JointColumn, PlacedColumn
 from geomid_ros.model.effects import AtJoint, AtJoints, Motion, OnRobot
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.coupled_motor import CoupledRotorInertia, CoupledViscousFriction
@@ -45,21 +45,21 @@ COLUMNS: tuple[Column, ...] = (
 
 
 def test_each_column_is_what_it_is_by_itself() -> None:
-    entries = Entries(Columns(COLUMNS), 4)
+    entries = Entries(COLUMNS, 4)
     carried = still(entries.values(MOTION), entries)
     for column in COLUMNS:
         np.testing.assert_array_equal(carried.column(column), column.values(MOTION))
 
 
 def test_only_what_a_column_reaches_is_kept() -> None:
-    entries = Entries(Columns(COLUMNS), 4)
+    entries = Entries(COLUMNS, 4)
     assert len(entries) == 2 + 4 + 4 + 2 + 2 + 2 + 1
     assert np.all(entries.values(MOTION))
 
 
 def test_joints_change_places_in_the_columns_of_their_own_motion() -> None:
     """A column of several joints is then the formula of the motion that is left."""
-    entries, order = Entries(Columns(COLUMNS), 4), np.array([0, 3, 2, 1])
+    entries, order = Entries(COLUMNS, 4), np.array([0, 3, 2, 1])
     changed = still(entries.values(MOTION), entries).with_joints(order)
     coulomb, pair = COLUMNS[1], COLUMNS[3]
     np.testing.assert_array_equal(changed.column(coulomb), coulomb.values(MOTION)[:, order])

@@ -9,12 +9,12 @@ import pinocchio as pin
 import pytest
 
 from geomid_ros.errors import InputError
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.contacts import Contact, Legs
 from geomid_ros.model.effects import identified_effect
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.types import FloatArray
 
 from .robots import GRAVITY, Reference, random_parameters, random_samples, urdf, with_values

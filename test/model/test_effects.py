@@ -10,6 +10,7 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.model import effects
+from geomid_ros.model.coefficients import Coefficient
 from geomid_ros.model.effects import (
     DEFAULT_CANDIDATES,
     DEFAULT_EFFECTS,
@@ -28,7 +29,6 @@ from geomid_ros.model.effects import (
     values_of,
 )
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
-from geomid_ros.model.measurement import Coefficient
 
 OF_JOINTS = {name: cls for name, cls in EFFECTS.items() if issubclass(cls, JointEffect)}
 # What files/urdf.py and files/mjcf.py write: attributes of a joint by themselves, elements by code of their own.

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from estimation.arms import arm
 
-from geomid_ros.model.moving import REGIMES, moves_one_way, regimes
+from geomid_ros.model.samples import REGIMES, moves_one_way, regimes
 from geomid_ros.types import FloatArray
 
 FAST, SLOW, STILL = range(REGIMES)

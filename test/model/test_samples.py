@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomid_ros.model.columns import Columns, Entries, JointColumn, PlacedColumn
+from geomid_ros.model.columns import Entries, JointColumn, PlacedColumn
 from geomid_ros.model.effects import AtJoints
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.coupled_motor import CoupledViscousFriction
@@ -45,7 +45,7 @@ class TestColumns:
     """Of effects: one of each joint's own motion, and one of two joints' motors."""
 
     OWN, PAIR = JointColumn(ViscousFriction()), PlacedColumn(CoupledViscousFriction(), AtJoints(0, 2))
-    ENTRIES = Entries(Columns((OWN, PAIR)), 3)
+    ENTRIES = Entries((OWN, PAIR), 3)
 
     @pytest.fixture
     def carried(self) -> Samples:
@@ -68,7 +68,7 @@ class TestColumns:
     def test_columns_that_are_not_chosen_go(self, carried: Samples) -> None:
         for chosen in ([self.PAIR], [self.OWN], [self.PAIR, self.OWN], []):
             kept = carried.with_columns([*chosen, JointColumn(CoulombFriction())])
-            assert set(kept.entries.columns.columns) == set(chosen)
+            assert set(kept.entries.columns) == set(chosen)
             for column in chosen:
                 np.testing.assert_array_equal(kept.column(column), carried.column(column))
             np.testing.assert_array_equal(kept.effort, carried.effort)

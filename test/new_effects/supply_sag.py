@@ -4,8 +4,7 @@ import numpy as np
 
 from geomid_ros.model.effects.effect import RobotEffect
 from geomid_ros.model.effects.parameters import ParameterForm
-from geomid_ros.model.effects.places import Place
-from geomid_ros.model.effects.situation import Motion
+from geomid_ros.model.effects.situation import Motion, Place
 from geomid_ros.types import FloatArray
 
 

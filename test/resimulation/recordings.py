@@ -12,11 +12,11 @@ from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.models.written_model import ModelFiles
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.resimulation.windows import Noise
 from geomid_ros.types import FloatArray
 

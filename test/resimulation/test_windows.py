@@ -16,10 +16,10 @@ from geomid_ros.files.models.effect_forms import payload_parameters
 from geomid_ros.files.models.urdf import with_effects
 from geomid_ros.files.models.written_model import ModelFiles
 from geomid_ros.gap.result import GapResult
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.resimulation.resimulate import Resimulated, resimulate
 from geomid_ros.resimulation.windows import Noise
 from geomid_ros.types import FloatArray

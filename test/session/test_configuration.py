@@ -11,8 +11,8 @@ import pytest
 import yaml
 
 from geomid_ros.errors import InputError
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS
-from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.configuration import PARAMETERS, Configuration, find_parameter
 from geomid_ros.session.session import Session
 

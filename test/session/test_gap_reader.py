@@ -9,8 +9,7 @@ from files.recordings import BAGS
 from geomid_ros.checks.check import Excerpt, Judgement, JudgementTask, RecordingCheck
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.model.moving import REST, SIGN, SMOOTH_SIGN
-from geomid_ros.model.samples import Samples
+from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN, Samples
 from geomid_ros.resimulation.resimulate import CUTOFF
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import CUTOFF_PER_RATE, GapReader, gap_pipeline, gap_session
@@ -38,7 +37,7 @@ def test_what_is_simulated_again_is_the_end_that_is_held_out(session: Session) -
     for name in ("position", "velocity", "acceleration", "effort"):
         own = expected.arrays[name]
         np.testing.assert_allclose(late.arrays[name], own, rtol=0.0, atol=1e-9 * np.max(np.abs(own)))
-    assert set(late.entries.columns.columns) == {SIGN, SMOOTH_SIGN, REST}
+    assert set(late.entries.columns) == {SIGN, SMOOTH_SIGN, REST}
 
 
 def test_recordings_are_judged_as_a_whole(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -65,4 +64,4 @@ def test_of_effects_columns_only_what_is_read_is_kept_to_be_judged(session: Sess
     (excerpt,) = kept
     for samples in (excerpt.kept.samples, excerpt.kept.later, excerpt.stretch):
         assert samples is not None
-        assert samples.entries.columns.columns == (SIGN,)
+        assert samples.entries.columns == (SIGN,)

@@ -23,7 +23,7 @@ from geomid_ros.live import inbox
 from geomid_ros.live import worker as live
 from geomid_ros.live.inbox import Received
 from geomid_ros.live.worker import Worker
-from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, read_bags
 from geomid_ros.session.session import Session

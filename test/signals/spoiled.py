@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.samples import Samples
-from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.signals.messages import JointMessage, Message
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings

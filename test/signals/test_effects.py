@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geomid_ros.model.columns import Columns, JointColumn
+from geomid_ros.model.columns import JointColumn
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.effort_offset import EffortOffset
 from geomid_ros.model.effects.rotor_inertia import RotorInertia
@@ -21,7 +21,7 @@ from geomid_ros.types import FloatArray, IntArray
 
 from .feeding import JOINTS, START, Motion, assert_same, feed, joint_messages, regular
 
-COLUMNS = Columns.of(
+COLUMNS = tuple(
     JointColumn(effect)
     for effect in (ViscousFriction(), CoulombFriction(0.02), RotorInertia(), EffortOffset(), Spring())
 )
@@ -49,7 +49,7 @@ def test_a_column_is_what_an_effort_of_that_effect_becomes(effect: int) -> None:
     truth = columns(*(motion.derivative(stamps, order) for order in range(3)))[:, :, effect]
     samples = feed(pipeline(), with_efforts(stamps, truth))
     assert samples.effects.shape == (len(samples), 3 * 5)
-    assert np.max(np.abs(samples.column(COLUMNS.columns[effect]) - samples.effort)) < 0.02 * np.max(np.abs(truth))
+    assert np.max(np.abs(samples.column(COLUMNS[effect]) - samples.effort)) < 0.02 * np.max(np.abs(truth))
 
 
 def test_friction_on_the_filtered_motion_would_not_do() -> None:
@@ -59,7 +59,7 @@ def test_friction_on_the_filtered_motion_would_not_do() -> None:
     samples = feed(pipeline(), with_efforts(stamps, friction))
     rough = columns(samples.position, samples.velocity, samples.acceleration)[:, :, 1]
     assert np.max(np.abs(rough - samples.effort)) > 0.3
-    assert np.max(np.abs(samples.column(COLUMNS.columns[1]) - samples.effort)) < 0.02
+    assert np.max(np.abs(samples.column(COLUMNS[1]) - samples.effort)) < 0.02
 
 
 def test_columns_are_not_filtered_across_a_gap() -> None:

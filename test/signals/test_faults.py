@@ -9,8 +9,8 @@ from functools import cache
 import numpy as np
 import pytest
 
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.samples import Samples
-from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.signals.joint_names import NOBODY
 from geomid_ros.signals.messages import Accepted, JointMessage, Message, PoseMessage, WrenchMessage
 from geomid_ros.signals.pipeline import SignalPipeline

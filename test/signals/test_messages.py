@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.signals.messages import (
     JOINT_STATES,
     ODOM,

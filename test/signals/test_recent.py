@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.signals import recent as module
 from geomid_ros.signals.messages import JOINT_STATES, JointMessage, WrenchMessage
 from geomid_ros.signals.pipeline import SignalPipeline

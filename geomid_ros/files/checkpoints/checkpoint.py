@@ -27,7 +27,7 @@ from geomid_ros.estimation.identifier import Memory
 from geomid_ros.estimation.summary import SummaryState
 from geomid_ros.files.schema import plain, structured
 from geomid_ros.model.channels import Channel
-from geomid_ros.model.moving import REGIMES
+from geomid_ros.model.samples import REGIMES
 from geomid_ros.signals.ledger import Account, Meaning, Reason, meaning_of
 from geomid_ros.types import FloatArray, IntArray
 

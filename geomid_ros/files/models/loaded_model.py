@@ -25,6 +25,7 @@ from geomid_ros.files.models.effect_forms import (
     turned_gravity,
 )
 from geomid_ros.files.models.estimate_file import EstimateFile
+from geomid_ros.model.channels import AXES, WrenchSensor
 from geomid_ros.model.effects import (
     Effect,
     IdentifiedEffect,
@@ -35,7 +36,6 @@ from geomid_ros.model.effects import (
     values_of,
 )
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.sensors import AXES, WrenchSensor
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import BoolArray, FloatArray
 

@@ -20,11 +20,11 @@ from geomid_ros.files.models.mjcf_shapes import Shapes, words
 from geomid_ros.files.models.urdf import JointFrame, joint_frames
 from geomid_ros.files.models.xml_edits import Edit, descendants_of, edited, insertion, with_attributes
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import EFFECTS, Hinge, KnownEffect, joints_of, values_of
-from geomid_ros.model.effects.places import place_named
+from geomid_ros.model.effects.situation import place_named
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.se3 import quaternion
-from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.types import FloatArray
 
 LONGEST_STEP = 1e-3  # [s]

@@ -14,7 +14,7 @@ import numpy as np
 
 from geomid_ros.files.models.readers import ELEMENTS
 from geomid_ros.model.effects import EFFECTS, Effect, MotionEffect, Place
-from geomid_ros.model.effects.places import place_named
+from geomid_ros.model.effects.situation import place_named
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples

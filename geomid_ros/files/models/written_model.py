@@ -32,8 +32,9 @@ from geomid_ros.files.models.readers import ELEMENTS
 from geomid_ros.files.models.sidecar import coefficient_entry, effect_entry, write_sidecar
 from geomid_ros.files.models.urdf import inertia_of, with_effects, with_inertials
 from geomid_ros.files.schema import FORMAT
+from geomid_ros.model.coefficients import Coefficient
 from geomid_ros.model.effects import Effect, KnownEffect, Place, effect_class
-from geomid_ros.model.measurement import Coefficient, MeasurementModel
+from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
 ESTIMATE, URDF, MJCF, EFFECTS_FILE = "estimate.json", "identified.urdf", "identified.xml", "effects.yaml"

@@ -14,8 +14,7 @@ from geomid_ros.model.dynamics import Dynamics
 from geomid_ros.model.effects import Effect, MotionEffect, Place, Situation, SituationEffect, joints_of
 from geomid_ros.model.effects.situation import Derivatives, OfLoad
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.moving import SIGN, SMOOTH_SIGN, moves_one_way
-from geomid_ros.model.samples import Samples
+from geomid_ros.model.samples import SIGN, SMOOTH_SIGN, Samples, moves_one_way
 from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 

@@ -14,7 +14,7 @@ from geomid_ros.gap.result import LIKELY, LinkChange
 from geomid_ros.inference.fit import fit, scattered
 from geomid_ros.inference.probability import relative_doubt
 from geomid_ros.model.effects import Quantity
-from geomid_ros.model.effects.places import AtJoint
+from geomid_ros.model.effects.situation import AtJoint
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 

@@ -19,18 +19,18 @@ from geomid_ros.model.effects.parameters import KnownEffect as KnownEffect
 from geomid_ros.model.effects.parameters import ParameterForm as ParameterForm
 from geomid_ros.model.effects.parameters import Quantity as Quantity
 from geomid_ros.model.effects.parameters import Values as Values
-from geomid_ros.model.effects.places import AtJoint as AtJoint
-from geomid_ros.model.effects.places import AtJoints as AtJoints
-from geomid_ros.model.effects.places import AtSensor as AtSensor
-from geomid_ros.model.effects.places import OnLink as OnLink
-from geomid_ros.model.effects.places import OnRobot as OnRobot
-from geomid_ros.model.effects.places import Place as Place
-from geomid_ros.model.effects.places import PlaceKind as PlaceKind
-from geomid_ros.model.effects.places import joint_of as joint_of
-from geomid_ros.model.effects.places import joints_of as joints_of
+from geomid_ros.model.effects.situation import AtJoint as AtJoint
+from geomid_ros.model.effects.situation import AtJoints as AtJoints
+from geomid_ros.model.effects.situation import AtSensor as AtSensor
 from geomid_ros.model.effects.situation import JointMotion as JointMotion
 from geomid_ros.model.effects.situation import Motion as Motion
+from geomid_ros.model.effects.situation import OnLink as OnLink
+from geomid_ros.model.effects.situation import OnRobot as OnRobot
+from geomid_ros.model.effects.situation import Place as Place
+from geomid_ros.model.effects.situation import PlaceKind as PlaceKind
 from geomid_ros.model.effects.situation import Situation as Situation
+from geomid_ros.model.effects.situation import joint_of as joint_of
+from geomid_ros.model.effects.situation import joints_of as joints_of
 
 DEFAULT_EFFECTS = (
     "viscous_friction",

@@ -7,8 +7,7 @@ import numpy as np
 
 from geomid_ros.model.effects.effect import Effect, Hinge, SituationEffect
 from geomid_ros.model.effects.parameters import Found, ParameterForm, Values
-from geomid_ros.model.effects.places import Place, joint_of
-from geomid_ros.model.effects.situation import Situation
+from geomid_ros.model.effects.situation import Place, Situation, joint_of
 from geomid_ros.types import FloatArray
 
 CROSSINGS = tuple(float(time) for time in np.geomspace(0.003, 0.2, 15).round(4))

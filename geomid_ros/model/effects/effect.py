@@ -14,8 +14,7 @@ from typing import ClassVar, Self, TypeAlias
 import numpy as np
 
 from geomid_ros.model.effects.parameters import ByEffect, Found, ParameterForm, Quantities, Quantity, Values, quantities
-from geomid_ros.model.effects.places import Place, PlaceKind, joint_of, joints_of
-from geomid_ros.model.effects.situation import JointMotion, Motion, Situation
+from geomid_ros.model.effects.situation import JointMotion, Motion, Place, PlaceKind, Situation, joint_of, joints_of
 from geomid_ros.types import FloatArray
 
 

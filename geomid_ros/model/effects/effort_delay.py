@@ -2,8 +2,7 @@ from __future__ import annotations
 
 from geomid_ros.model.effects.effect import SituationEffect
 from geomid_ros.model.effects.parameters import ParameterForm, Values
-from geomid_ros.model.effects.places import Place
-from geomid_ros.model.effects.situation import Situation
+from geomid_ros.model.effects.situation import Place, Situation
 from geomid_ros.types import FloatArray
 
 

@@ -4,8 +4,7 @@ import numpy as np
 
 from geomid_ros.model.effects.effect import Effect, SituationEffect
 from geomid_ros.model.effects.parameters import ParameterForm, Quantities, Values
-from geomid_ros.model.effects.places import Place, joint_of
-from geomid_ros.model.effects.situation import Situation
+from geomid_ros.model.effects.situation import Place, Situation, joint_of
 from geomid_ros.types import FloatArray
 
 _USED = (-0.7, 2.0)  # errors of scale at which a model may be built

@@ -4,8 +4,7 @@ import numpy as np
 
 from geomid_ros.model.effects.effect import JointEffect
 from geomid_ros.model.effects.parameters import EFFORT, ParameterForm, Values
-from geomid_ros.model.effects.places import Place
-from geomid_ros.model.effects.situation import JointMotion, Motion
+from geomid_ros.model.effects.situation import JointMotion, Motion, Place
 from geomid_ros.types import FloatArray
 
 

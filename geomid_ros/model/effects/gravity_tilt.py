@@ -6,8 +6,7 @@ import numpy as np
 
 from geomid_ros.model.effects.effect import SituationEffect
 from geomid_ros.model.effects.parameters import ParameterForm, Values
-from geomid_ros.model.effects.places import Place
-from geomid_ros.model.effects.situation import Situation
+from geomid_ros.model.effects.situation import Place, Situation
 from geomid_ros.types import FloatArray
 
 _NAMES = ("tilt_x", "tilt_y")

@@ -4,8 +4,7 @@ import numpy as np
 
 from geomid_ros.model.effects.effect import Effect, Hinge, SituationEffect
 from geomid_ros.model.effects.parameters import ParameterForm, Values
-from geomid_ros.model.effects.places import Place, joint_of
-from geomid_ros.model.effects.situation import Situation
+from geomid_ros.model.effects.situation import Place, Situation, joint_of
 from geomid_ros.types import FloatArray
 
 _DAMPING_RATIO = 0.05  # of the link on the elastic gear, the motor held

@@ -1,15 +1,91 @@
-"""What a robot does, and what a model says of it, at some instants: all that effects' columns are functions of."""
+"""What effects' columns are functions of: where an effect acts, and what a robot does, and what a model says of it, at
+some instants."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 
-from geomid_ros.model.effects.places import Place, joints_of
 from geomid_ros.types import FloatArray, IntArray
+
+PlaceKind: TypeAlias = Literal["joint", "joints", "robot", "link", "sensor", "base", "commands"]
+
+
+@dataclass(frozen=True)
+class AtJoint:
+    """At one joint, by its index."""
+
+    joint: int
+
+
+@dataclass(frozen=True)
+class AtJoints:
+    """At two joints, by their indices."""
+
+    first: int
+    second: int
+
+
+@dataclass(frozen=True)
+class OnRobot:
+    """On the whole robot."""
+
+
+@dataclass(frozen=True)
+class OnLink:
+    """On an identified link, by its place among these; ``joint`` moves it, None for a base that none moves."""
+
+    link: int
+    joint: int | None
+
+
+@dataclass(frozen=True)
+class AtSensor:
+    """At a wrench sensor, by its topic, or on a floating base: some of its axes are the ``channels`` (range of indices)
+    of the measurement model."""
+
+    topic: str
+    channels: tuple[int, ...]
+
+
+Place: TypeAlias = AtJoint | AtJoints | OnRobot | OnLink | AtSensor
+
+
+def joints_of(place: Place) -> tuple[int, ...]:
+    """The joints at which a place is: none for the whole robot and for sensors."""
+    match place:
+        case AtJoint(joint):
+            return (joint,)
+        case AtJoints(first, second):
+            return (first, second)
+        case OnLink(_, joint):
+            return () if joint is None else (joint,)
+    return ()
+
+
+def place_named(kind: PlaceKind, name: str, joints: Sequence[str]) -> Place | None:
+    """The place of effects of joints or of the whole robot that files call ``name``, among ``joints``; None if there
+    is none."""
+    if kind == "joint" and name in joints:
+        return AtJoint(joints.index(name))
+    pairs = ((a, b) for a in range(len(joints)) for b in range(len(joints)) if a != b)
+    if kind == "joints":
+        return next((AtJoints(a, b) for a, b in pairs if pair_name(joints[a], joints[b]) == name), None)
+    return OnRobot() if kind in ("robot", "commands") else None
+
+
+def pair_name(first: str, second: str) -> str:
+    """What files and tables call a place at two joints."""
+    return f"{first}+{second}"
+
+
+def joint_of(place: Place) -> int:
+    """The joint of a place at one joint."""
+    (joint,) = joints_of(place)
+    return joint
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,13 +97,8 @@ class JointMotion:
     acceleration: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """All J joints' motion, each ``(..., J)``, in rad, rad/s, rad/s^2 (or m, m/s, m/s^2)."""
-
-    position: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
+class Motion(JointMotion):
+    """All J joints' motion, each ``(..., J)``: that of one joint, for all at once."""
 
     def of(self, joint: int | IntArray) -> JointMotion:
         """The motion of one joint, or of several, ``(..., n)``."""

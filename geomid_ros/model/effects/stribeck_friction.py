@@ -8,8 +8,7 @@ import numpy as np
 from geomid_ros.model.effects.coulomb_friction import SMOOTHING, SMOOTHINGS, CoulombFriction
 from geomid_ros.model.effects.effect import Effect, JointEffect
 from geomid_ros.model.effects.parameters import EFFORT, ByEffect, ParameterForm, Quantities, Values
-from geomid_ros.model.effects.places import Place
-from geomid_ros.model.effects.situation import JointMotion, Motion
+from geomid_ros.model.effects.situation import JointMotion, Motion, Place
 from geomid_ros.types import FloatArray
 
 SPEEDS = tuple(float(speed) for speed in np.geomspace(0.03, 0.6, 25).round(4))
