@@ -18,8 +18,7 @@ from benchmarks.excite.robots import SPREAD, task, wish
 from benchmarks.report import Report
 from geomid_ros.excitation.knowledge import ROWS_PER_SECOND
 from geomid_ros.excitation.motion import ExcitingMotion
-from geomid_ros.excitation.response import Responses
-from geomid_ros.excitation.rivals import DECIDED, DiscriminationCriterion, deciding_motion
+from geomid_ros.excitation.rivals import DECIDED, DiscriminationCriterion, deciding_motion, responses
 from geomid_ros.excitation.search import random_feasible
 from geomid_ros.model.effects import OnLink, joints_of
 from geomid_ros.model.measurement import MeasurementModel
@@ -154,11 +153,10 @@ def _score(
     target = (measured - _rigid(model, model.nominal_inertias, states[:, chosen])) / sigmas
     rows = manifold.whiten(nominal, _rows(model, states[:, chosen]).reshape(-1, model.dimension))
     rows = rows.reshape(len(chosen), len(sigmas), -1) / sigmas[:, None]
-    responses = Responses(model, model.nominal_inertias.reshape(-1, 10))
     scores = []
     for own_name in (dispute.found, rival):
         pairs = [(own_effect, own_name.place) for own_effect in own_name.variants]
-        columns = [found[chosen] / sigmas[:, None] for found in responses.columns(states, _FINE, pairs)]
+        columns = [found[chosen] / sigmas[:, None] for found in responses(model, states, _FINE, pairs)]
         least = min(_left(rows, own_columns, target) for own_columns in columns)
         scores.append(least + np.log(target.size) * own_name.parameters)
     return float(scores[1] - scores[0] if true_is_found else scores[0] - scores[1])

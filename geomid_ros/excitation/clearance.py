@@ -12,7 +12,8 @@ from geomid_ros.types import FloatArray, IntArray
 
 Course: TypeAlias = Callable[[FloatArray], FloatArray]
 """From times ``(N,)`` [s] to positions, speeds, accelerations and jerks ``(4, N, J)``."""
-_RATE = 50.0  # [Hz] of the first instants
+RATE = 50.0
+"""[Hz] of the instants at which distances, at first, and efforts are looked at."""
 _SHORTEST = 2e-4  # [s] between instants of which the distance is computed
 _SHARE_AT_ENDS = 0.5  # of the distance there, for pairs that begin or end closer than the clearance
 
@@ -41,7 +42,7 @@ class Distances:
     def __init__(self, course: Course, duration: float, collision: CollisionModel, clearances: FloatArray) -> None:
         self._course, self._collision, self._clearances = course, collision, clearances
         self._reach = collision.reach @ collision.coupling_sizes
-        self._times = np.linspace(0.0, duration, int(np.ceil(_RATE * duration)) + 1)
+        self._times = np.linspace(0.0, duration, int(np.ceil(RATE * duration)) + 1)
         self._distances = collision.distances(course(self._times)[0])
 
     def settle(self) -> bool:

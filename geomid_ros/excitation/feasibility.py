@@ -8,7 +8,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import SURE
-from geomid_ros.excitation.clearance import Distances, clearances_from, overlap
+from geomid_ros.excitation.clearance import RATE, Distances, clearances_from, overlap
 from geomid_ros.excitation.knowledge import Belief
 from geomid_ros.excitation.limits import MotionLimits
 from geomid_ros.excitation.motion import ExcitingMotion
@@ -16,7 +16,6 @@ from geomid_ros.model.collision import CollisionModel
 from geomid_ros.types import FloatArray
 
 _FINE = 500.0  # [Hz] at which positions, speeds, accelerations, jerks are looked at
-_EFFORTS = 50.0  # [Hz]
 _RESERVE = 1e-3  # of each limit, for what happens between two instants
 _EDGE = 0.01  # of a joint's range, at most so many rad or m
 HALVINGS = 12
@@ -124,7 +123,7 @@ class Feasibility:
 
     def holds(self, motion: ExcitingMotion) -> bool:
         """Whether a motion within its joints' limits holds those of efforts and distances, too."""
-        times = _times(motion, _EFFORTS)
+        times = _times(motion, RATE)
         if np.max(self._effort_shares(motion.at(times)[:3])) > 1.0 - _RESERVE:
             return False
         return self.collision is None or self._is_clear(motion, self.collision)
@@ -137,7 +136,7 @@ class Feasibility:
         states = motion.at(_times(motion, _FINE))
         low, high = self.limits.position.T
         used = np.max(np.abs(states[1:]), axis=1) / self.limits.derivatives
-        efforts = np.max(self._effort_shares(motion.at(_times(motion, _EFFORTS))[:3]), axis=0)
+        efforts = np.max(self._effort_shares(motion.at(_times(motion, RATE))[:3]), axis=0)
         return Margins(
             position=np.min(np.minimum(states[0] - low, high - states[0]), axis=0),
             velocity=used[0],

@@ -85,6 +85,10 @@ class Belief:
         covariance = covariance_of(self.precision + information)
         return replace(self, posterior=replace(self.posterior, covariance=frozen(covariance)))
 
+    def error(self, weight: FloatArray) -> float:
+        """The root of the trace of a ``weight (D, D)`` times the covariance."""
+        return float(np.sqrt(np.sum(weight * self.posterior.covariance)))
+
     def deviations(self) -> tuple[FloatArray, FloatArray]:
         """Standard deviations of the links' quantities ``(links, 10)``, as :data:`QUANTITIES` names them, and of the
         effects' coefficients ``(effects,)``."""

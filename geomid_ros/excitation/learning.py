@@ -113,37 +113,23 @@ class Learning:
 
 
 def expected_learning(
-    knowledge: Belief,
-    weight: FloatArray,
-    motion: ExcitingMotion,
-    randoms: Sequence[ExcitingMotion],
-    aim: Belief | None = None,
+    knowledge: Belief, weight: FloatArray, motion: ExcitingMotion, randoms: Sequence[ExcitingMotion]
 ) -> Learning:
-    """Compare a motion with ``randoms`` of its form, of which the middle one counts.
+    """Compare a designed ``motion`` with feasible ``randoms`` of its form, of which the middle one counts, by the
+    criterion of a ``weight (D, D)``."""
 
-    Args:
-        knowledge: before.
-        weight: of the criterion ``(D, D)``.
-        motion: the designed one.
-        randoms: feasible ones.
-        aim: knowledge by which the criterion counts, if it is another.
-    """
-    judge = aim or knowledge
-    own = knowledge.information(motion)
-    others = [knowledge.information(other) for other in randoms]
-    middle = others[int(np.argsort([_error(judge.after(o), weight) for o in others])[len(others) // 2])]
+    def expected(belief: Belief) -> Expected:
+        return Expected(belief.error(weight), *belief.deviations())
 
-    def expected(information: FloatArray) -> Expected:
-        return Expected(_error(judge.after(information), weight), *knowledge.after(information).deviations())
+    def after(information: FloatArray) -> Expected:
+        return expected(knowledge.after(information))
 
+    own, others = knowledge.information(motion), [knowledge.information(other) for other in randoms]
+    middle = sorted(others, key=lambda other: knowledge.after(other).error(weight))[len(others) // 2]
     return Learning(
-        before=Expected(_error(judge, weight), *knowledge.deviations()),
-        designed=expected(own),
-        random=expected(middle),
-        twice=expected(2.0 * own),
-        random_twice=expected(2.0 * middle),
+        before=expected(knowledge),
+        designed=after(own),
+        random=after(middle),
+        twice=after(2.0 * own),
+        random_twice=after(2.0 * middle),
     )
-
-
-def _error(knowledge: Belief, weight: FloatArray) -> float:
-    return float(np.sqrt(np.sum(weight * knowledge.posterior.covariance)))

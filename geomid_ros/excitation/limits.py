@@ -12,10 +12,8 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import WIDEST
 from geomid_ros.types import FloatArray
 
-JERK = 10.0
-"""[1/s] of jerk to acceleration, where no jerk limit is given."""
-ACCELERATION = 10.0
-"""[1/s] of acceleration to speed at most, where no acceleration limit is given."""
+STEEPEST = 10.0
+"""[1/s] of acceleration to speed at most, and of jerk to acceleration, where no limits of these are given."""
 _POSTURES = 300
 TRIED = 100
 """Postures, at most, to begin from or to go by."""
@@ -78,13 +76,13 @@ def motion_limits(
     _require(robot, np.where(derived, effort, 0.0), "acceleration", source)
     if np.any(derived):
         by_effort = _by_effort(robot, position, effort, inertias)
-        acceleration = np.where(derived, np.minimum(by_effort, ACCELERATION * velocity), acceleration)
+        acceleration = np.where(derived, np.minimum(by_effort, STEEPEST * velocity), acceleration)
     by_jerk = ~np.isfinite(jerk)
     return MotionLimits(
         position=position,
         velocity=speed * velocity,
         acceleration=acceleration,
-        jerk=np.where(by_jerk, JERK * acceleration, jerk),
+        jerk=np.where(by_jerk, STEEPEST * acceleration, jerk),
         effort=effort,
         notes=tuple(_notes(robot.joint_names, derived, by_jerk, acceleration)),
     )
@@ -136,11 +134,11 @@ def _notes(names: Sequence[str], derived: FloatArray, by_jerk: FloatArray, accel
         said = ", ".join(f"{name} {a:.3g}" for name, a, own in zip(names, acceleration, derived, strict=True) if own)
         notes.append(
             "acceleration limits are derived from the effort limits, and are at most "
-            f"{ACCELERATION:g} 1/s times the velocity limits [rad/s^2, m/s^2]: {said}"
+            f"{STEEPEST:g} 1/s times the velocity limits [rad/s^2, m/s^2]: {said}"
         )
     if np.any(by_jerk):
         which = "all joints" if np.all(by_jerk) else ", ".join(np.array(names)[by_jerk])
-        notes.append(f"jerk limits are {JERK:g} 1/s times the acceleration limits: {which}")
+        notes.append(f"jerk limits are {STEEPEST:g} 1/s times the acceleration limits: {which}")
     return notes
 
 

@@ -12,9 +12,12 @@ from scipy.linalg import block_diag
 from geomid_ros.excitation.feasibility import Feasibility
 from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Belief
 from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
-from geomid_ros.excitation.response import Responses
 from geomid_ros.excitation.search import BENDS, Search, random_motion
-from geomid_ros.model.effects import Effect, Place
+from geomid_ros.model.dynamics import Dynamics
+from geomid_ros.model.effects import Effect, MotionEffect, OnLink, Place, Situation, SituationEffect, Values
+from geomid_ros.model.effects.situation import Derivatives, OfLoad
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.samples import SIGN, Samples, samples_of
 from geomid_ros.types import FloatArray
 
 DECIDED = 20.0
@@ -52,11 +55,70 @@ class Ambiguity:
     rivals: tuple[Name, ...]
 
 
+def responses(
+    model: MeasurementModel, states: FloatArray, period: float, effects: Sequence[tuple[Effect, Place]]
+) -> list[FloatArray]:
+    """Efforts ``(N, J, k)`` per unit of each coefficient of each effect, of a robot as its URDF says, at ``states (3,
+    N, J)`` at instants that are one ``period`` apart."""
+    samples = samples_of(states, len(model.sensors))
+    needed = any(isinstance(part, SituationEffect) for effect, _ in effects for part in effect.parts)
+    situation = _situation(model, samples, period) if needed else None
+
+    def of_part(part: Effect, place: Place) -> FloatArray:
+        if isinstance(part, SituationEffect) and situation is not None:
+            return part.columns(situation, place)[:, : states.shape[2]]
+        if isinstance(part, MotionEffect):
+            return part.efforts(samples.motion, place)[:, :, None]
+        return np.zeros((*states.shape[1:], 0))
+
+    def of(effect: Effect, place: Place) -> FloatArray:
+        if isinstance(place, OnLink):
+            first = 10 * place.link
+            return model.rows(samples).coefficients[:, : states.shape[2], first : first + 10]
+        return np.concatenate([of_part(part, place) for part in effect.parts], axis=2)
+
+    return [of(effect, place) for effect, place in effects]
+
+
+def _situation(model: MeasurementModel, samples: Samples, period: float) -> Situation:
+    dynamics = Dynamics(model, np.array([body.parameters for body in model.robot.bodies]))
+    load = dynamics.efforts(samples)
+    value, rate, acceleration = _derivatives(load[..., None], period)
+
+    def of_load(function: OfLoad) -> Derivatives:
+        return _derivatives(function(load, period), period)
+
+    return Situation(
+        sign=samples.column(SIGN),
+        predicted=load,
+        load=value[..., 0],
+        load_rate=rate[..., 0],
+        load_acceleration=acceleration[..., 0],
+        transmitted=load,
+        gravity=model.robot.gravity,
+        coefficients={},
+        of_load=of_load,
+        **vars(dynamics.sensitivity(samples)),
+    )
+
+
+def _derivatives(values: FloatArray, period: float) -> Derivatives:
+    """Values and their first two derivatives by time, by central differences."""
+    rate = np.gradient(values, period, axis=0)
+    return values, rate, np.gradient(rate, period, axis=0)
+
+
+def coefficients_of(effect: type[Effect], values: Values, parts: Sequence[Effect]) -> FloatArray:
+    """The coefficients ``(k,)`` of an effect with these parameters, in the order of its ``parts``."""
+    known = effect.coefficients(values)
+    return np.concatenate([np.array(known.get(part, (0.0,) * part.count)) for part in parts])
+
+
 class DiscriminationCriterion:
     """What a motion would say of disputes."""
 
-    def __init__(self, knowledge: Belief, responses: Responses, disputes: Sequence[Ambiguity]) -> None:
-        self._knowledge, self._responses, self.disputes = knowledge, responses, disputes
+    def __init__(self, knowledge: Belief, disputes: Sequence[Ambiguity]) -> None:
+        self._knowledge, self.disputes = knowledge, disputes
         self.imitations: dict[tuple[int, int], tuple[int, FloatArray]] = {}
         """The variant and the coefficients of each rival that look like what was found, by dispute and rival."""
 
@@ -116,7 +178,7 @@ class DiscriminationCriterion:
         rows = self._knowledge.rows(states)[:, : states.shape[2]] * weights[:, None]
         asked = [name for dispute in self.disputes for name in (dispute.found, *dispute.rivals)]
         pairs = dict.fromkeys((variant, name.place) for name in asked for variant in name.variants)
-        columns = dict(zip(pairs, self._responses.columns(states, period, [*pairs]), strict=True))
+        columns = dict(zip(pairs, responses(self._knowledge.model, states, period, [*pairs]), strict=True))
 
         def own(name: Name) -> list[FloatArray]:
             found = (columns[variant, name.place] * weights[:, None] for variant in name.variants)

@@ -6,13 +6,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.excitation.feasibility import Feasibility
 from geomid_ros.excitation.knowledge import prior_knowledge
-from geomid_ros.excitation.response import Responses, coefficients_of
-from geomid_ros.excitation.rivals import Ambiguity, DiscriminationCriterion, Name
+from geomid_ros.excitation.rivals import Ambiguity, DiscriminationCriterion, Name, coefficients_of
 from geomid_ros.files.models.effect_forms import payload_parameters
 from geomid_ros.files.models.gap_file import OpenFinding, read_open_findings
 from geomid_ros.gap.candidates import Candidate
@@ -38,9 +35,8 @@ def open_questions(feasibility: Feasibility, path: Path) -> tuple[Discrimination
     sigmas = [floor.get(name) or own for name, own in zip(names, knowledge.sigmas.tolist(), strict=True)]
     knowledge = replace(knowledge, sigmas=frozen(sigmas))
     disputes = [_dispute(model, finding) for finding in findings]
-    inertias = np.array([body.parameters for body in model.robot.bodies])
     labels = [(dispute.found.label, [rival.label for rival in dispute.rivals]) for dispute in disputes]
-    return DiscriminationCriterion(knowledge, Responses(model, inertias), disputes), labels
+    return DiscriminationCriterion(knowledge, disputes), labels
 
 
 def _refuse_others(model: MeasurementModel, floor: Mapping[str, float], path: Path) -> None:

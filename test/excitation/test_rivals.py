@@ -12,8 +12,7 @@ import pytest
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.knowledge import ROWS_PER_SECOND
 from geomid_ros.excitation.motion import ExcitingMotion
-from geomid_ros.excitation.response import Responses
-from geomid_ros.excitation.rivals import deciding_motion
+from geomid_ros.excitation.rivals import deciding_motion, responses
 from geomid_ros.excitation.search import Search, random_motion
 from geomid_ros.model.effects import AtJoint, OnRobot, effect_class
 from geomid_ros.model.samples import samples_of
@@ -115,7 +114,7 @@ def test_columns_of_effects_that_depend_on_the_load() -> None:
         return np.asarray(model.rows(samples_of(motion.at(instants)[:3])).coefficients @ inertias.ravel())
 
     pairs = [(effect_class("effort_delay")(), OnRobot()), (effect_class("joint_elasticity")(), AtJoint(1))]
-    delay, elastic = Responses(model, inertias).columns(motion.at(times)[:3], period, pairs)
+    delay, elastic = responses(model, motion.at(times)[:3], period, pairs)
     late = (efforts(times - 1e-3) - efforts(times + 1e-3)) / 2e-3
     assert np.allclose(delay[2:-2, :, 0], late[2:-2], atol=0.02 * np.max(np.abs(late)))
     states = motion.at(times)[:3]

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from excitation.motions import Motion, bump
-from geomid_ros.excitation.running.limits import RobotLimits
-from geomid_ros.excitation.running.watch import JointState, Watch
+from geomid_ros.excitation.running.watch import JointState, RobotLimits, Watch
 from geomid_ros.files.trajectories import read_trajectory
 from geomid_ros.signals.messages import JointMessage
 from geomid_ros.types import FloatArray
