@@ -13,7 +13,6 @@ from geomid_ros.inference.fit import JointFit
 from geomid_ros.inference.prior import Prior
 from geomid_ros.inference.selection import Selection
 from geomid_ros.model.columns import Column, column_of
-from geomid_ros.model.dry_friction import held_from_driving
 from geomid_ros.model.effects import (
     DEFAULT_EFFECTS,
     EFFECTS,
@@ -34,6 +33,7 @@ ODDS = 0.01
 have is as likely as not."""
 CLEARLY = 12.0
 """A difference of minus twice a logarithm that is as unlikely by chance as one in four hundred."""
+_EXACT = 1e-5  # standard deviation of a sum that is held at zero, of the friction: far less than that of any rows
 _OF_COUPLED = 0.05  # of these: most joints have motors of their own
 
 
@@ -187,8 +187,28 @@ def candidates(model: MeasurementModel, known: Collection[EffectTerm] = (), *, b
 
 
 def not_driving(terms: Sequence[EffectTerm], values: FloatArray) -> FloatArray:
-    """Rows that keep dry friction from driving a joint."""
-    return held_from_driving([(term.effect, term.place) for term in terms], values)
+    """Rows that hold the sum of a place's dry friction at zero, where coefficients make it negative.
+
+    Beside standstill, too, dry friction does not drive a joint. Rows near a reversal say little, and depend on the
+    past: what is extrapolated from them to standstill can have the wrong sign. A simulator to which that is given
+    shakes.
+
+    Args:
+        terms: of the coefficients.
+        values: the coefficients ``(k,)``; zero for those that are left out.
+
+    Returns:
+        Rows ``(r, k)`` of target 0 and standard deviation 1; r is 0 where no joint is driven.
+    """
+    places: dict[Place, list[int]] = {}
+    for index, term in enumerate(terms):
+        if term.effect.is_dry_friction and values[index]:
+            places.setdefault(term.place, []).append(index)
+    driven = [own for own in places.values() if len(own) > 1 and np.sum(values[own]) < 0.0]
+    rows = np.zeros((len(driven), len(values)))
+    for row, own in zip(rows, driven, strict=True):
+        row[own] = 1.0 / (_EXACT * np.max(np.abs(values[own])))
+    return rows
 
 
 def _order(candidate: Candidate) -> tuple[int, int]:

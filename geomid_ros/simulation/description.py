@@ -158,18 +158,13 @@ def _inertia(name: str, inertial: Element) -> LinkInertia:
 
 
 def _placement(origin: Element) -> tuple[FloatArray, FloatArray]:
-    roll, pitch, yaw = _vector(origin, "rpy")
-    return _vector(origin, "xyz"), _turn(2, yaw) @ _turn(1, pitch) @ _turn(0, roll)
-
-
-def _turn(axis: int, angle: float) -> FloatArray:
-    """Rotation matrix ``(3, 3)`` by ``angle`` [rad] about a coordinate axis."""
-    turn = np.eye(3)
-    following, last = (axis + 1) % 3, (axis + 2) % 3
-    turn[following, following] = turn[last, last] = math.cos(angle)
-    turn[last, following] = math.sin(angle)
-    turn[following, last] = -math.sin(angle)
-    return turn
+    (c_x, c_y, c_z), (s_x, s_y, s_z) = (function(_vector(origin, "rpy")) for function in (np.cos, np.sin))
+    roll, pitch, yaw = (
+        np.array([[1.0, 0.0, 0.0], [0.0, c_x, -s_x], [0.0, s_x, c_x]]),
+        np.array([[c_y, 0.0, s_y], [0.0, 1.0, 0.0], [-s_y, 0.0, c_y]]),
+        np.array([[c_z, -s_z, 0.0], [s_z, c_z, 0.0], [0.0, 0.0, 1.0]]),
+    )
+    return _vector(origin, "xyz"), yaw @ pitch @ roll
 
 
 def _limits(joint: Element) -> UrdfLimits:

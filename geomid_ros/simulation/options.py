@@ -176,6 +176,8 @@ class Hidden:
 
 NOTHING = "nothing"
 """What hides no effect at all."""
+LINK_MASS = "link_mass"
+"""The hidden change that only realistic robots know: ``factor`` times the mass and inertia of the ``link``."""
 
 
 def parse_hidden(text: str) -> Hidden:

@@ -10,7 +10,7 @@ import pytest
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import Identifier
-from geomid_ros.model.dry_friction import held_from_driving
+from geomid_ros.gap.candidates import EffectTerm, not_driving
 from geomid_ros.model.effects import AtJoint
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.saturating_friction import SaturatingFriction
@@ -32,7 +32,7 @@ def sets_in(share: float) -> Case:
     speed = case.samples.velocity[:, JOINT]
     efforts = case.samples.effort.copy()
     efforts[:, JOINT] += share * level * np.tanh(speed / 0.02) * np.exp(-((speed / SPEED) ** 2))
-    model = MeasurementModel(case.model.robot, case.model._common, candidates=Configuration().candidates)
+    model = MeasurementModel(case.model.robot, case.model.places.common, candidates=Configuration().candidates)
     return replace(case.with_efforts(efforts), model=model)
 
 
@@ -64,13 +64,14 @@ def test_friction_that_sticks_is_as_measured() -> None:
 def test_rows_are_of_driven_places_alone() -> None:
     first, second = AtJoint(0), AtJoint(1)
     dry, stuck = CoulombFriction(), StribeckFriction()
-    terms = [None, (dry, first), (ViscousFriction(), first), (dry, second), (stuck, first), (stuck, second)]
-    assert held_from_driving(terms, np.array([-9.0, 1.0, -5.0, 1.0, -0.9, -0.9])).shape == (0, 6)
-    (row,) = held_from_driving(terms, np.array([-9.0, 1.0, -5.0, 1.0, -0.9, -2.0]))
-    np.testing.assert_allclose(row, [0.0, 0.0, 0.0, 5e4, 0.0, 5e4])
-    assert held_from_driving(terms, np.array([-9.0, -1.0, -5.0, 1.0, 0.0, -0.9])).shape == (0, 6)  # one is left out
-    alone = [(dry, first), (Spring(), first)]
-    assert held_from_driving(alone, np.array([-1.0, -1.0])).shape == (0, 2)
+    places = [(dry, first), (ViscousFriction(), first), (dry, second), (stuck, first), (stuck, second)]
+    terms = [EffectTerm(*place) for place in places]
+    assert not_driving(terms, np.array([1.0, -5.0, 1.0, -0.9, -0.9])).shape == (0, 5)
+    (row,) = not_driving(terms, np.array([1.0, -5.0, 1.0, -0.9, -2.0]))
+    np.testing.assert_allclose(row, [0.0, 0.0, 5e4, 0.0, 5e4])
+    assert not_driving(terms, np.array([-1.0, -5.0, 1.0, 0.0, -0.9])).shape == (0, 5)  # one is left out
+    alone = [EffectTerm(dry, first), EffectTerm(Spring(), first)]
+    assert not_driving(alone, np.array([-1.0, -1.0])).shape == (0, 2)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from geomid_ros.simulation.effects.choice import chosen_effects
 from geomid_ros.simulation.effects.physics import FRICTION, GEARS, TrueEffect, sensed
 from geomid_ros.simulation.inertias import perturbed
 from geomid_ros.simulation.motion import RunTrace
-from geomid_ros.simulation.options import Hidden, RandomStream, SimulationOptions, generator
+from geomid_ros.simulation.options import LINK_MASS, Hidden, RandomStream, SimulationOptions, generator
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.realistic.joint import LuGre, Motors, WarmUp
 from geomid_ros.simulation.realistic.sensors import Sensors, published
@@ -28,9 +28,6 @@ from geomid_ros.simulation.recorder import ControlLoop, JointController
 from geomid_ros.simulation.robot import TrueRobot
 from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import FloatArray
-
-LINK_MASS = "link_mass"
-"""The hidden change that only realistic robots know: ``factor`` times the mass and inertia of the ``link``."""
 
 _CAD_ERROR = (0.1, 0.3)
 
