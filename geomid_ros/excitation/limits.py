@@ -97,10 +97,10 @@ def _or_given(known: FloatArray, given: Sequence[object]) -> FloatArray:
 def _require(robot: Robot, limits: FloatArray, kind: str, source: str) -> None:
     for name, limit in zip(robot.joint_names, limits, strict=True):
         if not np.isfinite(limit):
-            needed = "velocity in its <limit>" if kind == "velocity" else "effort in its <limit>"
+            needed = "a velocity" if kind == "velocity" else "an effort"
             raise InputError(
-                f"{source}: joint '{name}' has no {kind} limit; give it an {needed}, or has_{kind}_limits: true and "
-                f"max_{kind} in the file of --limits".replace("an velocity", "a velocity")
+                f"{source}: joint '{name}' has no {kind} limit; give it {needed} in its <limit>, or has_{kind}_limits: "
+                f"true and max_{kind} in the file of --limits"
             )
 
 
@@ -110,22 +110,14 @@ def _by_effort(robot: Robot, position: FloatArray, effort: FloatArray, inertias:
     random = np.random.default_rng(0)
     low, high = np.clip(position, -WIDEST, WIDEST).T
     postures = random.uniform(low, high, (_POSTURES, len(effort)))
-    gravity, inertia = _gravity_and_inertia(robot, robot.pinocchio_positions(postures), inertias)
+    states = np.zeros((3, *postures.shape))
+    states[0] = postures
+    gravity, inertia = robot.joint_efforts(*robot.moved(states), inertias), np.empty(postures.shape)
+    for joint in range(len(effort)):
+        states[2] = np.eye(len(effort))[joint]
+        inertia[:, joint] = (robot.joint_efforts(*robot.moved(states), inertias) - gravity)[:, joint]
     left = np.maximum(effort - np.abs(gravity), _LEAST_SHARE * effort)
     return np.asarray(np.min(left / np.maximum(inertia, np.finfo(float).tiny), axis=0))
-
-
-def _gravity_and_inertia(robot: Robot, positions: FloatArray, inertias: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Efforts ``(N, J)`` that hold a robot in pinocchio's ``positions (N, nq)``, and the inertia about each joint."""
-
-    still = np.zeros((len(positions), robot.coupling.shape[0]))
-
-    def efforts(a: FloatArray) -> FloatArray:
-        return np.asarray(np.einsum("njbk,bk->nj", robot.joint_effort_rows(positions, still, still + a), inertias))
-
-    gravity = efforts(still)
-    moved = np.array([efforts(unit)[:, joint] for joint, unit in enumerate(robot.coupling.T)]).T
-    return gravity, moved - gravity
 
 
 def _notes(names: Sequence[str], derived: FloatArray, by_jerk: FloatArray, acceleration: FloatArray) -> list[str]:

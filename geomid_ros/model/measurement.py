@@ -434,8 +434,8 @@ class MeasurementModel:
         """What a unit of an effect's coefficient of this index adds to each channel that it reaches, ``(N,)``."""
         channels = self._reached(place)
         if isinstance(effect, MotionEffect):
-            own = samples.at_joints(column_of(effect, place), channels)
-            return dict(zip(channels, own.T, strict=True))
+            own = samples.column(column_of(effect, place))
+            return {channel: own[:, channel] for channel in channels}
         columns = self._sensed(samples, effect, place)[:, :, index]
         return {channel: column for channel, column in zip(channels, columns.T, strict=True) if np.any(column)}
 

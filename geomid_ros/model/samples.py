@@ -5,7 +5,7 @@ The joint axis follows :attr:`Robot.joints`.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -103,12 +103,6 @@ class Samples:
             else:
                 others[:, joints] += coefficient * self.column(column)[:, joints]
         return np.asarray(self.effects @ strengths + others)
-
-    def at_joints(self, column: Column, joints: Sequence[int]) -> FloatArray:
-        """One of the effects' columns at joints that it reaches ``(N, len(joints))``."""
-        if column not in self.entries:
-            return column.values(self.motion)[:, joints]
-        return self.effects[:, [self.entries.at(column, joint) for joint in joints]]
 
     def column(self, column: Column) -> FloatArray:
         """One of the effects' columns ``(N, joints)``."""

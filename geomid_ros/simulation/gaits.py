@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.simulation.options import LONGEST_STEP
 from geomid_ros.types import FloatArray
 
-STEP = 1e-3
-"""[s] of the integration."""
-_WHOLE = 1e-6  # steps between messages may be off a whole number by rounding
 _SHORTEST = 4.0  # [s] of a gait
 _FADE = 0.7  # [s] at the beginning and at the end of a motion
 _PERIOD, _SWING = 0.6, 0.4  # of the trot [s], and the share of it in which a foot is lifted
@@ -111,7 +110,7 @@ class WalkOptions:
                 raise unknown_name("gait", gait, GAITS)
         ranges = {
             "duration": (self.duration, _SHORTEST * len(self.gaits), np.inf),
-            "rate": (self.rate, 1.0, 1.0 / STEP),
+            "rate": (self.rate, 1.0, 1.0 / LONGEST_STEP),
             "payload": (self.payload, 0.0, np.inf),
             "inertia_error": (self.inertia_error, 0.0, 1.0),
             **{f"radius of {foot}": (radius, 1e-3, 1.0) for foot, radius in self.feet.items()},
@@ -119,9 +118,11 @@ class WalkOptions:
         for name, (value, low, high) in ranges.items():
             if not low <= value <= high or np.isinf(value):
                 raise InputError(f"{name} is {value:g}; it has to be from {low:g} to {high:g}")
-        every = 1.0 / (self.rate * STEP)
-        if abs(every - round(every)) > _WHOLE:
-            raise InputError(f"rate is {self.rate:g}; it has to be {1.0 / STEP:g} Hz over a whole number, as 250 Hz")
+        every = 1.0 / (self.rate * LONGEST_STEP)
+        if not math.isclose(every, round(every)):
+            raise InputError(
+                f"rate is {self.rate:g}; it has to be {1.0 / LONGEST_STEP:g} Hz over a whole number, as 250 Hz"
+            )
 
     @property
     def recording_seed(self) -> int:

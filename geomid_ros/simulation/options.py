@@ -25,7 +25,8 @@ _DRAWN = (  # of a realistic robot
     "position_step",
     "effort_step",
 )
-_LONGEST_STEP = 1e-3  # dry friction stops a joint within a few milliseconds
+LONGEST_STEP = 1e-3
+"""[s] of the integration: dry friction stops a joint within a few milliseconds."""
 _STIFF_STEP = 2e-4  # a light rotor behind a gear that gives
 _STIFF = {"joint_elasticity", "backlash"}
 _SHARES = ("motion_range", "motion_speed")
@@ -119,7 +120,7 @@ class SimulationOptions:
         others = [field.name for field in fields(self) if field.type == "float" and field.name not in _POSITIVE]
         self._require(others, "at least 0", lambda value: value >= 0.0)
         self._require(_SHARES, "at most 1", lambda value: value <= 1.0)
-        self._require(("longest_step",), f"at most {_LONGEST_STEP}", lambda value: value <= _LONGEST_STEP)
+        self._require(("longest_step",), f"at most {LONGEST_STEP}", lambda value: value <= LONGEST_STEP)
         self._require(("motion_harmonics",), "at least 1", lambda value: value >= 1)
         self._require(("seed",), "at least 0", lambda value: value >= 0)
         if self.motion_seed is not None:

@@ -16,10 +16,10 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.simulation.bag import write_walk
 from geomid_ros.simulation.description import Description, LinkInertia, read_description
-from geomid_ros.simulation.gaits import GAITS, STEP, WalkOptions
+from geomid_ros.simulation.gaits import GAITS, WalkOptions
 from geomid_ros.simulation.inertias import body_of, perturbed, pseudo_inertia, set_inertia
 from geomid_ros.simulation.motion import WalkTrace
-from geomid_ros.simulation.options import RandomStream, generator
+from geomid_ros.simulation.options import LONGEST_STEP, RandomStream, generator
 from geomid_ros.simulation.plant import FRICTION_TIME, GRAVITY, load_mujoco
 from geomid_ros.simulation.recording import beside, link_entry, refuse_existing
 from geomid_ros.simulation.robots import robot_description
@@ -82,9 +82,9 @@ def walk(robot: Description, bodies: Sequence[LinkInertia], options: WalkOptions
     mujoco.mj_kinematics(model, data)
     lowest = min(data.body(foot).xpos[2] - radius for foot, radius in options.feet.items())
     data.qpos[2] -= lowest
-    every = round(1.0 / (options.rate * STEP))
+    every = round(1.0 / (options.rate * LONGEST_STEP))
     rows = []
-    for step in range(-round(_SETTLING / STEP), len(position)):
+    for step in range(-round(_SETTLING / LONGEST_STEP), len(position)):
         wanted = max(step, 0)
         state = data.qpos[7:].copy(), data.qvel[6:].copy()
         mujoco.mj_step1(model, data)
@@ -93,9 +93,9 @@ def walk(robot: Description, bodies: Sequence[LinkInertia], options: WalkOptions
         if step >= 0 and step % every == 0:
             contacts = [data.sensor(foot).data[0] for foot in options.feet]
             sensors = data.sensor("gyroscope").data.copy(), data.sensor("accelerometer").data.copy()
-            rows.append((step * STEP, *state, data.actuator_force.copy(), *sensors, np.array(contacts)))
+            rows.append((step * LONGEST_STEP, *state, data.actuator_force.copy(), *sensors, np.array(contacts)))
             if data.xmat[1, 8] < _UPRIGHT:
-                raise InputError(f"the robot falls after {step * STEP:.1f} s of {', '.join(options.gaits)}")
+                raise InputError(f"the robot falls after {step * LONGEST_STEP:.1f} s of {', '.join(options.gaits)}")
     names = ("time", "position", "velocity", "effort", "angular_velocity", "specific_force", "contact")
     return WalkTrace(**dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True)))
 
@@ -123,7 +123,7 @@ def _compiled(mujoco: Any, robot: Description, bodies: Sequence[LinkInertia], op
     spec.compiler.fusestatic = False
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
-    spec.option.timestep = STEP
+    spec.option.timestep = LONGEST_STEP
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 10.0
     spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)  # the effort of damping is that of now
@@ -165,7 +165,7 @@ def _set_points(mujoco: Any, model: Any, options: WalkOptions) -> tuple[FloatArr
     data.qpos[7:] = np.tile(_STANCE, len(options.feet))
     mujoco.mj_kinematics(model, data)
     home = np.array([data.body(foot).xpos for foot in options.feet])
-    step = STEP * _PER_SET_POINT
+    step = LONGEST_STEP * _PER_SET_POINT
     time = np.arange(0.0, options.duration / len(options.gaits), step)
     ways = [GAITS[gait](time, home, numbers) for gait in options.gaits]
     trunk, feet = (np.concatenate(parts) for parts in zip(*ways, strict=True))
@@ -173,9 +173,9 @@ def _set_points(mujoco: Any, model: Any, options: WalkOptions) -> tuple[FloatArr
     for row, pose, moved in zip(wanted, trunk, home + feet, strict=True):
         rotation = _rotation(mujoco, pose[3:])
         row[:] = _joints_at(mujoco, model, data, (moved - pose[:3]) @ rotation, list(options.feet))
-    coarse, fine = step * np.arange(len(wanted)), STEP * np.arange(len(wanted) * _PER_SET_POINT)
+    coarse, fine = step * np.arange(len(wanted)), LONGEST_STEP * np.arange(len(wanted) * _PER_SET_POINT)
     position = np.array([np.interp(fine, coarse, column) for column in wanted.T]).T
-    return position, np.gradient(position, STEP, axis=0)
+    return position, np.gradient(position, LONGEST_STEP, axis=0)
 
 
 def _rotation(mujoco: Any, vector: FloatArray) -> FloatArray:

@@ -118,7 +118,8 @@ def test_a_motor_that_turns_parallel_joints_is_told_from_an_inertia_by_the_prior
     case = planted("arm3", 1, "coupled_rotor_inertia")
     assert not [c for c in case.model.coefficients if c.effect.name == "coupled_rotor_inertia"]
     known = identifiable()["coupled_rotor_inertia"]
-    found = identifier(replace(case, model=MeasurementModel(case.model.robot, [*case.model.places.common, known]))).solve()
+    model = MeasurementModel(case.model.robot, [*case.model.places.common, known])
+    found = identifier(replace(case, model=model)).solve()
     (taken,) = (effect for effect in chosen(found) if effect.joint == "joint2+joint3")
     assert taken.value == pytest.approx(SIZES["coupled_rotor_inertia"], rel=0.05)
     np.testing.assert_allclose(found.rms, NOISE, rtol=0.1)

@@ -56,15 +56,6 @@ class TestColumns:
         stamps = PERIOD * np.arange(50)
         return Samples(stamps, *motion, nothing, nothing, nothing, nothing[:, None], effects, self.ENTRIES)
 
-    @pytest.mark.parametrize("joints", [(0, 2), (2, 0), (2,)])
-    def test_joints_are_those_of_the_whole_column(self, carried: Samples, joints: tuple[int, ...]) -> None:
-        without = carried.with_columns([])
-        for samples in (carried, without):
-            for column in (self.OWN, self.PAIR):
-                expected = samples.column(column)[:, joints]
-                np.testing.assert_array_equal(samples.at_joints(column, joints), expected)
-                assert np.all(expected != 0.0)
-
     def test_columns_that_are_not_chosen_go(self, carried: Samples) -> None:
         for chosen in ([self.PAIR], [self.OWN], [self.PAIR, self.OWN], []):
             kept = carried.with_columns([*chosen, JointColumn(CoulombFriction())])

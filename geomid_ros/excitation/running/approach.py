@@ -102,7 +102,6 @@ class Passage:
         """
         self._robot, self._standing, self._collision = robot, standing, collision
         self._places = [robot.joint_names.index(name) for name in joints]
-        self._inertias = np.array([body.parameters for body in robot.bodies])
         self._low, self._high = robot.position_limits[self._places].T
         self._clearances = np.zeros(0)
 
@@ -152,9 +151,9 @@ class Passage:
 
     def _too_heavy(self, positions: FloatArray) -> str:
         """Which joint cannot hold itself, with the URDF's inertias, at some positions ``(N, joints)``."""
-        robot, still = self._robot, np.zeros((len(positions), self._robot.coupling.shape[0]))
-        rows = robot.joint_effort_rows(robot.pinocchio_positions(self.whole(positions)), still, still)
-        shares = np.max(np.abs(np.einsum("njbk,bk->nj", rows, self._inertias)), axis=0) / robot.effort_limits
+        robot, whole = self._robot, self.whole(positions)
+        efforts = robot.joint_efforts(*robot.moved(np.array([whole, 0.0 * whole, 0.0 * whole])))
+        shares = np.max(np.abs(efforts), axis=0) / robot.effort_limits
         worst = int(np.argmax(shares))
         name = robot.joint_names[worst]
         return f"gravity takes {shares[worst]:.0%} of the effort limit of joint '{name}'" if shares[worst] > 1.0 else ""
