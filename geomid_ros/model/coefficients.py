@@ -158,7 +158,7 @@ class EffectPlaces:
     def _is_felt(self, effect: IdentifiedEffect, place: Place) -> bool:
         """Whether the sensors are on that side of the gear on which an effect acts."""
         joints = {self.robot.joint_names[joint] for joint in joints_of(place)}
-        return not effect.before_gear or frozenset(self.behind_gear).isdisjoint(joints)
+        return not (effect.before_gear and joints.intersection(self.behind_gear))
 
     def _at(self, effect: IdentifiedEffect, place: Place) -> Iterator[Coefficient]:
         name, sliding = self.name(place), self.slides(place)

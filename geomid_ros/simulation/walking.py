@@ -6,7 +6,7 @@ Nothing measures the base's pose or the forces of the ground.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,10 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.simulation.bag import write_walk
 from geomid_ros.simulation.description import Description, LinkInertia, read_description
 from geomid_ros.simulation.gaits import GAITS, WalkOptions
-from geomid_ros.simulation.inertias import body_of, perturbed, pseudo_inertia, set_inertia
+from geomid_ros.simulation.inertias import body_of, perturbed, pseudo_inertia
 from geomid_ros.simulation.motion import WalkTrace
 from geomid_ros.simulation.options import LONGEST_STEP, RandomStream, generator
-from geomid_ros.simulation.plant import FRICTION_TIME, GRAVITY, load_mujoco
+from geomid_ros.simulation.plant import buildable, load_mujoco, rigid_bodies
 from geomid_ros.simulation.recording import beside, link_entry, refuse_existing
 from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import FloatArray
@@ -119,42 +119,40 @@ def measured(trace: WalkTrace, options: WalkOptions) -> WalkTrace:
 
 
 def _compiled(mujoco: Any, robot: Description, bodies: Sequence[LinkInertia], options: WalkOptions) -> Any:
-    spec = mujoco.MjSpec.from_string(robot.kinematics)
-    spec.compiler.fusestatic = False
-    spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
-    spec.option.gravity = [0.0, 0.0, -GRAVITY]
-    spec.option.timestep = LONGEST_STEP
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    spec.option.impratio = 10.0
-    spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)  # the effort of damping is that of now
-    for joint, limits in zip(spec.joints, robot.joints, strict=True):
-        joint.damping, joint.frictionloss = [options.viscous_friction, 0.0, 0.0], options.coulomb_friction
-        joint.armature, joint.solref_friction = options.rotor_inertia, [FRICTION_TIME, 1.0]
-        spec.add_actuator(
-            trntype=mujoco.mjtTrn.mjTRN_JOINT,
-            target=joint.name,
-            forcelimited=1,
-            forcerange=[-limits.effort, limits.effort],
-        )
-    for body in bodies:
-        set_inertia(mujoco, spec.body(body.name), body)
-    spec.body(robot.root).add_freejoint()
+    with buildable():
+        spec = rigid_bodies(mujoco, robot, bodies)
+        spec.option.timestep = LONGEST_STEP
+        spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        spec.option.impratio = 10.0
+        spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)  # the effort of damping is that of now
+        for joint, limits in zip(spec.joints, robot.joints, strict=True):
+            joint.damping, joint.frictionloss = [options.viscous_friction, 0.0, 0.0], options.coulomb_friction
+            joint.armature = options.rotor_inertia
+            spec.add_actuator(
+                trntype=mujoco.mjtTrn.mjTRN_JOINT,
+                target=joint.name,
+                forcelimited=1,
+                forcerange=[-limits.effort, limits.effort],
+            )
+        spec.body(robot.root).add_freejoint()
+        _set_on_feet(mujoco, spec, options.feet)
+        spec.body(options.imu).add_site(name="imu")
+        kinds = {"gyroscope": mujoco.mjtSensor.mjSENS_GYRO, "accelerometer": mujoco.mjtSensor.mjSENS_ACCELEROMETER}
+        for name, kind in kinds.items():
+            spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="imu")
+        return spec.compile()
+
+
+def _set_on_feet(mujoco: Any, spec: Any, feet: Mapping[str, float]) -> None:
+    """The ground, and round feet that feel it."""
     ground = spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0])
     ground.solref[:2] = _CONTACT
-    for foot, radius in options.feet.items():
+    for foot, radius in feet.items():
         ball = spec.body(foot).add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0.0, 0.0])
         ball.solref[:2], ball.friction[:1] = _CONTACT, [1.0]
         ball.contype, ball.conaffinity = 1, 0
         spec.body(foot).add_site(name=foot, size=[2.0 * radius, 0.0, 0.0])
         spec.add_sensor(name=foot, type=mujoco.mjtSensor.mjSENS_TOUCH, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=foot)
-    spec.body(options.imu).add_site(name="imu")
-    kinds = {"gyroscope": mujoco.mjtSensor.mjSENS_GYRO, "accelerometer": mujoco.mjtSensor.mjSENS_ACCELEROMETER}
-    for name, kind in kinds.items():
-        spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="imu")
-    try:
-        return spec.compile()
-    except ValueError as error:
-        raise InputError(f"MuJoCo cannot build this robot: {error}. Correct its URDF.") from error
 
 
 def _set_points(mujoco: Any, model: Any, options: WalkOptions) -> tuple[FloatArray, FloatArray]:
