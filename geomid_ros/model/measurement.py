@@ -53,18 +53,6 @@ class Rows:
     targets: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class _Carried:
-    """The numbers in rows that samples with these ``columns`` carry: the row's channel and parameter, and the place
-    among the columns' entries; and the parameters of ``others``, whose numbers they do not carry."""
-
-    columns: tuple[Column, ...]
-    channels: IntArray
-    parameters: IntArray
-    places: IntArray
-    others: tuple[int, ...]
-
-
 class MeasurementModel:
     """Which parameters are unknown, which channels are measured, and the rows between them."""
 
@@ -220,7 +208,7 @@ class MeasurementModel:
     def _replaced(self, **changes: Any) -> MeasurementModel:
         """A copy with these attributes, and anew what depends on them."""
         model = copy(self)
-        for cached in ("_carried", "usual_shapes"):
+        for cached in ("_of_motion", "usual_shapes"):
             vars(model).pop(cached, None)
         vars(model).update(changes)
         model._number()  # noqa: SLF001 its own
@@ -385,13 +373,10 @@ class MeasurementModel:
             targets -= bodies[:, :, index] @ self.robot.bodies[index].parameters
         coefficients = np.concatenate([inertial, np.zeros((count, len(self.channels), len(self.coefficients)))], axis=2)
         loads = self._loads(samples, bodies)
-        carried = self._carried if samples.entries.columns == self._carried.columns else None
-        if carried is not None:
-            coefficients[:, carried.channels, carried.parameters] = samples.effects[:, carried.places]
-        first = inertial.shape[2]
+        entries, channels, parameters, places = self._of_motion
+        coefficients[:, channels, parameters] = samples.values_of(entries)[:, places]
         sensed: dict[tuple[SensorEffect, Place], FloatArray] = {}
-        for column in range(first, self.dimension) if carried is None else carried.others:
-            coefficient = self.coefficients[column - first]
+        for column, coefficient in enumerate(self.coefficients, inertial.shape[2]):
             effect, place = coefficient.effect, coefficient.place
             if isinstance(effect, LoadEffect):
                 joint = joint_of(place)
@@ -401,9 +386,6 @@ class MeasurementModel:
                 if (effect, place) not in sensed:
                     sensed[effect, place] = self._sensed(samples, effect, place)
                 coefficients[:, self._reached(place), column] = sensed[effect, place][:, :, coefficient.index]
-            else:
-                for channel, values in self.columns_of(samples, effect, place, coefficient.index).items():
-                    coefficients[:, channel, column] = values
         return coefficients, targets
 
     def _loads(self, samples: Samples, bodies: FloatArray) -> FloatArray:
@@ -414,19 +396,18 @@ class MeasurementModel:
         return np.asarray(loads)
 
     @cached_property
-    def _carried(self) -> _Carried:
-        """Where samples with this model's columns carry those of its effects of motion."""
-        carried = Entries(self.columns, len(self.layout.efforts))
-        every = list(enumerate(self.coefficients, 10 * len(self.identified)))
+    def _of_motion(self) -> tuple[Entries, IntArray, IntArray, IntArray]:
+        """The entries of this model's columns; the channels and the parameters ``(n,)`` of rows that they are, and the
+        place of each among the entries."""
+        entries = Entries(self.columns, len(self.layout.efforts))
         found = [
-            (joint, parameter, carried.at(column_of(c.effect, c.place), joint))
-            for parameter, c in every
+            (joint, parameter, entries.at(column_of(c.effect, c.place), joint))
+            for parameter, c in enumerate(self.coefficients, 10 * len(self.identified))
             if isinstance(c.effect, MotionEffect)
             for joint in self._reached(c.place)
         ]
         channels, parameters, places = np.array(found, dtype=np.int64).reshape(-1, 3).T
-        others = tuple(parameter for parameter, c in every if not isinstance(c.effect, MotionEffect))
-        return _Carried(carried.columns, channels, parameters, places, others)
+        return entries, channels, parameters, places
 
     def columns_of(
         self, samples: Samples, effect: MotionEffect | SensorEffect, place: Place, index: int

@@ -104,6 +104,16 @@ class Samples:
                 others[:, joints] += coefficient * self.column(column)[:, joints]
         return np.asarray(self.effects @ strengths + others)
 
+    def values_of(self, entries: Entries) -> FloatArray:
+        """The values ``(N, len(entries))`` of columns' entries."""
+        if entries.columns == self.entries.columns:
+            return self.effects
+        values = np.empty((len(self), len(entries)))
+        for column in entries.columns:
+            places, joints = entries.of(column)
+            values[:, places] = self.column(column)[:, joints]
+        return values
+
     def column(self, column: Column) -> FloatArray:
         """One of the effects' columns ``(N, joints)``."""
         if column not in self.entries:
@@ -125,10 +135,9 @@ class Samples:
 
     def with_columns(self, chosen: Collection[Column]) -> Samples:
         """The same with none of the effects' columns but those that are ``chosen``."""
-        columns = [column for column in self.entries.columns if column in chosen]
-        effects = [self.effects[:, self.entries.of(column)[0]] for column in columns]
-        entries = Entries(tuple(columns), self.entries.joints)
-        return replace(self, effects=np.concatenate([self.effects[:, :0], *effects], axis=1), entries=entries)
+        columns = tuple(column for column in self.entries.columns if column in chosen)
+        entries = Entries(columns, self.entries.joints)
+        return replace(self, effects=self.values_of(entries), entries=entries)
 
     def with_joints(self, order: IntArray) -> Samples:
         """The samples in which joint j does what joint ``order[j]`` did; ``order (joints,)``. Columns of effects that
