@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.excitation.clearance import Distances, clearances_from, overlap
+from geomid_ros.excitation.feasibility import Distances, clearances_from, overlap
 from geomid_ros.excitation.limits import TRIED
 from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.model.collision import CollisionModel, Pair
