@@ -17,9 +17,8 @@ import pytest
 from geomid_ros.errors import InputError
 from geomid_ros.simulation import Hidden, SimulationOptions, simulate
 from geomid_ros.simulation.options import LINK_MASS
-from geomid_ros.simulation.realistic.joint import LuGre
+from geomid_ros.simulation.realistic.parts import LuGre, kept
 from geomid_ros.simulation.realistic.robot import RealisticRobot, build_realistic
-from geomid_ros.simulation.realistic.sensors import kept
 from geomid_ros.simulation.recording import closed_loop
 from geomid_ros.types import FloatArray
 

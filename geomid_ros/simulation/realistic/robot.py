@@ -22,8 +22,7 @@ from geomid_ros.simulation.inertias import perturbed
 from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.simulation.options import LINK_MASS, Hidden, RandomStream, SimulationOptions, generator
 from geomid_ros.simulation.plant import Plant
-from geomid_ros.simulation.realistic.joint import LuGre, Motors, WarmUp
-from geomid_ros.simulation.realistic.sensors import Sensors, published
+from geomid_ros.simulation.realistic.parts import LuGre, Motors, Sensors, WarmUp, published
 from geomid_ros.simulation.recorder import ControlLoop, JointController
 from geomid_ros.simulation.robot import TrueRobot
 from geomid_ros.simulation.robots import robot_description
