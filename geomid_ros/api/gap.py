@@ -23,10 +23,9 @@ from geomid_ros.files.models.sidecar import effect_entry
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.gap.result import Finding, GapResult, Verdict
 from geomid_ros.model.samples import Samples
-from geomid_ros.report.gap_figures import elapsed
-from geomid_ros.report.gap_page import GapPage, write_gap_page
+from geomid_ros.report.gap_page import GapPage, SimulatedAgain, simulated_again, write_gap_page
 from geomid_ros.report.gap_words import verdict_sentence
-from geomid_ros.report.simulated_again import SimulatedAgain, position_units, simulated_again
+from geomid_ros.report.series import elapsed
 from geomid_ros.session.gap import GapReader, find, gap_session
 from geomid_ros.session.recordings import Bags, Progress, read_with_locked, silent
 from geomid_ros.session.session import Session
@@ -126,12 +125,13 @@ class Gap:
         page = GapPage(
             file=GapFile.of(self.document, "gap.json"),
             joints=self.session.robot.joint_names,
-            units=position_units(self.session.model),
+            units=["m" if joint.unit == "N" else "rad" for joint in self.session.robot.joints],
             result=self.result,
             rigid=without_findings(self.session, self.result, self.held_out),
             simulated=self.simulated,
         )
-        write_gap_page(Path(path), page, lambda share: progress("drawing", share))
+        progress("drawing", 0.0)
+        write_gap_page(Path(path), page)
         return Path(path)
 
     def save(self, folder: PathLike, *, report: bool = True, progress: Progress = silent) -> list[Path]:

@@ -14,10 +14,9 @@ from geomid_ros.errors import InputError
 from geomid_ros.files.models.estimate_file import OF_PAGE, EstimateFile
 from geomid_ros.files.models.gap_file import Errors, GapFile, read_gap
 from geomid_ros.files.models.tables import tables, write_tables
-from geomid_ros.report.gap_page import GapPage, write_gap_page
+from geomid_ros.report.gap_page import GapPage, Kind, SimulatedAgain, write_gap_page
 from geomid_ros.report.identification_page import IdentificationPage, write_identification_page
 from geomid_ros.report.series import SavedFit
-from geomid_ros.report.simulated_again import Kind, SimulatedAgain
 
 _GAP, _ESTIMATE, _PAGE = "gap.json", "estimate.json", "report.html"
 
@@ -45,7 +44,7 @@ def rebuild_report(folder: PathLike, *, out: PathLike | None = None) -> list[Pat
         with _needed(source / _GAP, "geomid gap"):
             found = tables(document)
             file = GapFile.of(document, str(source / _GAP))
-            write_gap_page(page, _gap_page(file), lambda _: None)
+            write_gap_page(page, _gap_page(file))
         return [page, *write_tables(target, found)]
     if not (source / _ESTIMATE).is_file():
         raise InputError(f"{source}: no result is in this folder, neither {_ESTIMATE} nor {_GAP}")

@@ -1,13 +1,13 @@
-"""``report.html``: what the gap workflow found, on one page that needs no network and runs no script."""
+"""``report.html``: what the gap workflow found, on one page that needs no network."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -17,27 +17,71 @@ from geomid_ros.gap.result import Finding, GapResult, Located
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.channels import is_of
 from geomid_ros.model.effects import KnownEffect
+from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.report import gap_words
-from geomid_ros.report.gap_figures import (
-    Against,
-    ChannelResiduals,
-    Picture,
-    after_pause,
-    elapsed,
-    overlay_picture,
-    remainder_picture,
-)
-from geomid_ros.report.page import Bars, write_page
-from geomid_ros.report.series import MOST_DRAWN
-from geomid_ros.report.simulated_again import SimulatedAgain
+from geomid_ros.report.page import Bars, Script, write_page
+from geomid_ros.report.residual_picture import Residuals, residual_picture
+from geomid_ros.report.series import MOST_DRAWN, Series, elapsed
+from geomid_ros.report.traces import SCRIPT, ChannelTrace, traces
+from geomid_ros.resimulation.resimulate import Resimulated
+from geomid_ros.resimulation.windows import HORIZON
+from geomid_ros.session.written_simulation import Simulations
 from geomid_ros.types import FloatArray
 
 _MOST_CHANNELS = 6  # whose remainder is drawn
-_SECONDS = {"efforts": 10.0, "closed_loop": 10.0, "windows": 2.0}  # of held-out data, in a panel
 _MOST_CANDIDATES = 15
 _CHANGED = 0.01  # geodesic distance from which on a link's inertia has changed
-_TITLES = {"windows": "Forward in short windows", "closed_loop": "In closed loop"}
 _KINDS = {"before": "nominal", "inertias_only": "inertias only", "after": "with effect"}
+
+Kind: TypeAlias = Literal["windows", "closed_loop"]
+_WINDOWS = (
+    f"Velocities simulated in MuJoCo with the written MJCF. The measured efforts are applied; every {HORIZON:g} s the "
+    "simulation restarts from the measured state."
+)
+_CLOSED_LOOP = (
+    "Efforts simulated in MuJoCo with the written MJCF: the whole motion under the recorded commands, with the "
+    "controller that explains the measured efforts best."
+)
+_SIMULATIONS: Mapping[Kind, tuple[str, str]] = {
+    "windows": ("Forward in short windows", _WINDOWS),
+    "closed_loop": ("In closed loop", _CLOSED_LOOP),
+}
+"""Title, and how it was simulated, by kind."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SimulatedAgain:
+    """The robot's simulation before and after: its ``kind``, its ``errors`` {before, after}, each by channel in units
+    of the floor, and in closed loop efforts over time, as ``series``."""
+
+    kind: Kind
+    errors: Mapping[str, Mapping[str, float]]
+    series: Sequence[Series] = ()
+
+
+def simulated_again(model: MeasurementModel, simulations: Simulations) -> list[SimulatedAgain]:
+    """The simulations that there are, in short windows first."""
+    windows, loop = simulations.windows, simulations.closed_loop
+    return [
+        *([SimulatedAgain(kind="windows", errors=_errors(windows))] if windows else []),
+        *([SimulatedAgain(kind="closed_loop", errors=_errors(loop), series=_efforts(model, loop))] if loop else []),
+    ]
+
+
+def _errors(found: Resimulated) -> dict[str, Mapping[str, float]]:
+    return {"before": found.before, "after": found.after}
+
+
+def _efforts(model: MeasurementModel, loop: Resimulated) -> list[Series]:
+    """Efforts of the joints, measured and simulated, recordings one after the other."""
+    starts = np.cumsum([0.0, *(np.ptp(trace.times) for trace in loop.traces)])
+    times = [trace.times.ravel() - trace.times.min() + s for trace, s in zip(loop.traces, starts, strict=False)]
+    kinds = ("measured", "before", "after")
+    lines = [np.concatenate([np.vstack(getattr(trace, kind)) for trace in loop.traces]) for kind in kinds]
+    return [
+        Series(joint.name, joint.unit, np.concatenate(times), *(line[:, index] for line in lines))
+        for index, joint in enumerate(model.robot.joints)
+    ]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,22 +101,13 @@ class GapPage:
     simulated: Sequence[SimulatedAgain] = ()
 
 
-def write_gap_page(path: Path, page: GapPage, progress: Callable[[float], None]) -> None:
-    """Write the page; ``progress`` is called with the share of its pictures that are drawn."""
-    write_page(path, "gap.html.j2", _content(page, progress))
+def write_gap_page(path: Path, page: GapPage) -> None:
+    """Write the page. Raises GeomidError naming the file."""
+    write_page(path, "gap.html.j2", _content(page))
 
 
-def _content(page: GapPage, progress: Callable[[float], None]) -> dict[str, Any]:
+def _content(page: GapPage) -> dict[str, Any]:
     result, known = page.result, page.file.known_effects("known")
-    overlays = [partial(_overlay, page, channel) for channel in _overlay_channels(result)]
-    remainders = [
-        (result.channels[channel], [partial(remainder_picture, _remainder(page, channel), against) for against in many])
-        for channel in _telling_channels(result)
-        for many in [list(_variables(page, channel))]
-    ]
-    motions = [[partial(_motion, again, joint) for joint in _worst_joints(again)] for again in page.simulated]
-    total = len(overlays) + sum(len(many) for _, many in remainders) + sum(map(len, motions))
-    draw = _Drawing(total, progress)
     return {
         "file": page.file,
         "known": known,
@@ -83,11 +118,11 @@ def _content(page: GapPage, progress: Callable[[float], None]) -> dict[str, Any]
         "bars": _bars(result),
         "kinds": _KINDS,
         "seconds": float(elapsed(result.trace.stamps)[-1]) if len(result.trace.stamps) else page.file.judged_seconds,
-        "remainders": [(name, [draw(picture) for picture in many]) for name, many in remainders],
-        "overlays": [draw(picture) for picture in overlays],
-        "motions": [
-            (_TITLES[again.kind], again, _motion_bars(again), [draw(picture) for picture in many])
-            for again, many in zip(page.simulated, motions, strict=True)
+        "residuals": [residual_picture(_residuals(page, channel)) for channel in _telling_channels(result)],
+        "traces": _traces(result),
+        "simulations": [
+            (*_SIMULATIONS[again.kind], _simulation_bars(again), traces(_worst_joints(again)))
+            for again in page.simulated
         ],
         "candidates": result.ranking[:_MOST_CANDIDATES],
         "located": _located(result),
@@ -95,22 +130,8 @@ def _content(page: GapPage, progress: Callable[[float], None]) -> dict[str, Any]
         "old": partial(_old, known),
         "not_explained": gap_words.not_explained(result),
         "record": gap_words.to_record(result),
+        "script": Script.read(SCRIPT),
     }
-
-
-class _Drawing:
-    """Draws pictures and counts them."""
-
-    def __init__(self, total: int, progress: Callable[[float], None]) -> None:
-        self._total = total
-        self._done = 0
-        self._progress = progress
-
-    def __call__(self, picture: Callable[[], Picture]) -> Picture:
-        drawn = picture()
-        self._done += 1
-        self._progress(self._done / self._total)
-        return drawn
 
 
 def _bars(result: GapResult) -> Bars:
@@ -123,7 +144,7 @@ def _bars(result: GapResult) -> Bars:
     )
 
 
-def _motion_bars(again: SimulatedAgain) -> Bars:
+def _simulation_bars(again: SimulatedAgain) -> Bars:
     names, kinds = again.errors["before"], ("before", "after")
     return Bars.of_gaps((name, "", {kind: again.errors[kind][name] for kind in kinds}) for name in names)
 
@@ -150,58 +171,56 @@ def _located(result: GapResult) -> list[Located]:
     ]
 
 
-def _remainder(page: GapPage, channel: int) -> ChannelResiduals:
+def _residuals(page: GapPage, channel: int) -> Residuals:
+    """A channel's residuals against what they depend on most."""
     result, trace = page.result, page.result.trace
     rigid = page.rigid[:, channel]
-    return ChannelResiduals(
-        result.channels[channel],
-        result.units[channel],
-        trace.measured[:, channel] - rigid,
-        trace.after[:, channel] - rigid,
-        float(result.floor[channel]),
+    variable, unit, values = _variable(page, channel)
+    return Residuals(
+        channel=result.channels[channel],
+        unit=result.units[channel],
+        missing=trace.measured[:, channel] - rigid,
+        fitted=trace.after[:, channel] - rigid,
+        floor=float(result.floor[channel]),
+        variable=variable,
+        variable_unit=unit,
+        values=values,
     )
 
 
-def _variables(page: GapPage, channel: int) -> Iterator[Against]:
-    """Motion of the channel's joint and of those that it depends on, load, time."""
-    result, trace = page.result, page.result.trace
-    name = result.channels[channel]
+def _variable(page: GapPage, channel: int) -> tuple[str, str, FloatArray]:
+    """The variable that the channel's residual depends on most: its name, its unit and its values ``(N,)``."""
+    result, trace, name = page.result, page.result.trace, page.result.channels[channel]
+    variables = {"load": (result.units[channel], trace.load[:, channel]), "time": ("s", elapsed(trace.stamps))}
     others = [entry.depends_on for entry in result.unexplained if is_of(name, entry.joint)]
     for joint in [name, *others]:
         if joint in page.joints:
             column, of = page.joints.index(joint), "" if joint == name else f" of {joint}"
             unit = page.units[column]
-            yield Against(f"position{of}", unit, trace.position[:, column])
-            yield Against(f"velocity{of}", f"{unit}/s", trace.velocity[:, column])
-    yield Against("load", result.units[channel], trace.load[:, channel])
-    yield Against("time", "s", elapsed(trace.stamps))
+            variables[f"position{of}"] = (unit, trace.position[:, column])
+            variables[f"velocity{of}"] = (f"{unit}/s", trace.velocity[:, column])
+    shares = next((vars(entry) for entry in result.located if entry.channel == name), {})
+    unexplained = next((v for other in others for v in (other, f"velocity of {other}") if v in variables), None)
+    chosen = unexplained or max(variables, key=lambda variable: np.nan_to_num(shares.get(variable, 0.0)))
+    return (chosen, *variables[chosen])
 
 
-def _overlay_channels(result: GapResult) -> list[int]:
-    """Measured channels, the worst before first."""
-    order = np.argsort(-np.nan_to_num(result.gap.before), kind="stable")
-    return [int(k) for k in order if np.any(np.isfinite(result.trace.measured[:, k]))][:MOST_DRAWN]
-
-
-def _overlay(page: GapPage, channel: int) -> Picture:
-    result, trace = page.result, page.result.trace
-    new = after_pause(trace.stamps)
-    lines = {key: np.where(new, np.nan, getattr(trace, key)[:, channel]) for key in ("measured", "before", "after")}
-    return overlay_picture(
-        result.channels[channel], result.units[channel], elapsed(trace.stamps), lines, _SECONDS["efforts"]
+def _traces(result: GapResult) -> list[ChannelTrace]:
+    """Measured channels over time, the worst before first."""
+    trace, times = result.trace, elapsed(result.trace.stamps)
+    order = np.argsort(-np.nan_to_num(result.gap.before), kind="stable").tolist()
+    measured = [k for k in order if np.any(np.isfinite(trace.measured[:, k]))][:MOST_DRAWN]
+    kinds = (trace.measured, trace.before, trace.after)
+    return traces(
+        [Series(result.channels[k], result.units[k], times, *(values[:, k] for values in kinds)) for k in measured]
     )
 
 
-def _worst_joints(again: SimulatedAgain) -> list[int]:
+def _worst_joints(again: SimulatedAgain) -> list[Series]:
     """Joints whose simulation was judged, the worst before first."""
     before = again.errors["before"]
-    judged = [index for index, joint in enumerate(again.joints) if joint in before]
-    return sorted(judged, key=lambda index: -before[again.joints[index]])[:MOST_DRAWN]
-
-
-def _motion(again: SimulatedAgain, joint: int) -> Picture:
-    lines = {key: getattr(again, key)[:, joint] for key in ("measured", "before", "after")}
-    return overlay_picture(again.joints[joint], again.units[joint], again.times, lines, _SECONDS[again.kind])
+    judged = [series for series in again.series if series.name in before]
+    return sorted(judged, key=lambda series: -before[series.name])[:MOST_DRAWN]
 
 
 # --- The model file ---

@@ -110,6 +110,15 @@ class Clock:
         return np.interp(times, self.stamps, self.seconds)
 
 
+def elapsed(stamps: IntArray) -> FloatArray:
+    """Seconds since the first stamp [ns], ``(N,)``, without pauses between recordings, one of which may have begun
+    before the one in front of it."""
+    steps = np.diff(stamps) * 1e-9
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    lasting = np.where(_long(steps) | (steps <= 0.0), usual, steps) if len(steps) else steps
+    return np.concatenate([[0.0], np.cumsum(lasting)])[: len(stamps)]
+
+
 def _rms(residuals: FloatArray) -> float:
     finite = residuals[np.isfinite(residuals)]
     return float(np.sqrt(np.mean(finite**2))) if len(finite) else float("nan")

@@ -235,7 +235,7 @@ const labels = [0, 1, 2].map((k) => element({ id: `label${k}` }));
 const parts = { svg, ".area": area, output: readout, ".cursor": cursor };
 const figure = { dataset: { unit: "N m", low: "-2", high: "2", end: "10" },
   querySelector: (selector) => parts[selector], querySelectorAll: () => labels };
-globalThis.document = { querySelectorAll: () => [figure], querySelector: () => back };
+globalThis.document = { querySelectorAll: () => [{ querySelectorAll: () => [figure], querySelector: () => back }] };
 SCRIPT
 told.area.pointermove({ clientX: 200 });
 console.log(readout.textContent);

@@ -15,7 +15,7 @@ from geomid_ros.commands.terminal import lines, number_columns, plain_table, pri
 from geomid_ros.exports.handover import JudgedFile
 from geomid_ros.gap.result import GapResult
 from geomid_ros.report import gap_words
-from geomid_ros.report.simulated_again import SimulatedAgain
+from geomid_ros.report.gap_page import SimulatedAgain
 
 _MOST_CANDIDATES = 8
 _BAR = 24  # characters

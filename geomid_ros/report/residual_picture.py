@@ -1,22 +1,22 @@
-"""The gap report's pictures, each a small panel that a phone shows whole.
+"""Pictures of residuals against a variable, each a small panel that a phone shows whole.
 
-Pictures are SVG in which text stays text, as the content of an ``<img>``: nothing in them is ever executed.
+They are SVG in which text stays text, as the content of an ``<img>``: nothing in them is ever executed.
 """
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from xml.sax.saxutils import escape
 
 import numpy as np
 
-from geomid_ros.report.page import AFTER, BEFORE, MEASURED, dots_path, line_path, ticks
-from geomid_ros.types import BoolArray, FloatArray, IntArray
+from geomid_ros.report.page import AFTER, BEFORE, MEASURED, dots_path, ticks
+from geomid_ros.types import FloatArray
 
 _FLOOR, _GRID, _FRAME = "#e9edf0", "#eceeef", "#c8cbce"
-_WIDTH, _HEIGHT = 310, 194  # [pt]
+_WIDTH = 310  # [pt]
 _ROW = 58  # by which a picture is higher for each of its rows
 _LEFT, _RIGHT, _TOP, _BOTTOM = 53, 12, 22, 33  # margins [pt]
 _FINE = 10  # units of a path to the point
@@ -32,39 +32,20 @@ class Picture:
     address: str
 
 
-@dataclass(frozen=True, eq=False)
-class Against:
-    """What residuals are drawn against: ``values (N,)`` with their name and unit."""
-
-    name: str
-    unit: str
-    values: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class ChannelResiduals:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Residuals:
     """A channel's residuals ``(N,)`` in ``unit``: ``missing`` without the named effects, and their part ``fitted`` by
-    these; ``floor`` is the noise's standard deviation."""
+    these; ``floor`` is the noise's standard deviation. They are drawn against ``values (N,)`` of a ``variable`` in
+    ``variable_unit``."""
 
     channel: str
     unit: str
     missing: FloatArray
     fitted: FloatArray
     floor: float
-
-
-def elapsed(stamps: IntArray) -> FloatArray:
-    """Seconds since the first stamp [ns], pauses between recordings left out, ``(N,)``."""
-    steps = np.diff(stamps) * 1e-9
-    usual = float(np.median(steps)) if len(steps) else 0.0
-    return np.concatenate([[0.0], np.cumsum(np.where(after_pause(stamps)[1:], usual, steps))])[: len(stamps)]
-
-
-def after_pause(stamps: IntArray) -> BoolArray:
-    """Which samples ``(N,)`` follow a pause; so does a recording that began earlier than the one before it."""
-    steps = np.diff(stamps)
-    usual = float(np.median(steps)) if len(steps) else 0.0
-    return np.concatenate([[False], (steps > 5.0 * usual) | (steps <= 0.0)])[: len(stamps)]
+    variable: str
+    variable_unit: str
+    values: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,12 +90,6 @@ class _Panel:
             parts.append(_text(_LEFT + 0.5 * self._width, bottom + 25, below))
         return "".join(parts)
 
-    def line(self, x: FloatArray, y: FloatArray, color: str, width: float, dashes: str) -> str:
-        """A line, broken where it is NaN, so many points wide."""
-        path = line_path(*self.places(x, y))
-        style = f"stroke='{color}' stroke-width='{_FINE * width:.0f}' stroke-dasharray='{dashes}'"
-        return f"<path d='{path}' {style} stroke-linejoin='round'/>"
-
     def dots(self, x: FloatArray, y: FloatArray, color: str) -> str:
         """As many of the points as are seen apart."""
         chosen = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
@@ -130,54 +105,28 @@ class _Panel:
         return f"<rect y='{top:.0f}' width='{_FINE * self._width}' height='{bottom - top:.0f}' fill='{_FLOOR}'/>"
 
 
-def remainder_picture(remainder: ChannelResiduals, against: Against) -> Picture:
-    """What is missing against one variable with what was fitted to it, and below it what is left of it; only the latter
-    where nothing was fitted."""
-    values, fitted = against.values, remainder.fitted
-    rows = [("left", remainder.missing - fitted, MEASURED)]
+def residual_picture(residuals: Residuals) -> Picture:
+    """What is missing with what was fitted to it, and below it what is left of it; only the latter where nothing was
+    fitted."""
+    values, fitted = residuals.values, residuals.fitted
+    rows = [("left", residuals.missing - fitted, MEASURED)]
     left = "the remaining residual"
     if np.any(fitted):
-        rows = [("missing", remainder.missing, BEFORE), *rows]
+        rows = [("missing", residuals.missing, BEFORE), *rows]
         left = f"above, the residual of the model with corrected inertias, and what the findings explain; {left}"
     whole = 144 + _ROW * len(rows)
     height = (whole - _TOP - _BOTTOM + 8.0) / len(rows) - 8.0
-    limits = _limits(np.concatenate([remainder.missing, fitted]), remainder.floor)
-    low, high = _span(values)
-    margin = 0.03 * (high - low)
-    panel = _Panel(top=_TOP, height=height, x=(low - margin, high + margin), y=limits)
+    limits = _limits(np.concatenate([residuals.missing, fitted]), residuals.floor)
+    panel = _Panel(top=_TOP, height=height, x=_span(values), y=limits)
     drawn = []
     for name, own, color in rows:
         is_last = name == "left"
         marks = [panel.dots(values, own, color)] + ([] if is_last else [panel.dots(values, fitted, AFTER)])
-        below = f"{against.name} [{against.unit}]" if is_last else None
-        drawn.append(panel.drawn(marks, f"{name} [{remainder.unit}]", below, panel.band(2.0 * remainder.floor)))
+        below = f"{residuals.variable} [{residuals.variable_unit}]" if is_last else None
+        drawn.append(panel.drawn(marks, f"{name} [{residuals.unit}]", below, panel.band(2.0 * residuals.floor)))
         panel = replace(panel, top=panel.top + height + 8.0)
-    title = f"{remainder.channel} against {against.name}"
+    title = f"{residuals.channel} against {residuals.variable}"
     return _picture(title, f"Residual of {title}: {left}.", whole, drawn)
-
-
-def overlay_picture(
-    name: str, unit: str, times: FloatArray, lines: Mapping[str, FloatArray], seconds: float
-) -> Picture:
-    """Measured, before and after over ``times (N,)`` [s], each ``(N,)`` and broken where it is NaN: at most ``seconds``
-    where they differ most."""
-    shown = _most_telling(times, np.abs(lines["before"] - lines["measured"]), seconds)
-    thinned = slice(shown.start, shown.stop, -(-(shown.stop - shown.start) // _MOST_POINTS))
-    limits = _limits_of(*(lines[key][shown] for key in ("measured", "after", "before")))
-    panel = _Panel(top=_TOP, height=_HEIGHT - _TOP - _BOTTOM, x=_span(times[shown]), y=limits)
-    styles = {"measured": (MEASURED, 2.4, "none"), "before": (BEFORE, 1.4, "56 28"), "after": (AFTER, 1.3, "none")}
-    marks = [panel.line(times[thinned], lines[key][thinned], *style) for key, style in styles.items()]
-    drawn = panel.drawn(marks, f"[{unit}]", "time [s]")
-    return _picture(name, f"{name} over time: measured, before and after.", _HEIGHT, [drawn])
-
-
-def _most_telling(times: FloatArray, error: FloatArray, seconds: float) -> slice:
-    """The stretch of at most ``seconds`` in which the error's square has the largest sum."""
-    ends = np.searchsorted(times, times + seconds)
-    total = np.concatenate([[0.0], np.cumsum(np.nan_to_num(error) ** 2)])
-    whole = max(int(np.searchsorted(times, times[-1] - seconds, side="right")), 1)
-    start = int(np.argmax((total[ends] - total[: len(times)])[:whole]))
-    return slice(start, int(ends[start]))
 
 
 def _limits(values: FloatArray, floor: float) -> tuple[float, float]:
@@ -189,25 +138,12 @@ def _limits(values: FloatArray, floor: float) -> tuple[float, float]:
     return float(low - margin), float(high + margin)
 
 
-def _limits_of(measured: FloatArray, after: FloatArray, before: FloatArray) -> tuple[float, float]:
-    """All of what was measured and comes after, and of what came before as much as leaves the rest to be seen."""
-    low, high = (float(limit) for limit in _ends(np.concatenate([measured, after])))
-    span = high - low or 1.0
-    first, last = _ends(before)
-    low, high = min(low, max(float(first), low - span)), max(high, min(float(last), high + span))
-    return low - 0.06 * (high - low), high + 0.06 * (high - low)
-
-
-def _ends(values: FloatArray) -> FloatArray:
-    """The smallest and the largest of the numbers among values."""
-    finite = values[np.isfinite(values)]
-    return np.array([finite.min(), finite.max()]) if len(finite) else np.zeros(2)
-
-
 def _span(values: FloatArray) -> tuple[float, float]:
-    """From the smallest to the largest of the numbers among values, with some distance where they are alike."""
-    low, high = map(float, _ends(values))
-    return (low, high) if high - low > 1e-9 * max(abs(low), abs(high), 1e-3) else (low - 1e-3, high + 1e-3)
+    """From the smallest to the largest of the numbers among values, and a margin."""
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
+    margin = max(0.03 * (high - low), 1e-3 * max(abs(low), abs(high), 1.0))
+    return low - margin, high + margin
 
 
 def _text(x: float, y: float, text: str, anchor: str = "middle") -> str:
