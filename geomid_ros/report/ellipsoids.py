@@ -13,14 +13,6 @@ import numpy as np
 from geomid_ros.report.page import round_step
 from geomid_ros.types import FloatArray
 
-_LARGE, _SMALL, _FAR, ABSENT = "▲", "▼", "◆", "✕"
-MARKS = {
-    _LARGE: "larger than drawn (dashed)",
-    _SMALL: "smaller than drawn (dashed)",
-    _FAR: "farther away than drawn (dashed)",
-    ABSENT: "not drawn: not finite",
-}
-
 
 @dataclass(frozen=True, eq=False)
 class Ellipsoid:
@@ -33,6 +25,11 @@ class Ellipsoid:
     semi_axes: FloatArray
     axes: FloatArray
     mass: float
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether it can be drawn."""
+        return all(np.all(np.isfinite(part)) for part in (self.centre, self.semi_axes, self.axes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,71 +71,32 @@ class View:
         return self.rotation @ (body.axes * body.semi_axes)
 
 
-@dataclass(frozen=True, eq=False)
-class Drawn:
-    """A body as drawn: with sizes and places that can be seen, and marks where they differ from the true ones."""
-
-    number: int
-    body: BodyDrawing
-    prior_marks: str
-    identified_marks: str
-
-    @property
-    def marks(self) -> str:
-        """All of them, each once."""
-        return "".join(mark for mark in MARKS if mark in self.prior_marks + self.identified_marks)
-
-
-def made_visible(bodies: Sequence[BodyDrawing]) -> list[Drawn]:
-    """The bodies as drawn, numbered from one."""
-    limit = _limit(bodies)
-    drawn = []
-    for number, body in enumerate(bodies, start=1):
-        prior, prior_marks = _fitted(body.prior, body.origin, limit)
-        identified, marks = _fitted(body.identified, body.origin, limit)
-        drawn.append(Drawn(number, replace(body, prior=prior, identified=identified), prior_marks, marks))
-    return drawn
-
-
-def _limit(bodies: Sequence[BodyDrawing]) -> float:
-    """Longest semi-axis, and distance from its link's origin, that an ellipsoid is drawn with [m].
-
-    In proportion to the robot, or to most of its bodies where the frames lie close together.
-    """
-    joints = stick_ends(bodies)
-    robot = float(np.linalg.norm(np.ptp(joints, axis=0)))
+def reach_of(bodies: Sequence[BodyDrawing]) -> float:
+    """How far from its link's origin a body may reach [m] that the picture has room for: in proportion to the robot, or
+    to most of its bodies where the frames lie close together."""
+    robot = float(np.linalg.norm(np.ptp(stick_ends(bodies), axis=0)))
     reaches = [np.linalg.norm(body.prior.centre - body.origin) + np.max(body.prior.semi_axes) for body in bodies]
     finite = [reach for reach in reaches if np.isfinite(reach)]
-    return max(0.5 * robot, 1.5 * float(np.median(finite)) if finite else 0.0) or 1.0
+    return max(robot, 3.0 * float(np.median(finite)) if finite else 0.0) or 1.0
+
+
+def thickened(body: BodyDrawing, least: float) -> BodyDrawing:
+    """The body with semi-axes of ``least`` [m] or more, which can be seen."""
+    prior, identified = (
+        replace(solid, semi_axes=np.maximum(np.abs(solid.semi_axes), least)) for solid in (body.prior, body.identified)
+    )
+    return replace(body, prior=prior, identified=identified)
+
+
+def solids_within(bodies: Sequence[BodyDrawing], reach: float) -> list[Ellipsoid]:
+    """The ellipsoids that reach no farther from their link's origin [m]."""
+    pairs = [(body.origin, solid) for body in bodies for solid in (body.prior, body.identified)]
+    return [s for origin, s in pairs if np.linalg.norm(s.centre - origin) + np.max(s.semi_axes) <= reach]
 
 
 def stick_ends(bodies: Sequence[BodyDrawing]) -> FloatArray:
     """Where sticks begin and end, ``(K, 3)`` [m]."""
     return np.array([end for body in bodies for end in (body.parent_origin, body.origin) if end is not None])
-
-
-def _fitted(body: Ellipsoid, origin: FloatArray, limit: float) -> tuple[Ellipsoid, str]:
-    """The ellipsoid in a size and place that the picture can show, and the marks of the difference."""
-    if not all(np.all(np.isfinite(part)) for part in (body.centre, body.semi_axes, body.axes)):
-        return body, ABSENT
-    marks, centre, semi_axes = "", body.centre, np.abs(body.semi_axes)
-    distance, largest = float(np.linalg.norm(centre - origin)), float(np.max(semi_axes))
-    if distance > limit:
-        marks += _FAR
-        centre = origin + (centre - origin) * limit / distance
-    if largest > limit:
-        marks += _LARGE
-        semi_axes = semi_axes * limit / largest
-    elif largest < 0.01 * limit:
-        marks += _SMALL
-        semi_axes = np.full(3, 0.01 * limit)
-    return replace(body, centre=centre, semi_axes=np.maximum(semi_axes, 1e-3 * limit)), marks
-
-
-def solids_of(drawn: Sequence[Drawn]) -> list[Ellipsoid]:
-    """All ellipsoids that are drawn."""
-    pairs = [(d.body.prior, d.prior_marks) for d in drawn] + [(d.body.identified, d.identified_marks) for d in drawn]
-    return [solid for solid, marks in pairs if marks != ABSENT]
 
 
 def view_of(points: FloatArray) -> View:

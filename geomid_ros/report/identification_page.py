@@ -10,7 +10,7 @@ from typing import Any
 
 from geomid_ros.estimation.estimate import LinkEstimate
 from geomid_ros.files.models.estimate_file import EstimateFile, HandoverEntry
-from geomid_ros.model.effects import Quantity
+from geomid_ros.model.effects import Quantity, effect_class
 from geomid_ros.report import identification_words
 from geomid_ros.report.gap_words import percent
 from geomid_ros.report.page import Bars, Script, number, ticks, write_page
@@ -72,8 +72,11 @@ def write_identification_page(path: Path, page: IdentificationPage) -> None:
         "open": [link for link in links if link.cannot_tell or link.outlier],
         "cannot_tell": identification_words.cannot_tell,
         "telling": {name: identification_words.telling(motions) for name, motions in page.file.telling.items()},
-        "weak": [effect for effect in effects if effect.from_data < identification_words.WEAK],
-        "to_tell": identification_words.tells_effect,
+        "weak": [
+            (effect, effect_class(effect.name).settled_by)
+            for effect in effects
+            if effect.from_data < identification_words.WEAK
+        ],
         "traces": traces([channel for channel in page.series if isinstance(channel, Series)]),
         "script": Script.read(SCRIPT),
     }

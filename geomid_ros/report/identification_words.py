@@ -6,24 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 
 from geomid_ros.checks.verdict import USABLE, Verdict
-from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, LinkEstimate
+from geomid_ros.estimation.estimate import QUANTITIES, LinkEstimate
 from geomid_ros.report.series import ChannelFit
 
 WEAK = 0.5
 """Share of an effect's uncertainty: less that the data removed is little."""
 
 _GROUPS = (("c", "centre of mass"), ("I", "inertia"))
-_ALONE = "this joint alone, back and forth,"
-_TELLS = {
-    "viscous": f"{_ALONE} at several constant speeds, slow to fast",
-    "coulomb": f"{_ALONE} at several constant speeds, slow to fast",
-    "quadratic": f"{_ALONE} at several constant speeds, up to the fastest",
-    "stribeck": f"{_ALONE} at very low constant speeds",
-    "rotor": f"{_ALONE} with large accelerations",
-    "effort": f"{_ALONE} through the same positions in both directions",
-    "load": "the same motion with and without a known payload",
-    "wrench": "static poses in all orientations of the sensor; for a force plate, a scale (--known total=MASS:STD)",
-}
 
 
 def uses(verdict: Verdict, links: Sequence[LinkEstimate], series: Sequence[ChannelFit], held_out: bool) -> list[str]:
@@ -88,11 +77,6 @@ def grouped(quantities: Sequence[str]) -> str:
         found = [quantity for quantity in group if quantity in quantities]
         parts += [name] if len(found) == len(group) else found
     return ", ".join(parts)
-
-
-def tells_effect(effect: EffectEstimate) -> str:
-    """The motion that would tell an effect."""
-    return _TELLS.get(effect.name.partition("_")[0], f"{_ALONE} slow and fast, over its whole range")
 
 
 def telling(motions: Mapping[str, Sequence[str]]) -> list[str]:

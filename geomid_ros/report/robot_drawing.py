@@ -16,22 +16,21 @@ from matplotlib.ticker import PercentFormatter
 from matplotlib.transforms import Affine2D
 
 from geomid_ros.report.ellipsoids import (
-    ABSENT,
-    MARKS,
     BodyDrawing,
-    Drawn,
     View,
     bounds,
     circle,
     floor_below,
     half_widths,
-    made_visible,
     outline,
-    solids_of,
+    reach_of,
+    solids_within,
     stick_ends,
+    thickened,
     view_of,
 )
-from geomid_ros.report.page import NONE, number
+from geomid_ros.report.page import NONE
+from geomid_ros.report.page import number as written
 from geomid_ros.report.sheet import FAINT, INK, ROBOT, URDF, Place, add_area, add_axes, add_text, shortened
 from geomid_ros.types import FloatArray
 
@@ -39,52 +38,56 @@ Color: TypeAlias = tuple[float, float, float]
 
 MOST_ROWS = 30  # of the table of links
 
-_TABLE_WIDTH, _ROW = 3.9, 0.28  # [inch]
+_TABLE_WIDTH, _ROW, _KEY_HEIGHT = 3.9, 0.28, 1.15  # [inch]
+_THINNEST = 1e-3  # semi-axis that is drawn, as a share of the robot's size
 _BADGE = 0.1  # radius of a link's number in the picture [inch]
 # For the colour-blind: a scale that darkens steadily.
 _SHARES = LinearSegmentedColormap.from_list("share", ["#dcdcd8", "#9ad3c4", "#41b0c4", "#1d70b2", "#1f2a80"])
 
 
 def draw_bodies(figure: Figure, bodies: Sequence[BodyDrawing]) -> None:
-    """Draw the robot, its table and their key into their place."""
-    drawn = made_visible(bodies)
-    visible, solids = [d.body for d in drawn], solids_of(drawn)
-    points = np.vstack([stick_ends(visible), *(solid.centre for solid in solids)])
+    """Draw the robot, its table and their key into their place.
+
+    Bodies that reach too far to leave room for the others are cut off at the picture's edge.
+    """
+    reach = reach_of(bodies)
+    bodies = [thickened(body, _THINNEST * reach) for body in bodies]
+    solids = solids_within(bodies, reach)
+    points = np.vstack([stick_ends(bodies), *(solid.centre for solid in solids)])
     view = view_of(points)
     floor, step = floor_below(points, solids)
     low, high = bounds(view, np.vstack([points, floor.reshape(-1, 3)]), solids)
-    robot, table, key = _layout(high - low, drawn)
+    robot, table, key = _layout(high - low, len(bodies))
     axes, inch = _robot_axes(figure, robot, low, high)
     _draw_floor(axes, view, floor)
     _draw_compass(axes, view, inch, f"floor grid {step:g} m")
-    _draw_sticks(axes, view, visible)
-    for d in drawn:
-        if d.identified_marks != ABSENT:
-            _draw_identified(axes, view, d)
-        if d.prior_marks != ABSENT:
-            _draw_prior(axes, view, d)
-    _draw_badges(axes, view, drawn, inch)
-    _draw_table(add_area(figure, table), drawn)
-    _draw_key(figure, key, drawn)
+    _draw_sticks(axes, view, bodies)
+    for body in bodies:
+        if body.identified.is_finite:
+            _draw_identified(axes, view, body)
+        if body.prior.is_finite:
+            _draw_prior(axes, view, body)
+    _draw_badges(axes, view, bodies, inch)
+    _draw_table(add_area(figure, table), bodies)
+    _draw_key(figure, key)
 
 
-def _layout(extent: FloatArray, drawn: Sequence[Drawn]) -> tuple[Place, Place, Place]:
+def _layout(extent: FloatArray, links: int) -> tuple[Place, Place, Place]:
     """Places of the robot, of the table and of the key: table beside or below, whichever lets the robot be larger.
 
     ``extent (2,)``: of the robot on the picture [m].
     """
     left, top, width, height = ROBOT
-    key_height = 1.15 + 0.21 * len(_marks_present(drawn))
-    table_height = 0.32 + _ROW * (min(len(drawn), MOST_ROWS) + (len(drawn) > MOST_ROWS))
+    table_height = 0.32 + _ROW * (min(links, MOST_ROWS) + (links > MOST_ROWS))
     beside = (left, top, width - _TABLE_WIDTH - 0.1, height)
-    below = (left, top, width, height - max(table_height, key_height) - 0.35)
+    below = (left, top, width, height - max(table_height, _KEY_HEIGHT) - 0.35)
     if _scale(below, extent) > _scale(beside, extent):
         bottom = top + height
-        table = (left + 0.3, bottom - max(table_height, key_height), _TABLE_WIDTH, table_height)
-        return below, table, (left + width - _TABLE_WIDTH, table[1], _TABLE_WIDTH, key_height)
+        table = (left + 0.3, bottom - max(table_height, _KEY_HEIGHT), _TABLE_WIDTH, table_height)
+        return below, table, (left + width - _TABLE_WIDTH, table[1], _TABLE_WIDTH, _KEY_HEIGHT)
     column = left + width - _TABLE_WIDTH
-    table_height = min(table_height, height - key_height - 0.3)
-    key = (column, top + table_height + 0.3, _TABLE_WIDTH, key_height)
+    table_height = min(table_height, height - _KEY_HEIGHT - 0.3)
+    key = (column, top + table_height + 0.3, _TABLE_WIDTH, _KEY_HEIGHT)
     return beside, (column, top, _TABLE_WIDTH, table_height), key
 
 
@@ -128,12 +131,12 @@ def _draw_sticks(axes: Axes, view: View, bodies: Sequence[BodyDrawing]) -> None:
     axes.plot(*view.flat(stick_ends(bodies)).T, "o", ms=5.5, mfc="white", mec="#3c4043", mew=1.3, zorder=2.1)
 
 
-def _draw_identified(axes: Axes, view: View, d: Drawn) -> None:
+def _draw_identified(axes: Axes, view: View, body: BodyDrawing) -> None:
     """A shaded, translucent ellipsoid in the colour of its share from data.
 
     With the view's part of the sphere map ``U S V^T``, the unit disk under ``U S`` is the outline.
     """
-    solid, color = d.body.identified, _SHARES(_share(d.body.from_data))[:3]
+    solid, color = body.identified, _SHARES(_share(body.from_data))[:3]
     sphere_map = view.sphere_map(solid)
     turn, stretch, back = np.linalg.svd(sphere_map[:2])
     outline = np.vstack([np.column_stack([turn * stretch, view.flat(solid.centre)]), (0.0, 0.0, 1.0)])
@@ -144,9 +147,8 @@ def _draw_identified(axes: Axes, view: View, d: Drawn) -> None:
     image.set_transform(to_sheet)
     image.set_clip_path(Circle((0.0, 0.0), 1.0, transform=to_sheet))
     axes.add_artist(image)
-    width, style = (1.3, "--") if d.identified_marks else (0.9, "-")
     edge = tuple(0.6 * np.array(color))
-    axes.add_artist(Circle((0.0, 0.0), 1.0, transform=to_sheet, fill=False, ec=edge, lw=width, ls=style, zorder=order))
+    axes.add_artist(Circle((0.0, 0.0), 1.0, transform=to_sheet, fill=False, ec=edge, lw=0.9, zorder=order))
 
 
 def _shaded_disk(sphere_map: FloatArray, back: FloatArray, color: Color) -> FloatArray:
@@ -167,37 +169,35 @@ def _shaded_disk(sphere_map: FloatArray, back: FloatArray, color: Color) -> Floa
     return np.concatenate([np.clip(np.array(color) * bright, 0.0, 1.0), alpha], axis=-1)
 
 
-def _draw_prior(axes: Axes, view: View, d: Drawn) -> None:
+def _draw_prior(axes: Axes, view: View, body: BodyDrawing) -> None:
     """Outline and principal sections of the URDF's ellipsoid."""
-    solid = d.body.prior
-    sphere_map = view.sphere_map(solid)
-    centre = view.flat(solid.centre)[:, None]
-    style = (0, (4, 2)) if d.prior_marks else "-"
-    axes.plot(*(centre + outline(sphere_map)), color=URDF, lw=1.1, ls=style, zorder=1.6)
+    sphere_map = view.sphere_map(body.prior)
+    centre = view.flat(body.prior.centre)[:, None]
+    axes.plot(*(centre + outline(sphere_map)), color=URDF, lw=1.1, zorder=1.6)
     for k in range(3):
         section = np.delete(sphere_map[:2], k, axis=1) @ circle()
         axes.plot(*(centre + section), color=URDF, lw=0.55, alpha=0.9, zorder=1.6)
 
 
-def _draw_badges(axes: Axes, view: View, drawn: Sequence[Drawn], inch: float) -> None:
+def _draw_badges(axes: Axes, view: View, bodies: Sequence[BodyDrawing], inch: float) -> None:
     """Each body's number at its centre, or beside it where it would hide the body or another number."""
-    shown = [d.identified_marks != ABSENT for d in drawn]
-    anchors = [d.body.identified.centre if s else d.body.origin for d, s in zip(drawn, shown, strict=True)]
-    at = view.flat(np.array(anchors)) / inch
-    small = [s and max(half_widths(view, d.body.identified)) < _BADGE * inch for d, s in zip(drawn, shown, strict=True)]
+    anchors = [body.identified.centre if body.identified.is_finite else body.origin for body in bodies]
+    low, high = np.transpose([axes.get_xlim(), axes.get_ylim()]) / inch
+    at = np.clip(view.flat(np.array(anchors)) / inch, low + _BADGE, high - _BADGE)
+    small = [np.max(half_widths(view, body.identified)) < _BADGE * inch for body in bodies]
     places = _spread(at + np.outer(small, (2.5 * _BADGE, _BADGE)), 2.3 * _BADGE)
-    for d, anchor, place in zip(drawn, at * inch, places * inch, strict=True):
+    for number, (body, anchor, place) in enumerate(zip(bodies, at * inch, places * inch, strict=True), 1):
         if np.linalg.norm(place - anchor) > 0.5 * _BADGE * inch:
             axes.plot(*np.transpose([anchor, place]), color=INK, lw=0.7, zorder=3.0)
             axes.plot(*anchor, "o", ms=2.5, color=INK, zorder=3.0)
-        _draw_badge(axes, place[0], place[1], d, inch)
+        _draw_badge(axes, place[0], place[1], number, body, inch)
 
 
-def _draw_badge(axes: Axes, x: float, y: float, d: Drawn, inch: float) -> None:
+def _draw_badge(axes: Axes, x: float, y: float, number: int, body: BodyDrawing, inch: float) -> None:
     """A link's number on its colour; ``inch`` in the axes' coordinates."""
-    color = _SHARES(_share(d.body.from_data))[:3]
+    color = _SHARES(_share(body.from_data))[:3]
     axes.add_artist(Circle((x, y), _BADGE * inch, fc=color, ec="white", lw=1.0, zorder=4.0))
-    add_text(axes, x, y, str(d.number), 7.5, _ink_on(color), weight="bold", ha="center", va="center_baseline")
+    add_text(axes, x, y, str(number), 7.5, _ink_on(color), weight="bold", ha="center", va="center_baseline")
 
 
 def _spread(points: FloatArray, distance: float) -> FloatArray:
@@ -214,41 +214,36 @@ def _spread(points: FloatArray, distance: float) -> FloatArray:
     return places
 
 
-def _draw_table(area: Axes, drawn: Sequence[Drawn]) -> None:
-    shown = _listed(drawn)
-    hidden = len(drawn) - len(shown)
+def _draw_table(area: Axes, bodies: Sequence[BodyDrawing]) -> None:
+    most = sorted(enumerate(bodies, 1), key=lambda numbered: -_share(numbered[1].from_data))[:MOST_ROWS]
+    shown = sorted(most, key=lambda numbered: numbered[0])
+    hidden = len(bodies) - len(shown)
     for x, text, ha in ((0.0, "link", "left"), (2.74, "mass [kg]", "right"), (_TABLE_WIDTH, "from data", "right")):
         add_text(area, x, 0.06, text, 9.5, FAINT, ha=ha)
     area.plot([0.0, _TABLE_WIDTH], [0.22, 0.22], color="#c8cbce", lw=0.8)
     row = (area.get_ylim()[0] - 0.32) / (len(shown) + (hidden > 0))
-    for k, d in enumerate(shown):
-        _draw_row(area, 0.32 + (k + 0.5) * row, d)
+    for k, (number, body) in enumerate(shown):
+        _draw_row(area, 0.32 + (k + 0.5) * row, number, body)
     if hidden:
         add_text(area, 0.32, 0.32 + (len(shown) + 0.5) * row, f"and {hidden} with less from data", 9.0, FAINT)
 
 
-def _listed(drawn: Sequence[Drawn]) -> list[Drawn]:
-    most = sorted(drawn, key=lambda d: -_share(d.body.from_data))[:MOST_ROWS]
-    return sorted(most, key=lambda d: d.number)
-
-
-def _draw_row(area: Axes, y: float, d: Drawn) -> None:
-    share = _share(d.body.from_data)
+def _draw_row(area: Axes, y: float, number: int, body: BodyDrawing) -> None:
+    share = _share(body.from_data)
     color = _SHARES(share)[:3]
-    name = f"{shortened(d.body.name, 1.3 - 0.16 * len(d.marks), 9.0)} {d.marks}"
-    _draw_badge(area, _BADGE, y, d, 1.0)
-    add_text(area, 0.28, y, name, 9.0)
-    add_text(area, 2.05, y, number(d.body.prior.mass), 9.5, FAINT, ha="right")
+    _draw_badge(area, _BADGE, y, number, body, 1.0)
+    add_text(area, 0.28, y, shortened(body.name, 1.3, 9.0), 9.0)
+    add_text(area, 2.05, y, written(body.prior.mass), 9.5, FAINT, ha="right")
     add_text(area, 2.17, y, "→", 9.5, FAINT, ha="center")
-    add_text(area, 2.74, y, number(d.body.identified.mass), 9.5, weight="bold", ha="right")
+    add_text(area, 2.74, y, written(body.identified.mass), 9.5, weight="bold", ha="right")
     area.add_artist(Rectangle((2.92, y - 0.055), 0.5, 0.11, fc="#eceeef", lw=0.0))
     area.add_artist(Rectangle((2.92, y - 0.055), 0.5 * share, 0.11, fc=color, lw=0.0))
-    percent = f"{100.0 * d.body.from_data:.0f} %" if np.isfinite(d.body.from_data) else NONE
+    percent = f"{100.0 * body.from_data:.0f} %" if np.isfinite(body.from_data) else NONE
     add_text(area, _TABLE_WIDTH, y, percent, 9.5, ha="right")
 
 
-def _draw_key(figure: Figure, place: Place, drawn: Sequence[Drawn]) -> None:
-    """What the ellipsoids mean, the colour bar, and the marks that occur."""
+def _draw_key(figure: Figure, place: Place) -> None:
+    """What the ellipsoids mean, and the colour bar."""
     area = add_area(figure, place)
     add_text(area, 0.0, 0.06, "Ellipsoids: uniform bodies of the same mass and inertia", 9.0, FAINT)
     area.add_artist(Circle((0.1, 0.35), 0.09, fill=False, ec=URDF, lw=1.1))
@@ -260,12 +255,6 @@ def _draw_key(figure: Figure, place: Place, drawn: Sequence[Drawn]) -> None:
     colorbar = figure.colorbar(scale, cax=bar, orientation="horizontal", format=PercentFormatter(1.0, symbol=" %"))
     colorbar.outline.set_visible(False)
     bar.tick_params(labelsize=8.5, color=FAINT, length=2.5)
-    for k, mark in enumerate(_marks_present(drawn)):
-        add_text(area, 0.0, 1.2 + 0.21 * k, f"{mark} {MARKS[mark]}", 8.5, FAINT)
-
-
-def _marks_present(drawn: Sequence[Drawn]) -> list[str]:
-    return [mark for mark in MARKS if any(mark in d.marks for d in drawn)]
 
 
 def _share(from_data: float) -> float:

@@ -127,7 +127,9 @@ def test_what_it_is_good_for(plain: Page, tmp_path: Path) -> None:
 def test_what_would_tell_what_was_not_told(plain: Page) -> None:
     motions = f"com x: {POSES} Ixx: {FAST} Ixy: none of the simulated motions"
     assert f"link joint1 centre of mass, inertia {motions}" in plain.text
-    assert "Coulomb friction at joint1 this joint alone, back and forth, at several constant speeds" in plain.text
+    assert (
+        "Coulomb friction at joint1 slow motion of this joint, back and forth at several constant speeds" in plain.text
+    )
 
 
 def test_marks_of_masses_are_to_scale(plain: Page) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +12,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from geomid_ros.errors import GeomidError
-from geomid_ros.report import ellipsoids, sheet
+from geomid_ros.report import sheet
 from geomid_ros.report.drawing import identification_figure
 from geomid_ros.report.ellipsoids import BodyDrawing, Ellipsoid
 from geomid_ros.report.series import Series
@@ -128,19 +127,19 @@ def test_table_has_name_masses_and_share() -> None:
         assert expected in said
 
 
-def extents(bodies: list[BodyDrawing]) -> Iterator[float]:
-    for d in ellipsoids.made_visible(bodies):
-        yield float(np.max(d.body.identified.semi_axes))
-
-
-def test_huge_tiny_and_far_bodies_are_marked_and_do_not_ruin_the_view() -> None:
+def test_huge_tiny_and_far_bodies_do_not_ruin_the_view(tmp_path: Path) -> None:
+    """The robot takes as much of the picture as without them, and each has its number inside."""
     bodies = chain(6)
-    for index, (size, far, mark) in enumerate(((3.0, 0.0, "▲"), (1e-5, 0.0, "▼"), (0.1, 50.0, "◆"))):
+    for index, (size, far) in enumerate(((3.0, 0.0), (1e-5, 0.0), (0.1, 50.0))):
         body = bodies[index].identified
         changed = replace(body, semi_axes=np.full(3, size), centre=body.centre + far, mass=1000.0)
         bodies[index] = replace(bodies[index], identified=changed)
-        assert ellipsoids.made_visible(bodies)[index].marks == mark
-    points = np.array([d.body.identified.centre for d in ellipsoids.made_visible(bodies)])
-    assert np.max(np.abs(points)) < 2.5
-    assert 0.005 < min(extents(bodies)) < max(extents(bodies)) < 1.0
-    assert [d.marks for d in ellipsoids.made_visible(chain(6))] == 6 * [""]
+    usual, changed_figure = drawn(chain(6), []), drawn(bodies, [])
+    spans = [np.ptp(figure.axes[0].get_ylim()) for figure in (usual, changed_figure)]
+    assert spans[1] < 1.2 * spans[0]
+    robot = changed_figure.axes[0]
+    numbers = {text.get_text(): text.get_position() for text in robot.texts}
+    for number in "123456":
+        assert robot.get_ylim()[0] <= numbers[number][1] <= robot.get_ylim()[1]
+    write_picture(tmp_path / "p.png", changed_figure)
+    assert is_whole_picture(tmp_path / "p.png")
