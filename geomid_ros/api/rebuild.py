@@ -16,7 +16,6 @@ from geomid_ros.files.models.gap_file import Errors, GapFile, read_gap
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.report.gap_page import GapPage, Kind, SimulatedAgain, write_gap_page
 from geomid_ros.report.identification_page import IdentificationPage, write_identification_page
-from geomid_ros.report.series import SavedFit
 
 _GAP, _ESTIMATE, _PAGE = "gap.json", "estimate.json", "report.html"
 
@@ -53,7 +52,7 @@ def rebuild_report(folder: PathLike, *, out: PathLike | None = None) -> list[Pat
         if missing := [key for key in OF_PAGE if key not in estimate.document]:
             raise InputError(f"{missing[0]} is not given")
         found = tables(estimate.document)
-        write_identification_page(page, _identification_page(estimate))
+        write_identification_page(page, IdentificationPage(estimate))
     return [page, *write_tables(target, found)]
 
 
@@ -67,11 +66,6 @@ def _needed(path: Path, command: str) -> Iterator[None]:
             f"{path}: lacks what its page needs ({str(error).removeprefix(f'{path}: ')}): it was not written by "
             f"'{command}', or by an earlier version; run '{command}' again"
         ) from error
-
-
-def _identification_page(file: EstimateFile) -> IdentificationPage:
-    fits = [SavedFit(row.channel, row.unit, (row.urdf, row.identified)) for row in file.channels]
-    return IdentificationPage(file, fits)
 
 
 def _gap_page(file: GapFile) -> GapPage:

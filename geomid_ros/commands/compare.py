@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 import geomid_ros
 from geomid_ros.commands.options import OUT, PATH, robot_options
+from geomid_ros.commands.terminal import plain_table, print_remarks, progress_bar, results_console, say
+
+if TYPE_CHECKING:
+    from geomid_ros.api.compare import Comparison
 
 
 @click.command()
@@ -32,8 +36,6 @@ def compare(out: Path, as_json: bool, **options: Any) -> None:
     intervals, and the errors of both side by side; writes all of it as compare.html. The exit status is that of the
     worse verdict of the two.
     """
-    from geomid_ros.commands.results.tables import show_comparison
-    from geomid_ros.commands.terminal import progress_bar
 
     with progress_bar() as progress:
         found = geomid_ros.compare(progress=progress, **options)
@@ -41,6 +43,30 @@ def compare(out: Path, as_json: bool, **options: Any) -> None:
     if as_json:
         click.echo(json.dumps(found.document, indent=2))
     else:
-        show_comparison(found)
+        _show(found)
         click.echo(f"\nWritten: {page}")
     sys.exit(found.status)
+
+
+def _show(found: Comparison) -> None:
+    """Print whether the results differ, and a table of what differs and of the errors of both."""
+    from geomid_ros.report.plain_pages import error, row, verdict
+
+    console = results_console()
+    print_remarks(console, {"DOUBTFUL": found.doubts, "Note": found.notes})
+    for number, path in enumerate((found.first, found.second), 1):
+        say(console, f"{number}:", f" {path}")
+    say(console, "", verdict(found.compared))
+    table = plain_table("", ["where", "parameter"], ["1", "2", "difference"])
+    for difference in found.differing:
+        table.add_row(*row(difference))
+    table.add_section()
+    for channel in found.errors:
+        unit = f" [{channel.unit}]" if channel.unit else ""
+        table.add_row(channel.name, f"RMS error{unit}", error(channel.first), error(channel.second), "")
+    console.print(table)
+    say(console, "±:", " the 95 % interval of a value, the joint 95 % interval of a difference")
+    if found.errors:
+        say(console, "RMS errors:", f" on {found.judged_on}")
+    for name in found.compared.not_compared:
+        say(console, "Not compared:", f" {name}, identified together with other links in the second")

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
 import geomid_ros
 from geomid_ros.commands.options import PATH, Output, description_options
+from geomid_ros.commands.terminal import plain_table, print_remarks, results_console
+
+if TYPE_CHECKING:
+    from geomid_ros.api.feedforward import Feedforward
 
 
 @click.command()
@@ -46,9 +51,21 @@ def feedforward(out: Path, **options: Any) -> None:
     joint_trajectory_controller does. The motion stays what it is; points are added on it where the efforts need them.
     Refuses a trajectory that takes more effort than the URDF allows, and a model whose verdict is not 'usable'.
     """
-    from geomid_ros.commands.results.tables import show_feedforward
 
     found = geomid_ros.feedforward(**options)
     found.save(out)
-    show_feedforward(found)
+    _show(found)
     click.echo(f"\nWritten: {out}")
+
+
+def _show(found: Feedforward) -> None:
+    """Print notes, and the efforts of each joint of a trajectory."""
+    console, trajectory = results_console(), found.trajectory
+    print_remarks(console, {"Note": found.notes})
+    console.print(f"{trajectory.duration:g} s, {len(trajectory.times)} points ({found.given} were given)")
+    headings = ["RMS", "largest", "limit", "interpolation error"]
+    table = plain_table("Efforts of the motors [N m, N]", ["joint"], headings)
+    rms = np.sqrt(np.mean(trajectory.efforts**2, axis=0))
+    for joint, *numbers in zip(trajectory.joints, rms, found.largest, found.limits, found.errors, strict=True):
+        table.add_row(joint, *(f"{number:.4g}" if np.isfinite(number) else "-" for number in numbers))
+    console.print(table)

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from geomid_ros.commands.options import OUT, robot_options
+from geomid_ros.commands.terminal import lines, plain_table, print_remarks, progress_bar, results_console
+
+if TYPE_CHECKING:
+    from geomid_ros.api.fleet import FleetIdentification
 
 
 @click.command()
@@ -42,10 +46,31 @@ def fleet(bags: str, out: Path, **options: Any) -> None:
     bad bags. 'geomid identify --prior' starts a new robot from population.json.
     """
     from geomid_ros.api.fleet import identify_fleet
-    from geomid_ros.commands.results.tables import show_fleet
-    from geomid_ros.commands.terminal import progress_bar
 
     with progress_bar() as progress:
         found = identify_fleet(bags, out=out, progress=progress, **options)
-    show_fleet(found)
+    _show(found)
     sys.exit(found.status)
+
+
+def _show(found: FleetIdentification) -> None:
+    """Print a table of the robots, and the bags that were bad."""
+    console = results_console()
+    table = plain_table(f"{len(found.lines)} robots", ["robot"], ["bags", "mass [kg]", "distance"])
+    for heading in ("verdict", "differs from the others", "changed"):
+        table.add_column(heading)
+    for line in found.lines:
+        numbers = ("" if number is None else f"{number:.2f}" for number in (line.mass, line.distance))
+        remarks = (line.verdict, lines(line.unlike), lines(line.changed))
+        table.add_row(line.name, f"{line.used} of {line.bags}", *numbers, *remarks)
+    console.print(table)
+    for line in found.lines:
+        print_remarks(console, {line.name: line.reasons})
+    print_remarks(
+        console,
+        {
+            "Bad bag": [why if bag in why else f"{bag}: {why}" for bag, why in found.bad],
+            "Doubtful bag": [f"{bag}: {what}" for bag, what in found.doubtful],
+        },
+    )
+    console.print(f"\nWritten: {', '.join(map(str, found.files))}")

@@ -5,13 +5,17 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 import geomid_ros
 from geomid_ros.commands.options import PATH, robot_options
+from geomid_ros.commands.terminal import plain_table, print_verdict, progress_bar, results_console
 from geomid_ros.exports.formats import CONTROLLERS
+
+if TYPE_CHECKING:
+    from geomid_ros.exports.weighed_payload import Payload
 
 
 @click.command()
@@ -35,13 +39,30 @@ def payload(empty: Path, loaded: Path, controller: str | None, as_json: bool, **
     move. Instead of a recording, EMPTY may be the estimate.json of an earlier 'geomid identify' without the payload.
     Prints mass, centre of mass and inertia in the axes of the flange, with the 95 % interval of the mass.
     """
-    from geomid_ros.commands.results.tables import show_payload
-    from geomid_ros.commands.terminal import progress_bar
 
     with progress_bar() as progress:
         found = geomid_ros.weigh_payload(empty, loaded, progress=progress, **options)
     if as_json:
         click.echo(json.dumps(found.document, indent=2))
     else:
-        show_payload(found, controller)
+        _show(found, controller)
     sys.exit(found.weighed.verdict.status)
+
+
+def _show(found: Payload, controller: str | None) -> None:
+    """Print the payload, first why it should not be used, and the commands that set it."""
+    from geomid_ros.estimation.estimate import QUANTITIES, UNITS
+
+    console = results_console()
+    print_verdict(console, found.weighed.verdict, found.weighed.warnings, found.weighed.notes)
+    console.print(found.sentence)
+    table = plain_table(f"Payload in the axes of '{found.frame}'", ["quantity"], ["value", "std"])
+    table.add_column("unit")
+    table.add_column("identified")
+    rows = zip(QUANTITIES, found.inertial.quantities, found.inertial.std, UNITS, strict=True)
+    for name, value, std, unit in rows:
+        known = "no" if name in found.weighed.cannot_tell else "yes"
+        table.add_row(name, f"{value:.4g}", f"{std:.2g}", unit, known)
+    console.print(table)
+    if controller:
+        click.echo(found.commands(controller), nl=False)

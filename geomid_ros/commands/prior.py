@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element
@@ -10,12 +10,13 @@ from xml.etree.ElementTree import Element
 import click
 
 from geomid_ros.commands.options import PATH, Names, Output, package_option
+from geomid_ros.commands.terminal import plain_table, progress_bar, results_console
 from geomid_ros.errors import InputError, unknown_name
 
 if TYPE_CHECKING:
     from geomid_ros.files.shapes.shapes import ShapeReader
     from geomid_ros.model.robot import Robot
-    from geomid_ros.model.shape_prior import ShapePrior, Solid
+    from geomid_ros.model.shape_prior import LinkPrior, ShapePrior, Solid
     from geomid_ros.model.urdf_tree import UrdfTree
 
 # Of machines: thin covers, and more than solid steel. Outside, it is more likely that a mesh is in other units.
@@ -43,8 +44,6 @@ def prior(urdf: Path, mass: float, keep: list[str] | None, package_path: dict[st
     ones if a link has no others. A mesh that is not closed counts as its convex hull. Links without shapes are left
     unchanged. The result is a prior for identification, not an estimate.
     """
-    from geomid_ros.commands.results.tables import show_shapes
-    from geomid_ros.commands.terminal import progress_bar
     from geomid_ros.files.disk import write_text
     from geomid_ros.files.models.urdf import inertia_of, read_urdf, with_inertials
     from geomid_ros.files.shapes.meshes import MeshFinder
@@ -65,7 +64,7 @@ def prior(urdf: Path, mass: float, keep: list[str] | None, package_path: dict[st
     inertias = {link.name: inertia_of(link.parameters) for link in result.links if link.parameters is not None}
     written = with_inertials(text, inertias)
     write_text(out, written)
-    show_shapes(result, kept)
+    _show(result, kept)
     warnings = [*reader.warnings, *_warnings(result, robot.tree)]
     files = [out]
     try:
@@ -84,8 +83,6 @@ def prior(urdf: Path, mass: float, keep: list[str] | None, package_path: dict[st
 
 def _solids(reader: ShapeReader, links: dict[str, Element]) -> dict[str, Solid]:
     """The shapes of these links, of those that have any."""
-    from geomid_ros.commands.terminal import progress_bar
-
     solids = {}
     with progress_bar() as progress:
         for index, (name, link) in enumerate(links.items()):
@@ -128,3 +125,29 @@ def _draw(path: Path, robot: Robot, result: ShapePrior) -> None:
     frames = robot.link_frames(samples_of(np.zeros((3, 1, len(robot.joints)))))
     title = f"{robot.name}: {result.mass:.4g} kg in shapes of {result.density:.4g} kg/m³"
     prior_picture(path, title, [PlacedLink(link, *frames[link.name]) for link in result.links])
+
+
+def _show(prior: ShapePrior, kept: Sequence[str]) -> None:
+    """Print the links of a prior that was made from shapes, before and after."""
+    from geomid_ros.model import shapes
+
+    table = plain_table(
+        f"Links filled with {prior.density:.4g} kg/m³",
+        ["\nlink", "\nshape"],
+        ["volume\n[litre]", "mass [kg]\nURDF", "\nprior"],
+    )
+    table.add_column("the URDF's\ninertial")
+    for link in prior.links:
+        before = "" if link.before.parameters is None else f"{link.before.mass:.3f}"
+        after = f"{link.mass:.3f}" if link.mass else ""
+        volume = f"{1000.0 * shapes.volume(link.solid.moments):.3f}" if link.solid else ""
+        table.add_row(link.name, _shape(link, kept), volume, before, after, link.verdict or "plausible")
+    table.add_section()
+    table.add_row("total", "", "", f"{prior.mass_before:.3f}", f"{prior.mass:.3f}", "")
+    results_console().print(table)
+
+
+def _shape(link: LinkPrior, kept: Sequence[str]) -> str:
+    if link.name in kept:
+        return "kept"
+    return link.solid.shape if link.solid else "none, unchanged"

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 import geomid_ros
 from geomid_ros.commands.options import OUT, PATH, package_option
+from geomid_ros.commands.terminal import plain_table, progress_bar, results_console
 from geomid_ros.errors import one_line
 from geomid_ros.exports.formats import JSON
 from geomid_ros.files.models.readers import DESCRIBED_FOR
+
+if TYPE_CHECKING:
+    from geomid_ros.exports.torque_spread import TorqueSpread
 
 _MOST = 100_000
 _WIDEST = 3.0
@@ -55,8 +59,6 @@ def sample(out: Path, **options: Any) -> None:
     export' does (json: one robots.json). Also writes ranges.yaml with the 95 % range of each number (for isaac with the
     event terms of Isaac Lab), and torques.png, which compares the spread of joint torques with that of ranges of 20 %.
     """
-    from geomid_ros.commands.results.tables import show_torques
-    from geomid_ros.commands.terminal import progress_bar
 
     found = geomid_ros.sample(**options)
     for heading, sentence in (("Warning", found.drawn.model.doubt), ("Note", found.drawn.not_drawn)):
@@ -64,6 +66,22 @@ def sample(out: Path, **options: Any) -> None:
             click.echo(f"{heading}: {one_line(sentence)}", err=True)
     with progress_bar() as progress:
         *robots, ranges, picture = found.save(out, progress=progress)
-    show_torques(found.torques)
+    _show(found.torques)
     files = f"{robots[0]} to {robots[-1].name}" if len(robots) > 1 else str(robots[0])
     click.echo(f"\nWritten: {files}, {ranges}, {picture}")
+
+
+def _show(spread: TorqueSpread) -> None:
+    """Print how much torques differ among drawn robots, and among those of ranges."""
+    from geomid_ros.exports.torque_spread import RANGE
+
+    table = plain_table(
+        "Width of the 95 % band of efforts in fast motion (RMS)",
+        ["joint"],
+        ["sampled robots", f"ranges of ±{100 * RANGE:.0f} %", "ratio"],
+    )
+    rows = zip(spread.joints, spread.units, spread.drawn, spread.ranges, strict=True)
+    for name, unit, drawn, ranges in rows:
+        table.add_row(name, f"{drawn:.3g} {unit}", f"{ranges:.3g} {unit}", f"{drawn / ranges:.2f}")
+    table.add_row("mean", "", "", f"{spread.ratio:.2f}")
+    results_console().print(table)

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import sys
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+from rich.table import Table
 
 import geomid_ros
 from geomid_ros.commands.options import PATH, robot_options
+from geomid_ros.commands.terminal import plain_table, print_remarks, progress_bar, results_console, say
+
+if TYPE_CHECKING:
+    from geomid_ros.api.verify import Verification
 
 
 @click.command()
@@ -35,10 +41,41 @@ def verify(**options: Any) -> None:
     if all hold, 1 if one fails or if the model or a recording is doubtful, and 2 if the input is refused. The floor of
     an rms is the noise that "geomid gap" found, or the residual RMS on the data that the model was identified from.
     """
-    from geomid_ros.commands.results.tables import show_verification
-    from geomid_ros.commands.terminal import progress_bar
 
     with progress_bar() as progress:
         found = geomid_ros.verify(progress=progress, **options)
-    show_verification(found)
+    _show(found)
     sys.exit(0 if found.passed else 1)
+
+
+def _show(found: Verification) -> None:
+    """Print channels and requirements."""
+    console = results_console()
+    warnings = [sentence for sentence in found.session.warnings() if sentence not in found.doubts]
+    print_remarks(console, {"DOUBTFUL": found.doubts, "Warning": warnings, "Note": found.session.notes})
+    console.print(_channels(found))
+    if found.outcomes:
+        console.print(_requirements(found))
+    failed = sum(not outcome.passed for outcome in found.outcomes)
+    kept = f"{len(found.outcomes) - failed} of {len(found.outcomes)} requirements hold"
+    say(console, "PASSED:" if found.passed else "FAILED:", f" {kept}" + ("; doubtful" if found.doubts else ""))
+
+
+def _channels(found: Verification) -> Table:
+    table = plain_table("RMS of the residual", ["channel"], ["unit", "URDF", "model", "floor"])
+    for channel in found.session.model.channels:
+        numbers = found.rms[channel.name]
+        table.add_row(channel.name, channel.unit, *(_written(numbers[key]) for key in ("urdf", "value", "floor")))
+    return table
+
+
+def _requirements(found: Verification) -> Table:
+    table = plain_table("Requirements", ["requirement", "of"], ["value", "bound", "result"])
+    for outcome in found.outcomes:
+        result = "passed" if outcome.passed else "FAILED"
+        table.add_row(outcome.requirement, outcome.what, _written(outcome.value), outcome.bound, result)
+    return table
+
+
+def _written(value: float) -> str:
+    return f"{value:.4g}" if math.isfinite(value) else "not measured"

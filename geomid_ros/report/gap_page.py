@@ -21,8 +21,7 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.report import gap_words
 from geomid_ros.report.page import Bars, Script, write_page
 from geomid_ros.report.residual_picture import Residuals, residual_picture
-from geomid_ros.report.series import MOST_DRAWN, Series, elapsed
-from geomid_ros.report.traces import SCRIPT, ChannelTrace, traces
+from geomid_ros.report.series import MOST_DRAWN, SCRIPT, ChannelTrace, Series, elapsed, traces
 from geomid_ros.resimulation.resimulate import Resimulated
 from geomid_ros.resimulation.windows import HORIZON
 from geomid_ros.session.written_simulation import Simulations

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from geomid_ros.checks.verdict import USABLE, Verdict
+from geomid_ros.checks.verdict import USABLE
 from geomid_ros.estimation.estimate import QUANTITIES, LinkEstimate
-from geomid_ros.report.series import ChannelFit
+from geomid_ros.files.models.estimate_file import EstimateFile
 
 WEAK = 0.5
 """Share of an effect's uncertainty: less that the data removed is little."""
@@ -15,33 +15,25 @@ WEAK = 0.5
 _GROUPS = (("c", "centre of mass"), ("I", "inertia"))
 
 
-def uses(verdict: Verdict, links: Sequence[LinkEstimate], series: Sequence[ChannelFit], held_out: bool) -> list[str]:
-    """What a result can be used for, in sentences.
-
-    Args:
-        verdict: whether it can be used.
-        links: as they were found.
-        series: the measured channels on what is judged on.
-        held_out: whether that was held out.
-    """
-    if verdict.word != USABLE:
+def uses(file: EstimateFile) -> list[str]:
+    """What a result can be used for, in sentences."""
+    if file.judgement.word != USABLE:
         return ["Do not use this result until the problem is corrected; the numbers below show where it is wrong."]
-    return [*_predictions(series, held_out), *identified(links)]
+    return [*_predictions(file), *identified(file.link_estimates)]
 
 
-def _predictions(series: Sequence[ChannelFit], held_out: bool) -> list[str]:
-    ratios = [channel.ratio for channel in series if math.isfinite(channel.ratio)]
+def _predictions(file: EstimateFile) -> list[str]:
+    ratios = [row.ratio for row in file.channels if math.isfinite(row.ratio)]
     if not ratios:
         return []
     better = [ratio for ratio in ratios if ratio < 1.0]
     span = f"; {100 * min(better):.0f} to {100 * max(better):.0f} % of its error remain" if better else ""
-    what = "held-out data" if held_out else "the fitted data"
     sentence = (
-        f"Usable to predict efforts and wrenches in similar motions (simulation, feed-forward, contacts). On {what}, "
-        f"{len(better)} of {len(ratios)} channels are predicted better than by the URDF{span}."
+        f"Usable to predict efforts and wrenches in similar motions (simulation, feed-forward, contacts). On "
+        f"{file.judged_on}, {len(better)} of {len(ratios)} channels are predicted better than by the URDF{span}."
     )
     judge = "Nothing was held out, so this is no test on new data: give another recording with --validate."
-    return [sentence] if held_out else [sentence, judge]
+    return [sentence, judge] if file.rms.held_out is None else [sentence]
 
 
 def identified(links: Sequence[LinkEstimate]) -> list[str]:

@@ -1,15 +1,16 @@
-"""Channels over time as they are drawn: on an axis without long pauses, in no more points than can be seen."""
+"""Channels over time as they are drawn, in pictures and on pages: without long pauses, in no more points than can be
+seen."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.model.samples import Samples
+from geomid_ros.report.page import line_path, number, ticks
 from geomid_ros.session.session import Session
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
@@ -19,21 +20,6 @@ BINS = 500
 """Stretches of a long line; each keeps its smallest and largest value."""
 
 _CORE = (0.5, 99.5)  # percentiles between which a channel's ordinary values lie
-
-
-@dataclass(frozen=True)
-class SavedFit:
-    """How well the URDF and the identified model predict a channel, as a file says it: RMS residuals of both, in its
-    ``unit``."""
-
-    name: str
-    unit: str
-    rms: tuple[float, float]
-
-    @property
-    def ratio(self) -> float:
-        """RMS after over RMS before; NaN where it is undefined."""
-        return _ratio(*self.rms)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,11 +42,8 @@ class Series:
     @property
     def ratio(self) -> float:
         """RMS after over RMS before: below 1 is better; NaN where it is undefined."""
-        return _ratio(*self.rms)
-
-
-ChannelFit: TypeAlias = SavedFit | Series
-"""How well a channel is predicted: over time, or as a file says it."""
+        before, after = self.rms
+        return after / before if before > 0.0 else float("nan")
 
 
 def series_of(session: Session, estimate: Estimate, batches: Sequence[Samples]) -> list[Series]:
@@ -75,10 +58,6 @@ def series_of(session: Session, estimate: Estimate, batches: Sequence[Samples]) 
         for index, channel in enumerate(session.model.channels)
         if np.any(np.isfinite(measured[:, index]))
     ]
-
-
-def _ratio(before: float, after: float) -> float:
-    return after / before if before > 0 else float("nan")
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,3 +147,74 @@ def _extremes(values: FloatArray, bins: int) -> IntArray:
     starts = np.arange(len(padded)) * length
     picked = np.concatenate([[0], starts + padded.argmin(axis=1), starts + padded.argmax(axis=1), [len(values) - 1]])
     return np.unique(np.minimum(picked, len(values) - 1))
+
+
+# --- For a page, whose script reads values and zooms ---
+
+SCRIPT = "traces.js"
+WIDTH, HEIGHT = 20_000, 4_000
+"""Of a panel, in the units of its lines; those of ``traces.js``."""
+
+_MOST_POINTS = 200_000  # of a page: two megabytes
+_TIMES = 5  # labels of the axis of time
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChannelTrace:
+    """A channel for a page.
+
+    Attributes:
+        name, unit: the channel's.
+        before, after: RMS residual of the URDF and of the identified model, written.
+        low, high: values at the panel's lower and upper edge.
+        end: seconds at its right edge; the left one is at 0.
+        times: labels of the axis of time, evenly spaced; ``clock`` is what it is called.
+        ticks: labels of the other axis, and where they are in percent from the top.
+        lines: by kind, the path of each.
+    """
+
+    name: str
+    unit: str
+    before: str
+    after: str
+    low: float
+    high: float
+    end: float
+    times: Sequence[str]
+    clock: str
+    ticks: Sequence[tuple[str, float]]
+    lines: dict[str, str]
+
+
+def traces(series: Sequence[Series]) -> list[ChannelTrace]:
+    """The channels, each in as many points as the page has room for."""
+    if not series:
+        return []
+    clock = Clock.of(series)
+    bins = max(1, min(BINS, _MOST_POINTS // (6 * len(series))))  # three lines, of two points each
+    return [_trace(channel, clock, bins) for channel in series]
+
+
+def _trace(channel: Series, clock: Clock, bins: int) -> ChannelTrace:
+    low, high = limits(channel)
+    end = float(clock.seconds[-1])
+    kinds = {"measured": channel.measured, "before": channel.nominal, "after": channel.predicted}
+
+    def path(values: FloatArray) -> str:
+        seconds, heights = thinned(channel.times, values, clock, bins)
+        return line_path(WIDTH * seconds / end, HEIGHT * (high - heights) / (high - low))
+
+    before, after = map(number, channel.rms)
+    return ChannelTrace(
+        name=channel.name,
+        unit=channel.unit,
+        before=before,
+        after=after,
+        low=low,
+        high=high,
+        end=end,
+        times=[f"{second:.4g}" for second in np.linspace(0.0, end, _TIMES)],
+        clock=clock.label,
+        ticks=[(f"{tick:g}", 100.0 * (high - tick) / (high - low)) for tick in ticks(low, high, 4)],
+        lines={kind: path(values) for kind, values in kinds.items()},
+    )

@@ -38,6 +38,8 @@ class Parameter:
         default: its type is the parameter's.
         description: what it does, with its unit.
         minimum, maximum: the closed range of a number.
+        choices: the values of a text; empty for any.
+        of_rows: whether rows depend on it: those of before serve as long as all of these are the same.
     """
 
     name: str
@@ -45,6 +47,8 @@ class Parameter:
     description: str
     minimum: float | None = None
     maximum: float | None = None
+    choices: tuple[str, ...] = ()
+    of_rows: bool = True
 
 
 # ROS cannot tell the type of an empty list: one empty string stands for it.
@@ -53,17 +57,23 @@ _SIDES = ("motor", "link")
 _ALIKE = ("urdf", "none")
 # Parameters that every node has, by the beginning of their names: not ours to check.
 _OF_ROS = ("use_sim_time", "qos_overrides.", "start_type_description_service")
+_beside_rows = partial(Parameter, of_rows=False)
 _KINDS = {bool: "true or false", float: "a number", str: "a text"}
 
 GAIN = 0.03
 """Standard deviation of the efforts' common gain, relative, unless it is known: of torques from motor currents."""
 PARAMETERS = (
-    Parameter("robot_description", "", "URDF text; empty: taken from the topic robot_description"),
-    Parameter("model", "", "estimate.json of an earlier run to start from instead of the URDF's inertias"),
-    Parameter("prior", "", "population.json of the robot's type to start from instead of the URDF's inertias"),
-    Parameter("alike", "urdf", "links that are alike in the URDF (legs, arms) err mostly alike; none: each by itself"),
+    _beside_rows("robot_description", "", "URDF text; empty: taken from the topic robot_description"),
+    _beside_rows("model", "", "estimate.json of an earlier run to start from instead of the URDF's inertias"),
+    _beside_rows("prior", "", "population.json of the robot's type to start from instead of the URDF's inertias"),
+    _beside_rows(
+        "alike",
+        "urdf",
+        "links that are alike in the URDF (legs, arms) err mostly alike; none: each by itself",
+        choices=_ALIKE,
+    ),
     Parameter("links", _NONE, "moving links to identify; empty: all with a mass"),
-    Parameter("known", _NONE, "weighed masses, as LINK=MASS:STD, LINK+LINK=MASS:STD or total=MASS:STD [kg]"),
+    _beside_rows("known", _NONE, "weighed masses, as LINK=MASS:STD, LINK+LINK=MASS:STD or total=MASS:STD [kg]"),
     Parameter("effects", list(DEFAULT_EFFECTS), "effects identified at every joint and wrench sensor"),
     Parameter("candidates", list(DEFAULT_CANDIDATES), "effects added where the data need them"),
     Parameter("floating_base", False, "the base moves; its pose is read from the topic odom"),
@@ -92,17 +102,24 @@ PARAMETERS = (
     Parameter("merge_joint_states", False, "joint_states has several publishers, each with some of the joints"),
     Parameter("effort_gain", 1.0, "factor from message efforts to N m (or N); negative reverses the sign", -1e6, 1e6),
     Parameter("joint.*.effort_gain", 1.0, "the same for one joint", -1e6, 1e6),
-    Parameter("effort_side", "motor", "where efforts are measured: motor (currents), or link (behind the gear)"),
-    Parameter("joint.*.effort_side", "motor", "the same for one joint"),
+    Parameter(
+        "effort_side",
+        "motor",
+        "where efforts are measured: motor (currents), or link (behind the gear)",
+        choices=_SIDES,
+    ),
+    Parameter("joint.*.effort_side", "motor", "the same for one joint", choices=_SIDES),
     Parameter("filter.cutoff", 5.0, "cutoff of the zero-phase low-pass filter on all signals [Hz]", 0.05, 500.0),
     Parameter("filter.period", 0.0, "period of the time grid [s]; 0: that of the first joint messages", 0.0, 1.0),
     Parameter("filter.max_gap", 0.5, "a longer pause of a topic starts a new segment [s]", 0.001, 60.0),
-    Parameter(
+    _beside_rows(
         "gamma", 0.0, "weight of the prior relative to the rows; 0: estimated from the data for each link", 0.0, 1e6
     ),
-    Parameter("objective", "residual", "objective: residual (Remark 3 of the paper) or geodesic (its equation (19))"),
-    Parameter("solver", "trust_region", "solver of the geodesic objective: trust_region or cyclic (the paper's)"),
-    Parameter(
+    _beside_rows(
+        "objective", "residual", "objective: residual (Remark 3 of the paper) or geodesic (its equation (19))"
+    ),
+    _beside_rows("solver", "trust_region", "solver of the geodesic objective: trust_region or cyclic (the paper's)"),
+    _beside_rows(
         "sigma.*", 1.0, "standard deviation of a channel's noise [N m, N], if known (else from residuals)", 1e-9, 1e9
     ),
     Parameter(
@@ -112,40 +129,25 @@ PARAMETERS = (
         0.0,
         1e6,
     ),
-    Parameter("still_speed", 1e-3, "speed below which a joint counts as standing still [rad/s, m/s]", 0.0, 10.0),
-    Parameter(
+    _beside_rows("still_speed", 1e-3, "speed below which a joint counts as standing still [rad/s, m/s]", 0.0, 10.0),
+    _beside_rows(
         "still_distance", 1e-2, "at standstill, smallest distance between two poses that are used [rad, m]", 0.0, 10.0
     ),
-    Parameter("solve_period", 1.0, "shortest time between estimates [s]", 0.001, 3600.0),
-    Parameter(
+    _beside_rows("solve_period", 1.0, "shortest time between estimates [s]", 0.001, 3600.0),
+    _beside_rows(
         "gap.memory", 120.0, "length of the message memory for ~/find_gap and ~/payload [s]; 0: none", 0.0, 3600.0
     ),
-    Parameter("payload.frame", "", "flange whose payload is identified; empty: the last moving link"),
-    Parameter(
+    _beside_rows("payload.frame", "", "flange whose payload is identified; empty: the last moving link"),
+    _beside_rows(
         "payload.gain", GAIN, "relative standard deviation of the common effort gain; 0: calibrated sensors", 0.0, 0.99
     ),
-    Parameter("active", True, "use data from startup; otherwise wait for ~/start"),
-    Parameter("checkpoint.folder", "", "folder for checkpoints, used by this node alone; empty: no checkpoints"),
-    Parameter("checkpoint.period", 2.0, "time between checkpoints, about the data that a crash loses [s]", 0.1, 3600.0),
-    Parameter("dashboard", False, "show the node on a local page, as geomid dashboard does"),
-    Parameter("output_folder", "", "output folder of ~/save and of the shutdown; empty: the working directory"),
-)
-# All others say what a row is: rows of before serve as long as they are the same.
-_NOT_OF_ROWS = (
-    *("robot_description", "model", "prior", "known", "gamma", "objective", "solver", "sigma.*", "still_speed"),
-    *(
-        "alike",
-        "still_distance",
-        "solve_period",
-        "gap.memory",
-        "payload.frame",
-        "payload.gain",
-        "active",
-        "checkpoint.folder",
-        "checkpoint.period",
-        "dashboard",
+    _beside_rows("active", True, "use data from startup; otherwise wait for ~/start"),
+    _beside_rows("checkpoint.folder", "", "folder for checkpoints, used by this node alone; empty: no checkpoints"),
+    _beside_rows(
+        "checkpoint.period", 2.0, "time between checkpoints, about the data that a crash loses [s]", 0.1, 3600.0
     ),
-    "output_folder",
+    _beside_rows("dashboard", False, "show the node on a local page, as geomid dashboard does"),
+    _beside_rows("output_folder", "", "output folder of ~/save and of the shutdown; empty: the working directory"),
 )
 _BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
 
@@ -185,8 +187,6 @@ class Configuration:
         self._values = {name: self._checked(name, value) for name, value in own.items()}
         _ = (
             self.effects,
-            self.alike,
-            self.behind_gear(()),
             self.candidates,
             self.sensors,
             self.contacts,
@@ -229,6 +229,8 @@ class Configuration:
             value = self._checked_list(name, value, type(default[0]))
         elif type(value) is not type(default):
             raise InputError(f"{self.source}: {name} is {value!r}, expected {_KINDS[type(default)]}")
+        if parameter.choices and value not in parameter.choices:
+            raise InputError(f"{self.source}: {unknown_name(f'value of {name}', value, parameter.choices)}")
         if isinstance(value, float):
             low, high = parameter.minimum, parameter.maximum
             if not np.isfinite(value) or (low is not None and value < low) or (high is not None and value > high):
@@ -265,7 +267,7 @@ class Configuration:
         """The values by full name that say what a row is and weighs; what the model file says is not among them."""
         single = {parameter.name for parameter in PARAMETERS if "*" not in parameter.name}
         names = sorted(single | self._values.keys())
-        return {name: self[name] for name in names if find_parameter(name).name not in _NOT_OF_ROWS}
+        return {name: self[name] for name in names if find_parameter(name).of_rows}
 
     @property
     def effects(self) -> list[IdentifiedEffect]:
@@ -293,9 +295,7 @@ class Configuration:
     @property
     def alike(self) -> bool:
         """Whether links that are alike in the URDF err mostly alike."""
-        if self["alike"] not in _ALIKE:
-            raise InputError(f"{self.source}: {unknown_name('value of alike', self['alike'], _ALIKE)}")
-        return bool(self["alike"] == _ALIKE[0])
+        return bool(self["alike"] == "urdf")
 
     @property
     def links(self) -> list[str] | None:
@@ -357,11 +357,8 @@ class Configuration:
         )
 
     def behind_gear(self, joints: Sequence[str]) -> frozenset[str]:
-        """Those of the joints whose efforts are measured behind the gear. Raises InputError for another side."""
+        """Those of the joints whose efforts are measured behind the gear."""
         own = self._under("joint", ".effort_side")
-        for side in (self["effort_side"], *own.values()):
-            if side not in _SIDES:
-                raise InputError(f"{self.source}: {unknown_name('effort_side', side, _SIDES)}")
         return frozenset(joint for joint in joints if own.get(joint, self["effort_side"]) == "link")
 
     def signals(self, joints: Sequence[str]) -> SignalSettings:

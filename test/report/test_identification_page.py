@@ -64,6 +64,10 @@ def page_of(*names: str, samples: int = 500, word: str = "usable") -> Identifica
         "warnings": [f"a warning of {names[0]}"],
         "notes": [f"a note of {names[0]}"],
         "urdf_masses": {link.name: 5.5 for link in links},
+        "channels": [
+            {"channel": name, "unit": "N m", "urdf": 1.0, "identified": 0.1, "file": 0.5, "file_with_offsets": 0.25}
+            for name in names
+        ],
         "handover": {
             "urdf": {
                 "links": [],

@@ -270,5 +270,5 @@ def test_behind_the_gear_no_motor_is_felt() -> None:
 
 @pytest.mark.parametrize("key", ["effort_side", "joint.joint1.effort_side"])
 def test_another_side_is_refused(key: str) -> None:
-    with pytest.raises(InputError, match="unknown effort_side 'gear'"):
+    with pytest.raises(InputError, match=f"unknown value of {key} 'gear'"):
         Configuration({key: "gear"})

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from geomid_ros.api.identify import Identification
 from geomid_ros.checks.verdict import USABLE
 from geomid_ros.commands.terminal import lines, number_columns, plain_table, print_verdict, results_console, say
-from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate
+from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, LinkEstimate, WeighedEstimate
 from geomid_ros.files.models.effect_forms import is_coefficient
-from geomid_ros.files.models.estimate_file import model_effects
+from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.model.effects import EFFECTS, KnownEffect
 from geomid_ros.report import gap_words, identification_words
 from geomid_ros.signals.ledger import Account
@@ -36,32 +36,29 @@ def _print_messages(console: Console, topics: Mapping[str, Account]) -> None:
 
 
 def show(found: Identification) -> None:
-    """Print links, effects and how well each channel is predicted, on held-out data where there are any."""
-    console = results_console()
-    estimate = found.estimate
-    state = "converged" if estimate.converged else f"NOT converged ({estimate.reason})"
-    print_verdict(console, found.verdict, found.warnings, found.session.notes)
-    _print_messages(console, found.session.pipeline.ledger.topics)
-    console.print(
-        f"{estimate.rows_accepted} rows, {state} in {estimate.seconds:.1f} s, prior weight {estimate.gamma:.1e}",
-    )
+    """Print links, effects and how well each channel is predicted, as estimate.json has them."""
+    console, file = results_console(), EstimateFile.of(found.document, "estimate.json")
+    links = file.link_estimates
+    state = "converged" if file.converged else f"NOT converged ({file.reason})"
+    print_verdict(console, file.judgement, file.warnings, file.notes)
+    _print_messages(console, file.messages)
+    console.print(f"{file.rows.accepted} rows, {state} in {file.seconds:.1f} s, prior weight {file.gamma:.1e}")
     console.print("In the tables ± is one standard deviation.")
-    console.print(_links_table(found))
-    if found.verdict.word == USABLE:
-        say(console, "", " ".join(identification_words.identified(found.links)))
-    if estimate.known:
-        console.print(_known_table(estimate))
-    of_joints = _at_every_joint(estimate.effects)
+    console.print(_links_table(file, links))
+    if file.judgement.word == USABLE:
+        say(console, "", " ".join(identification_words.identified(links)))
+    if file.known:
+        console.print(_known_table(file.known))
+    of_joints = _at_every_joint(file.effect_estimates)
     if of_joints:
         console.print(_joint_effects_table(of_joints))
     said = {(effect.name, effect.joint) for effect in of_joints}
-    every = model_effects(estimate, found.session.loaded.effects)
-    others = [e for e in every if (e.effect, e.joint) not in said or not is_coefficient(e)]
+    others = [e for e in file.known_effects if (e.effect, e.joint) not in said or not is_coefficient(e)]
     if others:
         console.print(_other_effects_table(others))
-    console.print(_channels_table(found))
+    console.print(_channels_table(file))
     if found.tracking is not None:
-        say(console, "Closed loop:", f" {_tracking(found.tracking, found.written.name)}")
+        say(console, "Closed loop:", f" {_tracking(found.tracking, file.description)}")
 
 
 def _tracking(tracking: Tracking, name: str) -> str:
@@ -74,18 +71,16 @@ def _tracking(tracking: Tracking, name: str) -> str:
     )
 
 
-def _links_table(found: Identification) -> Table:
+def _links_table(file: EstimateFile, links: Sequence[LinkEstimate]) -> Table:
     """Mass, centre of mass, their standard deviations and where they came from."""
-    model = found.session.model
-    nominal = dict(zip(model.body_names, model.nominal_inertias.reshape(-1, 10)[:, 0], strict=True))
     table = plain_table("Links")
     table.add_column("\nlink", overflow="fold", min_width=14)
     headings = ("mass [kg]\nURDF", "\nidentified", "centre of\nmass [m]", "from\ndata", "dist. to\nprior")
     number_columns(table, headings)
     table.add_column("not\nidentified", min_width=10)
-    for link in found.links:
+    for link in links:
         names = lines([link.name, *(f"+ {name}" for name in link.merged)])
-        masses = f"{nominal[link.name]:.3f}", f"{link.mass:.3f} ± {link.std_mass:.3f}"
+        masses = f"{file.urdf_masses[link.name]:.3f}", f"{link.mass:.3f} ± {link.std_mass:.3f}"
         com = lines(f"{c:+.3f} ± {s:.3f}" for c, s in zip(link.com, link.std_com, strict=True))
         shares = f"{100 * link.from_data:.0f} %", f"{link.distance_from_prior:.2f}"
         untold = [name for name in QUANTITIES if name not in link.identified]
@@ -93,9 +88,9 @@ def _links_table(found: Identification) -> Table:
     return table
 
 
-def _known_table(estimate: Estimate) -> Table:
+def _known_table(weighed: Sequence[WeighedEstimate]) -> Table:
     table = plain_table("Weighed masses", ["what"], ["weighed [kg]", "identified [kg]", "difference [std weighed]"])
-    for known in estimate.known:
+    for known in weighed:
         table.add_row(
             known.name,
             f"{known.given:.3f} ± {known.given_std:.3f}",
@@ -138,19 +133,12 @@ def _joint_effects_table(effects: Sequence[EffectEstimate]) -> Table:
     return table
 
 
-def _channels_table(found: Identification) -> Table:
+def _channels_table(file: EstimateFile) -> Table:
     """RMS per channel of the URDF, of the estimate, and of the written file alone and with the offsets beside it."""
-    file, judged_on = found.handover, "held-out data" if found.held_out else "the same data"
-    headings = ["unit", "URDF", "identified", "explained", f"{file.name}\nalone", "with sensor\noffsets"]
-    table = plain_table(f"RMS of the residual on {judged_on}", ["channel"], headings)
-    for channel in found.session.model.channels:
-        before, now = found.rms_nominal[channel.name], found.rms[channel.name]
-        if np.isfinite(now):
-            share = f"{100.0 * (1.0 - now / before):.0f} %" if before > 0 else ""
-            written = file.alone[channel.name], file.corrected[channel.name]
-            table.add_row(channel.name, channel.unit, *map(_digits, (before, now)), share, *map(_digits, written))
+    headings = ["unit", "URDF", "identified", "explained", f"{file.description}\nalone", "with sensor\noffsets"]
+    table = plain_table(f"RMS of the residual on {file.judged_on}", ["channel"], headings)
+    for row in file.channels:
+        share = f"{100.0 * (1.0 - row.ratio):.0f} %" if math.isfinite(row.ratio) else ""
+        errors = [f"{error:.3g}" for error in (row.urdf, row.identified, row.file, row.file_with_offsets)]
+        table.add_row(row.channel, row.unit, *errors[:2], share, *errors[2:])
     return table
-
-
-def _digits(value: float) -> str:
-    return f"{value:.3g}"

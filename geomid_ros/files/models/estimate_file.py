@@ -150,12 +150,20 @@ class RowsEntry:
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelEntry:
-    """How well a channel fits: RMS residuals of the URDF and of the estimate."""
+    """How well a channel fits: RMS residuals of the URDF, of the estimate, and of the written description, alone and
+    with the offsets of sensors beside it."""
 
     channel: str
     unit: str = ""
     urdf: float = math.nan
     identified: float = math.nan
+    file: float = math.nan
+    file_with_offsets: float = math.nan
+
+    @property
+    def ratio(self) -> float:
+        """RMS of the estimate over that of the URDF: below 1 is better; NaN where it is undefined."""
+        return self.identified / self.urdf if self.urdf > 0.0 else math.nan
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -234,6 +242,16 @@ class EstimateFile:
         if self.verdict.result not in STATUS:
             raise InputError(f"{self.source}: {unknown_name('verdict', self.verdict.result, STATUS)}")
         return Verdict(word=self.verdict.result, reasons=self.verdict.reasons)
+
+    @property
+    def judged_on(self) -> str:
+        """The data that errors by channel are of."""
+        return "the fitted data" if self.rms.held_out is None else "held-out data"
+
+    @property
+    def description(self) -> str:
+        """Name of the description that was written beside it."""
+        return next((entry.file for entry in self.handover.values() if entry.file), "identified.urdf")
 
     @property
     def doubt(self) -> str:
