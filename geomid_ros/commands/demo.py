@@ -12,6 +12,7 @@ import click
 
 import geomid_ros
 from geomid_ros.commands.options import OUT
+from geomid_ros.commands.terminal import progress_bar, results_console
 from geomid_ros.errors import InputError
 
 if TYPE_CHECKING:
@@ -46,7 +47,6 @@ def demo(out: Path, rate: float) -> None:
     """
     from rich.live import Live
 
-    from geomid_ros.commands.terminal import progress_bar, results_console
     from geomid_ros.files.models.estimate_file import EstimateFile
     from geomid_ros.files.models.urdf import read_urdf
     from geomid_ros.report.sheet import write_picture

@@ -12,6 +12,7 @@ import click
 
 import geomid_ros
 from geomid_ros.commands.options import OUT, PATH, reader_option, recording_options, report_option, robot_options
+from geomid_ros.commands.terminal import print_written, progress_bar
 
 
 @click.command()
@@ -38,7 +39,6 @@ def gap(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **option
     worse than the given one.
     """
     from geomid_ros.commands.results import gap as results
-    from geomid_ros.commands.terminal import print_written, progress_bar
     from geomid_ros.files.models.gap_file import is_open
 
     with progress_bar() as progress:

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from geomid_ros.commands.options import PATH
+from geomid_ros.commands.terminal import progress_bar
 from geomid_ros.errors import InputError, printable
 
 
@@ -36,7 +37,6 @@ def play(bag: Path, rate: float, wait: float, topic: tuple[str, ...], config: Pa
     Publishes only the topics of BAG that geomid reads: joint_states, odom, imu and robot_description in any
     namespace, and /clock.
     """
-    from geomid_ros.commands.terminal import progress_bar
     from geomid_ros.session.configuration import Configuration
 
     try:

@@ -9,6 +9,7 @@ import click
 from click.core import ParameterSource
 
 from geomid_ros.commands.options import Names, Output
+from geomid_ros.commands.terminal import progress_bar
 from geomid_ros.errors import InputError
 from geomid_ros.simulation import (
     EFFECTS,
@@ -106,7 +107,6 @@ def simulate(
     robot has other inertias, and friction, rotor inertia and offsets at every joint; with --hide, only the named
     effects. Needs MuJoCo (pip install mujoco).
     """
-    from geomid_ros.commands.terminal import progress_bar
     from geomid_ros.simulation import simulate as record
 
     if feet or imu:

@@ -12,6 +12,7 @@ from geomid_ros.commands.excite.learn import learn
 from geomid_ros.commands.excite.options import motion_options, numbers, share_of
 from geomid_ros.commands.excite.run import run
 from geomid_ros.commands.options import PATH, UNTRIED_OUT
+from geomid_ros.commands.terminal import progress_bar
 
 
 @click.group(invoke_without_command=True)
@@ -35,7 +36,6 @@ def excite(context: click.Context, /, start: str | None, until: float, out: Path
     if context.invoked_subcommand is not None:
         return
     from geomid_ros.commands.results import excitation as results
-    from geomid_ros.commands.terminal import progress_bar
     from geomid_ros.files.disk import check_writable
 
     check_writable(out)

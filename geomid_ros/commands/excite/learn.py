@@ -14,6 +14,7 @@ import click
 from geomid_ros.commands.excite.options import motion_options, robot_run_options, share_of, wish_of
 from geomid_ros.commands.excite.run import ros_runs, show_plan
 from geomid_ros.commands.options import OUT
+from geomid_ros.commands.terminal import progress_bar
 from geomid_ros.errors import GeomidError, InputError, printable
 
 if TYPE_CHECKING:
@@ -123,7 +124,6 @@ class _LearningRounds:
     def designs(self, rounds: int) -> Iterator[Excitation]:
         """The motion of each round, from what is known when it begins."""
         from geomid_ros.api.excite import designed_motion
-        from geomid_ros.commands.terminal import progress_bar
         from geomid_ros.session.configuration import Configuration
 
         for _ in range(rounds):
@@ -193,7 +193,6 @@ class _LearningRounds:
     def identify(self) -> None:
         """Identify from all recordings."""
         import geomid_ros
-        from geomid_ros.commands.terminal import progress_bar
 
         bags = [self.out / f"round{number}" / "recording" for number in range(1, self.number + 1)]
         with progress_bar() as progress:

@@ -11,6 +11,7 @@ import click
 
 from geomid_ros.commands.excite.options import robot_run_options, surroundings_of, surroundings_options
 from geomid_ros.commands.options import PATH, UNTRIED_OUT
+from geomid_ros.commands.terminal import plain_table, results_console, say
 from geomid_ros.errors import InputError, printable
 
 if TYPE_CHECKING:
@@ -80,7 +81,6 @@ def ros_runs() -> ModuleType:
 
 def show_plan(order: Order, plan: Plan) -> None:
     """What would be done."""
-    from geomid_ros.commands.terminal import plain_table, results_console, say
     from geomid_ros.report.gap_words import percent
 
     console = results_console()
