@@ -14,10 +14,11 @@ from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.recording_facts import faulty_streams
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import TrainingData
 from geomid_ros.signals.decoding import Decoder
-from geomid_ros.signals.ledger import Reason, meaning_of
+from geomid_ros.signals.ledger import meaning_of
 from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, message_type
 from geomid_ros.signals.pipeline import SignalPipeline
 
@@ -273,12 +274,7 @@ def _why_no_samples(bag: Bag, session: Session, pipeline: SignalPipeline) -> str
         for topic, account in pipeline.ledger.topics.items()
         for reason, count in account.rejected.most_common(2)
     ]
-    reasons += [
-        f"{topic}: {remark.sentence}"
-        for topic, account in pipeline.ledger.topics.items()
-        for remark in account.noted
-        if isinstance(remark, Reason) and remark.meaning == "driver error"
-    ]
+    reasons += [finding.cause.sentence for finding in faulty_streams(pipeline.ledger.topics, {})]
     reasons += [f"{topic}: no messages" for topic in session.topics if topic not in pipeline.ledger.topics]
     if not reasons:
         short = f"it is shorter than the filter's window ({2 * pipeline.lag:.1f} s)"

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+from rich.table import Table
 
 import geomid_ros
 from geomid_ros.commands.excite.learn import learn
 from geomid_ros.commands.excite.options import motion_options, numbers, share_of
 from geomid_ros.commands.excite.run import run
 from geomid_ros.commands.options import PATH, UNTRIED_OUT
-from geomid_ros.commands.terminal import progress_bar
+from geomid_ros.commands.terminal import plain_table, progress_bar, results_console, say
+
+if TYPE_CHECKING:
+    from geomid_ros.session.excitation import Excitation
+
+_MOTIONS = ("before", "designed", "random", "designed,\ntwice")
 
 
 @click.group(invoke_without_command=True)
@@ -35,7 +41,6 @@ def excite(context: click.Context, /, start: str | None, until: float, out: Path
     """
     if context.invoked_subcommand is not None:
         return
-    from geomid_ros.commands.results import excitation as results
     from geomid_ros.files.disk import check_writable
 
     check_writable(out)
@@ -44,10 +49,71 @@ def excite(context: click.Context, /, start: str | None, until: float, out: Path
         worth_it = found.excitation.learning.gain >= until
         progress("writing", 0.0)
         files = found.save(out) if worth_it else []
-    results.show(found.excitation)
+    _show(found.excitation)
     no = f"Nothing was written: {found.excitation.not_worth(until)}"
     click.echo(f"\nWritten: {', '.join(map(str, files))}" if worth_it else f"\n{no}")
 
 
 excite.add_command(run)
 excite.add_command(learn)
+
+
+def _show(found: Excitation) -> None:
+    """Print notes, margins and expected standard deviations."""
+    console = results_console()
+    for note in found.task.notes:
+        say(console, "Note:", f" {note}")
+    form = found.motion.form
+    console.print(f"{form.repeats} x {form.period:g} s = {form.duration:g} s")
+    console.print(_margins(found))
+    if found.closest:
+        say(console, "Smallest distance:", f" {found.closest}")
+    console.print(_links(found))
+    if found.task.knowledge.posterior.effects:
+        console.print(_effects(found))
+    for decision in found.decisions:
+        say(console, "Discriminates:" if decision.is_sure else "Does not discriminate:", f" {decision.sentence}")
+    say(console, "Expected error", f" {found.error}:")
+    for sentence in found.learning.sentences:
+        say(console, "", f"- {sentence}")
+
+
+def _margins(found: Excitation) -> Table:
+    from geomid_ros.report.gap_words import percent
+
+    headings = ["lowest", "highest", "to limit", "speed", "acceleration", "jerk", "effort with margin"]
+    table = plain_table("Use of each limit", ["joint"], headings)
+    margins, positions = found.margins, found.trajectory.positions
+    for index, name in enumerate(found.task.feasibility.names):
+        used = (margins.velocity, margins.acceleration, margins.jerk, margins.effort)
+        ends = positions[:, index].min(), positions[:, index].max(), margins.position[index]
+        numbers = (*(f"{end:.3f}" for end in ends), *(percent(share[index]) for share in used))
+        table.add_row(name, *numbers)
+    return table
+
+
+def _links(found: Excitation) -> Table:
+    learning = found.learning
+    table = plain_table("Standard deviation of the mass [kg]", ["link"], ["mass", *_MOTIONS])
+    masses = found.task.knowledge.posterior.parameters
+    for index, name in enumerate(found.task.knowledge.posterior.links):
+        kinds = (learning.before, learning.designed, learning.random, learning.twice)
+        table.add_row(name, f"{masses[10 * index]:.3f}", *(f"{kind.links[index, 0]:.2g}" for kind in kinds))
+    return table
+
+
+def _effects(found: Excitation) -> Table:
+    from geomid_ros.report.gap_words import headline
+
+    learning = found.learning
+    table = plain_table("Standard deviation of the effects", ["effect", "at"], _MOTIONS)
+    table.add_column("unit")
+    for index, effect in enumerate(found.task.knowledge.posterior.effects):
+        kinds = (learning.before, learning.designed, learning.random, learning.twice)
+        table.add_row(
+            headline(effect.name),
+            effect.place,
+            *(f"{kind.effects[index]:.2g}" for kind in kinds),
+            effect.unit,
+        )
+    return table
