@@ -17,13 +17,10 @@ from geomid_ros.files.models.readers import DESCRIBED_FOR
 if TYPE_CHECKING:
     from geomid_ros.exports.torque_spread import TorqueSpread
 
-_MOST = 100_000
-_WIDEST = 3.0
-
 
 @click.command()
 @click.argument("model", metavar="ESTIMATE", type=PATH)
-@click.option("-n", "count", type=click.IntRange(1, _MOST), default=100, show_default=True, help="Number of robots.")
+@click.option("-n", "count", type=click.IntRange(1, 100_000), default=100, show_default=True, help="Number of robots.")
 @click.option(
     "--for", "tool", required=True, type=click.Choice([*DESCRIBED_FOR, JSON]), help="Software that will read them."
 )
@@ -37,7 +34,7 @@ _WIDEST = 3.0
 )
 @click.option(
     "--spread",
-    type=click.FloatRange(0.0, _WIDEST, min_open=True),
+    type=click.FloatRange(0.0, 3.0, min_open=True),
     default=1.0,
     show_default=True,
     help="Factor on all standard deviations.",

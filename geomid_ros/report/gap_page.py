@@ -28,7 +28,6 @@ from geomid_ros.session.written_simulation import Simulations
 from geomid_ros.types import FloatArray
 
 _MOST_CHANNELS = 6  # whose remainder is drawn
-_MOST_CANDIDATES = 15
 _CHANGED = 0.01  # geodesic distance from which on a link's inertia has changed
 _KINDS = {"before": "nominal", "inertias_only": "inertias only", "after": "with effect"}
 
@@ -123,7 +122,7 @@ def _content(page: GapPage) -> dict[str, Any]:
             (*_SIMULATIONS[again.kind], _simulation_bars(again), traces(_worst_joints(again)))
             for again in page.simulated
         ],
-        "candidates": result.ranking[:_MOST_CANDIDATES],
+        "candidates": result.ranking[: gap_words.MOST_CANDIDATES],
         "located": _located(result),
         "links": list(_links(page)),
         "old": partial(_old, known),

@@ -16,9 +16,10 @@ from geomid_ros.types import FloatArray
 NONE = "n/a"
 FEW = 4
 """Effects that a sentence can name, and findings that get one each."""
-_MOST_NAMED_OF_MANY = 2
 MOST_LISTED = 3
 """Parts of a sentence that lists, and rivals that are compared with."""
+MOST_CANDIDATES = 8
+"""Candidates in a table, the best first."""
 _ALIKE = 3.0  # standard deviations
 _NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck", "imu": "IMU"}
 _VARIABLES = {
@@ -220,7 +221,7 @@ def not_explained(result: GapResult) -> list[tuple[str, float, str]]:
 def _named(findings: Sequence[Finding]) -> str:
     """The findings, each effect once with all places where it acts; of many, the surest."""
     if len(findings) > FEW:
-        first = [f"{effect_name(f.effect)} {place(f.joint, f.link)}" for f in findings[:_MOST_NAMED_OF_MANY]]
+        first = [f"{effect_name(f.effect)} {place(f.joint, f.link)}" for f in findings[:MOST_LISTED]]
         return f"{len(findings)} effects, most certainly {_listed(first)}"
     places: dict[str, list[str]] = {}
     for finding in findings:

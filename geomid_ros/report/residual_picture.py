@@ -13,6 +13,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from geomid_ros.report.page import AFTER, BEFORE, MEASURED, dots_path, ticks
+from geomid_ros.report.series import BINS
 from geomid_ros.types import FloatArray
 
 _FLOOR, _GRID, _FRAME = "#e9edf0", "#eceeef", "#c8cbce"
@@ -21,7 +22,6 @@ _ROW = 58  # by which a picture is higher for each of its rows
 _LEFT, _RIGHT, _TOP, _BOTTOM = 53, 12, 22, 33  # margins [pt]
 _FINE = 10  # units of a path to the point
 _FONT = "font-family='sans-serif' font-size='9'"
-_MOST_POINTS = 1500
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class _Panel:
     def dots(self, x: FloatArray, y: FloatArray, color: str) -> str:
         """As many of the points as are seen apart."""
         chosen = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
-        chosen = chosen[:: -(-len(chosen) // _MOST_POINTS) or 1]
+        chosen = chosen[:: -(-len(chosen) // (2 * BINS)) or 1]
         size = float(np.clip(45.0 / np.sqrt(len(chosen) + 1.0), 1.3, 3.0))
         path = dots_path(*self.places(x[chosen], y[chosen]))
         style = f"stroke='{color}' stroke-width='{_FINE * size:.0f}' stroke-opacity='.65'"

@@ -52,8 +52,8 @@ def test_of_many_findings_the_surest_are_named() -> None:
     two = replace(result, findings=(finding, replace(finding, joint="hip")))
     assert verdict_sentence(two).startswith("Found: Coulomb friction at knee and at hip. With them, ")
     many = replace(result, findings=(finding, *(replace(finding, joint=f"toe{k}") for k in range(5))))
-    named = "Found: 6 effects, most certainly Coulomb friction at knee and Coulomb friction at toe0. With them, "
-    assert verdict_sentence(many).startswith(named)
+    first = "Coulomb friction at knee, Coulomb friction at toe0 and Coulomb friction at toe1"
+    assert verdict_sentence(many).startswith(f"Found: 6 effects, most certainly {first}. With them, ")
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,6 @@ from geomid_ros.gap.result import GapResult
 from geomid_ros.report import gap_words
 from geomid_ros.report.gap_page import SimulatedAgain
 
-_MOST_CANDIDATES = 8
 _BAR = 24  # characters
 _AFTER, _INERTIAS, _BEFORE = "█", "▓", "░"
 
@@ -121,7 +120,7 @@ def _simulated_table(simulation: SimulatedAgain) -> Table:
 
 def _candidates_table(result: GapResult) -> Table:
     table = plain_table("Candidates, best first", ["candidate"], ["score gain", "separable", "chosen"])
-    for entry in result.ranking[:_MOST_CANDIDATES]:
+    for entry in result.ranking[: gap_words.MOST_CANDIDATES]:
         chosen = "yes" if entry.chosen else ""
         table.add_row(gap_words.title(entry), f"{entry.gain:.1f}", gap_words.percent(entry.separability), chosen)
     return table
