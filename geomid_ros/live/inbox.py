@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import queue
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
-
-from geomid_ros.live.solver import Done
 
 # A burst is taken whole; what nobody takes out of the inbox, or would be later than is of use, has no room in it.
 _LONGEST_STANDSTILL = 3.0  # [s] of the intake, while messages wait
@@ -26,13 +24,8 @@ class Received:
     time: float = field(default_factory=time.perf_counter)
 
 
-@dataclass(frozen=True)
-class Reset:
-    """All rows are to be forgotten."""
-
-
-Request: TypeAlias = Reset | Done
-"""``Done`` waits for an estimate from all messages so far."""
+Request: TypeAlias = Callable[[], None]
+"""Something to be done after the messages that came before."""
 
 
 class Inbox:

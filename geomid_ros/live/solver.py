@@ -8,6 +8,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -31,14 +32,6 @@ _EARLIER = 64  # estimates, so many as are made until a gap is known: most of a 
 _CHOSEN_ANEW = 0.5  # share of what is remembered that is new when effects and the prior's weight are chosen anew
 
 Done: TypeAlias = Callable[[Estimate | GeomidError], None]
-
-
-class _WatchRequest:
-    """Changes are to be looked for."""
-
-
-_Request: TypeAlias = Done | _WatchRequest | None
-"""``Done`` waits for an estimate from scratch; None: the thread is to end."""
 
 
 class Solver:
@@ -73,24 +66,10 @@ class Solver:
         self._closing = False
         self._from_scratch: tuple[tuple[int, int], Estimate] | None = None  # the last, and of which epoch and rows
         self.changed_sensors: tuple[str, ...] = ()  # topics of those whose rows are left out
-        self._asking: list[Done] = []
         self.detector = self._new_detector()
-        self._start()
-
-    def _start(self) -> None:
         self.activity = Activity()
-        self._requests: queue.SimpleQueue[_Request] = queue.SimpleQueue()
-        self._thread = start_daemon("solver", self._solve_repeatedly, self.activity, self._requests)
-
-    def restart(self) -> None:
-        """Give up what the thread is doing, and begin another thread. Those who wait for it get an error."""
-        with self._lock:
-            self._epoch += 1
-            asking, self._asking = self._asking, []
-        self._requests.put(None)
-        self._start()
-        for done in asking:
-            done(GeomidError("the solver timed out and was restarted"))
+        self._requests: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()  # None: the thread is to end
+        self._thread = start_daemon("solver", self._solve_repeatedly)
 
     def close(self, patience: float) -> None:
         """End. A solve is finished first, and the estimate made up to date, unless that takes longer than ``patience``
@@ -105,15 +84,13 @@ class Solver:
     def ask(self, done: Done) -> None:
         """Solve from scratch, unless that was done for the same rows. ``done`` is called with the result, in the
         solver's thread."""
-        with self._lock:
-            self._asking.append(done)
-        self._requests.put(done)
+        self._requests.put(partial(self._answer, done))
 
     def watch(self) -> None:
         """Look for changes, as there are rows enough to judge; with whatever is asked for already they are looked for,
         too."""
         if self._requests.empty():
-            self._requests.put(_WatchRequest())
+            self._requests.put(self._watch)
 
     def reset(self) -> None:
         """Forget all rows, and what was learned from them."""
@@ -160,40 +137,33 @@ class Solver:
         channels = [replace(c, columns=np.intersect1d(c.columns, usual)) for c in model.channels]
         return ChangeDetector(channels, self._session.configuration.buffer.forgetting_time)
 
-    def _solve_repeatedly(self, activity: Activity, requests: queue.SimpleQueue[_Request]) -> None:
+    def _solve_repeatedly(self) -> None:
         next_solve = time.monotonic()
         while True:
             try:
-                request = requests.get(timeout=max(0.0, next_solve - time.monotonic()))
+                request = self._requests.get(timeout=max(0.0, next_solve - time.monotonic()))
             except queue.Empty:
                 next_solve = time.monotonic() + self._period
-                self._solve_for_new_rows(activity)
+                self._solve_for_new_rows()
                 continue
             if request is None:
                 if self._closing:
-                    self._solve_for_the_last_rows(activity)
+                    self._solve_for_the_last_rows()
                 return
-            if isinstance(request, _WatchRequest):
-                with activity.doing(WATCHING):
-                    self._detect_changes()
-            elif not self._answered(request, activity):
-                return
+            request()
 
-    def _answered(self, done: Done, activity: Activity) -> bool:
-        """Solve from scratch and answer; False if who asked was told that it took too long, and another thread goes
-        on."""
-        with activity.doing(SOLVING):
+    def _watch(self) -> None:
+        with self.activity.doing(WATCHING):
+            self._detect_changes()
+
+    def _answer(self, done: Done) -> None:
+        with self.activity.doing(SOLVING):
             self._detect_changes()
             result = self._solve_from_scratch()
-        with self._lock:
-            if done not in self._asking:
-                return False
-            self._asking.remove(done)
         done(result)
-        return True
 
-    def _solve_for_new_rows(self, activity: Activity) -> None:
-        with activity.doing(SOLVING):
+    def _solve_for_new_rows(self) -> None:
+        with self.activity.doing(SOLVING):
             self._detect_changes()
             rows, identifier = self._session.identifier.rows, self._session.identifier
             if rows == self._solved_rows:
@@ -204,12 +174,12 @@ class Solver:
             else:
                 self._judge()
 
-    def _solve_for_the_last_rows(self, activity: Activity) -> None:
+    def _solve_for_the_last_rows(self) -> None:
         """Make the estimate up to date where that is a step from the last one: nobody waits for more in the end."""
         warm = self._warm_start()
         step = warm is not None and not warm.effects_alone
         if step and self._session.identifier.rows != self._solved_rows:
-            with activity.doing(SOLVING):
+            with self.activity.doing(SOLVING):
                 self._solve_once(warm)
 
     def _judge(self) -> None:

@@ -17,10 +17,8 @@ from geomid_ros.errors import GeomidError
 from geomid_ros.live.threads import end_with_parent
 
 _NICE = 5  # the process that takes messages comes first
-_PATIENCE = 60.0  # [s] for a solve whose caller has given up
 _TRIES = 2  # of a solve whose process ends: not all that end a process are the solve's fault
-_LONGEST_PAUSE = 60.0  # [s] between processes that end without a result
-_WORTH_TELLING = 60.0  # [s] after an end
+_LONGEST_PAUSE = 60.0  # [s] between processes that end without a result; so long is an end worth telling
 _PROTOCOL = 5  # of pickle; it leaves read-only arrays read-only
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)  # to the whole group are the parent's to answer
 
@@ -32,16 +30,15 @@ Answer = TypeVar("Answer")
 class SolvingProcess:
     """Does one thing after the other: solves, and judges recordings.
 
-    A process that ends, as one does that is killed for its memory, or that hangs in a solve whose caller has given up,
-    is replaced by another, which gets the same task. While one after the other ends without a result, longer and longer
-    pauses are made.
+    A process that ends, as one does that is killed for its memory, is replaced by another, which gets the same task.
+    While one after the other ends without a result, longer and longer pauses are made.
     """
 
     def __init__(self) -> None:
         """Fork, so that nothing has to be imported again. No thread may have been started before."""
         self._solving = threading.Lock()
         self._closed = False
-        self._hangs = False  # its solve is given up
+        self._given_up = False  # the present task
         self._ends = self._fruitless = 0  # processes that ended, and the last of them in a row that solved nothing
         self._ended = -math.inf  # when the last one did
         self._ended_process: Any = None  # the last that did
@@ -66,7 +63,7 @@ class SolvingProcess:
             return ""
         if not self._process.is_alive():
             return "the solver process died, perhaps from lack of memory; it is being restarted"
-        if time.monotonic() - self._ended > _WORTH_TELLING:
+        if time.monotonic() - self._ended > _LONGEST_PAUSE:
             return ""
         return f"the solver process died, perhaps from lack of memory, and was restarted, time {self._ends}"
 
@@ -76,24 +73,25 @@ class SolvingProcess:
         """A method, as one that is done in the process.
 
         Its task, ``self``, which has all that stays the same, is sent once. It raises GeomidError, too, if the process
-        ends more than once, or is ended by :meth:`close`.
+        ends more than once, or is ended by :meth:`give_up` or :meth:`close`.
         """
 
         def run(task: Task, /, *arguments: Arguments.args, **named: Arguments.kwargs) -> Answer:
-            if not self._solving.acquire(timeout=_PATIENCE):
-                self._hangs = True
-                self._process.kill()  # whoever waits for it sees its end
-                self._solving.acquire()
-            try:
+            with self._solving:
                 return self._answered(method, task, arguments, named)
-            finally:
-                self._solving.release()
 
         return run
+
+    def give_up(self) -> None:
+        """End the process in the midst of its task, if it has one; whoever waits for that gets an error."""
+        if self._solving.locked():
+            self._given_up = True
+            self._process.kill()
 
     def _answered(
         self, method: Callable[..., Answer], task: object, arguments: tuple[Any, ...], named: dict[str, Any]
     ) -> Answer:
+        self._given_up = False
         for _ in range(_TRIES):
             if self._closed:
                 return method(task, *arguments, **named)
@@ -104,8 +102,7 @@ class SolvingProcess:
                 answer = self._answer(method, task, arguments, named)
             except (EOFError, OSError) as error:  # the process has ended
                 self._note_end()
-                if self._closed or self._hangs:
-                    self._hangs = False
+                if self._closed or self._given_up:
                     raise GeomidError("the solve was aborted") from error
                 continue
             self._fruitless = 0

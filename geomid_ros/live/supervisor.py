@@ -1,4 +1,4 @@
-"""The worker on the present robot: built from its description, kept in checkpoints, replaced when it hangs."""
+"""The worker on the present robot: built from its description, kept in checkpoints, and freed from what hangs."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Log(Protocol):
 
 
 class Supervisor:
-    """Has one worker at a time, none before the first description. Restarts its threads, but not for ever."""
+    """Has one worker at a time, none before the first description. Ends what hangs in it, but not for ever."""
 
     def __init__(
         self,
@@ -152,7 +152,7 @@ class Supervisor:
                 self._log.error(str(error))
 
     def restart_what_hangs(self) -> None:
-        """Restart the solver if it hangs; if the intake does, replace the worker, whose rows are lost."""
+        """End the solving process if a solve hangs; if the intake does, replace the worker, whose rows are lost."""
         if self.worker is None:
             return
         while self._restarts and time.monotonic() - self._restarts[0] > FORGOTTEN:
@@ -170,8 +170,8 @@ class Supervisor:
         self._hung = f"{what} hung and was restarted, {len(self._restarts)} of at most {MOST_RESTARTS} times"
         if intake:
             self.build(self.worker.session.urdf, "robot_description", self._absent)
-        else:
-            self.worker.solver.restart()
+        elif self._solving:
+            self._solving.give_up()
 
     def close(self, save: Callable[[Session, Estimate, float], None]) -> None:
         """End the threads, after saving the last estimate.

@@ -13,7 +13,7 @@ import numpy as np
 
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.live.inbox import Inbox, Received, Request, Reset
+from geomid_ros.live.inbox import Inbox, Received, Request
 from geomid_ros.live.solver import SOLVING, Done, Solver
 from geomid_ros.live.status import Status
 from geomid_ros.live.threads import Activity, start_daemon
@@ -82,11 +82,11 @@ class Worker:
 
     def reset(self) -> None:
         """Forget all rows and the estimate, after the messages that wait."""
-        self._inbox.ask(Reset())
+        self._inbox.ask(self._forget)
 
     def final_estimate(self, done: Done) -> None:
         """Solve from scratch for all messages so far. ``done`` is called with the result, in the solver's thread."""
-        self._inbox.ask(done)
+        self._inbox.ask(lambda: self.solver.ask(done))
 
     def recent_messages(self) -> list[Accepted]:
         """The messages that the session remembers; after a gap has opened, only those since then.
@@ -184,13 +184,11 @@ class Worker:
                 self._fail("message processing failed", error)
 
     def _do(self, task: list[Received] | Request) -> None:
-        if isinstance(task, Reset):
-            self._forget()
-        elif isinstance(task, list):
+        if isinstance(task, list):
             with self.activity.doing(task[0].topic):
                 self._take(task)
         else:
-            self.solver.ask(task)
+            task()
 
     def _take(self, messages: list[Received]) -> None:
         """Push messages into the pipeline, and the rows that they complete into the identifier."""

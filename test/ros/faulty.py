@@ -11,13 +11,14 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import wraps
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
 
-from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.estimation.identifier import EstimationTask, Identifier
 from geomid_ros.live import inbox, supervisor
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros import main
@@ -40,6 +41,7 @@ def plant(owner: Any, name: str, acts: dict[str, Callable[..., Any]]) -> None:
     """While the fault is one of ``acts``, call that with the method and its arguments instead of the method."""
     healthy = getattr(owner, name)
 
+    @wraps(healthy)  # under its name it is found in another process
     def act(*arguments: Any, **named: Any) -> Any:
         found = acts.get(fault())
         return found(healthy, *arguments, **named) if found else healthy(*arguments, **named)
@@ -147,17 +149,24 @@ def with_wrenches(act: Callable[..., Any]) -> Callable[..., Any]:
     return choose
 
 
-def run() -> None:
-    """Plant, and run the node."""
-    plant(Identifier, "solve", {
-        "solver fails": fail,
+def plant_in_solving_process() -> None:
+    """In this one, and in those that take its place."""
+    plant(EstimationTask, "solve", {
         "solver hangs": hang,
         "solver computes for ever": compute,
+        "everything hangs": hang,
+    })  # fmt: skip
+
+
+def run() -> None:
+    """Plant, and run the node."""
+    plant_in_solving_process()
+    plant(Identifier, "solve", {
+        "solver fails": fail,
         "solver slow": slowly,
         "solver waits": waiting,
         "not converged": unconverged,
         "not a number": not_a_number,
-        "everything hangs": hang,
     })  # fmt: skip
     plant(Identifier, "add", {"rows fail": fail, "intake hangs": hang})
     plant(SignalPipeline, "_use", {"messages fail": of_wrenches(fail)})
@@ -174,3 +183,5 @@ def run() -> None:
 
 if __name__ == "__main__":
     run()
+elif __name__ == "__mp_main__":
+    plant_in_solving_process()

@@ -244,14 +244,12 @@ def test_90_messages_of_which_nothing_comes_are_a_warning() -> None:
 
 
 class Hanging:
-    """As much of a worker as hangs."""
+    """As much of a solving process as hangs."""
 
     def __init__(self) -> None:
-        self.activity = Activity()
-        self.solver = self
         self.restarts = 0
 
-    def restart(self) -> None:
+    def give_up(self) -> None:
         self.restarts += 1
 
 
@@ -261,23 +259,23 @@ def test_92_hangs_are_forgotten_after_an_hour(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(supervisor, "time", SimpleNamespace(monotonic=lambda: now[0]))
     monkeypatch.setattr(Activity, "current", ("solving", 1e6))
     ignored: Any = None
-    watched = Supervisor(Configuration({}), Ledger(), Lines(), on_samples=ignored, on_estimate=ignored, solving=None)
-    worker: Any = Hanging()
-    worker.activity = type("Idle", (), {"current": ("", 0.0)})()
-    worker.solver = type("Solver", (), {"activity": Activity(), "restart": lambda _: worker.restart()})()
+    solving: Any = Hanging()
+    watched = Supervisor(Configuration({}), Ledger(), Lines(), on_samples=ignored, on_estimate=ignored, solving=solving)
+    idle, solver = SimpleNamespace(current=("", 0.0)), SimpleNamespace(activity=Activity())
+    worker: Any = SimpleNamespace(activity=idle, solver=solver)
     watched.worker = worker
     for _ in range(20):
         watched.restart_what_hangs()
         now[0] += 2.0 * FORGOTTEN
-    assert worker.restarts == 20
+    assert solving.restarts == 20
     for _ in range(10):
         watched.restart_what_hangs()
         now[0] += 1.0
-    assert worker.restarts == 20 + MOST_RESTARTS
+    assert solving.restarts == 20 + MOST_RESTARTS
     assert "no restart for an hour" in watched.problem
     now[0] += FORGOTTEN
     watched.restart_what_hangs()
-    assert worker.restarts == 21 + MOST_RESTARTS
+    assert solving.restarts == 21 + MOST_RESTARTS
     assert "1 of at most 3 times" in watched.problem
 
 

@@ -203,7 +203,7 @@ def in_thread(identifier: Identifier) -> tuple[threading.Thread, list[Estimate |
     return thread, results
 
 
-def test_a_solve_that_was_given_up_is_waited_for(solving: SolvingProcess) -> None:
+def test_a_solve_of_another_session_is_waited_for(solving: SolvingProcess) -> None:
     """The process goes on with what is asked for next: here, rows of another session."""
     ours, theirs = session(effects=["viscous_friction"]), session()
     for each in (ours, theirs):
@@ -220,18 +220,19 @@ def test_a_solve_that_was_given_up_is_waited_for(solving: SolvingProcess) -> Non
     assert solving.warning == ""
 
 
-def test_a_process_that_does_not_come_to_an_end_is_ended(
-    solving: SolvingProcess, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(module, "_PATIENCE", 0.1)
+def test_a_solve_that_is_given_up_ends_with_an_error(solving: SolvingProcess) -> None:
+    """The next one is made by another process; while there is none, nothing is given up."""
+    solving.give_up()
     ours, theirs = session(), session()
     ours.identifier.solve_with(solving.remote(EstimationTask.solve))
     os.kill(solving._process.pid or 0, signal.SIGSTOP)
     thread, given_up = in_thread(ours.identifier)
     wait_until(solving._solving.locked)
-    assert_same(ours.identifier.solve(), theirs.identifier.solve())
+    assert solving.warning == ""
+    solving.give_up()
     thread.join(PATIENCE)
     assert str(given_up[0]) == "the solve was aborted"
+    assert_same(ours.identifier.solve(), theirs.identifier.solve())
     assert "restarted" in solving.warning
 
 

@@ -20,7 +20,6 @@ from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live import inbox
 from geomid_ros.live import worker as module
 from geomid_ros.live.inbox import Received
-from geomid_ros.live.threads import Activity
 from geomid_ros.live.worker import Worker
 from geomid_ros.monitoring.change_detection import BLOCK
 from geomid_ros.session.configuration import Configuration
@@ -214,7 +213,7 @@ def solved_for(watched: Watched) -> list[int]:
 def end_of_period(watched: Watched) -> int:
     """Let the solver look whether there is anything to do; returns the rows there are."""
     wait_until(lambda: watched.worker.status(active=True).queue == watched.session.pipeline.held)
-    watched.worker.solver._solve_for_new_rows(Activity())
+    watched.worker.solver._solve_for_new_rows()
     return watched.session.identifier.rows
 
 
