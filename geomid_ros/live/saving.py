@@ -21,16 +21,13 @@ from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.files.models.written_model import ESTIMATE
 from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.live.threads import Activity, start_daemon, start_later
-from geomid_ros.live.worker import Worker
+from geomid_ros.live.worker import LONG, Worker
 from geomid_ros.session.session import Session
 
 _PATIENCE = 0.4  # [s] for the last checkpoint
 _LATE = 4.0  # [s] for an estimate from all data; then the last one is saved
 _LATEST = 4.8  # [s] for an answer
 _SHORTEST_PAUSE = 0.1  # share of the period, between checkpoints that take long
-
-
-_LONG = 1.0  # [s] that saving may take without a word
 
 FOLLOWS = "and follows"
 """In an answer: what was saved is not of all data yet."""
@@ -189,7 +186,7 @@ class Saving:
     def problems(self) -> tuple[str, ...]:
         """Why the last attempt failed, and that the present one is slow."""
         _, seconds = self._activity.current
-        slow = f"saving takes {seconds:.0f} s so far: {self._folder} is slow" if seconds > _LONG else ""
+        slow = f"saving takes {seconds:.0f} s so far: {self._folder} is slow" if seconds > LONG else ""
         return tuple(filter(None, (self._problem, slow)))
 
     def begin(self, worker: Worker, result: Estimate | GeomidError, done: Callable[[Answer], None]) -> None:

@@ -15,7 +15,7 @@ from geomid_ros.estimation.identifier import EstimationTask
 from geomid_ros.files.models.readers import URDF
 from geomid_ros.live.saving import Checkpoints, CheckpointStatus
 from geomid_ros.live.solving_process import SolvingProcess
-from geomid_ros.live.worker import OnEstimate, OnSamples, Worker
+from geomid_ros.live.worker import PATIENCE, OnEstimate, OnSamples, Worker
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import locked_note, with_locked
 from geomid_ros.session.session import Session
@@ -25,7 +25,6 @@ MOST_RESTARTS = 3
 FORGOTTEN = 3600.0  # [s] after which a restart does not count any more
 HANGING = 120.0  # [s] nothing takes so long on a busy machine, not even the first solve of a humanoid
 _PUBLISHERS_START = 3.0  # [s] within which all joints are heard that are published
-_PATIENCE = 0.7  # [s] for the threads to end; with the last checkpoint, and with all that takes, less than two
 
 
 class Log(Protocol):
@@ -183,7 +182,7 @@ class Supervisor:
         """
         if self.worker is None:
             return
-        end = time.monotonic() + _PATIENCE
+        end = time.monotonic() + PATIENCE
         saved = self._save_last(self.worker, save, None, end)
         self.worker.close(max(0.0, end - time.monotonic()))
         self._save_last(self.worker, save, saved, end)

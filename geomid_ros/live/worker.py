@@ -25,10 +25,10 @@ from geomid_ros.signals.decoding import Decoder
 from geomid_ros.signals.ledger import count_reason
 from geomid_ros.signals.messages import JOINT_STATES, Accepted, message_type
 
-_PATIENCE = 0.6  # [s] for both threads to end
+PATIENCE = 0.7  # [s] for both threads to end; with the last checkpoint, and with all that takes, less than two
 _TRANSITION = 2_000_000_000  # [ns] from the beginning of a gap until all rows show it
 _LATENCIES = 10_000  # last instants of which the latency is known
-_LONG = 1.0  # [s] nothing that a thread does takes longer, except solving if ``solve_period`` is longer
+LONG = 1.0  # [s] nothing that a thread does takes longer, except solving if ``solve_period`` is longer
 
 OnSamples: TypeAlias = Callable[[Session, Samples, Estimate], None]
 OnEstimate: TypeAlias = Callable[[Session, Estimate], None]
@@ -52,7 +52,7 @@ class Worker:
         self.activity = Activity()  # of the intake
         self._decoder = Decoder()
         self._on_samples = on_samples
-        self._longest_solve = max(_LONG, solve_period)
+        self._longest_solve = max(LONG, solve_period)
         self._lock = threading.Lock()  # held, briefly, for the three that follow
         self._failures: Counter[str] = Counter()
         self._rows_lost: Counter[str] = Counter()  # replaced as a whole
@@ -64,7 +64,7 @@ class Worker:
     def close(self, patience: float | None = None) -> None:
         """Stop both threads. Waiting messages and a solve are finished first, unless that takes longer than
         ``patience`` [s]; messages that are left then are dropped."""
-        end = time.monotonic() + (_PATIENCE if patience is None else patience)
+        end = time.monotonic() + (PATIENCE if patience is None else patience)
         self._inbox.end()
         self._intake.join(max(0.0, end - time.monotonic()))
         self.solver.close(max(0.0, end - time.monotonic()))
@@ -77,7 +77,7 @@ class Worker:
             self.ledger.drop(message.topic, reason)
 
     def take(self, messages: Sequence[Received]) -> None:
-        """Let messages wait for the intake, or drop them while too many do or nobody takes them."""
+        """Let messages wait for the intake, or drop them while too many do."""
         self._drop(self._inbox.put_messages(messages), "queue full")
 
     def reset(self) -> None:
@@ -168,12 +168,12 @@ class Worker:
     @property
     def _intake_is_late(self) -> str:
         what, seconds = self.activity.current
-        return f"a message on {what} has been processed for {seconds:.0f} s" if seconds > _LONG else ""
+        return f"a message on {what} has been processed for {seconds:.0f} s" if seconds > LONG else ""
 
     @property
     def _solver_is_late(self) -> str:
         what, seconds = self.solver.activity.current
-        limit = self._longest_solve if what == SOLVING else _LONG
+        limit = self._longest_solve if what == SOLVING else LONG
         return f"{what} takes {seconds:.0f} s so far, more than {limit:g} s" if seconds > limit else ""
 
     def _take_messages(self) -> None:

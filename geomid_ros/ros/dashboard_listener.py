@@ -9,14 +9,12 @@ from collections.abc import Callable
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import try_shutdown
+from rclpy.node import Node
 
 from geomid_ros.live.dashboard_server import Board, serve
 from geomid_ros.live.dashboard_state import Diagnosis, state_of
 from geomid_ros.live.threads import start_daemon
-from geomid_ros.ros.starting import starting_ros
+from geomid_ros.ros.starting import running_node
 
 _PAUSE = 0.2  # [s] after which its end is noticed at the latest
 
@@ -32,25 +30,12 @@ def run_dashboard(node: str, port: int | None, say: Callable[[str], None]) -> No
     Raises:
         InputError: ROS cannot start, or the port is taken.
     """
-    with starting_ros():
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        with starting_ros():
-            listener = rclpy.create_node(
-                "geomid_dashboard", use_global_arguments=False, enable_rosout=False, start_parameter_services=False
-            )
-        executor = SingleThreadedExecutor()
-        executor.add_node(listener)
-        try:
-            asyncio.run(_run(node.lstrip("/"), port, say, executor))
-        finally:
-            executor.shutdown()
-            listener.destroy_node()
-    finally:
-        try_shutdown()
+    options = {"use_global_arguments": False, "enable_rosout": False, "start_parameter_services": False}
+    with running_node("geomid_dashboard", **options) as listener:
+        asyncio.run(_run(node.lstrip("/"), port, say, listener))
 
 
-async def _run(node: str, port: int | None, say: Callable[[str], None], executor: SingleThreadedExecutor) -> None:
+async def _run(node: str, port: int | None, say: Callable[[str], None], listener: Node) -> None:
     loop, stop = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stop.set)
@@ -61,12 +46,11 @@ async def _run(node: str, port: int | None, say: Callable[[str], None], executor
             if state is not None:
                 loop.call_soon_threadsafe(board.show, state)
 
-        (listener,) = executor.get_nodes()
         listener.create_subscription(DiagnosticArray, "/diagnostics", take, 10)
         say(f"Dashboard of /{node}: {address}")
 
     ending = threading.Event()
-    hearing = start_daemon("dashboard", _hear, executor, ending)
+    hearing = start_daemon("dashboard", _hear, listener, ending)
     try:
         await serve(node, port, begin, stop)
     finally:
@@ -74,9 +58,9 @@ async def _run(node: str, port: int | None, say: Callable[[str], None], executor
         await asyncio.to_thread(hearing.join)  # while there is what it uses
 
 
-def _hear(executor: SingleThreadedExecutor, ending: threading.Event) -> None:
+def _hear(listener: Node, ending: threading.Event) -> None:
     while not ending.is_set():
-        executor.spin_once(timeout_sec=_PAUSE)
+        rclpy.spin_once(listener, timeout_sec=_PAUSE)
 
 
 def _diagnoses(message: DiagnosticArray) -> list[Diagnosis]:

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from geometry_msgs.msg import WrenchStamped
+from nav_msgs.msg import Odometry
 from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import NameValidationException
@@ -21,13 +23,25 @@ from rclpy.qos import (
     qos_policy_name_from_kind,
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
+from sensor_msgs.msg import Imu, JointState
 
 from geomid_ros.errors import InputError
 from geomid_ros.live.inbox import Received
 from geomid_ros.signals.ledger import Ledger
 
-_MOST_AT_ONCE = 1000  # messages of a topic, before others have their turn
+MOST_AT_ONCE = 1000  # messages of a topic, before others have their turn
+_CLASSES = {kind.__name__: kind for kind in (WrenchStamped, Odometry, Imu, JointState)}
+
+
+class RosTypes:
+    """Reads serialised messages by ROS itself, where rosbags is not installed; see
+    :func:`~geomid_ros.signals.decoding.read_without_rosbags`."""
+
+    def deserialize_cdr(self, data: bytes, kind: str) -> Any:
+        """The message of this type in ``data``. Raises what rclpy raises for bytes that are none."""
+        return deserialize_message(data, _CLASSES[kind.rpartition("/")[2]])
 
 
 class _Polled(CallbackGroup):
@@ -107,7 +121,7 @@ class Inputs:
         now, wall_clock, came = time.perf_counter(), time.time(), 0.0
         handle = entry.subscription.handle
         with handle:
-            while len(messages) < _MOST_AT_ONCE and (taken := handle.take_message(entry.kind, True)):
+            while len(messages) < MOST_AT_ONCE and (taken := handle.take_message(entry.kind, True)):
                 data, info = taken
                 self._count_missing(entry, None if ambiguous else info["publication_sequence_number"])
                 waited = wall_clock - 1e-9 * info["received_timestamp"] if info["received_timestamp"] else 0.0

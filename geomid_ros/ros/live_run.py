@@ -27,8 +27,7 @@ from geomid_ros.live.saving import FOLLOWS, NOT_YET, SLOW
 from geomid_ros.ros.starting import starting_ros
 from geomid_ros.session.configuration import Configuration
 
-_START_TIMEOUT = 20.0
-_SAVE_TIMEOUT = 60.0
+_PATIENCE = 60.0  # [s] for a service, and for what it answers
 _AFTERWARDS = 1.2  # [s] in which the estimates that the save published arrive, and the diagnostics after it
 
 
@@ -99,9 +98,9 @@ class LiveRun:
 
     def _save(self) -> None:
         client = self._watcher.create_client(Trigger, "geomid/save")
-        if not client.wait_for_service(timeout_sec=_START_TIMEOUT):
+        if not client.wait_for_service(timeout_sec=_PATIENCE):
             raise GeomidError("the node does not offer the service ~/save")
-        end = time.monotonic() + _SAVE_TIMEOUT
+        end = time.monotonic() + _PATIENCE
         result = self._ask(client)
         while result is not None and _is_late(result.message) and time.monotonic() < end:
             result = self._ask(client)
@@ -113,7 +112,7 @@ class LiveRun:
 
     def _ask(self, client: Client) -> Trigger.Response | None:
         answer = client.call_async(Trigger.Request())
-        rclpy.spin_until_future_complete(self._watcher, answer, timeout_sec=_SAVE_TIMEOUT)
+        rclpy.spin_until_future_complete(self._watcher, answer, timeout_sec=_PATIENCE)
         return answer.result()
 
 

@@ -35,9 +35,8 @@ from geomid_ros.live.worker import Worker
 from geomid_ros.ros.console import Console, News
 from geomid_ros.ros.dashboard_process import DashboardProcess
 from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, Diagnostics
-from geomid_ros.ros.inputs import Inputs
+from geomid_ros.ros.inputs import Inputs, RosTypes
 from geomid_ros.ros.outputs import Outputs, latched
-from geomid_ros.ros.serialized import RosTypes
 from geomid_ros.ros.starting import starting_ros
 from geomid_ros.ros.streaming import Streaming
 from geomid_ros.session.configuration import PARAMETERS, Configuration, Parameter, find_parameter

@@ -17,12 +17,11 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.bags.bag import Bag
-from geomid_ros.ros.starting import running_node
+from geomid_ros.ros.starting import MATCHING, running_node
 from geomid_ros.signals.messages import IMU, JOINT_STATES, ODOM
 
 _READ = (JOINT_STATES, ODOM, IMU, "robot_description", "/clock")  # by geomid, with any configuration
 _LATCHED = ("robot_description", "tf_static")
-_SETTLING = 0.5  # [s] a best-effort subscriber hears a publisher a little later than it is seen
 _LINGER = 1.0  # [s] the last messages must reach their subscribers before the publishers go
 
 
@@ -126,4 +125,4 @@ def _wait_for_subscribers(publishers: dict[str, Publisher], wait: float) -> None
     deadline = time.monotonic() + wait
     while time.monotonic() < deadline and any(p.get_subscription_count() == 0 for p in data):
         time.sleep(0.02)
-    time.sleep(_SETTLING)
+    time.sleep(MATCHING)

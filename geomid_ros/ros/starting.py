@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import rclpy
 from rclpy.node import Node
@@ -12,6 +13,9 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
 from geomid_ros.errors import InputError
+
+MATCHING = 0.5
+"""A best-effort subscriber hears a publisher a little later than it is seen itself [s]."""
 
 
 @contextmanager
@@ -25,14 +29,14 @@ def starting_ros() -> Iterator[None]:
 
 
 @contextmanager
-def running_node(name: str) -> Iterator[Node]:
-    """A node, as long as ROS runs. Signals are the caller's: rclpy's own handlers would invalidate the publishers while
-    they publish."""
+def running_node(name: str, **options: Any) -> Iterator[Node]:
+    """A node with these ``options`` of rclpy, as long as ROS runs. Signals are the caller's: rclpy's own handlers would
+    invalidate the publishers while they publish."""
     with starting_ros():
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:
         with starting_ros():
-            node = rclpy.create_node(name)
+            node = rclpy.create_node(name, **options)
         try:
             yield node
         finally:

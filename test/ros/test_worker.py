@@ -7,7 +7,6 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -36,8 +35,7 @@ SOON, NEVER = 0.01, 3600.0  # [s] periods of the solver
 @pytest.fixture(autouse=True)
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
     """The machine may be busy."""
-    monkeypatch.setattr(module, "_PATIENCE", PATIENCE)
-    monkeypatch.setattr(inbox, "_LONGEST_STANDSTILL", PATIENCE)
+    monkeypatch.setattr(module, "PATIENCE", PATIENCE)
 
 
 class Watched:
@@ -272,7 +270,7 @@ def test_who_waits_when_it_closes_has_an_answer() -> None:
 
 
 def test_closing_waits_for_no_solver_that_takes_long(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "_PATIENCE", 0.05)
+    monkeypatch.setattr(module, "PATIENCE", 0.05)
     solve, may_end = quiet.session.identifier.solve, threading.Event()
 
     def slowly(warm: Any) -> Estimate:
@@ -349,29 +347,6 @@ def standing_still(watched: Watched) -> Iterator[None]:
         stop.set()
 
 
-@pytest.fixture
-def now(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """The time of the intake; after a second's standstill messages are dropped."""
-    time_of_day = [0.0]
-    monkeypatch.setattr(inbox, "_LONGEST_STANDSTILL", 1.0)
-    monkeypatch.setattr(inbox, "time", SimpleNamespace(perf_counter=lambda: time_of_day[0]))
-    return time_of_day
-
-
-def test_what_comes_while_nobody_takes_any_is_dropped(quiet: Watched, now: list[float]) -> None:
-    """The first of those that wait tells for how long."""
-    with standing_still(quiet):
-        for now[0], begin, end in ((10.0, 0, 20), (10.9, 20, 50), (11.1, 50, 200)):
-            quiet.feed(begin, end)
-        assert quiet.worker.status(active=True).queue == 50
-    quiet.final()
-    quiet.feed(200, 260)
-    quiet.final()
-    account = quiet.worker.status(active=True).accounts["joint_states"]
-    assert account.dropped == {"queue full": 150}
-    assert (account.accepted, account.received) == (110, 260)
-
-
 def test_what_waits_is_bounded_by_number_and_bytes(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
     """What was taken out has room again."""
     monkeypatch.setattr(inbox, "_MOST_WAITING", 30)
@@ -388,24 +363,14 @@ def test_what_waits_is_bounded_by_number_and_bytes(quiet: Watched, monkeypatch: 
     assert (account.received, account.dropped) == (160, {"queue full": 2 * 10 + 2 * 20})
 
 
-def test_a_burst_is_taken_however_long_it_waits(
-    quiet: Watched, now: list[float], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As long as the intake gets on; as much comes as it takes."""
-    taken = 0
-
-    def take_some_time(_: Any) -> None:
-        nonlocal taken
-        taken, now[0] = taken + 1, now[0] + 0.9
-        if taken <= 20:
-            quiet.worker.take([Received(*JOINTS[10 + taken])])
-
-    monkeypatch.setattr(inbox, "_MOST_AT_ONCE", 1)
-    monkeypatch.setattr(quiet.worker, "_take", take_some_time)
+def test_what_waits_is_taken_however_long_it_waits(quiet: Watched) -> None:
+    """A standstill costs no message that had room."""
     with standing_still(quiet):
-        quiet.feed(0, 10)
-    wait_until(lambda: taken + quiet.worker.status(active=True).account("joint_states").dropped.total() >= 30)
-    assert taken == 30
+        quiet.feed(0, 200)
+        assert quiet.worker.status(active=True).queue == 200
+    assert isinstance(quiet.final(), Estimate)
+    account = quiet.worker.status(active=True).accounts["joint_states"]
+    assert (account.received, account.accepted, account.dropped) == (200, 200, {})
 
 
 def test_the_intake_outlives_whatever_fails_behind_a_message(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:

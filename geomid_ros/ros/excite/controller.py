@@ -13,9 +13,9 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.ros.starting import MATCHING
 
 _PATIENCE = 3.0  # [s] for a controller to be found
-_MATCHING = 0.5  # [s] a subscriber knows of a publisher a little later than it is seen itself
 _KIND = "trajectory_msgs/msg/JointTrajectory"
 
 
@@ -131,7 +131,7 @@ def find_controller(node: Node, controller: str, look: Callable[[], object]) -> 
         look()
         first = next((way for way in ways if way.ready), None)
         if first is not None and found is None:
-            end = time.monotonic() + _MATCHING
+            end = time.monotonic() + MATCHING
         found = first
     if found is not None:
         return found

@@ -21,11 +21,11 @@ from std_msgs.msg import String
 from geomid_ros.errors import GeomidError
 from geomid_ros.excitation.running.watch import JointState
 from geomid_ros.ros.excite.recorder import Recorder
+from geomid_ros.ros.inputs import MOST_AT_ONCE
 from geomid_ros.ros.outputs import latched
 from geomid_ros.signals.messages import JOINT_STATES, JointMessage, parse
 
 _LOOK = 0.003  # [s] at most that a look waits for a message
-_MOST_AT_ONCE = 1000  # messages
 _DESCRIPTION = "robot_description"
 _WRENCH, _STATE, _TEXT = "geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/JointState", "std_msgs/msg/String"
 T = TypeVar("T")
@@ -64,7 +64,7 @@ class HeardRobot:
     def look(self) -> list[JointState]:
         """What has come since the last look, or comes within a moment."""
         self._executor.spin_once(timeout_sec=_LOOK)
-        for _ in range(_MOST_AT_ONCE):
+        for _ in range(MOST_AT_ONCE):
             with self._states.handle:
                 taken = self._states.handle.take_message(JointStateMessage, True)
             if taken is None:
