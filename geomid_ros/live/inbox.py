@@ -8,8 +8,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
-# A burst is taken whole; what nobody takes out of the inbox, or would be later than is of use, has no room in it.
-_LONGEST_STANDSTILL = 3.0  # [s] of the intake, while messages wait
 _MOST_WAITING = 10_000  # messages
 _MOST_BYTES = 50_000_000  # of them
 _MOST_AT_ONCE = 1000  # messages
@@ -36,12 +34,6 @@ class Inbox:
         self._put = self._put_bytes = 0  # of messages
         self._got = self._got_bytes = 0
         self._done = 0  # messages
-        self._got_on = time.perf_counter()  # when the intake was done with something last, or nothing waited
-
-    @property
-    def empty(self) -> bool:
-        """Whether nothing waits to be taken out."""
-        return self._queue.empty()
 
     @property
     def unfinished(self) -> int:
@@ -49,14 +41,9 @@ class Inbox:
         return self._put - self._done
 
     def put_messages(self, messages: Sequence[Received]) -> Sequence[Received]:
-        """Put messages in. Returns those, the last ones, that have no room, as too many wait there or nobody takes
-        them."""
-        now, waiting = time.perf_counter(), self._put - self._got
-        if self.empty:
-            self._got_on = now
-        room = 0 if now - self._got_on > _LONGEST_STANDSTILL else _MOST_WAITING - waiting
+        """Put messages in. Returns those, the last ones, that have no room, as too many wait there."""
         taken: list[Received] = []
-        for message in messages[: max(room, 0)]:
+        for message in messages[: max(0, _MOST_WAITING - self._put + self._got)]:
             if self._put_bytes - self._got_bytes > _MOST_BYTES:
                 break
             self._put_bytes += len(message.data)
@@ -68,8 +55,6 @@ class Inbox:
 
     def ask(self, request: Request) -> None:
         """Put a request behind the messages that wait."""
-        if self.empty:
-            self._got_on = time.perf_counter()
         self._queue.put(request)
 
     def end(self) -> None:
@@ -106,10 +91,8 @@ class Inbox:
             if messages:
                 yield messages
                 self._done += len(messages)
-                self._got_on = time.perf_counter()
                 messages = []
             if task is None:
                 return
             if not isinstance(task, list):
                 yield task
-                self._got_on = time.perf_counter()
