@@ -49,10 +49,11 @@ class SolvingProcess:
         their locks behind in any state."""
         context: Any = get_context(method)
         self._connection, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        process = context.Process(target=_serve, args=(theirs,), daemon=True)
         masked = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)  # in the process, too
-        self._process.start()
+        process.start()
         signal.pthread_sigmask(signal.SIG_SETMASK, masked)
+        self._process = process  # once it can be killed
         theirs.close()
         self._tasks: dict[type, object] = {}  # that the process knows, one of each type
 

@@ -363,16 +363,6 @@ def test_what_waits_is_bounded_by_number_and_bytes(quiet: Watched, monkeypatch: 
     assert (account.received, account.dropped) == (160, {"queue full": 2 * 10 + 2 * 20})
 
 
-def test_what_waits_is_taken_however_long_it_waits(quiet: Watched) -> None:
-    """A standstill costs no message that had room."""
-    with standing_still(quiet):
-        quiet.feed(0, 200)
-        assert quiet.worker.status(active=True).queue == 200
-    assert isinstance(quiet.final(), Estimate)
-    account = quiet.worker.status(active=True).accounts["joint_states"]
-    assert (account.received, account.accepted, account.dropped) == (200, 200, {})
-
-
 def test_the_intake_outlives_whatever_fails_behind_a_message(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
     """The messages were taken, and so are those to come."""
     with monkeypatch.context() as patch:
