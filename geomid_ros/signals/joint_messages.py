@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import tau
 
 import numpy as np
 
-from geomid_ros.signals.arrived import plausible
-from geomid_ros.signals.effort_habits import EffortHabits
+from geomid_ros.signals.arrived import plausible, without_refusal
+from geomid_ros.signals.effort_quality import EffortQuality
 from geomid_ros.signals.joint_names import missing_joint
 from geomid_ros.signals.ledger import Reason, driver_error
 from geomid_ros.signals.limits import STANDING
@@ -62,16 +63,15 @@ class JointReader:
         self._names: tuple[str, ...] = ()
         self._order = np.zeros(len(joints), dtype=np.int64)
         self._saturation = SaturationDetector(len(joints))
-        self._habits = EffortHabits(joints, continuous | self._turning, note)
+        self._quality = EffortQuality(joints, continuous | self._turning, note)
         self.restart()
 
     def restart(self) -> None:
         """Begin anew, as a clock was set back."""
         self._stamp = 0
-        self._last: FloatArray | None = None  # positions, velocities and efforts of the last message that was good
-        self._sent: FloatArray | None = None  # the same as they were sent, saturated efforts, too
-        self._raw: FloatArray | None = None  # its positions as they were sent
-        self._turns = np.zeros(len(self._joints))  # that were added to them
+        self._last = np.full((3, len(self._joints)), np.inf)  # the numbers of the last message, as they were sent
+        self._raw: FloatArray | None = None  # its positions before turns were added to them
+        self._turns = np.zeros(len(self._joints))  # that were added
         self._speed = 0.0
         self._made_up = True  # until an effort is seen that is not zero
         self._effort_stamps = np.zeros(len(self._joints), dtype=np.int64)
@@ -79,7 +79,7 @@ class JointReader:
 
     @property
     def stamp(self) -> int:
-        """Of the last message that was good [ns]; 0 before."""
+        """Of the last message that was not frozen [ns]; 0 before."""
         return self._stamp
 
     @property
@@ -133,36 +133,19 @@ class JointReader:
             The numbers of the messages ``(N, 3 joints)``, and for each that cannot be used the reason, None for the
             others ``(N,)``.
         """
-        before = vars(self).copy(), vars(self._saturation).copy()
-        try:
-            return self._read(stamps, numbers.copy())
-        except RejectedError as error:
-            if len(stamps) == 1:
-                return numbers.reshape(1, -1), np.array([error.reason], dtype=object)
-        # What is found of several holds only if all of them are good, as each is compared with the one before.
-        vars(self).update(before[0])
-        vars(self._saturation).update(before[1])
-        half = len(stamps) // 2
-        parts = [self.read(stamps[part], numbers[part]) for part in (slice(half), slice(half, None))]
-        values, refusals = (np.concatenate(each) for each in zip(*parts, strict=True))
-        return values, refusals
-
-    def _read(self, stamps: IntArray, numbers: FloatArray) -> tuple[FloatArray, AnyArray]:
-        positions = numbers[:, 0].copy()
-        turns = self._unwind(numbers[:, 0])
-        frozen, speeds = self._frozen(stamps, numbers)
-        refusals = np.full(len(stamps), None)
+        values, refusals = numbers.copy(), np.full(len(stamps), None)
+        self._unwind(values[:, 0])
+        frozen, speeds = self._frozen(stamps, values)
         refusals[frozen] = FROZEN
-        if not frozen.all():
-            used = slice(None) if not frozen.any() else ~frozen
-            values = numbers[used]
-            self._sent = values[-1].copy()
-            self._check_effort(stamps[used], values, speeds[used] > STANDING)
-            self._habits.add(stamps[used], values[:, 0], values[:, 2])
-            numbers[used] = values
-            self._stamp, self._last = int(stamps[used][-1]), values[-1].copy()
-            self._raw, self._turns = positions[used][-1], turns[used][-1]
-        return numbers.reshape(len(stamps), -1), refusals
+        used = np.flatnonzero(~frozen)
+        if len(used):
+            then, kept = stamps[used], values[used]
+            self._stamp, self._last = int(then[-1]), kept[-1].copy()
+            refusals[used] = self._check_effort(then, kept, speeds[used] > STANDING)
+            values[used] = kept
+            good = without_refusal(refusals)
+            self._quality.add(stamps[good], values[good, 0], values[good, 2])
+        return values.reshape(len(stamps), -1), refusals
 
     def _order_of(self, names: tuple[str, ...]) -> IntArray:
         """The places of the robot's joints among a message's names. Most messages have those of the one before."""
@@ -187,26 +170,22 @@ class JointReader:
             self._noted.add(remark)
             self._note(remark)
 
-    def _unwind(self, positions: FloatArray) -> FloatArray:
-        """Add whole turns to positions that jump by them: those of continuous joints, and of drivers that wrap.
-
-        Returns:
-            ``(N, joints)`` the turns that were added.
-        """
-        steps = np.diff(positions, axis=0, prepend=positions[:1] if self._raw is None else self._raw[None])
-        turns = np.round(steps / (2.0 * np.pi))
-        wraps = self._turning & (turns != 0.0) & (np.abs(steps - 2.0 * np.pi * turns) < _UNLIKE_A_TURN)
+    def _unwind(self, positions: FloatArray) -> None:
+        """Add whole turns to positions that jump by them: those of continuous joints, and of drivers that wrap."""
+        raw = positions.copy()
+        steps = np.diff(raw, axis=0, prepend=raw[:1] if self._raw is None else self._raw[None])
+        turns = np.round(steps / tau)
+        wraps = self._turning & (turns != 0.0) & (np.abs(steps - tau * turns) < _UNLIKE_A_TURN)
         for joint in np.flatnonzero(wraps.any(axis=0)):
             self._note_once(Reason(f"positions of '{self._joints[joint]}' {UNWRAPPED}", "told"))
         added = self._turns - np.cumsum(np.where(self._continuous | wraps, turns, 0.0), axis=0)
-        positions += 2.0 * np.pi * added
-        return np.asarray(added)
+        positions += tau * added
+        self._raw, self._turns = raw[-1], added[-1]
 
     def _frozen(self, stamps: IntArray, numbers: FloatArray) -> tuple[BoolArray, FloatArray]:
         """In which messages no number has changed, though by velocities, or else by the positions before, the robot
         moves; and the speed in each, both ``(N,)``."""
-        last = np.full(numbers.shape[1:], np.inf) if self._sent is None else self._sent
-        before = np.concatenate([last[None], numbers[:-1]])
+        before = np.concatenate([self._last[None], numbers[:-1]])
         # Positions first, as hardly ever all of them are the same. Zeros as efforts are looked at elsewhere.
         same = (numbers[:, 0] == before[:, 0]).all(axis=1)
         if same.any():
@@ -229,30 +208,31 @@ class JointReader:
             speeds[index] = speed
             last = last if again and speed > STANDING else stamp
 
-    def _check_effort(self, stamps: IntArray, numbers: FloatArray, moving: BoolArray) -> None:
-        """Leave out efforts that have failed for long. Raises RejectedError for others that fail."""
+    def _check_effort(self, stamps: IntArray, numbers: FloatArray, moving: BoolArray) -> AnyArray:
+        """Leave out efforts that have failed for long. Returns why messages with others that fail are refused, None
+        for the others ``(N,)``."""
         effort = numbers[:, 2]
         zeros = self._zeros(effort, moving)
         effort[zeros] = np.nan
-        before = None if self._last is None else (self._stamp, self._last[2])
-        saturated = self._saturation.saturated(stamps, effort, numbers[:, 1], moving, before)
+        saturated = self._saturation.saturated(stamps, effort, numbers[:, 1], moving)
         effort[saturated] = np.nan
         measured = np.isfinite(effort)
-        latest = np.where(measured, stamps[:, None], 0)
-        latest = np.maximum.accumulate(np.concatenate([self._effort_stamps[None], latest]))
-        lost = ~measured & (latest[:-1] > 0) & (stamps[:, None] - latest[:-1] <= self._max_gap)
-        if lost.any():
-            row, joint = (int(place[0]) for place in np.nonzero(lost))
-            name = self._joints[joint]
-            reason = f"effort of '{name}' missing or not finite"
-            if saturated[row].any():
-                reason = f"effort of '{name}' saturated: for long the same, and never larger"
-            elif zeros[row]:
-                reason = driver_error(f"effort of '{name}' and of all others is zero while the robot moves")
-            elif not measured[row].any():
-                reason = driver_error(f"no effort of '{name}' or any other joint")
-            raise RejectedError(reason)
+        latest = np.concatenate([self._effort_stamps[None], np.where(measured, stamps[:, None], 0)])
+        latest = np.maximum.accumulate(latest)
         self._effort_stamps = latest[-1]
+        lost = ~measured & (latest[:-1] > 0) & (stamps[:, None] - latest[:-1] <= self._max_gap)
+        refusals = np.full(len(stamps), None)
+        for row in np.flatnonzero(lost.any(axis=1)):
+            name = self._joints[int(np.argmax(lost[row]))]
+            if saturated[row].any():
+                refusals[row] = f"effort of '{name}' saturated: for long the same, and never larger"
+            elif zeros[row]:
+                refusals[row] = driver_error(f"effort of '{name}' and of all others is zero while the robot moves")
+            elif not measured[row].any():
+                refusals[row] = driver_error(f"no effort of '{name}' or any other joint")
+            else:
+                refusals[row] = f"effort of '{name}' missing or not finite"
+        return refusals
 
     def _zeros(self, effort: FloatArray, moving: BoolArray) -> BoolArray:
         """Whether all efforts are exactly zero, and have been since the robot moved: the driver has no

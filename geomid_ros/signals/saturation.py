@@ -31,37 +31,28 @@ class SaturationDetector:
 
     def restart(self) -> None:
         """Begin anew, as a clock was set back. What was learned is kept."""
+        self._stamp, self._last = 0, np.full(self._joints, np.nan)  # of the last message
         self._largest_since = np.zeros(self._joints, dtype=np.int64)
         self._last_below = np.full(self._joints, self._messages)  # number of the last message with a smaller effort
         self._begun = np.full(self._joints, self._messages)  # since when efforts have been the same
         self._moved = np.zeros(self._joints, dtype=np.bool_)  # while its effort has been the largest
 
-    def saturated(
-        self,
-        stamps: IntArray,
-        effort: FloatArray,
-        velocity: FloatArray,
-        moving: BoolArray,
-        before: tuple[int, FloatArray] | None,
-    ) -> BoolArray:
-        """Take N messages; what is found of several holds only if all of them are good, as each is compared with the
-        one before.
+    def saturated(self, stamps: IntArray, effort: FloatArray, velocity: FloatArray, moving: BoolArray) -> BoolArray:
+        """Take N messages.
 
         Args:
             stamps: ``(N,)`` [ns].
             effort: ``(N, joints)``, NaN where it is not measured; so is ``velocity``.
             velocity: ``(N, joints)``.
             moving: ``(N,)`` whether the robot moves.
-            before: stamp and efforts of the last good message.
 
         Returns:
             ``(N, joints)`` which efforts are saturated.
         """
-        first, efforts = before or (0, np.full(self._joints, np.nan))
-        size, last = np.abs(effort), np.vstack([efforts, effort[:-1]])
+        size, last = np.abs(effort), np.vstack([self._last, effort[:-1]])
         numbers = np.broadcast_to(self._messages + 1 + np.arange(len(stamps))[:, None], size.shape)
         sizes = np.vstack([self._largest, size])
-        if before is None:  # the first one is not learned from
+        if not self._stamp:  # the first one is not learned from
             sizes[1] = np.nan
         records = np.fmax.accumulate(sizes)
         record, grown = records[1:], records[1:] > records[:-1]
@@ -69,7 +60,7 @@ class SaturationDetector:
         below = ~largest
         last_below = _latest(np.where(below, numbers, np.where(grown, numbers - 1, -1)), self._last_below)
         ended = np.logical_or.accumulate(below | grown)  # what was the largest before these messages
-        since = np.concatenate([[first], stamps])[np.maximum(last_below - self._messages, 0)]
+        since = np.concatenate([[self._stamp], stamps])[np.maximum(last_below - self._messages, 0)]
         since = np.where(ended, since, self._largest_since)
         moves = np.where(largest & ~(np.abs(velocity) < STANDING), numbers, -1)
         moved = (_latest(moves, np.full(self._joints, -1)) > last_below) | (self._moved & ~ended)
@@ -78,6 +69,7 @@ class SaturationDetector:
         longest = np.maximum(_FEWEST, _LONGER * held)  # that rounding could explain
         found: BoolArray = (held > 0) & (numbers - last_below >= longest) & moved & moving[:, None]
         found &= (count < _MOSTLY * numbers) & (stamps[:, None] - since >= _SHORTEST)
+        self._stamp, self._last = int(stamps[-1]), effort[-1].copy()
         self._messages += len(stamps)
         self._largest = record[-1]
         self._last_below, self._largest_since = last_below[-1], since[-1]

@@ -118,5 +118,5 @@ def test_nothing_is_saturated_before_a_smaller_effort_has_changed_while_the_robo
     effort = np.repeat([0.2, 0.1, 0.5, 0.3, 0.6], 20)[:, None]
     moving = np.arange(len(effort)) > 40
     stamps = START + 10_000_000 * np.arange(len(effort))
-    found = SaturationDetector(1).saturated(stamps, effort, 1.0 * moving[:, None], moving, None)
+    found = SaturationDetector(1).saturated(stamps, effort, 1.0 * moving[:, None], moving)
     assert not np.any(found)

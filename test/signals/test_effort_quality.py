@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from geomid_ros.signals.effort_habits import EffortHabits
+from geomid_ros.signals.effort_quality import EffortQuality
 from geomid_ros.signals.ledger import meaning_of
 from geomid_ros.types import FloatArray
 
@@ -18,13 +18,13 @@ NAMES = ("one", "two", "three")
 def told(efforts: FloatArray, turning: bool = True, piece: int = 50, speed: float = 0.1) -> tuple[list[str], list[str]]:
     """What is wrong, and what is noted."""
     found: list[str] = []
-    habits = EffortHabits(NAMES, np.full(3, turning), found.append)
+    quality = EffortQuality(NAMES, np.full(3, turning), found.append)
     stamps = np.arange(COUNT) * PERIOD
     stamps[COUNT // 2 :] += 100_000_000_000  # a pause is no rate
     positions = np.cumsum(speed * np.ones((COUNT, 3)), axis=0) * PERIOD * 1e-9
     for begin in range(0, COUNT, piece):
         part = slice(begin, begin + piece)
-        habits.add(stamps[part], positions[part], efforts[part])
+        quality.add(stamps[part], positions[part], efforts[part])
     by_meaning = {meaning: [one for one in found if meaning_of(one) == meaning] for meaning in ("driver error", "told")}
     assert sum(map(len, by_meaning.values())) == len(found)
     return by_meaning["driver error"], by_meaning["told"]

@@ -1,0 +1,127 @@
+"""What the numbers of efforts look like over many messages: held, coarse, cut about zero, overflowing, copied."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from geomid_ros.signals.ledger import Reason, driver_error
+from geomid_ros.signals.limits import STANDING
+from geomid_ros.types import BoolArray, FloatArray, IntArray
+
+_FIRST, _MOST = 512, 16384  # messages that are judged together: a quarter more each time, up to the most
+_LONGEST_HELD = 0.05  # [s] what is renewed at 20 Hz or more is hardly late
+_CLEAR = 4.0  # times the usual or the smallest change
+_COARSE = 0.25  # standard deviations that all changes, or all numbers but zeros, are larger than
+_SMALL = 0.05  # share of messages, and of a range
+_FILLED = 8.0  # standard deviations: a range that efforts fill
+_MANY, _OVERFLOWS = 10, 3  # changes, and overflows in either direction, at least
+_ALIKE = 0.95  # share of messages
+_SENTENCES = {
+    "held": "come only every {:.1g} s, and are the same numbers in between",
+    "zero": "fall to exactly zero, and rise again, at once: a dead band, or a drive switched off or braked",
+    "overflow": "jump from one end of their range to the other: their numbers overflow",
+    "copied": "are the same numbers: one of them is a copy",
+    "coarse": "come in steps of a quarter or more of their variation: only what is larger is seen of the motion",
+}
+
+
+class EffortQuality:
+    """Collects messages with efforts of J joints, and tells once what is peculiar about them."""
+
+    def __init__(self, joints: Sequence[str], turning: BoolArray, note: Callable[[str], None]) -> None:
+        """
+        Args:
+            joints: their names.
+            turning: ``(J,)`` which are revolute: two fingers of a gripper may have one effort.
+            note: told what is peculiar about efforts, as an error of the driver where it makes them doubtful.
+        """
+        self._joints, self._turning, self._note = tuple(joints), turning, note
+        self._kept: list[tuple[IntArray, FloatArray, FloatArray]] = []
+        self._due = _FIRST
+        self._before = {kind: np.zeros(len(joints), dtype=np.bool_) for kind in _SENTENCES}
+        self._told = dict(self._before)
+
+    def add(self, stamps: IntArray, positions: FloatArray, efforts: FloatArray) -> None:
+        """Take messages that are used.
+
+        Args:
+            stamps: ``(N,)`` [ns].
+            positions: ``(N, J)``.
+            efforts: ``(N, J)``, NaN where not measured.
+        """
+        while len(stamps):
+            room = self._due - sum(len(part[0]) for part in self._kept)
+            self._kept.append((stamps[:room], positions[:room], efforts[:room]))
+            if len(stamps) >= room:
+                self._judge()
+            stamps, positions, efforts = stamps[room:], positions[room:], efforts[room:]
+
+    def _judge(self) -> None:
+        """Tell of each joint once what is found twice in a row."""
+        stamps, positions, efforts = (np.concatenate(parts) for parts in zip(*self._kept, strict=True))
+        found, every = peculiar(stamps, positions, efforts, self._turning)
+        for kind, now in found.items():
+            joints = now & self._before[kind] & ~self._told[kind]
+            self._told[kind] = self._told[kind] | joints
+            if joints.any():
+                who = "all joints" if joints.all() else ", ".join(repr(self._joints[j]) for j in np.flatnonzero(joints))
+                sentence = f"efforts of {who} {_SENTENCES[kind].format(np.median(every[joints]))}"
+                self._note(Reason(sentence, "told") if kind == "coarse" else driver_error(sentence))
+        self._before = found
+        self._kept = [(stamps, positions, efforts)] if self._due < _MOST else []
+        self._due = min(5 * self._due // 4, _MOST)
+
+
+def peculiar(
+    stamps: IntArray, positions: FloatArray, efforts: FloatArray, turning: BoolArray
+) -> tuple[dict[str, BoolArray], FloatArray]:
+    """What is peculiar about efforts, each joint's by one thing alone.
+
+    Args:
+        stamps: ``(N,)`` [ns].
+        positions: ``(N, J)``.
+        efforts: ``(N, J)``, NaN where not measured.
+        turning: ``(J,)`` which joints are revolute.
+
+    Returns:
+        Which joints are concerned ``(J,)``, by the kind; and the time between changes [s] ``(J,)``.
+    """
+    measured = np.isfinite(efforts)
+    mean = np.sum(efforts, axis=0, where=measured) / np.maximum(np.sum(measured, axis=0), 1)
+    efforts = np.where(measured, efforts, mean)
+    size, spread, whole = np.abs(efforts), np.std(efforts, axis=0), np.ptp(efforts, axis=0)
+    change, jumps = np.abs(np.diff(efforts, axis=0)), np.diff(size == 0.0, axis=0)
+    count = np.count_nonzero(jumps, axis=0)
+    usual, jumped = _mean(change, (change > 0.0) & ~jumps), _mean(change, jumps)
+    step = np.min(change, axis=0, where=change > 0.0, initial=np.inf)
+    many = (np.count_nonzero(change, axis=0) >= _MANY) & (spread > 0.0)
+    coarse = many & (step > _COARSE * spread)
+    fine = many & ~coarse
+
+    period = 1e-9 * float(np.median(np.diff(stamps)))
+    moving = np.abs(np.diff(positions, axis=0)) > STANDING * period
+    renewed = np.sum(moving & (change > 0.0), axis=0)
+    every = period * np.sum(moving, axis=0) / np.maximum(renewed, 1)
+    held = fine & (renewed >= _MANY) & (every > _LONGEST_HELD) & (usual > _CLEAR * step)
+
+    least = np.min(size, axis=0, where=size > 0.0, initial=np.inf)
+    dead = (np.mean(size == 0.0, axis=0) > _SMALL) & (least > _COARSE * spread)
+    zero = fine & ~held & (dead | ((count >= _MANY) & (jumped > _CLEAR * usual)))
+
+    place = (efforts - np.min(efforts, axis=0)) / np.where(whole > 0.0, whole, 1.0)
+    low, high = place < _SMALL, place > 1.0 - _SMALL
+    both = [np.sum(one[:-1] & other[1:], axis=0) for one, other in ((low, high), (high, low))]
+    over = fine & ~held & ~zero & (usual < _SMALL * whole) & (np.minimum(*both) >= _OVERFLOWS)
+    over &= whole < _FILLED * spread  # else it is a few spikes that make the range
+
+    alike = np.array([np.mean((size > 0.0) & (efforts == own[:, None]), axis=0) > _ALIKE for own in efforts.T])
+    np.fill_diagonal(alike, val=False)
+    copied = np.any(alike & np.outer(fine & turning, fine & turning), axis=0)
+    return {"held": held, "zero": zero, "overflow": over, "copied": copied, "coarse": coarse}, every
+
+
+def _mean(values: FloatArray, which: BoolArray) -> FloatArray:
+    """Means ``(J,)`` of some of ``values (N, J)``, zero where there are none."""
+    return np.asarray(np.sum(values, axis=0, where=which) / np.maximum(np.sum(which, axis=0), 1))
