@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.signals.limits import STANDING
+from geomid_ros.model.moving import STILL
 from geomid_ros.types import FloatArray
 
 LASTING = 0.1
@@ -94,6 +94,6 @@ def faults_of(
     used = np.abs(reading.effort) / limits
     if np.max(used) >= _SATURATED:
         faults.append(f"the effort of joint '{joints[int(np.argmax(used))]}' saturates")
-    if reading.repeats(before) and np.max(np.abs(commanded)) > STANDING:
+    if reading.repeats(before) and np.max(np.abs(commanded)) > STILL:
         faults.append("joint states repeat while the robot is to move")
     return faults

@@ -40,11 +40,6 @@ class Arrived:
         return len(self.stamps)
 
     @property
-    def stamp(self) -> int:
-        """Of the first message."""
-        return int(self.stamps[0])
-
-    @property
     def good(self) -> BoolArray:
         """Which messages can be used by themselves ``(N,)``."""
         return without_refusal(self.refusals)
@@ -53,19 +48,29 @@ class Arrived:
         """Some of them."""
         return Arrived(self.order[index], self.stamps[index], self.numbers[index], self.refusals[index])
 
+    def split(self, place: int) -> tuple[Arrived, Arrived]:
+        """Those that came before a place, and the others; in the order in which they came."""
+        count = int(np.searchsorted(self.order, place))
+        return self.select(slice(count)), self.select(slice(count, None))
+
     @staticmethod
     def joined(several: Sequence[Arrived]) -> Arrived:
         """All of them, one after the other."""
-        parts = zip(*((e.order, e.stamps, e.numbers, e.refusals) for e in several), strict=True)
+        some = [each for each in several if len(each)]
+        if len(some) < 2:
+            return (some or several)[0]
+        parts = zip(*((e.order, e.stamps, e.numbers, e.refusals) for e in some), strict=True)
         return Arrived(*(np.concatenate(part) for part in parts))
 
     @staticmethod
     def in_order(several: Sequence[Arrived]) -> Arrived:
         """All of them, in the order in which they came."""
-        if len(several) == 1:
-            return several[0]
         whole = Arrived.joined(several)
-        return whole.select(np.argsort(whole.order, kind="stable"))
+        return whole.select(np.argsort(whole.order, kind="stable")) if len(several) > 1 else whole
+
+
+NOTHING = Arrived(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 0)), np.full(0, None))
+"""No messages."""
 
 
 def without_refusal(refusals: AnyArray) -> BoolArray:

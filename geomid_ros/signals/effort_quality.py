@@ -6,14 +6,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from geomid_ros.model.moving import STILL
 from geomid_ros.signals.ledger import Reason, driver_error
-from geomid_ros.signals.limits import STANDING
+from geomid_ros.signals.limits import CLEAR
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _FIRST, _MOST = 512, 16384  # messages that are judged together: a quarter more each time, up to the most
 _LONGEST_HELD = 0.05  # [s] what is renewed at 20 Hz or more is hardly late
-_CLEAR = 4.0  # times the usual or the smallest change
-_COARSE = 0.25  # standard deviations that all changes, or all numbers but zeros, are larger than
 _SMALL = 0.05  # share of messages, and of a range
 _FILLED = 8.0  # standard deviations: a range that efforts fill
 _MANY, _OVERFLOWS = 10, 3  # changes, and overflows in either direction, at least
@@ -97,18 +96,18 @@ def peculiar(
     usual, jumped = _mean(change, (change > 0.0) & ~jumps), _mean(change, jumps)
     step = np.min(change, axis=0, where=change > 0.0, initial=np.inf)
     many = (np.count_nonzero(change, axis=0) >= _MANY) & (spread > 0.0)
-    coarse = many & (step > _COARSE * spread)
+    coarse = many & (CLEAR * step > spread)
     fine = many & ~coarse
 
     period = 1e-9 * float(np.median(np.diff(stamps)))
-    moving = np.abs(np.diff(positions, axis=0)) > STANDING * period
+    moving = np.abs(np.diff(positions, axis=0)) > STILL * period
     renewed = np.sum(moving & (change > 0.0), axis=0)
     every = period * np.sum(moving, axis=0) / np.maximum(renewed, 1)
-    held = fine & (renewed >= _MANY) & (every > _LONGEST_HELD) & (usual > _CLEAR * step)
+    held = fine & (renewed >= _MANY) & (every > _LONGEST_HELD) & (usual > CLEAR * step)
 
     least = np.min(size, axis=0, where=size > 0.0, initial=np.inf)
-    dead = (np.mean(size == 0.0, axis=0) > _SMALL) & (least > _COARSE * spread)
-    zero = fine & ~held & (dead | ((count >= _MANY) & (jumped > _CLEAR * usual)))
+    dead = (np.mean(size == 0.0, axis=0) > _SMALL) & (CLEAR * least > spread)
+    zero = fine & ~held & (dead | ((count >= _MANY) & (jumped > CLEAR * usual)))
 
     place = (efforts - np.min(efforts, axis=0)) / np.where(whole > 0.0, whole, 1.0)
     low, high = place < _SMALL, place > 1.0 - _SMALL

@@ -6,16 +6,16 @@ was: a fault that is over after three messages, a clock that was set, or somethi
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import tau
 
 import numpy as np
 
-from geomid_ros.signals.gate import Answer, Gate
-from geomid_ros.signals.ledger import Reason, driver_error
-from geomid_ros.signals.limits import FASTEST, SHORTEST_CONTACT
-from geomid_ros.signals.motion_time import end_of, unlikely
-from geomid_ros.signals.periods import SHORT
-from geomid_ros.signals.usual_efforts import CLEAR, UsualEfforts
+from geomid_ros.signals.admission import Answer, Gate
+from geomid_ros.signals.ledger import Reason
+from geomid_ros.signals.limits import CLEAR, FASTEST, FINEST, SHORTEST_CONTACT
+from geomid_ros.signals.periods import FEWEST
+from geomid_ros.signals.spike_heights import SpikeHeights
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 AHEAD = 5
@@ -25,15 +25,10 @@ EARLY = "stamp ahead of its time"
 SPIKE = "is a spike"
 SPIKE_OR_CONTACT = "is a spike, or a contact that messages as slow cannot tell from one"
 CLOCK_SET = Reason("clock set: a new segment begins", "told")
-UNIT_CHANGED = (
-    "efforts change at once by a factor of about {:g}, at all joints: another unit or sign begins; use one of the two "
-    "parts, with effort_gain for its unit"
-)
 _MOST = 3  # messages in a row that a fault lasts
 _USUAL_STEP = 1.9  # periods between two stamps, above which one may be ahead
-_PERIODS, _FEWEST_PERIODS = 64, 32  # over which the period is measured; fewer may be one burst
+_PERIODS = 64  # over which the period is measured; fewer than FEWEST may be one burst
 _TOO_FAST = 1.5  # times the limit
-_BACK = 0.25  # of its height, that is left after a spike
 _LEAST_SET = 20e-3  # [s] that a clock is set by
 _MUCH_LESS_LIKELY = 25.0  # square of standard deviations, of all joints
 
@@ -53,7 +48,7 @@ class JointGate(Gate):
         self._joints = joints
         self._turn = np.where(turning, tau, 0.0)
         self._speed = _TOO_FAST * np.minimum(limits[0], FASTEST)
-        self._efforts = UsualEfforts(limits[1])
+        self._efforts = SpikeHeights(limits[1])
         self._period_before = np.inf
         self._usual_step = 0.0  # [s] between stamps, where they are uneven
         self._stamps = np.zeros(0, dtype=np.int64)  # of the last messages that passed, of one segment
@@ -80,7 +75,7 @@ class JointGate(Gate):
     def _period(self) -> float:
         """Time between messages [s], from the span of the last ones; infinite until it is known."""
         count = len(self._stamps) - 1
-        if count < _FEWEST_PERIODS:
+        if count < FEWEST:
             return self._period_before
         return 1e-9 * float(self._stamps[-1] - self._stamps[0]) / count
 
@@ -97,14 +92,14 @@ class JointGate(Gate):
         ends = np.arange(len(passed) - 1, len(every) - 1)  # of the spans before each message
         begins = np.maximum(ends - _PERIODS, 0)
         periods = 1e-9 * (every[ends] - every[begins]) / np.maximum(ends - begins, 1)
-        periods[ends - begins < _FEWEST_PERIODS] = self._period_before
+        periods[ends - begins < FEWEST] = self._period_before
         steps = stamps - every[ends]
         seconds = 1e-9 * steps
         reach = np.maximum(seconds, periods)[:, None] * self._speed
         found: BoolArray = (seconds > np.maximum(_USUAL_STEP * periods, self._usual_step)) | (steps <= 0)
         found |= steps > self._max_gap
         found |= (self._distance(numbers[:, 0], before[:, 0]) > reach).any(axis=1)
-        found |= self._efforts.jump(before[:, 2], numbers[:, 2])
+        found |= (np.abs(numbers[:, 2] - before[:, 2]) > self._efforts.least).any(axis=1)
         return found
 
     def _distance(self, first: FloatArray, second: FloatArray) -> FloatArray:
@@ -141,16 +136,11 @@ class JointGate(Gate):
         if len(stamps) <= AHEAD and not whole:
             return None
         if self._clock_was_set(stamps, numbers):
-            return Answer(changed=CLOCK_SET)
+            return Answer(noted=CLOCK_SET, begins=True)
         if stamps[0] <= self._stamp:
             self._late = int(stamps[0])
             return in_order(stamps, numbers, whole=whole)
-        soon = 1e-9 * float(stamps[0] - self._stamp) <= _USUAL_STEP * self._period
-        factor = self._efforts.factor(self._last[:, 2], numbers[:, 2])
-        if len(stamps) <= AHEAD or not factor or not soon:
-            return Answer()
-        self._efforts.forget()
-        return Answer(changed=driver_error(UNIT_CHANGED.format(factor)))
+        return Answer()
 
     @staticmethod
     def _spike(effort: str, count: int, elapsed: float) -> Answer:
@@ -191,7 +181,7 @@ class JointGate(Gate):
         last, away, back, later = self._last[-1, 2], numbers[:length, 2], numbers[length, 2], numbers[length + 1, 2]
         height = np.min(np.minimum(np.abs(away - last), np.abs(away - back)), axis=0)
         left = np.maximum(np.abs(back - last), np.abs(later - last))
-        spikes = (height > self._efforts.spike) & (left < _BACK * height)
+        spikes = (height > self._efforts.least) & (left < height / CLEAR)
         return f"effort of '{self._joints[int(np.argmax(spikes))]}'" if spikes.any() else ""
 
     def _largest_step(self, numbers: FloatArray) -> FloatArray:
@@ -207,7 +197,7 @@ class JointGate(Gate):
         step = 1e-9 * float(stamps[0] - self._stamp)
         if not _LEAST_SET < abs(step - period) < np.inf or min(len(self._stamps), len(self._last), len(stamps)) < count:
             return False
-        if np.any((steps < SHORT * period) | (steps > _USUAL_STEP * period)):
+        if np.any((steps < period / CLEAR) | (steps > _USUAL_STEP * period)):
             return False
         before = 1e-9 * (self._stamps[-count:] - self._stamps[-1])
         left, right = self._without_turns(self._last[-count:, 0], numbers[:, 0])
@@ -220,3 +210,31 @@ class JointGate(Gate):
         apart = np.concatenate([left, right]) - left[-1]
         whole = apart - self._turn * np.round(apart / tau)
         return whole[: len(left)], whole[len(left) :]
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """Where a piece of a motion ends, or begins: ``place`` and ``speed`` ``(joints,)``, and their variances."""
+
+    place: FloatArray
+    speed: FloatArray
+    place_variance: FloatArray
+    speed_variance: FloatArray
+
+
+def end_of(times: FloatArray, positions: FloatArray) -> End:
+    """By parabolas through positions ``(N, joints)``, at time zero."""
+    terms = np.vander(times, 3, increasing=True)
+    fitted, *_ = np.linalg.lstsq(terms, positions, rcond=None)
+    spread = np.linalg.inv(terms.T @ terms)
+    noise = np.sum((positions - terms @ fitted) ** 2, axis=0) / (len(times) - 3) + FINEST**2
+    return End(fitted[0], fitted[1], spread[0, 0] * noise, spread[1, 1] * noise)
+
+
+def unlikely(left: End, right: End, time: float) -> float:
+    """How unlikely it is that a time [s] has passed from the end of a motion to its next beginning: the sum of squares
+    of the joints' ways by the mean of the speeds, in standard deviations."""
+    error = right.place - left.place - 0.5 * time * (left.speed + right.speed)
+    variance = left.place_variance + right.place_variance
+    variance += 0.25 * time**2 * (left.speed_variance + right.speed_variance)
+    return float(np.sum(error**2 / variance))

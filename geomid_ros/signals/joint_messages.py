@@ -7,11 +7,11 @@ from math import tau
 
 import numpy as np
 
+from geomid_ros.model.moving import STILL
 from geomid_ros.signals.arrived import plausible, without_refusal
 from geomid_ros.signals.effort_quality import EffortQuality
 from geomid_ros.signals.joint_names import missing_joint
 from geomid_ros.signals.ledger import Reason, driver_error
-from geomid_ros.signals.limits import STANDING
 from geomid_ros.signals.messages import Block
 from geomid_ros.signals.saturation import SaturationDetector
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
@@ -141,7 +141,7 @@ class JointReader:
         if len(used):
             then, kept = stamps[used], values[used]
             self._stamp, self._last = int(then[-1]), kept[-1].copy()
-            refusals[used] = self._check_effort(then, kept, speeds[used] > STANDING)
+            refusals[used] = self._check_effort(then, kept, speeds[used] > STILL)
             values[used] = kept
             good = without_refusal(refusals)
             self._quality.add(stamps[good], values[good, 0], values[good, 2])
@@ -195,7 +195,7 @@ class JointReader:
         if np.isnan(speeds).any():
             self._differentiate(speeds, stamps, np.max(np.abs(numbers[:, 0] - before[:, 0]), axis=1, initial=0.0), same)
         self._speed = float(speeds[-1])
-        return same & (speeds > STANDING), speeds
+        return same & (speeds > STILL), speeds
 
     def _differentiate(self, speeds: FloatArray, stamps: IntArray, steps: FloatArray, same: BoolArray) -> None:
         """Fill in speeds that are not measured: the largest step from the last good message, by its time."""
@@ -206,7 +206,7 @@ class JointReader:
             elif not again:
                 speed = steps[index] / (1e-9 * (stamp - last)) if last else 0.0
             speeds[index] = speed
-            last = last if again and speed > STANDING else stamp
+            last = last if again and speed > STILL else stamp
 
     def _check_effort(self, stamps: IntArray, numbers: FloatArray, moving: BoolArray) -> AnyArray:
         """Leave out efforts that have failed for long. Returns why messages with others that fail are refused, None

@@ -11,11 +11,11 @@ import numpy as np
 from geomid_ros.signals.joint_messages import JointReader, RejectedError
 from geomid_ros.signals.ledger import driver_error
 from geomid_ros.signals.limits import MOST_WAITING
+from geomid_ros.signals.periods import MISSED
 from geomid_ros.types import FloatArray
 
 SILENT = 1_000_000_000
 """[ns] behind the other parts, for which a part is not missed."""
-_MISSED = 2.5  # periods of a part, between which its numbers are on the line
 
 Part: TypeAlias = tuple[str, ...]
 """The robot's joints that come together, in the robot's order."""
@@ -133,7 +133,7 @@ class JointParts:
         return self._periods[part] > self._resolved
 
     def _longest_gap(self, part: Part) -> int:
-        return max(self._max_gap, int(_MISSED * self._periods.get(part, 0)))
+        return max(self._max_gap, int(MISSED * self._periods.get(part, 0)))
 
     def _is_known(self, part: Part, stamp: int) -> bool:
         """Whether the numbers of a part are known at a stamp, which its messages have reached."""

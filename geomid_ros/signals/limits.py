@@ -7,10 +7,10 @@ from math import tau
 # Physical limits.
 LARGEST_NUMBER = 1e9  # In SI units: no robot measures more
 FASTEST = tau  # [rad/s, m/s] No limit of a speed above is believed, as many URDFs have placeholders
-STANDING = 1e-2  # [rad/s, m/s] At rest: a slower robot may send the same numbers twice
 FINEST = 1e-6  # [rad, m] No position is measured better
 SHORTEST_CONTACT = 33e-3  # [s] A collision of 40 ms is larger than a quarter of its height for so long
 LONGEST_DELAY = 1.0  # [s] Of efforts
+CLEAR = 4.0  # What is clearly larger is so many times as large: a step, or a change, beside usual ones
 
 # Tolerances of arithmetic.
 PERIOD_ROUNDING = 10_000  # [ns] An inferred period of the grid is rounded to this; none is shorter

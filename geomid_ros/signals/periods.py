@@ -9,17 +9,17 @@ from __future__ import annotations
 
 import numpy as np
 
+from geomid_ros.signals.limits import CLEAR
 from geomid_ros.types import IntArray
 
 FEWEST = 32
 """Messages that the period is inferred from."""
 FEWEST_IN_BURSTS = 320
 """The same, where messages come in bursts."""
-SHORT = 0.25
-"""A step between stamps that is shorter, as a share of the usual one, is one of a burst."""
 _IN_BURSTS = 0.2  # the share of such steps, where messages come in bursts
 _UNEVEN = 0.35  # of the time between bursts, that their ends may be off a line
-_PAUSE = 2.5  # times the time between bursts
+MISSED = 2.5
+"""Periods between two messages, or between bursts: more is a pause."""
 _LOST = 1.5  # periods that a burst is late by, if messages are missing
 _FOLLOWS = 0.05  # of the time that a burst is late by, which the times are moved by
 
@@ -29,7 +29,7 @@ def in_bursts(stamps: IntArray, max_gap: int) -> bool:
     Steps longer than ``max_gap`` [ns] do not count."""
     steps = np.diff(stamps)
     steps = steps[steps <= max_gap]
-    return bool(len(steps) and np.mean(steps < SHORT * np.mean(steps)) > _IN_BURSTS)
+    return bool(len(steps) and np.mean(steps < np.mean(steps) / CLEAR) > _IN_BURSTS)
 
 
 class RegularClock:
@@ -63,7 +63,7 @@ class RegularClock:
     def _step(self, stamp: int) -> float:
         """The time [ns] from the message before to the one with this stamp."""
         waited = stamp - self._last
-        if waited > _PAUSE * self._between:
+        if waited > MISSED * self._between:
             return waited - self._between + self.period
         if waited < self.period:
             return self.period

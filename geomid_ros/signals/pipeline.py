@@ -20,7 +20,7 @@ from geomid_ros.model.columns import Column
 from geomid_ros.model.controller import Controller
 from geomid_ros.model.imu import ImuMount
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.admission import Admission, Source
+from geomid_ros.signals.admission import Admission, Gate, Source
 from geomid_ros.signals.arrived import (
     NO_STAMP,
     NOT_VALID,
@@ -31,7 +31,6 @@ from geomid_ros.signals.arrived import (
     without_refusal,
     wrenches,
 )
-from geomid_ros.signals.gate import Gate
 from geomid_ros.signals.joint_gate import JointGate
 from geomid_ros.signals.joint_messages import JointReader, RejectedError
 from geomid_ros.signals.joint_parts import SILENT, JointParts, Part
@@ -184,9 +183,9 @@ class SignalPipeline:
 
     def _take(self, batch: Mapping[Source, Arrived]) -> None:
         """Use what is admitted when messages have come."""
-        for change, admitted in self._admission.take(batch, self._arrived - 1):
-            if change is not None:
-                self._begin_anew(*change)
+        for part, admitted in enumerate(self._admission.take(batch, self._arrived - 1)):
+            if part:
+                self._begin_anew()
             for source, arrived in admitted.items():
                 self._use(source, arrived)
         self._join_parts()
@@ -310,9 +309,8 @@ class SignalPipeline:
         with self._dropping():
             self._take({})
 
-    def _begin_anew(self, source: Source, what: str) -> None:
-        """Begin a new segment, as something has changed in the messages of ``source``: its clock, or a unit."""
-        self.ledger.note(source[0], what)
+    def _begin_anew(self) -> None:
+        """Begin a new segment, as a clock was set."""
         self._join_parts()
         self._reader.restart()
         if self._parts:

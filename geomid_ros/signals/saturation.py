@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomid_ros.signals.limits import STANDING
+from geomid_ros.model.moving import STILL
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _SHORTEST, _FEWEST = 50_000_000, 6  # [ns], messages: a saturated effort is exactly the largest for at least so long
@@ -62,7 +62,7 @@ class SaturationDetector:
         ended = np.logical_or.accumulate(below | grown)  # what was the largest before these messages
         since = np.concatenate([[self._stamp], stamps])[np.maximum(last_below - self._messages, 0)]
         since = np.where(ended, since, self._largest_since)
-        moves = np.where(largest & ~(np.abs(velocity) < STANDING), numbers, -1)
+        moves = np.where(largest & ~(np.abs(velocity) < STILL), numbers, -1)
         moved = (_latest(moves, np.full(self._joints, -1)) > last_below) | (self._moved & ~ended)
         count = self._at_largest + np.cumsum(largest, axis=0)
         held = self._learn_held(numbers, effort != last, np.abs(last), record, grown, moving)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomid_ros.signals.arrived import Arrived
-from geomid_ros.signals.gate import FROM_THE_FUTURE, NOT_LATER, PAUSE, SET_BACK, TOO_OLD, Gate
+from geomid_ros.signals.admission import FROM_THE_FUTURE, NOT_LATER, PAUSE, SET_BACK, TOO_OLD, Gate
+from geomid_ros.signals.arrived import NOTHING, Arrived
 from geomid_ros.signals.limits import PATIENCE
 
 from .feeding import START
@@ -22,17 +22,15 @@ def judged(*stamps: int, others: int = 0) -> tuple[list[int], list[str], list[st
     notes: list[str] = []
     gate, used, refused, turns = Gate(MAX_GAP), [], [], []
     for place, stamp in enumerate([*stamps, *[None] * (others > 0)]):
-        new = None
+        new = NOTHING
         if stamp is not None:
             new = Arrived(np.array([place]), np.array([stamp]), np.zeros((1, 6)), np.full(1, None))
-        decided = gate.judge(new, place if new is not None else place - 1 + others)
-        if decided is not None:
-            messages = decided.messages
-            used += messages.stamps[messages.good].tolist()
-            refused += messages.refusals[~messages.good].tolist()
-            turns += decided.changed.values()
-            notes += decided.noted.values()
-    return used, refused, [*turns, *notes], gate.held
+        messages, noted = gate.judge(new, place if len(new) else place - 1 + others)
+        used += messages.stamps[messages.good].tolist()
+        refused += messages.refusals[~messages.good].tolist()
+        turns += [answer.noted for answer in noted.values() if answer.begins]
+        notes += [answer.noted for answer in noted.values() if not answer.begins]
+    return used, refused, [*turns, *notes], len(gate.waiting)
 
 
 def run(begin: int, count: int, period: int = PERIOD) -> list[int]:

@@ -17,7 +17,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.signals.decoding import Decoder
-from geomid_ros.signals.joint_gate import CLOCK_SET, EARLY, SPIKE_OR_CONTACT, UNIT_CHANGED
+from geomid_ros.signals.joint_gate import CLOCK_SET, EARLY, SPIKE_OR_CONTACT
 from geomid_ros.signals.limits import PATIENCE
 from geomid_ros.signals.messages import JOINT_STATES, Block
 from geomid_ros.signals.pipeline import UNDECIDED
@@ -256,18 +256,6 @@ def test_a_clock_that_is_set_begins_a_segment(step: float, recording: Recording)
     recording.stamps[place:] -= round(step * 1e9)
     lost = np.arange(place, place + round(count / recording.period))
     assert CLOCK_SET not in recording.read(without=lost)[2]
-
-
-@pytest.mark.parametrize("factor", [1000.0, 0.07, -1.0])
-def test_a_unit_that_changes_is_named(factor: float) -> None:
-    """And it begins a segment: no sample mixes both."""
-    recording = Recording("ur10")
-    recording.effort[1500:] *= factor
-    samples, refused, noted = recording.read()
-    (note,) = [note for note in noted if UNIT_CHANGED[:40] in note]
-    assert float(note.split("about ")[1].split(",")[0]) == pytest.approx(factor, rel=0.1)
-    assert refused == {}
-    assert np.max(np.diff(samples.stamps)) > 0.5e9
 
 
 def test_a_publisher_that_ends_holds_nothing_for_ever() -> None:
