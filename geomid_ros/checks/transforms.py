@@ -1,20 +1,241 @@
 """Transforms of recordings that may have happened throughout: a table of candidates for what is wrong.
 
-Each row yields candidates that undo one kind of transform, of the efforts or of the motion. Of each row those are
-judged whose mended efforts resemble most, at a few instants, what the URDF predicts: the number of fits does not grow
-with that of joints.
+Each row yields candidates that undo one kind of transform, of the efforts (see :mod:`~geomid_ros.checks.efforts`) or of
+the motion: unit, names, zeros, axes and time. Of each row those are judged whose mended efforts resemble most, at a few
+instants, what the URDF predicts: the number of fits does not grow with that of joints.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from types import EllipsisType
+
 import numpy as np
 
-from geomid_ros.checks.candidates import PROBABLE, Candidate, probabilities
-from geomid_ros.checks.efforts import OF_EFFORTS
+from geomid_ros.checks.candidates import PROBABLE, REASON, ROUNDS, STEP, TILT, Candidate, Judged, probabilities
+from geomid_ros.checks.causes import Cause
+from geomid_ros.checks.efforts import OF_EFFORTS, compensated, exchanges, weightless
 from geomid_ros.checks.evidence import LEAST_SIGMA
 from geomid_ros.checks.instants import FEWEST
-from geomid_ros.checks.motions import OF_MOTION, positions
 from geomid_ros.checks.subject import Subject
+from geomid_ros.model.samples import SIGN, Samples
+from geomid_ros.types import FloatArray, IntArray
+
+UNITS = {
+    "N m": {
+        "degrees": np.pi / 180.0,
+        "revolutions": 2.0 * np.pi,
+        "mrad": 1e-3,
+        **{f"steps of {2**bits} a turn": 2.0 * np.pi / 2.0**bits for bits in range(10, 21)},
+    },
+    "N": {"mm": 1e-3},
+}
+"""Units of positions, in rad and m, of joints with efforts in N m and N."""
+TIMES = (0.5, 2.0, 1e-3, 1e3)
+"""Factors of time: seconds that are counted as halves, twice, as milliseconds or as thousands."""
+
+
+def _names(subject: Subject, _: Subject) -> Iterator[Candidate]:
+    """Positions and efforts of one joint are those of another."""
+    for pairs in exchanges(subject.names):
+        sources = np.arange(len(subject.joints))
+        for first, second in pairs:
+            sources[[first, second]] = second, first
+        order = np.arange(len(subject.robot.joints))
+        order[subject.joints] = subject.joints[sources]
+        both = [(subject.names[first], subject.names[second]) for first, second in pairs]
+        said = ", ".join(f"'{first}' and '{second}'" for first, second in both)
+        cause = Cause.of("names", [name for end in zip(*both, strict=True) for name in end], pairs=said)
+
+        def read(samples: Samples, order: IntArray = order) -> Samples:
+            return samples.with_joints(order)
+
+        yield _of_motion(read, cause, [place for pair in pairs for place in pair], sources=sources)
+
+
+def positions(subject: Subject, _: Subject) -> Iterator[Candidate]:
+    """Positions and speeds of all joints that turn, or of one joint, are in another unit: in a smaller one only where
+    they are beyond limits, or a turn."""
+    robot = subject.robot
+    turning = np.array([joint.unit != "N" for joint in robot.joints])
+    low, high = robot.position_limits.T
+    largest = np.max(np.abs(subject.samples.position), axis=0)
+    allowed = np.where(turning, np.minimum(np.maximum(-low, high), 2.0 * np.pi), np.maximum(-low, high))
+    for unit, size in UNITS["N m"].items() if np.any(turning) else ():
+        if size > 1.0 or np.any((largest > allowed)[turning]):
+            yield _in_unit(subject, np.where(turning, size, 1.0), unit, "joint positions are")
+    for joint, kind in enumerate(robot.joints) if len(turning) > 1 else ():
+        for unit, size in UNITS[kind.unit].items():
+            if size > 1.0 or largest[joint] > allowed[joint]:
+                scales = np.ones(len(turning))
+                scales[joint] = size
+                said = f"the positions of joint '{robot.joint_names[joint]}' are"
+                beyond = largest[joint] > REASON * allowed[joint] and np.sum(largest > REASON * allowed) == 1
+                yield _in_unit(subject, scales, unit, said, joint, settled=bool(beyond))
+
+
+def _in_unit(
+    subject: Subject,
+    scales: FloatArray,
+    unit: str,
+    said: str,
+    joint: int | None = None,
+    *,
+    settled: bool = False,
+) -> Candidate:
+    robot = subject.robot
+    names = subject.names if joint is None else [robot.joint_names[joint]]
+    right = "m and m/s" if unit in UNITS["N"] else "rad and rad/s"
+    cause = Cause.of("position", names, positions=said, unit=unit, right=right)
+    every = range(len(subject.joints))
+    return _of_motion(lambda samples: _moved(samples, np.diag(scales)), cause, every, settled=settled)
+
+
+def _of_motion(
+    change: Callable[[Samples], Samples],
+    cause: Cause,
+    concerned: Sequence[int],
+    *,
+    sources: IntArray | EllipsisType = ...,
+    settled: bool = False,
+) -> Candidate:
+    """The recording with its samples changed is that of this robot."""
+
+    return Candidate(
+        read=lambda subject: subject.with_samples(change(subject.samples)),
+        cause=cause,
+        concerned=concerned,
+        sources=sources,
+        settled=settled,
+    )
+
+
+def _moved(samples: Samples, matrix: FloatArray, zero: FloatArray | float = 0.0, rate: float = 1.0) -> Samples:
+    """Positions times a ``matrix (joints, joints)``, from another ``zero (joints,)``, by a clock ``rate`` times as
+    fast."""
+    velocity, effects = rate * samples.velocity @ matrix.T, samples.effects.copy()
+    if SIGN in samples.entries:
+        signs = [samples.entries.at(SIGN, joint) for joint in range(len(matrix))]
+        alone = np.count_nonzero(matrix, axis=1) == 1
+        effects[:, signs] = np.where(alone, np.sign(np.diag(matrix)) * effects[:, signs], np.sign(velocity))
+    return replace(
+        samples,
+        position=samples.position @ matrix.T + zero,
+        velocity=velocity,
+        acceleration=rate**2 * samples.acceleration @ matrix.T,
+        effects=effects,
+    )
+
+
+def _times(subject: Subject, _: Subject) -> Iterator[Candidate]:
+    """Stamps run too fast or too slow: where inertia does not fit gravity, and there is gravity in the efforts."""
+    same, every = np.eye(len(subject.robot.joints)), range(len(subject.joints))
+    for rate in TIMES:
+        said = f"{1.0 / rate:g} times as slow" if rate < 1.0 else f"{rate:g} times as fast"
+        cause = Cause.of("time", subject.names, rate=said, period=f"{1.0 / rate:g} times")
+
+        def undo(subject: Subject, rate: float = rate) -> Judged:
+            judged = Judged.mended(subject.with_samples(_moved(subject.samples, same, rate=rate)), subject.spread)
+            without = max(Judged.mended(read(subject), subject.spread).log for read in (weightless, compensated))
+            return replace(judged, log=judged.log - max(without - subject.nominal.log, 0.0))
+
+        yield Candidate(undo=undo, cause=cause, concerned=every)
+
+
+def _zeros(subject: Subject, few: Subject) -> Iterator[Candidate]:
+    """A joint that turns counts from another zero: each from where efforts resemble those predicted most."""
+    for joint in _turning(subject):
+        yield _zero(subject, joint, 1.0, _best_start(few, joint, 1.0))
+
+
+def _axes(subject: Subject, few: Subject) -> Iterator[Candidate]:
+    """A joint counts the other way round, from any zero, or the angle of a parallel joint, too."""
+    robot = subject.robot
+    turning = _turning(subject)
+    for joint in range(len(robot.joints)):
+        yield _zero(subject, joint, -1.0, _best_start(few, joint, -1.0) if joint in turning else 0.0)
+        yield _half_axis(subject, joint)
+        for other in robot.parallel_joints(joint) if joint in turning else ():
+            yield from (_absolute(subject, joint, other, share) for share in (1.0, -1.0) if other in turning)
+
+
+def _turning(subject: Subject) -> list[int]:
+    return [place for place, joint in enumerate(subject.robot.joints) if joint.unit != "N"]
+
+
+def _best_start(few: Subject, joint: int, sign: float) -> float:
+    """The zero [rad], of quarters of a turn and of what is near the configured one, from which efforts resemble those
+    predicted most."""
+    near = 0.5 * TILT
+    starts = np.array([0.0, near, -near, 0.5 * np.pi, -0.5 * np.pi, np.pi])
+    read = [few.with_samples(_recounted(few.samples, joint, sign, start)) for start in starts]
+    return float(starts[int(np.argmax([each.resemblance for each in read]))])
+
+
+def _absolute(subject: Subject, joint: int, other: int, share: float) -> Candidate:
+    names = subject.robot.joint_names
+    cause = Cause.of("absolute", [names[joint], names[other]], sign="minus" if share > 0.0 else "plus")
+    matrix = np.eye(len(names))
+    matrix[joint, other] = -share
+    return _of_motion(lambda samples: _moved(samples, matrix), cause, range(len(subject.joints)))
+
+
+def _half_axis(subject: Subject, joint: int) -> Candidate:
+    """Position and speed of a joint have the opposite sign, its effort has not."""
+    cause = Cause.of("axis", [subject.robot.joint_names[joint]], reversed="position and velocity", zero="")
+    signs = np.where(np.arange(len(subject.robot.joints)) == joint, -1.0, 1.0)
+    return _of_motion(lambda samples: _moved(samples, np.diag(signs)), cause, range(len(subject.joints)))
+
+
+def _zero(subject: Subject, joint: int, sign: float, start: float) -> Candidate:
+    """A joint counts from another zero, which is fitted near ``start`` [rad], and the other way round if ``sign`` is
+    below zero.
+
+    A wrong zero is an unknown among others, ``tau(q + c) = tau(q) + dtau/dq c``: its evidence is found by the
+    linearisation at the links that fit, and this is repeated from where it leads.
+    """
+    name = subject.robot.joint_names[joint]
+
+    def read(subject: Subject, zero: float = start) -> Subject:
+        return subject.with_samples(_recounted(subject.samples, joint, sign, zero))
+
+    def undo(subject: Subject) -> Judged:
+        zero, mended = start, read(subject)
+        found = mended.nominal
+        for _ in range(ROUNDS):
+            links = mended.links(found)
+            ahead, behind = (read(subject, zero + step) for step in (STEP, -STEP))
+            rate = (ahead.regressor - behind.regressor) @ links * (0.5 * TILT / STEP)
+            mended = read(subject, zero)
+            mended.__dict__["predicted"] = mended.predicted + (start - zero) / TILT * rate
+            found = mended.evidence(unknown=rate)
+            zero = start + TILT * float(found.links[-1])
+        deviations = TILT * found.deviations()[-1:]
+        return Judged.mended(mended, subject.spread, found, estimates=np.array([zero]), deviations=deviations)
+
+    def cause(judged: Judged) -> Cause:
+        zero, deviation = np.degrees([judged.estimates[0], judged.deviations[0]])
+        turn = (zero + 180.0) % 360.0 - 180.0
+        said = f"about {turn:.0f} (+-{max(2.0 * deviation, 1.0):.0f}) degrees have"
+        if sign > 0.0:
+            return Cause.of("zero", [name], zero=said)
+        beside = "" if abs(turn) < 5.0 else f", and {said} to be added to its positions then"
+        return Cause.of("axis", [name], reversed="position, velocity and effort", zero=beside)
+
+    return Candidate(undo=undo, read=read, cause=cause, concerned=range(len(subject.joints)))
+
+
+def _recounted(samples: Samples, joint: int, sign: float, zero: float) -> Samples:
+    """Samples of which a joint counts from another zero [rad], the other way round if ``sign`` is below zero."""
+    at = np.arange(samples.position.shape[1]) == joint
+    signs = np.where(at, sign, 1.0)
+    return replace(_moved(samples, np.diag(signs), zero * at), effort=signs * samples.effort)
+
+
+OF_MOTION = (_times, _names, _zeros, _axes)
+"""Rows of candidates whose motion is another than that of the recording."""
+
 
 _BEST = 3
 _AS_IT_MOVES = (*OF_EFFORTS, positions)  # unless its angles cannot be any

@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from geomid_ros.checks.base import displaced_imu, never_lifted, turned_imu
 from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.check import Judge, JudgementTask, RecordingCheck, efforts_alone
-from geomid_ros.checks.commands import encoder_zeros
-from geomid_ros.checks.imu import displaced_imu, turned_imu
-from geomid_ros.checks.legs import never_lifted
+from geomid_ros.checks.obvious import encoder_zeros
 from geomid_ros.checks.unexplained import unexplained
 from geomid_ros.checks.verdict import (
     HEAVIER,

@@ -6,7 +6,7 @@ import numpy as np
 
 from geomid_ros.model import se3
 from geomid_ros.model.imu import ImuMount
-from geomid_ros.signals.grid_values import GridValues
+from geomid_ros.signals.kernels import GridValues
 from geomid_ros.signals.ledger import driver_error
 from geomid_ros.signals.streams import Grid, VectorSegment
 from geomid_ros.types import FloatArray

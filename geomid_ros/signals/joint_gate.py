@@ -12,10 +12,10 @@ from math import tau
 import numpy as np
 
 from geomid_ros.signals.admission import Answer, Gate
+from geomid_ros.signals.effort_sizes import SpikeHeights
 from geomid_ros.signals.ledger import Reason
 from geomid_ros.signals.limits import CLEAR, FASTEST, FINEST, SHORTEST_CONTACT
 from geomid_ros.signals.periods import FEWEST
-from geomid_ros.signals.spike_heights import SpikeHeights
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 AHEAD = 5

@@ -8,12 +8,11 @@ from math import tau
 import numpy as np
 
 from geomid_ros.model.moving import STILL
-from geomid_ros.signals.arrived import plausible, without_refusal
+from geomid_ros.signals.arrived import missing_joint, plausible, without_refusal
 from geomid_ros.signals.effort_quality import EffortQuality
-from geomid_ros.signals.joint_names import missing_joint
+from geomid_ros.signals.effort_sizes import SaturationDetector
 from geomid_ros.signals.ledger import Reason, driver_error
 from geomid_ros.signals.messages import Block
-from geomid_ros.signals.saturation import SaturationDetector
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 _UNLIKE_A_TURN = 0.5  # [rad] a step that is no further from a whole turn is the driver's

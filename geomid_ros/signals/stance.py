@@ -10,7 +10,7 @@ import numpy as np
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
-_LIFTED = 0.1
+LIFTED = 0.1
 """A foot in the air seems to bear less, as a share of what each bears when all stand: inertias are not known yet."""
 _SPAN_IN_CUTOFF_PERIODS = 1.0
 """The low-pass smears what a foot bears over so much to both sides of the change."""
@@ -52,7 +52,7 @@ class Stance:
         self._held, self._borne, self._before = new.select(kept), borne[kept], max(end, begin) - kept.start
         if end <= begin:
             return None
-        standing = _within(stamps, ~(borne < _LIFTED), self._span)[begin:end]
+        standing = _within(stamps, ~(borne < LIFTED), self._span)[begin:end]
         return replace(new.select(slice(begin, end)), standing=standing)
 
 

@@ -17,8 +17,7 @@ import numpy as np
 from geomid_ros.model import se3
 from geomid_ros.model.columns import Entries
 from geomid_ros.model.effects import Motion
-from geomid_ros.signals.grid_values import GridValues
-from geomid_ros.signals.kernels import cubic_weights, derivative_kernels
+from geomid_ros.signals.kernels import GridValues, cubic_weights, derivative_kernels
 from geomid_ros.signals.limits import MEAN_STEPS, MEAN_TOLERANCE
 from geomid_ros.types import FloatArray, IntArray
 

@@ -11,7 +11,7 @@ import pytest
 
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.joint_names import NOBODY
+from geomid_ros.signals.arrived import NOBODY
 from geomid_ros.signals.messages import Accepted, JointMessage, Message, PoseMessage, WrenchMessage
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from geomid_ros.signals.effort_sizes import SaturationDetector
 from geomid_ros.signals.joint_messages import JointReader
 from geomid_ros.signals.messages import JointMessage
-from geomid_ros.signals.saturation import SaturationDetector
 from geomid_ros.types import BoolArray, FloatArray
 
 from .feeding import START, read

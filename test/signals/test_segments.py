@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomid_ros.signals.grid_values import GridValues
+from geomid_ros.signals.kernels import GridValues
 from geomid_ros.signals.streams import Grid, PoseSegment, Segment, Stream, VectorSegment
 from geomid_ros.types import FloatArray
 

@@ -1,0 +1,182 @@
+"""What is wrong by itself, with no hypotheses to compare: descriptions that can be no robot's, channels that repeat one
+value for a while, and efforts of other gains than those that are given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from geomid_ros.checks.candidates import REASON
+from geomid_ros.checks.causes import Cause, Finding
+from geomid_ros.checks.efforts import STANDARD_GRAVITY
+from geomid_ros.checks.evidence import LEAST_SIGMA
+from geomid_ros.checks.instants import FEWEST
+from geomid_ros.checks.subject import Subject
+from geomid_ros.estimation.estimate import SURE, EffectEstimate, is_told
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.controller import Controller
+from geomid_ros.model.effects import effect_class
+from geomid_ros.model.samples import Samples
+from geomid_ros.types import BoolArray, FloatArray
+
+_SAME = 1e-6  # of a range: what changes less stays exactly the same
+_FEWEST = 5  # instants in a row, and at the ends of a stretch, where a filter smears the step that follows
+
+
+def impossible_description(subject: Subject) -> Cause | None:
+    """What is wrong with the URDF, whatever was measured: lengths, centres of mass and radii of gyration that are not
+    of one robot, masses that joints of such limits could not carry, or that no steel could have."""
+    robot = subject.robot
+    bodies = np.array([body.parameters for body in robot.bodies])
+    distances = np.linalg.norm(bodies[:, 1:4], axis=1) / bodies[:, 0]
+    radii = np.sqrt([0.5 * np.trace(pseudo_inertia.central_inertia(body)) / body[0] for body in bodies])
+    length, total = _length(subject), float(np.sum(bodies[:, 0]))
+    whole = f"though all links together are {length:.3g} m long"
+    weighs = f"the links weigh {total:.3g} kg in total, and "
+    if np.median(_denser_than_steel(bodies)) > 0.0:
+        return _lengths([], f"{weighs}most of its links would be denser than steel", "the masses", "grams", "kg")
+    for sizes, what, quantity, unit, right in (
+        (distances, "the centre of mass of link '{}' is {:.3g} m from its frame", "centres of mass", "mm", "m"),
+        (radii, "the moments of inertia of link '{}' are those of mass {:.3g} m away from its centre",
+         "moments of inertia", "g mm^2 or kg mm^2", "kg m^2"),
+    ):  # fmt: skip
+        most = int(np.argmax(sizes))
+        if 0.0 < REASON**2 * length < sizes[most]:
+            said = f"{what.format(robot.body_names[most], sizes[most])}, {whole}"
+            return _lengths([robot.body_names[most]], said, quantity, unit, right)
+    if length > REASON**2 * float(np.sum(radii)) > 0.0:
+        said = f"all links together are {length:.3g} m long, though their mass is within {np.max(radii):.3g} m"
+        return _lengths([], said, "the origins of joints", "mm", "m")
+    with np.errstate(divide="ignore"):
+        excess = _weights(subject) / robot.effort_limits
+    joint = int(np.argmax(excess))
+    if excess[joint] > REASON**2:
+        said = f"{weighs}joint '{robot.joint_names[joint]}' would carry {excess[joint]:.0f} times its limit"
+        return _lengths([], said, "the masses", "grams", "kg")
+    return None
+
+
+def _lengths(links: list[str], what: str, quantity: str, unit: str, right: str) -> Cause:
+    return Cause.of("description", links, said="lengths", what=what, quantity=quantity, unit=unit, right=right)
+
+
+def _length(subject: Subject) -> float:
+    """The sum of all distances from a joint to the next, where all positions are zero."""
+    robot, first = subject.robot, subject.samples.select(slice(1))
+    frames = robot.link_frames(replace(first, position=np.zeros_like(first.position)))
+    return float(sum(np.linalg.norm(frames[j.child][1] - frames[j.parent][1]) for j in robot.tree.joints))
+
+
+def _weights(subject: Subject) -> FloatArray:
+    """The largest efforts of the URDF's links at rest where the robot was, within its limits, whatever gravity is said
+    to be ``(joints,)``."""
+    samples, gravity, weights = subject.samples, subject.robot.gravity, np.zeros(len(subject.robot.joints))
+    within = replace(samples, position=np.clip(samples.position, *subject.robot.position_limits.T))
+    on_earth = STANDARD_GRAVITY / max(float(np.linalg.norm(gravity)), STANDARD_GRAVITY)
+    weights[subject.joints] = on_earth * np.max(np.abs(subject.with_samples(within).weight), axis=0)
+    return weights
+
+
+def _denser_than_steel(bodies: FloatArray) -> BoolArray:
+    """Whether bodies ``(B, 10)`` are smaller than steel balls of their masses."""
+    traces = [np.trace(pseudo_inertia.central_inertia(body)) for body in bodies]  # twice that of the second moments
+    least = [6.0 * body[0] * pseudo_inertia.least_gyration(body[0]) ** 2 for body in bodies]
+    return np.asarray(np.array(traces) < np.array(least))
+
+
+def held_efforts(subject: Subject) -> list[Cause]:
+    """The efforts that stay the same for a while in which gravity and motion ask for others."""
+    found, rigid, stamps = [], subject.flexible.rigid, subject.samples.stamps
+    for channel, effort in enumerate(subject.measured.T):
+        changes = np.abs(np.diff(rigid[:, channel]))
+        same = np.abs(np.diff(effort)) <= _SAME * np.ptp(effort)
+        begins = np.flatnonzero(np.diff(same.astype(np.int8), prepend=0) == 1)
+        ends = np.flatnonzero(np.diff(same.astype(np.int8), append=0) == -1) + 1
+        for begin, end in zip(begins, ends, strict=True):
+            others = np.delete(same & (changes > LEAST_SIGMA * np.std(effort)), np.arange(begin, end))
+            asked = float(np.ptp(rigid[begin : end + 1, channel]))
+            if end - begin >= _FEWEST and np.mean(others) < LEAST_SIGMA and asked > np.std(effort):
+                times = {name: (stamps[at] - stamps[0]) * 1e-9 for name, at in (("begin", begin), ("end", end))}
+                found.append(Cause.of("constant", [subject.names[channel]], said="held", asked=asked, **times))
+                break
+    return found
+
+
+def frozen_position(subject: Subject) -> Cause | None:
+    """A joint whose position is exactly the same for a while, while others move and efforts are not those of that pose.
+
+    The links are fitted to the other instants, and predict these. Where a joint really stands still, its brake holds it
+    without any effort or its effort may be off by dry friction, and no other effort is off. A robot that stands still
+    as a whole tells nothing.
+    """
+    positions, efforts = subject.samples.position, subject.measured
+    for joint, position in enumerate(positions.T):
+        same = np.abs(np.diff(position)) <= _SAME * np.ptp(position)
+        still = np.append(False, same) & np.append(same, False) & subject.is_moving  # filters smear the ends
+        if np.count_nonzero(still) >= _FEWEST and np.count_nonzero(~still) >= FEWEST + 2 * _FEWEST:
+            changes = np.ptp(efforts[still], axis=0) > LEAST_SIGMA * np.ptp(efforts, axis=0)
+            inside, outside = _left(subject, still)
+            surely = np.sqrt(1.0 + SURE * np.sqrt(2.0 / np.count_nonzero(still)))  # of the mean of so many squares
+            moving = np.ptp(positions[still], axis=0) > LEAST_SIGMA * np.ptp(positions, axis=0)
+            if np.any(moving) and np.any((inside > surely * outside) & changes):
+                return Cause.of("frozen", [subject.robot.joint_names[joint]], share=np.mean(still))
+    return None
+
+
+def _left(subject: Subject, still: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """The RMS of what links and friction, fitted to the other instants, leave of efforts beyond dry friction: at these
+    instants, and at the others ``(C,)``."""
+    smeared = np.convolve(still, np.ones(2 * _FEWEST + 1), mode="same") > 0.0
+    others = subject.part(~smeared)
+    found = others.nominal
+    left = (subject.measured - subject.regressor @ others.links(found)) / others.spread
+    left -= np.einsum("nck,ck->nc", subject.friction, found.friction)
+    beyond = np.maximum(np.abs(left) - np.where(still[:, None], found.friction[:, 2], 0.0), 0.0)
+    inside, outside = (np.sqrt(np.mean(beyond[chosen] ** 2, axis=0)) for chosen in (still, ~smeared))
+    return inside, np.maximum(outside, found.sigmas)
+
+
+def wrong_gains(controller: Controller, samples: Samples, joints: Sequence[str]) -> Finding | None:
+    """That the efforts which messages report are those of other gains, if they are those of any.
+
+    Args:
+        controller: with the gains that efforts were computed with.
+        samples: with commands and reported efforts, any of a recording.
+        joints: names.
+    """
+    found = {}
+    for joint, name in enumerate(joints):
+        wanted, speed, forward, reported = samples.commands[:, :, joint].T
+        errors = np.column_stack([wanted - samples.position[:, joint], speed - samples.velocity[:, joint]])
+        given = np.array([controller.kp[joint], controller.kd[joint]])
+        effort = reported - forward
+        known = np.isfinite(effort)
+        if np.count_nonzero(known) <= errors.shape[1] or not np.any(effort[known]):
+            continue
+        errors, effort = errors[known], effort[known]
+        fitted = np.linalg.lstsq(errors, effort, rcond=None)[0]
+        left = [float(np.linalg.norm(effort - errors @ gains) / np.linalg.norm(effort)) for gains in (given, fitted)]
+        if left[1] < LEAST_SIGMA < left[0]:
+            found[name] = f"{fitted[0]:.3g}:{fitted[1]:.3g} at '{name}', given is {given[0]:g}:{given[1]:g}"
+    if not found:
+        return None
+    sentence = (
+        f"the reported efforts are those of other gains: {'; '.join(found.values())}. Correct command.gains (--gains)"
+    )
+    return Finding(cause=Cause(kind="gains", sentence=sentence, places=tuple(found)))
+
+
+def encoder_zeros(controller: Controller, effects: Sequence[EffectEstimate], joints: Sequence[str]) -> list[str]:
+    """The zeros of encoders by which set-points and measured positions seem to differ, in a sentence, where offsets of
+    efforts are identified: the offset over kp."""
+    stiffness = dict(zip(joints, controller.kp.tolist(), strict=True))
+    told = [
+        f"{1e3 * offset / stiffness[own.joint]:+.1f} mrad (mm) at '{own.joint}'"
+        for own in effects
+        if (offset := effect_class(own.name).effort_shift({own.parameter: own.value})) and is_told(offset, own.std)
+    ]
+    if not told:
+        return []
+    return [f"offsets of efforts are as large as those of encoders whose zeros are off by {', '.join(told)}"]
