@@ -23,7 +23,7 @@ _TURNED = 1.0  # [deg]
 _DISPLACED = 0.03  # [m]
 
 
-def unnamed_feet(robot: Robot, legs: Legs, samples: Samples) -> Finding | None:
+def unnamed_feet(robot: Robot, legs: Legs, samples: Samples) -> tuple[Finding, ...]:
     """That limbs which no contact names carry the robot, too, if so; ``samples`` are any of a recording."""
     bearing = {}
     for tip in _unnamed_tips(robot, legs):
@@ -32,12 +32,12 @@ def unnamed_feet(robot: Robot, legs: Legs, samples: Samples) -> Finding | None:
             bearing[tip] = float(np.mean(shares[known]))
     named = [f"{100.0 * share:.0f} % at '{tip}'" for tip, share in bearing.items() if share > LIFTED]
     if not named:
-        return None
+        return ()
     sentence = (
         f"limbs that no contact names seem to carry a part of the robot's weight: {', '.join(named)}. Name their feet "
         "(--contacts)"
     )
-    return Finding(cause=Cause(kind="legs", sentence=sentence))
+    return (Finding(cause=Cause(kind="legs", sentence=sentence)),)
 
 
 def _unnamed_tips(robot: Robot, legs: Legs) -> list[str]:
@@ -78,19 +78,19 @@ def never_lifted(model: MeasurementModel, estimate: Estimate) -> list[str]:
     return [sentence]
 
 
-def carried_weight(legs: Legs, samples: Samples) -> Finding | None:
+def carried_weight(legs: Legs, samples: Samples) -> tuple[Finding, ...]:
     """That by the efforts of the legs the feet do not carry the robot, if so; ``samples`` are any of a recording."""
     shares = legs.carried(samples)
     shares = shares[np.isfinite(shares)]
     share = float(np.mean(shares)) if len(shares) else 1.0
     if _USUAL[0] <= share <= _USUAL[1]:
-        return None
+        return ()
     sentence = (
         f"by the efforts of their legs the feet carry {share:.2g} of the robot's weight on average, expected about 1: "
         "check that efforts are in N m with their sign (effort_gain, --gain), that all feet are named (contacts), and "
         "that the IMU's frame is not upside down"
     )
-    return Finding(cause=Cause(kind="legs", sentence=sentence))
+    return (Finding(cause=Cause(kind="legs", sentence=sentence)),)
 
 
 def turned_imu(model: MeasurementModel, estimate: Estimate) -> list[str]:

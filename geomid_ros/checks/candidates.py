@@ -208,7 +208,7 @@ def decide(tried: Iterable[Tried], count: int, nominal: Evidence) -> Decision:
     return Decision(finding=finding, doubted=(), count=count, sigmas=best.judged.sigmas, level=level)
 
 
-def contradicted(doubted: Iterable[Tried], count: int) -> Finding | None:
+def contradicted(doubted: Iterable[Tried], count: int) -> tuple[Finding, ...]:
     """That something is wrong, if a cause that repeats is probable by the joints alone whose efforts count on this
     robot, though it explains others worse: whatever it is, that the recording is right does not explain these.
 
@@ -221,8 +221,8 @@ def contradicted(doubted: Iterable[Tried], count: int) -> Finding | None:
         told = probabilities([float(np.sum(one.better[counts]))], count)[0] > PROBABLE
         if told and one.repeats and not one.believed:
             names = [one.subject.names[channel] for channel in np.flatnonzero(counts)]
-            return Finding(cause=Cause.of("unexplained", names, nearest=one.cause.sentence))
-    return None
+            return (Finding(cause=Cause.of("unexplained", names, nearest=one.cause.sentence)),)
+    return ()
 
 
 def _doubted(probable: Sequence[Tried]) -> list[Tried]:

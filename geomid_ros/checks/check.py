@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from typing import TypeAlias
 
 import numpy as np
@@ -62,28 +63,27 @@ class JudgementTask:
 
     def judge(self, excerpt: Excerpt) -> Judgement:
         """What a recording seems to be, by an excerpt of it."""
-        findings: list[Finding] = []
-        remarks: list[str] = []
-        names = self.model.robot.joint_names
-        if self.controller and (other := wrong_gains(self.controller, excerpt.kept.samples, names)):
-            findings = [other]
-        elif efforts_alone(self.model):
-            check = EffortCheck(self.model, excerpt.kept, self.gains)
-            findings, remarks = check.findings(), check.remarks
-        elif self.model.legs is not None:
-            samples = excerpt.kept.samples
-            both = carried_weight(self.model.legs, samples), unnamed_feet(self.model.robot, self.model.legs, samples)
-            findings = [found for found in both if found is not None]
-        if not findings:  # a motion that is not the robot's would be the sensors' fault, too
-            wrong = (self._wrench(sensor, excerpt) for sensor in self.model.mounted)
-            findings = [finding for finding in wrong if finding is not None]
-        return Judgement(tuple(findings), tuple(remarks))
+        judged = self._joints(excerpt.kept)
+        if judged.findings:  # a motion that is not the robot's would be the sensors' fault, too
+            return judged
+        wrong = (self._wrench(sensor, excerpt) for sensor in self.model.mounted)
+        return replace(judged, findings=tuple(chain.from_iterable(wrong)))
 
-    def _wrench(self, sensor: WrenchSensor, excerpt: Excerpt) -> Finding | None:
+    def _joints(self, kept: Kept) -> Judgement:
+        robot, legs = self.model.robot, self.model.legs
+        if self.controller and (others := wrong_gains(self.controller, kept.samples, robot.joint_names)):
+            return Judgement(others)
+        if efforts_alone(self.model):
+            return judge_efforts(self.model, kept, self.gains)
+        if legs is None:
+            return Judgement()
+        return Judgement((*carried_weight(legs, kept.samples), *unnamed_feet(robot, legs, kept.samples)))
+
+    def _wrench(self, sensor: WrenchSensor, excerpt: Excerpt) -> tuple[Finding, ...]:
         if excerpt.stretch is None or not can_be_judged(sensor):
-            return None
+            return ()
         name = self.sensors.get(sensor.topic, sensor.topic)
-        return WrenchSensorCheck(self.model, sensor, name, excerpt.kept.samples, excerpt.stretch).finding()
+        return WrenchSensorCheck(self.model, sensor, name, excerpt.kept.samples, excerpt.stretch).findings()
 
 
 def efforts_alone(model: MeasurementModel) -> bool:
@@ -155,65 +155,58 @@ class RecordingCheck:
         return [name for name, share in zip(model.robot.joint_names, shares, strict=True) if share < HALF]
 
 
-class EffortCheck:
-    """Compares what the efforts of a recording may be."""
+def judge_efforts(model: MeasurementModel, kept: Kept, gains: FloatArray) -> Judgement:
+    """What the efforts of a recording seem to be.
 
-    def __init__(self, model: MeasurementModel, kept: Kept, gains: FloatArray) -> None:
-        """
-        Args:
-            model: of the robot.
-            kept: a few instants of the recording.
-            gains: ``(joints,)`` factors that the messages' efforts were multiplied by.
-        """
-        self._subject = Subject.of(model.robot, kept, gains)
-        moves = np.std(kept.samples.velocity, axis=0) > STILL
-        constant = moves & (np.mean(np.isfinite(kept.samples.effort), axis=0) >= HALF)
-        constant[self._subject.joints] = False
-        self._constant = [model.robot.joint_names[joint] for joint in np.flatnonzero(constant)]
-        self._enough = np.count_nonzero(self._subject.is_moving) >= FEWEST
-        self.remarks: list[str] = []
-        """What to know of efforts that may be right, once they have been judged."""
-
-    def findings(self) -> list[Finding]:
-        """What is wrong; empty if nothing is, or nothing can be told."""
-        found = [Finding(cause=Cause.of("constant", self._constant))] if self._constant else []
-        return [*found, *self._judged()] if self._enough else found
-
-    def _judged(self) -> list[Finding]:
-        subject = self._subject
-        plain = impossible_description(subject) or frozen_position(subject)
-        if plain is not None:
-            return [Finding(cause=plain)]
-        self.remarks = [MODEL] if is_model(subject) else []
-        held = [Finding(cause=cause) for cause in held_efforts(subject)]
-        decision = self._decided(subject)
-        if decision.finding is None and decision.level is not None:
-            self.remarks.append(decision.level.sentence)
-            subject = subject.under(np.array(decision.level.settings["gravity"]))
-            decision = self._decided(subject)
-        named = held if decision.finding is None else [*held, decision.finding]
-        return named or _unexplained(subject) or self._doubts(decision)
-
-    def _decided(self, subject: Subject) -> Decision:
-        """What explains efforts better than that they are as they should be."""
-        throughout, count = transforms(subject)
-        others = [*changes(subject), *lags(subject)]
-        tried = [Tried.of(candidate, subject) for candidate in (*throughout, *others)]
-        decision = decide(tried, count + len(others), subject.nominal)
-        if np.all(decision.sigmas > FOLLOWS):
-            return replace(decision, finding=Finding(cause=Cause.of("unrelated", subject.names)), level=None)
-        return decision
-
-    def _doubts(self, decision: Decision) -> list[Finding]:
-        """What is wrong, whatever it is; else what may be is remarked on."""
-        found = contradicted(decision.doubted, decision.count)
-        if found is None and decision.doubted:
-            said = decision.doubted[0].cause.sentence
-            self.remarks.append(f"in a part of the recording, or at some joints, only: {said}")
-        return [] if found is None else [found]
+    Args:
+        model: of the robot.
+        kept: a few instants of the recording.
+        gains: ``(joints,)`` factors that the messages' efforts were multiplied by.
+    """
+    subject = Subject.of(model.robot, kept, gains)
+    moves = np.std(kept.samples.velocity, axis=0) > STILL
+    constant = moves & (np.mean(np.isfinite(kept.samples.effort), axis=0) >= HALF)
+    constant[subject.joints] = False
+    names = [model.robot.joint_names[joint] for joint in np.flatnonzero(constant)]
+    found = (Finding(cause=Cause.of("constant", names)),) if names else ()
+    if np.count_nonzero(subject.is_moving) < FEWEST:
+        return Judgement(found)
+    judged = _judged(subject)
+    return replace(judged, findings=(*found, *judged.findings))
 
 
-def _unexplained(subject: Subject) -> list[Finding]:
+def _judged(subject: Subject) -> Judgement:
+    """What is wrong with efforts that change, and what to know of them."""
+    plain = impossible_description(subject) or frozen_position(subject)
+    if plain is not None:
+        return Judgement((Finding(cause=plain),))
+    remarks: tuple[str, ...] = (MODEL,) if is_model(subject) else ()
+    held = tuple(Finding(cause=cause) for cause in held_efforts(subject))
+    decision = _decided(subject)
+    if decision.finding is None and decision.level is not None:
+        remarks += (decision.level.sentence,)
+        subject = subject.under(np.array(decision.level.settings["gravity"]))
+        decision = _decided(subject)
+    named = held if decision.finding is None else (*held, decision.finding)
+    found = named or _unexplained(subject) or contradicted(decision.doubted, decision.count)
+    if not found and decision.doubted:
+        said = decision.doubted[0].cause.sentence
+        remarks += (f"in a part of the recording, or at some joints, only: {said}",)
+    return Judgement(found, remarks)
+
+
+def _decided(subject: Subject) -> Decision:
+    """What explains efforts better than that they are as they should be."""
+    throughout, count = transforms(subject)
+    others = [*changes(subject), *lags(subject)]
+    tried = [Tried.of(candidate, subject) for candidate in (*throughout, *others)]
+    decision = decide(tried, count + len(others), subject.nominal)
+    if np.all(decision.sigmas > FOLLOWS):
+        return replace(decision, finding=Finding(cause=Cause.of("unrelated", subject.names)), level=None)
+    return decision
+
+
+def _unexplained(subject: Subject) -> tuple[Finding, ...]:
     """The joints whose efforts no links and no friction explain, and curves of their motion hardly do, whatever the
     reason."""
     curved = subject.flexible.nominal.sigmas > FOLLOWS
@@ -225,8 +218,7 @@ def _unexplained(subject: Subject) -> list[Finding]:
         before=np.full(len(subject.joints), np.inf),
         hint=partial(hint, subject),
     )
-    found = residuals.finding(subject.spread, FOLLOWS)
-    return [] if found is None else [found]
+    return residuals.findings(subject.spread, FOLLOWS)
 
 
 def is_model(subject: Subject) -> bool:

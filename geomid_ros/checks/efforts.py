@@ -13,11 +13,9 @@ from geomid_ros.checks.candidates import REASON, ROUNDS, TILT, Candidate, Judged
 from geomid_ros.checks.causes import Cause, gain_settings, gravity_settings
 from geomid_ros.checks.evidence import FOLLOWS, LEAST_SIGMA
 from geomid_ros.checks.subject import Subject
-from geomid_ros.model.robot import GRAVITY
+from geomid_ros.model.robot import STANDARD_GRAVITY
 from geomid_ros.types import FloatArray
 
-STANDARD_GRAVITY = float(np.linalg.norm(GRAVITY))
-"""[m/s^2]"""
 _PAIRS = 8  # joints of which all pairs are tried; of more, neighbours
 _NEARLY = 0.02  # of instants, and of the largest effort: what a filter leaves beyond zero
 _SIDES = {"left": "right", "right": "left", "l": "r", "r": "l"}

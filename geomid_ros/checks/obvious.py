@@ -10,7 +10,6 @@ import numpy as np
 
 from geomid_ros.checks.candidates import REASON
 from geomid_ros.checks.causes import Cause, Finding
-from geomid_ros.checks.efforts import STANDARD_GRAVITY
 from geomid_ros.checks.evidence import LEAST_SIGMA
 from geomid_ros.checks.instants import FEWEST
 from geomid_ros.checks.subject import Subject
@@ -18,6 +17,7 @@ from geomid_ros.estimation.estimate import SURE, EffectEstimate, is_told
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.controller import Controller
 from geomid_ros.model.effects import effect_class
+from geomid_ros.model.robot import STANDARD_GRAVITY
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import BoolArray, FloatArray
 
@@ -138,7 +138,7 @@ def _left(subject: Subject, still: BoolArray) -> tuple[FloatArray, FloatArray]:
     return inside, np.maximum(outside, found.sigmas)
 
 
-def wrong_gains(controller: Controller, samples: Samples, joints: Sequence[str]) -> Finding | None:
+def wrong_gains(controller: Controller, samples: Samples, joints: Sequence[str]) -> tuple[Finding, ...]:
     """That the efforts which messages report are those of other gains, if they are those of any.
 
     Args:
@@ -161,11 +161,11 @@ def wrong_gains(controller: Controller, samples: Samples, joints: Sequence[str])
         if left[1] < LEAST_SIGMA < left[0]:
             found[name] = f"{fitted[0]:.3g}:{fitted[1]:.3g} at '{name}', given is {given[0]:g}:{given[1]:g}"
     if not found:
-        return None
+        return ()
     sentence = (
         f"the reported efforts are those of other gains: {'; '.join(found.values())}. Correct command.gains (--gains)"
     )
-    return Finding(cause=Cause(kind="gains", sentence=sentence, places=tuple(found)))
+    return (Finding(cause=Cause(kind="gains", sentence=sentence, places=tuple(found))),)
 
 
 def encoder_zeros(controller: Controller, effects: Sequence[EffectEstimate], joints: Sequence[str]) -> list[str]:

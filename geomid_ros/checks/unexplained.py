@@ -53,8 +53,8 @@ class Residuals:
         """Standard deviations of the efforts where they are judged ``(C,)``."""
         return deviations(np.where(np.isfinite(self.residuals), self.efforts, np.nan))
 
-    def finding(self, variation: FloatArray, allowed: float = HALF) -> Finding | None:
-        """The joints that are not explained, the worst first, and what to look at; None if all are.
+    def findings(self, variation: FloatArray, allowed: float = HALF) -> tuple[Finding, ...]:
+        """The joints that are not explained, the worst first, and what to look at; nothing if all are.
 
         Args:
             variation: ``(C,)`` standard deviations of the efforts.
@@ -66,14 +66,15 @@ class Residuals:
         bad = (left > LEAST_SIGMA * largest) & ((share > allowed) | (left > WORSE * self.before))
         worst = sorted(np.flatnonzero(bad).tolist(), key=lambda joint: -share[joint])
         if not worst:
-            return None
+            return ()
         said = ", ".join(
             f"'{self.names[j]}' is not explained: {100.0 * max(1.0 - share[j], 0.0):.0f} % ({left[j]:.3g} of "
             f"{variation[j]:.3g} {units[j]} are left)"
             for j in worst
         )
         sentence = f"joint {said}; {self.hint(self.names[worst[0]], float(share[worst[0]]))}"
-        return Finding(cause=Cause(kind="unexplained", sentence=sentence, places=tuple(self.names[j] for j in worst)))
+        cause = Cause(kind="unexplained", sentence=sentence, places=tuple(self.names[j] for j in worst))
+        return (Finding(cause=cause),)
 
 
 def hint(subject: Subject, joint: str, share: float) -> str:
@@ -115,7 +116,7 @@ def _of_speed(joint: str) -> str:
 
 def unexplained(
     model: MeasurementModel, batches: Sequence[Samples], parameters: FloatArray, recorded: Samples | None
-) -> Finding | None:
+) -> tuple[Finding, ...]:
     """The joints whose efforts a model does not explain, or worse than the input's file does.
 
     Args:
@@ -126,7 +127,7 @@ def unexplained(
     """
     judged = list(batches) or ([recorded] if recorded is not None else [])
     if not judged:
-        return None
+        return ()
     efforts = model.layout.efforts
     both = np.column_stack([parameters, model.nominal_parameters])
     pairs = [model.predict(samples, both) for samples in judged]
@@ -144,7 +145,7 @@ def unexplained(
     variation = found.variation
     if recorded is not None:
         variation = np.maximum(variation, deviations(recorded.effort))
-    return found.finding(variation)
+    return found.findings(variation)
 
 
 def rms(residuals: FloatArray) -> FloatArray:

@@ -70,10 +70,10 @@ class WrenchSensorCheck:
             rotations.append(np.array(robot.placement(self._sensor.frame).rotation))
         return np.array(rotations)
 
-    def finding(self) -> Finding | None:
-        """What is wrong with the sensor; None if nothing is, or nothing can be told."""
+    def findings(self) -> tuple[Finding, ...]:
+        """What is wrong with the sensor; nothing if nothing is, or nothing can be told."""
         if len(self._wrench) < FEWEST or not np.all(np.std(self._wrench, axis=0) > 0.0):
-            return None
+            return ()
         nominal = self._fit(self._regressor, self._wrench)
         tried = [(self._fit(self._regressor, wrench), nominal, cause) for wrench, cause in self._geometries()]
         tried += self._delayed()
@@ -81,21 +81,21 @@ class WrenchSensorCheck:
         probability, _ = probabilities([best.log - beside.log], len(tried))
         left = nominal.sigmas * best.sigmas / beside.sigmas
         if probability > PROBABLE and np.all(left < FOLLOWS):
-            return Finding(cause=cause)
+            return (Finding(cause=cause),)
         return self._sign_or_unit(nominal)
 
-    def _sign_or_unit(self, fit: _Fit) -> Finding | None:
+    def _sign_or_unit(self, fit: _Fit) -> tuple[Finding, ...]:
         if not fit.sigmas[0] < FOLLOWS:
-            return None
+            return ()
         if fit.slope < 0.0:
             settings = {f"wrench.{self._name}.sign": -self._sensor.sign}
             minus = "a minus before the role" if self._sensor.sign > 0.0 else "no minus before the role"
             what = f"its sign is reversed: write {written(settings)} (on the command line, {minus})"
-            return Finding(cause=self._cause(what, settings))
+            return (Finding(cause=self._cause(what, settings)),)
         if (unit := _is_unit(fit.slope)) or fit.slope < 1.0 / REASON:
             what = f"its load would weigh {fit.slope:.3g} times as much as in the URDF: check that it is in N and N m"
-            return Finding(cause=self._cause(what), sure=unit)
-        return None
+            return (Finding(cause=self._cause(what), sure=unit),)
+        return ()
 
     def _cause(self, what: str, settings: dict[str, float] | None = None) -> Cause:
         topic = self._sensor.topic

@@ -17,6 +17,8 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray, frozen
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
+STANDARD_GRAVITY = float(np.linalg.norm(GRAVITY))
+"""[m/s^2]"""
 _DYNAMICS = "damping", "friction"
 _PARALLEL = 0.99  # scalar product of two axes
 _MEETING = 2e-3  # [m] between axes that meet

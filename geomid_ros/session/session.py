@@ -53,9 +53,8 @@ from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recording_facts import Recorded, faulty_streams, peculiarities
 from geomid_ros.session.solidity import impossible_links
 from geomid_ros.signals.ledger import Account, Ledger
-from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, Accepted, message_type
+from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, Accepted, Recent, message_type
 from geomid_ros.signals.pipeline import SignalPipeline, ignore
-from geomid_ros.signals.recent import Recent
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray
 
@@ -301,8 +300,7 @@ class Session:
         """That an estimate does not explain what some joints do, if so."""
         if not efforts_alone(self.model):
             return ()
-        found = unexplained(self.model, judged, estimate.parameters, self.check.recorded)
-        return () if found is None else (found,)
+        return unexplained(self.model, judged, estimate.parameters, self.check.recorded)
 
     def warnings(self, estimate: Estimate | None = None, verdict: Verdict | None = None) -> list[str]:
         """What makes results doubtful, in sentences: of the model it began with, of an estimate and its verdict."""

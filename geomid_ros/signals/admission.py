@@ -26,11 +26,11 @@ FROM_THE_FUTURE, TOO_OLD = "stamp from the future", "stamp too old"
 _REASONS = (NOT_LATER, FROM_THE_FUTURE, TOO_OLD)
 PAUSE = "pause: a new segment begins"
 SET_BACK = "clock set back: a new segment begins"
-_TO_CONFIRM_SLOWNESS = 3  # messages, each after a pause
+FEW = 3  # messages in a row: a fault lasts no longer, and so many, each after a pause, are those of a slow topic
 _TO_CONFIRM_A_RESET = 10  # messages; a few late ones do not mean that a clock was set back
 
 Source: TypeAlias = tuple[str, tuple[str, ...]]
-"""A topic, and if joint messages are merged, the joints of a publisher."""
+"""A topic, and the joints that its messages have if they are of joints."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ class Gate:
             if not back and first < stamp <= first + self._max_gap:
                 return real
             last, count = (stamp, count + 1) if stamp > last else (last, count)
-            if count == (_TO_CONFIRM_A_RESET if back else _TO_CONFIRM_SLOWNESS):
+            if count == (_TO_CONFIRM_A_RESET if back else FEW):
                 return real
         return None if not whole else wrong if back and count == 1 else real
 

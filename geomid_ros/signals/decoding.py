@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from geomid_ros.signals.limits import MOST_LAYOUTS
+from geomid_ros.signals.limits import MOST_KINDS
 from geomid_ros.signals.messages import COMMANDS, JOINT_STATES, ODOM, Block, message_type, parse
 from geomid_ros.types import AnyArray, BoolArray, IntArray
 
@@ -126,7 +126,7 @@ class Decoder:
     def _remembered(self, group: tuple[str, int], new: _Layout | None) -> list[_Layout]:
         if new is None:
             return []
-        if sum(map(len, self._layouts.values())) >= MOST_LAYOUTS:  # the sender decides how many there are
+        if sum(map(len, self._layouts.values())) >= MOST_KINDS:  # the sender decides how many there are
             self._layouts.clear()
         self._layouts.setdefault(group, []).append(new)
         return [new]

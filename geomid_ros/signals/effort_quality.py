@@ -16,7 +16,6 @@ _LONGEST_HELD = 0.05  # [s] what is renewed at 20 Hz or more is hardly late
 _SMALL = 0.05  # share of messages, and of a range
 _FILLED = 8.0  # standard deviations: a range that efforts fill
 _MANY, _OVERFLOWS = 10, 3  # changes, and overflows in either direction, at least
-_ALIKE = 0.95  # share of messages
 _SENTENCES = {
     "held": "come only every {:.1g} s, and are the same numbers in between",
     "zero": "fall to exactly zero, and rise again, at once: a dead band, or a drive switched off or braked",
@@ -115,7 +114,7 @@ def peculiar(
     over = fine & ~held & ~zero & (usual < _SMALL * whole) & (np.minimum(*both) >= _OVERFLOWS)
     over &= whole < _FILLED * spread  # else it is a few spikes that make the range
 
-    alike = np.array([np.mean((size > 0.0) & (efforts == own[:, None]), axis=0) > _ALIKE for own in efforts.T])
+    alike = np.array([np.mean((size > 0.0) & (efforts == own[:, None]), axis=0) > 1.0 - _SMALL for own in efforts.T])
     np.fill_diagonal(alike, val=False)
     copied = np.any(alike & np.outer(fine & turning, fine & turning), axis=0)
     return {"held": held, "zero": zero, "overflow": over, "copied": copied, "coarse": coarse}, every

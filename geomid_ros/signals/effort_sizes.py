@@ -10,8 +10,8 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 _CHUNK = 128  # messages that are learned from at once
 _TAIL = 6  # messages of a chunk, at either end, that do not count
 _IN_RANGE, _IN_CHANGES, _IN_LIMIT = 1.5, 8.0, 0.02  # times the range of efforts, their changes, and the URDF's limit
-_SHORTEST, _FEWEST = 50_000_000, 6  # [ns], messages: a saturated effort is exactly the largest for at least so long
-_LONGER = 6  # times as long as any smaller effort stayed the same
+_SHORTEST = 50_000_000  # [ns] a saturated effort is exactly the largest for at least so long
+_LONG = 6  # messages at least, and times as long as any smaller effort stayed the same
 _MOSTLY = 0.75  # the largest share of all messages in which a saturated effort is the largest
 
 
@@ -114,7 +114,7 @@ class SaturationDetector:
         moved = (_latest(moves, np.full(self._joints, -1)) > last_below) | (self._moved & ~ended)
         count = self._at_largest + np.cumsum(largest, axis=0)
         held = self._learn_held(numbers, effort != last, np.abs(last), record, grown, moving)
-        longest = np.maximum(_FEWEST, _LONGER * held)  # that rounding could explain
+        longest = _LONG * np.maximum(1, held)  # that rounding could explain
         found: BoolArray = (held > 0) & (numbers - last_below >= longest) & moved & moving[:, None]
         found &= (count < _MOSTLY * numbers) & (stamps[:, None] - since >= _SHORTEST)
         self._stamp, self._last = int(stamps[-1]), effort[-1].copy()

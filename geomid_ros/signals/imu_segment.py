@@ -6,6 +6,7 @@ import numpy as np
 
 from geomid_ros.model import se3
 from geomid_ros.model.imu import ImuMount
+from geomid_ros.model.robot import STANDARD_GRAVITY
 from geomid_ros.signals.kernels import GridValues
 from geomid_ros.signals.ledger import driver_error
 from geomid_ros.signals.streams import Grid, VectorSegment
@@ -13,10 +14,7 @@ from geomid_ros.types import FloatArray
 
 _LEVELLING = 1.0  # [s] to both sides, over which the specific force is averaged
 _UNLIKE_GRAVITY = 0.3  # as a share of it
-_TINY = 1e-12
 
-STANDARD_GRAVITY = 9.81
-"""[m/s^2], of what an accelerometer means by g."""
 _EXPECTED = "publish what the accelerometer measures, gravity included, in m/s^2 (sensor_msgs/Imu)"
 IN_G = driver_error(f"the acceleration is in g: {_EXPECTED}")
 GRAVITY_REMOVED = driver_error(
@@ -66,7 +64,7 @@ class ImuSegment(VectorSegment):
         mean = self._mean(instants)
         rotations = self._levelled.values[np.array(instants) - self._levelled.first, 3:].reshape(-1, 3, 3)
         up = np.einsum("nji,nj->ni", rotations, mean)
-        up /= np.maximum(np.linalg.norm(up, axis=1, keepdims=True), _TINY)
+        up /= np.maximum(np.linalg.norm(up, axis=1, keepdims=True), np.finfo(float).tiny)
         return self._mount.base_motion(value[:, :3], first[:, :3], value[:, 3:], up)
 
     def _mean(self, instants: range) -> FloatArray:

@@ -11,7 +11,7 @@ from math import tau
 
 import numpy as np
 
-from geomid_ros.signals.admission import Answer, Gate
+from geomid_ros.signals.admission import FEW, Answer, Gate
 from geomid_ros.signals.effort_sizes import SpikeHeights
 from geomid_ros.signals.ledger import Reason
 from geomid_ros.signals.limits import CLEAR, FASTEST, FINEST, SHORTEST_CONTACT
@@ -25,9 +25,7 @@ EARLY = "stamp ahead of its time"
 SPIKE = "is a spike"
 SPIKE_OR_CONTACT = "is a spike, or a contact that messages as slow cannot tell from one"
 CLOCK_SET = Reason("clock set: a new segment begins", "told")
-_MOST = 3  # messages in a row that a fault lasts
 _USUAL_STEP = 1.9  # periods between two stamps, above which one may be ahead
-_PERIODS = 64  # over which the period is measured; fewer than FEWEST may be one burst
 _TOO_FAST = 1.5  # times the limit
 _LEAST_SET = 20e-3  # [s] that a clock is set by
 _MUCH_LESS_LIKELY = 25.0  # square of standard deviations, of all joints
@@ -90,7 +88,7 @@ class JointGate(Gate):
         before = np.concatenate([self._last[-1:], numbers[:-1]])
         every = np.concatenate([passed, stamps])
         ends = np.arange(len(passed) - 1, len(every) - 1)  # of the spans before each message
-        begins = np.maximum(ends - _PERIODS, 0)
+        begins = np.maximum(ends - 2 * FEWEST, 0)
         periods = 1e-9 * (every[ends] - every[begins]) / np.maximum(ends - begins, 1)
         periods[ends - begins < FEWEST] = self._period_before
         steps = stamps - every[ends]
@@ -113,12 +111,12 @@ class JointGate(Gate):
         if abs(int(stamps[0]) - self._stamp) > self._max_gap:
             self._compare_anew()
             self._last = self._last[:0]
-        self._stamps = np.concatenate([self._stamps, stamps])[-_PERIODS - 1 :]
+        self._stamps = np.concatenate([self._stamps, stamps])[-2 * FEWEST - 1 :]
         self._last = np.concatenate([self._last, numbers])[-AHEAD - 1 :]
         super()._pass(stamps, numbers)
         self._late = self._stamp
-        if self._efforts.add(numbers[:, 2]) and len(self._stamps) > _PERIODS:
-            self._usual_step = 1e-9 * float(np.partition(np.diff(self._stamps), -_MOST)[-_MOST])
+        if self._efforts.add(numbers[:, 2]) and len(self._stamps) > 2 * FEWEST:
+            self._usual_step = 1e-9 * float(np.partition(np.diff(self._stamps), -FEW)[-FEW])
 
     def _answer(self, stamps: IntArray, numbers: FloatArray, *, whole: bool) -> Answer | None:
         in_order = super()._answer
@@ -126,7 +124,7 @@ class JointGate(Gate):
         if is_late or abs(stamps[0] - self._stamp) > self._max_gap:
             return in_order(stamps, numbers, whole=whole)
         stamps, numbers = stamps[: AHEAD + 1], numbers[: AHEAD + 1]
-        for count in range(1, min(_MOST, len(stamps) - 2) + 1):
+        for count in range(1, min(FEW, len(stamps) - 2) + 1):
             reason = self._early(stamps, count) or self._position_jumps(stamps, numbers, count)
             if reason:
                 return Answer(count, refused=reason)

@@ -36,6 +36,7 @@ class JointParts:
         resolved: int,
         make_reader: Callable[[Part], JointReader],
         note: Callable[[str], None],
+        merges: bool = True,
     ) -> None:
         """
         Args:
@@ -44,13 +45,15 @@ class JointParts:
             resolved: [ns] the longest period at which efforts can be filtered.
             make_reader: of a part's messages.
             note: is told of parts that are too slow.
+            merges: whether there are several; all messages have all joints otherwise.
         """
         self._joints = tuple(joints)
         self._max_gap = max_gap
         self._resolved = resolved
         self._make_reader = make_reader
         self._note = note
-        self.readers: dict[Part, JointReader] = {}
+        self.merges = merges
+        self.readers: dict[Part, JointReader] = {} if merges else {self._joints: make_reader(self._joints)}
         self._periods: dict[Part, int] = {}  # [ns] of all parts, once they are known
         self.restart()
 
@@ -74,12 +77,14 @@ class JointParts:
 
     @property
     def unmeasured(self) -> tuple[str, ...]:
-        """The joints whose efforts are left out, as they come too seldom."""
-        return tuple(joint for part in self._periods if self._is_slow(part) for joint in part)
+        """The joints whose efforts are left out, as they have failed for long, or come too seldom."""
+        failed = [joint for reader in self.readers.values() for joint in reader.unmeasured]
+        slow = [joint for part in self._periods if self._is_slow(part) for joint in part]
+        return tuple(dict.fromkeys([*failed, *slow]))
 
     def part(self, names: Sequence[str]) -> Part:
         """The part of a message with these names. Raises RejectedError if it is of several, or of none."""
-        part = tuple(joint for joint in self._joints if joint in set(names))
+        part = tuple(joint for joint in self._joints if joint in set(names)) if self.merges else self._joints
         if part in self.readers:
             return part
         if not part:

@@ -26,6 +26,11 @@ LOWEST_RATE_PER_CUTOFF = 2.5
 T = TypeVar("T", float, FloatArray)
 
 
+def highest_cutoff(period: float) -> float:
+    """The highest cutoff [Hz] on a grid of a ``period`` [s]."""
+    return 1.0 / (LOWEST_RATE_PER_CUTOFF * period)
+
+
 def derivative_kernels(cutoff: float, period: float) -> FloatArray:
     """Kernels for the filtered value and its first and second derivative by time.
 
@@ -39,11 +44,11 @@ def derivative_kernels(cutoff: float, period: float) -> FloatArray:
     Raises:
         InputError: the grid is too coarse for the cutoff.
     """
-    if cutoff * period * LOWEST_RATE_PER_CUTOFF > 1.0 + 1e-9:  # a cutoff at the limit is rounded
+    if cutoff > highest_cutoff(period) * (1.0 + 1e-9):  # a cutoff at the limit is rounded
         clock = "; or stamps are not in seconds" if period > 1.0 else ""
         raise InputError(
             f"a cutoff of {cutoff:g} Hz is too high for data at {1 / period:.3g} Hz: set the parameter filter.cutoff "
-            f"(--cutoff) to {1 / period / LOWEST_RATE_PER_CUTOFF:.3g} or less{clock}"
+            f"(--cutoff) to {highest_cutoff(period):.3g} or less{clock}"
         )
     half = max(1, round(0.5 * _LENGTH_IN_CUTOFF_PERIODS / (cutoff * period)))
     value = np.pad(_low_pass(cutoff * period, half), len(_FIRST_DIFFERENCE) // 2)
@@ -66,7 +71,7 @@ def filtered(
     Returns:
         The filtered values and their first and second derivative by time, each ``(N, K)`` or ``(n, K)``.
     """
-    kernels = derivative_kernels(min(cutoff, 1.0 / (LOWEST_RATE_PER_CUTOFF * period)), period)
+    kernels = derivative_kernels(min(cutoff, highest_cutoff(period)), period)
     half = kernels.shape[1] // 2
     whole = np.pad(values, ((half, half), (0, 0)), mode="edge")
     if at is not None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, Self, TypeAlias
 
 from geomid_ros.errors import one_line
-from geomid_ros.signals.limits import LONGEST_REASON, MOST_REASONS
+from geomid_ros.signals.limits import LONGEST_REASON, MOST_KINDS
 
 _OTHER = "other reasons"
 _HEADING = "driver error: "
@@ -152,4 +152,4 @@ def count_reason(reasons: Counter[str], reason: str, count: int = 1) -> None:
     meaning, text = meaning_of(reason), one_line(reason)
     short = text if len(text) <= LONGEST_REASON else text[:LONGEST_REASON] + "..."
     short = Reason(short, meaning) if meaning else short
-    reasons[short if short in reasons or len(reasons) < MOST_REASONS else _OTHER] += count
+    reasons[short if short in reasons or len(reasons) < MOST_KINDS else _OTHER] += count

@@ -1,12 +1,16 @@
-"""Messages as frozen values: parsed once at the door, whether a node or a bag brings them."""
+"""Messages as frozen values: parsed once at the door, whether a node or a bag brings them; and what was accepted of
+them lately."""
 
 from __future__ import annotations
 
+import threading
+from collections import deque
 from dataclasses import dataclass
-from typing import Any, ClassVar, TypeAlias
+from typing import Any
 
 import numpy as np
 
+from geomid_ros.signals.limits import BYTES_BESIDE_NUMBERS, MOST_BYTES
 from geomid_ros.types import FloatArray, IntArray, frozen
 
 JOINT_STATES = "joint_states"
@@ -22,80 +26,24 @@ _TYPES = {
 _WRENCH_TYPE = "geometry_msgs/msg/WrenchStamped"
 
 
-class _ReadOnly:
-    """Makes the arrays of a frozen dataclass read-only copies."""
-
-    __slots__ = ()
-    _arrays: ClassVar[tuple[str, ...]]
-
-    @property
-    def arrays(self) -> tuple[FloatArray, ...]:
-        """Its numbers, in the order of the fields."""
-        return tuple(getattr(self, name) for name in self._arrays)
-
-    def __post_init__(self) -> None:
-        for name in self._arrays:
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-
-
 @dataclass(frozen=True, eq=False, slots=True)
-class JointMessage(_ReadOnly):
-    """Positions, velocities and efforts of joints.
+class Message:
+    """A message as it was sent: nothing is checked yet.
 
-    ``stamp`` [ns] since the epoch, -1 if it is not valid. ``position``, ``velocity``, ``effort (names,)`` are what the
-    driver sent: any may be empty, and nothing is checked yet.
+    ``stamp`` [ns] since the epoch, -1 if it is not valid; ``names`` of the joints, or the frame of a wrench, empty if
+    the message says none. ``arrays``, read-only, are positions, velocities and efforts ``(names,)`` of joints, of which
+    any may be empty, and for commands set-points and the feed-forward; the base's pose ``(7,)`` in the world, position
+    [m] and quaternion xyzw; a wrench ``(6,)``, force [N] and torque [N m]; or of an IMU ``(37,)`` orientation (4),
+    angular velocity (3) [rad/s] and linear acceleration (3) [m/s^2], each followed by its covariance (9).
     """
 
-    topic: ClassVar[str] = JOINT_STATES
-    _arrays: ClassVar[tuple[str, ...]] = ("position", "velocity", "effort")
-    stamp: int
-    names: tuple[str, ...]
-    position: FloatArray
-    velocity: FloatArray
-    effort: FloatArray
-
-
-class CommandMessage(JointMessage):
-    """Set-points of joints, and as efforts the feed-forward; any but the positions may be empty."""
-
-    __slots__ = ()
-    topic: ClassVar[str] = COMMANDS
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class PoseMessage(_ReadOnly):
-    """The base's ``pose (7,)`` in the world: position [m] and quaternion xyzw; ``stamp`` as of joints."""
-
-    topic: ClassVar[str] = ODOM
-    _arrays: ClassVar[tuple[str, ...]] = ("pose",)
-    stamp: int
-    pose: FloatArray
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class WrenchMessage(_ReadOnly):
-    """The ``wrench (6,)``, force [N] and torque [N m], of a sensor's ``topic``, expressed in ``frame`` (as the message
-    says, empty if it does not); ``stamp`` as of joints."""
-
-    _arrays: ClassVar[tuple[str, ...]] = ("wrench",)
     topic: str
     stamp: int
-    frame: str
-    wrench: FloatArray
+    names: tuple[str, ...]
+    arrays: tuple[FloatArray, ...]
 
-
-@dataclass(frozen=True, eq=False, slots=True)
-class ImuMessage(_ReadOnly):
-    """All ``numbers (37,)`` of an IMU's message: orientation (4), angular velocity (3) [rad/s] and linear acceleration
-    (3) [m/s^2], each followed by its covariance (9); ``stamp`` as of joints."""
-
-    topic: ClassVar[str] = IMU
-    _arrays: ClassVar[tuple[str, ...]] = ("numbers",)
-    stamp: int
-    numbers: FloatArray
-
-
-Message: TypeAlias = JointMessage | PoseMessage | WrenchMessage | ImuMessage
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "arrays", tuple(map(frozen, self.arrays)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -117,10 +65,8 @@ class Block:
     @staticmethod
     def of(message: Message, place: int = 0) -> Block:
         """A block of one message, the ``place``-th that came."""
-        names = message.names if isinstance(message, JointMessage) else ()
-        names = (message.frame,) if isinstance(message, WrenchMessage) else names
         arrays = tuple(array[None] for array in message.arrays)
-        return Block(message.topic, np.array([place]), np.array([message.stamp]), names, arrays)
+        return Block(message.topic, np.array([place]), np.array([message.stamp]), message.names, arrays)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -156,6 +102,52 @@ class Accepted:
         return Accepted(self.topic, self.stamps[count:], self.values[count:])
 
 
+class Recent:
+    """Remembers what a pipeline accepted in the last ``seconds`` of its stamps: its ``on_accepted``.
+
+    Less than that is kept where it would take too much memory. Any thread may call any method.
+    """
+
+    def __init__(self, seconds: float) -> None:
+        self._lock = threading.RLock()
+        self._nanoseconds = round(seconds * 1e9)
+        self._entries: deque[Accepted] = deque()
+        self._bytes = 0
+        self._last: dict[str, int] = {}
+
+    def __call__(self, accepted: Accepted) -> None:
+        """Keep the numbers of messages."""
+        topic, newest = accepted.topic, int(accepted.stamps[-1])
+        with self._lock:
+            if accepted.stamps[0] <= self._last.get(topic, 0):  # the clock was set back
+                self.clear()
+            self._last[topic] = newest
+            self._entries.append(accepted)
+            self._bytes += _size(accepted)
+            while self._entries and (self._bytes > MOST_BYTES or self._is_old(self._entries[0], newest)):
+                self._bytes -= _size(self._entries.popleft())
+
+    def _is_old(self, accepted: Accepted, newest: int) -> bool:
+        return bool(accepted.stamps[-1] <= newest - self._nanoseconds)
+
+    def clear(self) -> None:
+        """Forget everything."""
+        with self._lock:
+            self._entries.clear()
+            self._last.clear()
+            self._bytes = 0
+
+    def entries(self) -> list[Accepted]:
+        """All that is kept, in the order in which it came."""
+        with self._lock:
+            begin = max(self._last.values(), default=0) - self._nanoseconds + 1
+            return [entry for each in self._entries if len(entry := each.since(begin))]
+
+
+def _size(accepted: Accepted) -> int:
+    return accepted.values.nbytes + accepted.stamps.nbytes + BYTES_BESIDE_NUMBERS
+
+
 def message_type(topic: str) -> str:
     """The ROS type of a topic's messages; all topics but these are of wrench sensors."""
     return _TYPES.get(topic, _WRENCH_TYPE)
@@ -172,18 +164,19 @@ def parse(topic: str, message: Any) -> Message:
     Raises:
         AttributeError, TypeError or ValueError for what is no such message.
     """
-    header = message.header
+    stamp, names, arrays = _stamp(message.header), tuple[str, ...](), tuple[FloatArray, ...]()
     if topic in (JOINT_STATES, COMMANDS):
-        kind = JointMessage if topic == JOINT_STATES else CommandMessage
-        return kind(_stamp(header), tuple(message.name), message.position, message.velocity, message.effort)
-    if topic == ODOM:
+        names, arrays = tuple(message.name), (message.position, message.velocity, message.effort)
+    elif topic == ODOM:
         p, q = message.pose.pose.position, message.pose.pose.orientation
-        return PoseMessage(_stamp(header), np.array((p.x, p.y, p.z, q.x, q.y, q.z, q.w)))
-    if topic == IMU:
-        return ImuMessage(_stamp(header), _imu_numbers(message))
-    force, torque = message.wrench.force, message.wrench.torque
-    wrench = np.array((force.x, force.y, force.z, torque.x, torque.y, torque.z))
-    return WrenchMessage(topic, _stamp(header), header.frame_id, wrench)
+        arrays = (np.array((p.x, p.y, p.z, q.x, q.y, q.z, q.w)),)
+    elif topic == IMU:
+        arrays = (_imu_numbers(message),)
+    else:
+        force, torque = message.wrench.force, message.wrench.torque
+        names = (message.header.frame_id,)
+        arrays = (np.array((force.x, force.y, force.z, torque.x, torque.y, torque.z)),)
+    return Message(topic, stamp, names, arrays)
 
 
 def _imu_numbers(message: Any) -> FloatArray:

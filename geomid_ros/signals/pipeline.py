@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
+from itertools import repeat
 
 import numpy as np
 
@@ -40,7 +41,7 @@ from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, Accep
 from geomid_ros.signals.sampler import Sampler
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.signals.stance import Stance
-from geomid_ros.types import AnyArray, FloatArray, IntArray
+from geomid_ros.types import AnyArray, FloatArray
 
 _DEFAULTS = SignalSettings()
 
@@ -107,16 +108,13 @@ class SignalPipeline:
         self.ledger = ledger or Ledger()
         self.joints_heard = set() if joints_heard is None else joints_heard
         self._on_accepted, self._commanded = on_accepted, controller is not None
-        self._reader = self._new_reader(self._joints)
         resolved = round(0.5e9 / settings.cutoff)
         note = partial(self.ledger.note, JOINT_STATES)
-        self._parts = (
-            JointParts(self._joints, self._max_gap, resolved, self._new_reader, note) if settings.merge else None
-        )
+        self._parts = JointParts(self._joints, self._max_gap, resolved, self._new_reader, note, settings.merge)
         self._admission = Admission(self._new_gate, self.ledger.note)
         self._arrived = 0  # messages
         self._open: Counter[str] = Counter()  # messages of which nothing has become yet
-        self._joined: list[tuple[Source, IntArray, IntArray, FloatArray]] = []  # that wait for the other parts
+        self._joined: list[tuple[int, Part, int, FloatArray]] = []  # messages that wait for the other parts
         base = [ODOM if mount is None else IMU] if floating_base else []
         topics = (*self._sensors, *base)
         self._sampler = Sampler(
@@ -132,13 +130,12 @@ class SignalPipeline:
         )
 
     def _new_gate(self, source: Source) -> Gate:
-        topic, part = source
+        topic, joints = source
         if topic != JOINT_STATES:
             return Gate(self._max_gap)
-        joints = part or self._joints
         places = [self._joints.index(joint) for joint in joints]
         turning = self._turning[places] | self._continuous[places]
-        max_gap = max(self._max_gap, SILENT) if part else self._max_gap
+        max_gap = max(self._max_gap, SILENT) if self._parts.merges else self._max_gap
         return JointGate(joints, self._limits[:, places], turning, max_gap)
 
     @property
@@ -154,17 +151,12 @@ class SignalPipeline:
     @property
     def unmeasured(self) -> tuple[str, ...]:
         """The joints whose efforts are left out, as they have not been measured for long."""
-        if self._commanded:
-            return ()
-        if self._parts is None:
-            return self._reader.unmeasured
-        failed = [joint for reader in self._parts.readers.values() for joint in reader.unmeasured]
-        return tuple(dict.fromkeys([*failed, *self._parts.unmeasured]))
+        return () if self._commanded else self._parts.unmeasured
 
     @property
     def silent(self) -> tuple[str, ...]:
         """The joints of publishers that have fallen silent, if joint messages are merged."""
-        return self._parts.silent if self._parts else ()
+        return self._parts.silent
 
     def push(self, messages: Message | Sequence[Block]) -> None:
         """Take a message, or many; those that cannot be used are counted. If this fails, all that are left are dropped
@@ -230,11 +222,11 @@ class SignalPipeline:
         return {source: Arrived.in_order(several) for source, several in found.items()}
 
     def _part(self, block: Block) -> Part:
-        return self._parts.part(block.names) if self._parts and block.topic == JOINT_STATES else ()
+        return self._parts.part(block.names) if block.topic == JOINT_STATES else ()
 
     def _numbers(self, source: Source, block: Block) -> tuple[FloatArray, AnyArray]:
         if block.topic == JOINT_STATES:
-            return self._reader_of(source).numbers(block)
+            return self._parts.readers[source[1]].numbers(block)
         if block.topic == COMMANDS:
             return commands(block, self._joints)
         if block.topic == ODOM:
@@ -245,9 +237,6 @@ class SignalPipeline:
             raise unknown_name("wrench topic", block.topic, self._sensors)
         return wrenches(block, self._sensors[block.topic])
 
-    def _reader_of(self, source: Source) -> JointReader:
-        return self._parts.readers[source[1]] if self._parts else self._reader
-
     def _use(self, source: Source, arrived: Arrived) -> None:
         """Use the messages that are not refused, by their gate or their reader."""
         topic, part = source
@@ -255,15 +244,15 @@ class SignalPipeline:
         stamps, values, order = arrived.stamps[good], arrived.numbers[good], arrived.order[good]
         refused = Counter(arrived.refusals[~good].tolist())
         if topic == JOINT_STATES and len(stamps):
-            values, refusals = self._reader_of(source).read(stamps, values)
+            values, refusals = self._parts.readers[part].read(stamps, values)
             taken = without_refusal(refusals)
             refused.update(refusals[~taken].tolist())
             stamps, values, order = stamps[taken], values[taken], order[taken]
         for reason, count in refused.items():
             self._refused(topic, reason, count)
         if len(stamps):
-            if part:
-                self._joined.append((source, order, stamps, values))
+            if topic == JOINT_STATES and self._parts.merges:
+                self._joined += zip(order.tolist(), repeat(part), stamps.tolist(), values)
             else:
                 self._accept(Accepted(topic, stamps, values))
             self.ledger.accept(topic, len(stamps))
@@ -271,19 +260,9 @@ class SignalPipeline:
 
     def _join_parts(self) -> None:
         """Join the messages of several publishers, in the order in which they came."""
-        rows = [
-            (place, source[1], stamp, row)
-            for source, order, stamps, values in self._joined
-            for place, stamp, row in zip(order.tolist(), stamps.tolist(), values, strict=True)
-        ]
+        rows = sorted(self._joined, key=operator.itemgetter(0))
         self._joined.clear()
-        if not rows or self._parts is None:
-            return
-        found = [
-            whole
-            for _, part, stamp, row in sorted(rows, key=operator.itemgetter(0))
-            for whole in self._parts.add(part, stamp, row)
-        ]
+        found = [whole for _, part, stamp, row in rows for whole in self._parts.add(part, stamp, row)]
         if found:
             self._accept(Accepted(JOINT_STATES, *map(np.array, zip(*found, strict=True))))
 
@@ -312,9 +291,7 @@ class SignalPipeline:
     def _begin_anew(self) -> None:
         """Begin a new segment, as a clock was set."""
         self._join_parts()
-        self._reader.restart()
-        if self._parts:
-            self._parts.restart()
+        self._parts.restart()
         self._sampler.restart()
 
     def collect(self) -> Samples | None:

@@ -12,8 +12,6 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 LIFTED = 0.1
 """A foot in the air seems to bear less, as a share of what each bears when all stand: inertias are not known yet."""
-_SPAN_IN_CUTOFF_PERIODS = 1.0
-"""The low-pass smears what a foot bears over so much to both sides of the change."""
 
 
 class Stance:
@@ -28,7 +26,7 @@ class Stance:
             cutoff: of the low-pass on all signals [Hz].
         """
         self._loads = loads
-        self._span = round(1e9 * _SPAN_IN_CUTOFF_PERIODS / cutoff)
+        self._span = round(1e9 / cutoff)  # the low-pass smears a change over so much to both sides
         self._held: Samples | None = None
         self._before = 0  # of the samples that are held, so many are known already, and serve those after them
         self._borne = np.zeros((0, 0))  # by the feet at the samples that are held

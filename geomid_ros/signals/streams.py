@@ -17,12 +17,11 @@ import numpy as np
 from geomid_ros.model import se3
 from geomid_ros.model.columns import Entries
 from geomid_ros.model.effects import Motion
-from geomid_ros.signals.kernels import GridValues, cubic_weights, derivative_kernels
+from geomid_ros.signals.kernels import GridValues, cubic_weights, derivative_kernels, highest_cutoff
 from geomid_ros.signals.limits import MEAN_STEPS, MEAN_TOLERANCE
 from geomid_ros.types import FloatArray, IntArray
 
 _SHARPER = 4.0  # cutoff of the motion that effects are computed on, in units of the filter's
-_SHARPEST = 0.4  # the highest such cutoff, as a share of the grid's rate
 
 
 class Grid:
@@ -33,7 +32,7 @@ class Grid:
         self.period = period
         self.kernels = derivative_kernels(cutoff, period * 1e-9)
         self.half = self.kernels.shape[1] // 2
-        self.sharp_kernels = derivative_kernels(min(_SHARPER * cutoff, _SHARPEST / (period * 1e-9)), period * 1e-9)
+        self.sharp_kernels = derivative_kernels(min(_SHARPER * cutoff, highest_cutoff(period * 1e-9)), period * 1e-9)
         self.lag = self.half + self.sharp_kernels.shape[1] // 2
         self.stride = max(1, int(1e9 / (samples_per_cutoff_period * cutoff * period)))
 

@@ -67,8 +67,7 @@ def test_what_explains_one_joint_worse_is_no_name_but_something_is_wrong() -> No
         decision = decide([tried(of, better, [1])], COUNT, of.nominal)
         assert (decision.finding is not None) == named
         if not named:
-            finding = contradicted(decision.doubted, COUNT)
-            assert finding is not None
+            (finding,) = contradicted(decision.doubted, COUNT)
             assert (finding.cause.kind, finding.cause.places) == ("unexplained", (of.names[1],))
             assert finding.cause.sentence.endswith("What comes nearest: it is this")
 
@@ -79,14 +78,14 @@ def test_a_joint_that_hardly_carries_anything_says_nothing_of_the_robot() -> Non
     assert not of.counts[-1]
     decision = decide([tried(of, [0.0, -0.2, *[0.0] * 4, 1.0], [6])], COUNT, of.nominal)
     assert len(decision.doubted) == 1
-    assert contradicted(decision.doubted, COUNT) is None
+    assert contradicted(decision.doubted, COUNT) == ()
 
 
 def test_what_one_half_contradicts_says_nothing() -> None:
     of = subject()
     decision = decide([tried(of, [0.0, 1.0, *[0.0] * 5], [1], first=-1.0)], COUNT, of.nominal)
     assert len(decision.doubted) == 1
-    assert contradicted(decision.doubted, COUNT) is None
+    assert contradicted(decision.doubted, COUNT) == ()
 
 
 def test_of_a_joint_that_a_doubted_cause_is_about_nothing_is_named() -> None:
@@ -107,4 +106,4 @@ def test_what_is_only_hidden_is_no_sign_that_something_is_wrong() -> None:
     small, hidden = tried(of, [0.0, -0.3, *[0.0] * 4, 2.0], [6]), tried(of, [0.0, 1.0, *[0.0] * 5], [1, 6])
     decision = decide([small, hidden], COUNT, of.nominal)
     assert decision.finding is None
-    assert contradicted(decision.doubted, COUNT) is None
+    assert contradicted(decision.doubted, COUNT) == ()

@@ -39,8 +39,7 @@ def residuals(shares: FloatArray, before: FloatArray | None = None, units: tuple
 
 
 def places(found: Residuals) -> tuple[str, ...]:
-    finding = found.finding(found.variation)
-    return () if finding is None else finding.cause.places
+    return tuple(place for finding in found.findings(found.variation) for place in finding.cause.places)
 
 
 def test_what_is_left_of_little_is_not_told() -> None:
@@ -63,8 +62,7 @@ def test_what_is_not_judged_counts_for_nothing() -> None:
 
 def test_the_sentence_says_how_much_is_left_and_where_to_look() -> None:
     found = residuals(np.array([0.1, 0.8, 0.1]))
-    finding = found.finding(found.variation)
-    assert finding is not None
+    (finding,) = found.findings(found.variation)
     assert finding.sentence == "joint 'elbow' is not explained: 20 % (4 of 5 N m are left); look at elbow, 0.80"
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from model.robots import Reference, random_samples
+from signals.sent import JointMessage, WrenchMessage
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import EffectEstimate
@@ -28,7 +29,6 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import GRAVITY, Robot
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
-from geomid_ros.signals.messages import JointMessage, WrenchMessage
 from geomid_ros.types import FloatArray
 
 from .effects import PAYLOAD, effect

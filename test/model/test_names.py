@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
+from signals.sent import WrenchMessage
 
 from geomid_ros.errors import InputError
 from geomid_ros.model.channels import AXES, ROLES, WORLD_FRAMES, WrenchSensor
 from geomid_ros.model.effects import identifiable, identified_effect
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
-from geomid_ros.signals.messages import WrenchMessage
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 

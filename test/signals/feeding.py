@@ -10,9 +10,11 @@ import numpy as np
 
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.joint_messages import JointReader, RejectedError
-from geomid_ros.signals.messages import Block, JointMessage, Message, WrenchMessage
+from geomid_ros.signals.messages import Block
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.types import FloatArray, IntArray
+
+from .sent import JointMessage, Message, WrenchMessage
 
 START = 1_700_000_000_000_000_000  # [ns] an ordinary day's clock
 JOINTS = ("shoulder", "elbow", "wrist")
@@ -87,7 +89,7 @@ def blocks(messages: Sequence[Message]) -> list[Block]:
     groups: dict[Any, list[tuple[int, Message, tuple[FloatArray, ...]]]] = {}
     for place, message in enumerate(messages):
         arrays = message.arrays
-        layout = (message.topic, _names(message), *(array.shape[0] for array in arrays))
+        layout = (message.topic, message.names, *(array.shape[0] for array in arrays))
         groups.setdefault(layout, []).append((place, message, arrays))
     return [
         Block(
@@ -99,12 +101,6 @@ def blocks(messages: Sequence[Message]) -> list[Block]:
         )
         for (topic, names, *_), several in groups.items()
     ]
-
-
-def _names(message: Message) -> tuple[str, ...]:
-    if isinstance(message, WrenchMessage):
-        return (message.frame,)
-    return message.names if isinstance(message, JointMessage) else ()
 
 
 def push(pipeline: SignalPipeline, messages: Iterable[Message]) -> Iterator[None]:

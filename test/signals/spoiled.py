@@ -10,11 +10,11 @@ import numpy as np
 
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.messages import JointMessage, Message
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 
 from .feeding import JOINTS, blocks, in_time, jittered, joint_messages, regular, without, wrench_messages
+from .sent import JointMessage, Message
 
 TURN = 2.0 * np.pi
 Change = Callable[[np.random.Generator, list[Message]], list[Message]]

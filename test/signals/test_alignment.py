@@ -11,7 +11,6 @@ import pytest
 from geomid_ros.errors import InputError
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.messages import Message
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import IntArray
@@ -30,6 +29,7 @@ from .feeding import (
     regular,
     wrench_messages,
 )
+from .sent import Message
 
 SENSOR = WrenchSensor("/wrench", "tool", "mounted")
 

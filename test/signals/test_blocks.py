@@ -12,12 +12,13 @@ import pytest
 
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.messages import Accepted, JointMessage, Message
+from geomid_ros.signals.messages import Accepted
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 
 from . import spoiled as randomly
 from .feeding import JOINTS, balanced, in_time, jittered, joint_messages, regular, without, wrench_messages
+from .sent import JointMessage, Message
 from .spoiled import in_parts
 
 NAN = float("nan")

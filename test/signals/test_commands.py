@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from geomid_ros.model.controller import Controller
-from geomid_ros.signals.messages import CommandMessage, JointMessage, Message
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, IntArray
 
 from .feeding import JOINTS, START, Motion, blocks, feed, in_time, jittered, joint_messages, regular, seconds
+from .sent import CommandMessage, JointMessage, Message
 
 KP, KD = np.array([50.0, 80.0, 20.0]), np.array([1.0, 0.0, 3.0])
 STAMPS = regular(0.01, 8.0)

@@ -14,12 +14,12 @@ from geomid_ros.model.effects.rotor_inertia import RotorInertia
 from geomid_ros.model.effects.spring import Spring
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.messages import JointMessage
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, IntArray
 
 from .feeding import JOINTS, START, Motion, assert_same, feed, joint_messages, regular
+from .sent import JointMessage
 
 COLUMNS = tuple(
     JointColumn(effect)

@@ -7,12 +7,12 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.messages import JointMessage
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray
 
 from .feeding import feed
+from .sent import JointMessage
 
 SMOOTH = 2e-3  # of a signal of size 1 after the filter
 STAMPS = 1000.0 + 0.01 * np.arange(800)

@@ -12,7 +12,7 @@ import pytest
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.arrived import NOBODY
-from geomid_ros.signals.messages import Accepted, JointMessage, Message, PoseMessage, WrenchMessage
+from geomid_ros.signals.messages import Accepted
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 
@@ -28,6 +28,7 @@ from .feeding import (
     without,
     wrench_messages,
 )
+from .sent import JointMessage, Message, PoseMessage, WrenchMessage
 
 SENSOR = WrenchSensor("/wrench", "tool", "mounted", ("fx", "fz"))
 EVERY = 7  # each seventh message is followed by a bad one

@@ -11,12 +11,12 @@ from scipy.signal import firwin
 from geomid_ros.errors import InputError
 from geomid_ros.signals import kernels
 from geomid_ros.signals.kernels import cubic_weights, derivative_kernels
-from geomid_ros.signals.messages import JointMessage
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, IntArray
 
 from .feeding import feed, jittered, regular, seconds
+from .sent import JointMessage
 
 CUTOFF = 5.0
 RATES = pytest.mark.parametrize("rate", [50, 125, 500])

@@ -11,12 +11,13 @@ import pytest
 from geomid_ros.model.imu import ImuMount
 from geomid_ros.signals.imu_segment import GRAVITY_REMOVED, IN_G, NO_SPECIFIC_FORCE
 from geomid_ros.signals.ledger import meaning_of
-from geomid_ros.signals.messages import IMU, ImuMessage, JointMessage, Message
+from geomid_ros.signals.messages import IMU
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray
 
 from .feeding import assert_same, completed, feed, in_time, regular, seconds
+from .sent import ImuMessage, JointMessage, Message
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 STAMPS = regular(0.01, 6.0)

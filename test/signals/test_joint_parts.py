@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.messages import JointMessage
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 
 from .feeding import JOINTS, Motion, assert_same, balanced, feed, in_time, joint_messages, regular
+from .sent import JointMessage
 
 STAMPS = regular(0.01, 4.0)
 WHOLE = joint_messages(STAMPS, velocity=True)

@@ -12,9 +12,9 @@ import pytest
 from geomid_ros.signals.arrived import plausible
 from geomid_ros.signals.joint_messages import JointReader, RejectedError
 from geomid_ros.signals.joint_parts import JointParts
-from geomid_ros.signals.messages import JointMessage
 
 from .feeding import START, read
+from .sent import JointMessage
 
 NAMES = ("a", "b")
 STEP = 10_000_000  # [ns]

@@ -11,12 +11,12 @@ import pytest
 from geomid_ros.model import se3
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.kernels import derivative_kernels
-from geomid_ros.signals.messages import JointMessage, PoseMessage
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, IntArray
 
 from .feeding import feed, in_time, regular, seconds
+from .sent import JointMessage, PoseMessage
 
 STAMPS = regular(0.01, 4.0)
 Trajectory = Callable[[float], pin.SE3]

@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from geomid_ros.signals import messages as module
+from geomid_ros.signals.messages import JOINT_STATES, Recent
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.signals import recent as module
-from geomid_ros.signals.messages import JOINT_STATES, JointMessage, WrenchMessage
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.signals.pipeline import SignalPipeline
-from geomid_ros.signals.recent import Recent
+
+from .sent import JointMessage, WrenchMessage
 
 SENSOR = WrenchSensor("/wrench", "tool", "mounted", offset=(1.0, 2.0, 3.0, 0.1, 0.2, 0.3))
 NAMES = ("elbow", "shoulder")

@@ -7,10 +7,10 @@ import pytest
 
 from geomid_ros.signals.effort_sizes import SaturationDetector
 from geomid_ros.signals.joint_messages import JointReader
-from geomid_ros.signals.messages import JointMessage
 from geomid_ros.types import BoolArray, FloatArray
 
 from .feeding import START, read
+from .sent import JointMessage
 
 LARGEST = 40.0  # [N m]
 MAX_GAP = 500_000_000

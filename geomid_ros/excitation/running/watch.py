@@ -11,8 +11,8 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.signals.messages import Message
 from geomid_ros.model.robot import Robot
-from geomid_ros.signals.messages import JointMessage
 from geomid_ros.types import FloatArray
 
 _LONGEST_LOOK = 0.01  # [s]: a longer pause was one of this process, not of the robot
@@ -95,15 +95,14 @@ class JointState:
     effort: FloatArray
 
     @staticmethod
-    def of(message: JointMessage, joints: tuple[str, ...]) -> JointState | None:
+    def of(message: Message, joints: tuple[str, ...]) -> JointState | None:
         """That of these joints in a message, if it has all their positions."""
         if not set(joints).issubset(message.names):
             return None
         places = [message.names.index(name) for name in joints]
-        columns = (message.position, message.velocity, message.effort)
         absent = np.full(len(joints), np.nan)
         position, velocity, effort = (
-            values[places] if len(values) == len(message.names) else absent for values in columns
+            values[places] if len(values) == len(message.names) else absent for values in message.arrays
         )
         return JointState(message.stamp, position, velocity, effort) if np.all(np.isfinite(position)) else None
 

@@ -23,7 +23,7 @@ from geomid_ros.excitation.running.watch import JointState
 from geomid_ros.ros.excite.recorder import Recorder
 from geomid_ros.ros.inputs import MOST_AT_ONCE
 from geomid_ros.ros.outputs import latched
-from geomid_ros.signals.messages import JOINT_STATES, JointMessage, parse
+from geomid_ros.signals.messages import JOINT_STATES, parse
 
 _LOOK = 0.003  # [s] at most that a look waits for a message
 _DESCRIPTION = "robot_description"
@@ -110,14 +110,12 @@ class HeardRobot:
         if self._recorder is not None:
             self._recorder.write(self.topic, data)
         message = parse(JOINT_STATES, deserialize_message(data, JointStateMessage))
-        if isinstance(message, JointMessage):
-            known = (
-                message.position if len(message.position) == len(message.names) else np.full(len(message.names), np.nan)
-            )
-            self.positions.update(zip(message.names, known.tolist(), strict=True))
-            if (state := JointState.of(message, self._joints)) is not None:
-                self.state = state
-                self._new.append(state)
+        count, position = len(message.names), message.arrays[0]
+        known = position if len(position) == count else np.full(count, np.nan)
+        self.positions.update(zip(message.names, known.tolist(), strict=True))
+        if (state := JointState.of(message, self._joints)) is not None:
+            self.state = state
+            self._new.append(state)
 
     def _describe(self, message: String) -> None:
         self.description = message.data

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from signals.sent import JointMessage
 
 from excitation.motions import Motion, bump
 from geomid_ros.excitation.running.watch import JointState, RobotLimits, Watch
 from geomid_ros.files.trajectories import read_trajectory
-from geomid_ros.signals.messages import JointMessage
 from geomid_ros.types import FloatArray
 
 JOINTS = ("a", "b")
