@@ -15,7 +15,7 @@ from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.inference.design import BLOCKS
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
-from geomid_ros.types import AnyArray, FloatArray
+from geomid_ros.types import FloatArray
 
 USABLE, NOT_CONVERGED, DOUBTFUL = "usable", "not converged", "doubtful"
 STATUS = {USABLE: 0, NOT_CONVERGED: 3, DOUBTFUL: 4}
@@ -149,9 +149,8 @@ def worse_channels(model: MeasurementModel, batches: Sequence[Samples], paramete
     both = np.column_stack([parameters, model.nominal_parameters])
     pairs = [model.predict(samples, both) for samples in batches]
     errors = np.concatenate([(predicted - measured[:, :, None]) ** 2 for measured, predicted in pairs])
-    blocks = BLOCKS * np.arange(len(errors)) // len(errors)
-    means = [_means(error, blocks) for error in np.moveaxis(errors, 2, 0)]
-    return _worse(model, *means)
+    means = np.array([_mean(block) for block in np.array_split(errors, BLOCKS) if len(block)])
+    return _worse(model, *np.moveaxis(means, 2, 0))
 
 
 def worse_in_folds(model: MeasurementModel, rows: RowSummary, parameters: FloatArray) -> list[str]:
@@ -174,10 +173,7 @@ def _worse(model: MeasurementModel, own: FloatArray, nominal: FloatArray) -> lis
     return worse
 
 
-def _means(values: FloatArray, blocks: AnyArray) -> FloatArray:
-    """Means ``(blocks, channels)``; NaN where nothing was measured."""
-    known = np.isfinite(values)
-    sums, counts = (np.zeros((int(np.max(blocks)) + 1, values.shape[1])) for _ in range(2))
-    np.add.at(sums, blocks, np.where(known, values, 0.0))
-    np.add.at(counts, blocks, known)
-    return np.asarray(np.divide(sums, counts, out=np.full_like(sums, np.nan), where=counts > 0))
+def _mean(values: FloatArray) -> FloatArray:
+    """Means of ``values (N, ...)``; NaN where nothing was measured."""
+    counts = np.count_nonzero(np.isfinite(values), axis=0)
+    return np.asarray(np.divide(np.nansum(values, axis=0), counts, out=np.full(counts.shape, np.nan), where=counts > 0))

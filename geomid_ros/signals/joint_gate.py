@@ -6,7 +6,6 @@ was: a fault that is over after three messages, a clock that was set, or somethi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import tau
 
 import numpy as np
@@ -197,11 +196,9 @@ class JointGate(Gate):
             return False
         if np.any((steps < period / CLEAR) | (steps > _USUAL_STEP * period)):
             return False
-        before = 1e-9 * (self._stamps[-count:] - self._stamps[-1])
         left, right = self._without_turns(self._last[-count:, 0], numbers[:, 0])
-        ends = end_of(before, left), end_of(1e-9 * (stamps - stamps[0]), right)
-        as_set, as_stamped = (unlikely(*ends, time) for time in (period, step))
-        return as_stamped > as_set + _MUCH_LESS_LIKELY
+        ends = _end(self._stamps[-count:] - self._stamps[-1], left), _end(stamps - stamps[0], right)
+        return _unlikely(*ends, step) > _unlikely(*ends, period) + _MUCH_LESS_LIKELY
 
     def _without_turns(self, left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Positions relative to the last of the first ones."""
@@ -210,29 +207,20 @@ class JointGate(Gate):
         return whole[: len(left)], whole[len(left) :]
 
 
-@dataclass(frozen=True, eq=False)
-class End:
-    """Where a piece of a motion ends, or begins: ``place`` and ``speed`` ``(joints,)``, and their variances."""
-
-    place: FloatArray
-    speed: FloatArray
-    place_variance: FloatArray
-    speed_variance: FloatArray
-
-
-def end_of(times: FloatArray, positions: FloatArray) -> End:
-    """By parabolas through positions ``(N, joints)``, at time zero."""
-    terms = np.vander(times, 3, increasing=True)
+def _end(stamps: IntArray, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Place and speed where a piece of a motion ends, or begins, and the variances of both, each ``(2, joints)``: at
+    time zero of parabolas through ``positions (N, joints)``."""
+    terms = np.vander(1e-9 * stamps, 3, increasing=True)
     fitted, *_ = np.linalg.lstsq(terms, positions, rcond=None)
-    spread = np.linalg.inv(terms.T @ terms)
-    noise = np.sum((positions - terms @ fitted) ** 2, axis=0) / (len(times) - 3) + FINEST**2
-    return End(fitted[0], fitted[1], spread[0, 0] * noise, spread[1, 1] * noise)
+    noise = np.sum((positions - terms @ fitted) ** 2, axis=0) / (len(stamps) - 3) + FINEST**2
+    spread = np.diag(np.linalg.inv(terms.T @ terms))
+    return fitted[:2], spread[:2, None] * noise
 
 
-def unlikely(left: End, right: End, time: float) -> float:
+def _unlikely(left: tuple[FloatArray, FloatArray], right: tuple[FloatArray, FloatArray], time: float) -> float:
     """How unlikely it is that a time [s] has passed from the end of a motion to its next beginning: the sum of squares
     of the joints' ways by the mean of the speeds, in standard deviations."""
-    error = right.place - left.place - 0.5 * time * (left.speed + right.speed)
-    variance = left.place_variance + right.place_variance
-    variance += 0.25 * time**2 * (left.speed_variance + right.speed_variance)
-    return float(np.sum(error**2 / variance))
+    (place, speed), (variance, of_speed) = left
+    (next_place, next_speed), (next_variance, of_next_speed) = right
+    error = next_place - place - 0.5 * time * (speed + next_speed)
+    return float(np.sum(error**2 / (variance + next_variance + 0.25 * time**2 * (of_speed + of_next_speed))))

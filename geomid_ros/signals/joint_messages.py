@@ -71,7 +71,7 @@ class JointReader:
         self._last = np.full((3, len(self._joints)), np.inf)  # the numbers of the last message, as they were sent
         self._raw: FloatArray | None = None  # its positions before turns were added to them
         self._turns = np.zeros(len(self._joints))  # that were added
-        self._speed = 0.0
+        self._came, self._speed = 0, 0.0  # stamp and speed of the last message
         self._made_up = True  # until an effort is seen that is not zero
         self._effort_stamps = np.zeros(len(self._joints), dtype=np.int64)
         self._saturation.restart()
@@ -190,22 +190,20 @@ class JointReader:
         if same.any():
             now, then = numbers[same], before[same]
             same[same] = ((now == then) | (np.isnan(now) & np.isnan(then))).all(axis=(1, 2)) & now[:, 2].any(axis=1)
-        speeds = np.fmax.reduce(np.abs(numbers[:, 1]), axis=1, initial=np.nan)
-        if np.isnan(speeds).any():
-            self._differentiate(speeds, stamps, np.max(np.abs(numbers[:, 0] - before[:, 0]), axis=1, initial=0.0), same)
-        self._speed = float(speeds[-1])
+        speeds = self._speeds(stamps, numbers, before, same)
+        self._came, self._speed = int(stamps[-1]), float(speeds[-1])
         return same & (speeds > STILL), speeds
 
-    def _differentiate(self, speeds: FloatArray, stamps: IntArray, steps: FloatArray, same: BoolArray) -> None:
-        """Fill in speeds that are not measured: the largest step from the last good message, by its time."""
-        speed, last = self._speed, self._stamp
-        for index, (stamp, again) in enumerate(zip(stamps.tolist(), same.tolist(), strict=True)):
-            if np.isfinite(speeds[index]):
-                speed = speeds[index]
-            elif not again:
-                speed = steps[index] / (1e-9 * (stamp - last)) if last else 0.0
-            speeds[index] = speed
-            last = last if again and speed > STILL else stamp
+    def _speeds(self, stamps: IntArray, numbers: FloatArray, before: FloatArray, same: BoolArray) -> FloatArray:
+        """The largest speed of a joint in each message ``(N,)``; where none is measured by its position and that
+        ``before``, and where both are the ``same`` that of the message before."""
+        steps = np.max(np.abs(numbers[:, 0] - before[:, 0]), axis=1, initial=0.0)
+        steps[:1] = steps[:1] if self._came else 0.0
+        derived = np.where(same, np.nan, steps / (1e-9 * np.diff(stamps, prepend=self._came)))
+        speeds = np.fmax.reduce(np.abs(numbers[:, 1]), axis=1, initial=np.nan)
+        speeds = np.append(self._speed, np.where(np.isnan(speeds), derived, speeds))
+        latest = np.maximum.accumulate(np.where(np.isnan(speeds), 0, np.arange(len(speeds))))
+        return np.asarray(speeds[latest][1:])
 
     def _check_effort(self, stamps: IntArray, numbers: FloatArray, moving: BoolArray) -> AnyArray:
         """Leave out efforts that have failed for long. Returns why messages with others that fail are refused, None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -188,18 +188,18 @@ class Sampler:
         )
 
     def _open_streams(self, grid: Grid) -> None:
-        joint_segment = partial(JointSegment, grid, self._entries)
-        self._joint_stream = Stream(self._max_gap, joint_segment)
-        self._streams = {JOINT_STATES: self._joint_stream}
-        self._streams |= {topic: Stream(self._max_gap, partial(VectorSegment, grid)) for topic in self._wrenches}
+        self._joint_stream = Stream(self._max_gap, partial(JointSegment, grid, self._entries))
+        segments: dict[str, Callable[[], Any]] = dict.fromkeys(self._wrenches, partial(VectorSegment, grid))
         if self._effort_delay:
-            self._streams[_EFFORTS] = Stream(self._max_gap, partial(VectorSegment, grid))
+            segments[_EFFORTS] = partial(VectorSegment, grid)
         if self._controller is not None:
-            self._streams[COMMANDS] = Stream(self._max_gap, partial(HeldSegment, grid))
+            segments[COMMANDS] = partial(HeldSegment, grid)
         if self._mount is not None:
-            self._streams[IMU] = Stream(self._max_gap, partial(ImuSegment, grid, self._mount))
+            segments[IMU] = partial(ImuSegment, grid, self._mount)
         elif self._base is not None:
-            self._streams[ODOM] = Stream(self._max_gap, partial(PoseSegment, grid))
+            segments[ODOM] = partial(PoseSegment, grid)
+        streams = {topic: Stream(self._max_gap, segment) for topic, segment in segments.items()}
+        self._streams = {JOINT_STATES: self._joint_stream, **streams}
 
     def collect(self) -> Samples | None:
         """The samples that have become ready since the last call, oldest first; None if there are none."""
