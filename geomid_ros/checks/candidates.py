@@ -69,7 +69,7 @@ class Candidate:
 
     Attributes:
         cause: what is said of it, if need be by what was estimated.
-        concerned: the channels that it changes.
+        concerned: the channels that it changes, all unless given.
         read: the subject as it is read with the candidate undone, by which the candidates of a row are ranked, too.
         undo: judges a subject with the candidate undone, where reading it otherwise is not all.
         sizes: ``(C,)`` how many times as large efforts are then.
@@ -80,7 +80,7 @@ class Candidate:
     """
 
     cause: Cause | Callable[[Judged], Cause]
-    concerned: Sequence[int]
+    concerned: Sequence[int] | EllipsisType = ...
     read: Callable[[Subject], Subject] | None = None
     undo: Callable[[Subject], Judged] | None = None
     sizes: FloatArray | float = 1.0
@@ -136,7 +136,7 @@ class Tried:
         """Whether it repeats and explains no channel worse, or is settled."""
         if self.candidate.settled:
             return True
-        better = self.better[list(self.candidate.concerned)]
+        better = self.better[self.candidate.concerned]
         return -float(np.sum(better, where=better < 0.0)) <= LEAST_SIGMA * self.gain and self.repeats
 
     @property

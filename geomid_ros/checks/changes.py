@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from types import EllipsisType
 from typing import TypeAlias
 
 import numpy as np
@@ -27,7 +28,8 @@ _LEAST_LAG, _MOST_LAG = 0.03, 0.3  # [s] less hardly matters behind the filter; 
 
 Columns: TypeAlias = Callable[[Subject], FloatArray]
 """Makes the efforts ``(N, C, k)`` of a subject, by standard deviations of what may be wrong."""
-Said: TypeAlias = Callable[[Gain, str], tuple[Cause, list[int]] | None]
+_Named: TypeAlias = tuple[Cause, list[int] | EllipsisType]
+Said: TypeAlias = Callable[[Gain, str], _Named | None]
 """What is said of what was fitted and when it began, and the channels that it is about; None if it is too small."""
 
 
@@ -62,7 +64,7 @@ def changes(subject: Subject) -> Iterator[Candidate]:
             yield _candidate(kind, place, int(np.argmax(np.abs(gain.coefficients))), *said)
 
 
-def _candidate(kind: _Kind, place: float, main: int, cause: Cause, concerned: list[int]) -> Candidate:
+def _candidate(kind: _Kind, place: float, main: int, cause: Cause, concerned: list[int] | EllipsisType) -> Candidate:
     def undo(subject: Subject) -> Judged:
         gain, always = subject.flexible.gain(_begun(subject, kind, place)), subject.flexible.gain(kind.columns(subject))
         beyond = gain.beyond(always) if always.per_instant > 0.0 else gain
@@ -98,9 +100,8 @@ def _begun(subject: Subject, kind: _Kind, place: float) -> FloatArray:
 
 def _kinds(subject: Subject) -> Iterator[_Kind]:
     names = subject.names
-    every = [*range(len(names))]
 
-    def offset(gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
+    def offset(gain: Gain, when: str) -> _Named | None:
         main = _main(gain.coefficients)
         steps = gain.coefficients * subject.spread
         said = ", ".join(f"'{names[c]}' by {steps[c]:+.3g} {subject.units[c]}" for c in main)
@@ -112,22 +113,21 @@ def _kinds(subject: Subject) -> Iterator[_Kind]:
         first = np.std(subject.flexible.rigid, axis=0) / np.maximum(np.std(gain.rigid, axis=0), 1e-9)
         return np.asarray(SPREAD * gain.coefficients * (first if len(gain.coefficients) > 1 else np.median(first)))
 
-    def drift(gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
+    def drift(gain: Gain, when: str) -> _Named | None:
         main = _main(steps(gain))
         factor = 1.0 + float(steps(gain)[main[0]])
         if len(main) != 1:
             return None
-        concerned = main if len(gain.coefficients) > 1 else every
-        return Cause.of(
-            "drift", [names[c] for c in concerned], when=when, factor=factor, every=concerned == every
-        ), concerned
+        every = len(gain.coefficients) == 1
+        cause = Cause.of("drift", names if every else [names[main[0]]], when=when, factor=factor, every=every)
+        return cause, ... if every else main
 
     yield _Kind(lambda of: SPREAD * of.flexible.rigid[:, :, None], drift, True)
     yield _Kind(lambda of: by_channel(SPREAD * of.flexible.rigid[:, :, None]), drift, True)
 
-    def switched(gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
+    def switched(gain: Gain, when: str) -> _Named | None:
         gone = round(float(gain.coefficients[0])) == -1
-        return (Cause.of("switched", names, when=when), every) if gone else None
+        return (Cause.of("switched", names, when=when), ...) if gone else None
 
     for first in (False, True):
         yield _Kind(lambda of: of.weight[:, :, None], switched, first=first)
@@ -136,7 +136,7 @@ def _kinds(subject: Subject) -> Iterator[_Kind]:
         if len(subject.robot.subtree(body.name)) == 1:
             yield _load(subject, place, body.name, payload_factor(bodies, place))
 
-    def slip(gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
+    def slip(gain: Gain, when: str) -> _Named | None:
         main = _main(gain.coefficients)
         sizes = -TILT * gain.coefficients
         said = ", ".join(
@@ -145,7 +145,7 @@ def _kinds(subject: Subject) -> Iterator[_Kind]:
             else f"'{names[c]}' by {np.degrees(sizes[c]):+.0f} degrees"
             for c in main
         )
-        return Cause.of("slip", [names[c] for c in main], sizes=said, when=when), every
+        return Cause.of("slip", [names[c] for c in main], sizes=said, when=when), ...
 
     yield _Kind(lambda of: TILT * _by_position(of), slip, True)
 
@@ -153,11 +153,10 @@ def _kinds(subject: Subject) -> Iterator[_Kind]:
 def _load(subject: Subject, place: int, link: str, factor: FloatArray) -> _Kind:
     """Something that a link takes up or puts down."""
 
-    def said(gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
+    def said(gain: Gain, when: str) -> _Named | None:
         mass = float(factor[0] @ gain.coefficients)
         way = "more" if mass > 0.0 else "less"
-        cause = Cause.of("load", subject.names, link=link, mass=abs(mass), way=way, when=when)
-        return cause, [*range(len(subject.names))]
+        return Cause.of("load", subject.names, link=link, mass=abs(mass), way=way, when=when), ...
 
     return _Kind(lambda of: of.regressor[:, :, 10 * place : 10 * place + 10] @ factor, said)
 
@@ -194,7 +193,6 @@ def switches(subject: Subject) -> Iterator[Candidate]:
     yield Candidate(
         undo=lambda of: _switched(of, place, factor),
         cause=cause,
-        concerned=range(len(subject.joints)),
         changes=True,
     )
 

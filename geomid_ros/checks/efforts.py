@@ -22,7 +22,7 @@ _SIDES = {"left": "right", "right": "left", "l": "r", "r": "l"}
 _SIDE = re.compile(r"(?<![a-z])(left|right|l|r)(?![a-z])", re.IGNORECASE)
 
 
-def _signs(subject: Subject, _: Subject) -> Iterator[Candidate]:
+def _signs(subject: Subject) -> Iterator[Candidate]:
     """The efforts of all joints are reversed, or of one."""
     every = range(len(subject.joints))
     for joints in [every, *([joint] for joint in every if len(every) > 1)]:
@@ -44,7 +44,7 @@ def _linear(matrix: FloatArray, cause: Cause, concerned: Sequence[int]) -> Candi
     )
 
 
-def _orders(subject: Subject, _: Subject) -> Iterator[Candidate]:
+def _orders(subject: Subject) -> Iterator[Candidate]:
     """The efforts of two joints are exchanged."""
     for pairs in exchanges(subject.names):
         if len(pairs) == 1:
@@ -54,7 +54,7 @@ def _orders(subject: Subject, _: Subject) -> Iterator[Candidate]:
             yield _linear(matrix, Cause.of("order", [subject.names[joint] for joint in pair]), pair)
 
 
-def _couplings(subject: Subject, _: Subject) -> Iterator[Candidate]:
+def _couplings(subject: Subject) -> Iterator[Candidate]:
     """One joint's motor carries the effort of another, too, in either direction.
 
     That is not named, as sound recordings of some seconds may look like it, but explains what would be taken for a sign
@@ -69,7 +69,7 @@ def _couplings(subject: Subject, _: Subject) -> Iterator[Candidate]:
                 yield replace(_linear(matrix, cause, [joint]), alone=False)
 
 
-def _frictions(subject: Subject, _: Subject) -> Iterator[Candidate]:
+def _frictions(subject: Subject) -> Iterator[Candidate]:
     """Weights and inertias are in the efforts as they should be, but friction drives joints."""
     found = subject.evidence(either_sign=True)
     friction = np.einsum("nck,ck->nc", subject.friction[:, :, 1:3], found.friction[:, 1:3])
@@ -84,7 +84,7 @@ def _frictions(subject: Subject, _: Subject) -> Iterator[Candidate]:
         yield Candidate(undo=undo, cause=cause, concerned=concerned)
 
 
-def _magnitudes(subject: Subject, _: Subject) -> Iterator[Candidate]:
+def _magnitudes(subject: Subject) -> Iterator[Candidate]:
     """Efforts are the magnitudes of what they should be: those that never change their sign where what is predicted, or
     the velocity of a joint that mainly rubs, does."""
     concerned = _without_sign(subject)
@@ -119,7 +119,7 @@ def _expected(subject: Subject, channel: int) -> FloatArray:
     return max(both, key=lambda one: float(np.nan_to_num(np.corrcoef(effort, np.abs(one))[0, 1])))
 
 
-def _gains(subject: Subject, _: Subject) -> Iterator[Candidate]:
+def _gains(subject: Subject) -> Iterator[Candidate]:
     """Another unit of all joints together, or shares of what they are rated for, and of each by itself."""
     every = range(len(subject.joints))
     slopes, told = subject.slopes()
@@ -168,7 +168,7 @@ def _other_unit(subject: Subject, joints: Sequence[int], factor: float) -> Cause
     return Cause.of("gain", names, settings, every=whole, ratio=ratio, unit=f" ({unit}?)" if unit else "")
 
 
-def _gravities(subject: Subject, _: Subject) -> Iterator[Candidate]:
+def _gravities(subject: Subject) -> Iterator[Candidate]:
     """The directions of gravity that fit best, and that it is not in the efforts."""
     nominal = subject.robot.gravity
     size = float(np.linalg.norm(nominal))
@@ -184,9 +184,7 @@ def _gravities(subject: Subject, _: Subject) -> Iterator[Candidate]:
         yield _turned(subject, STANDARD_GRAVITY * (nominal / size if size > 0.0 else np.array([0.0, 0.0, -1.0])))
     if size > 0.0:
         cause = Cause.of("compensated", subject.names, {"gravity": [0.0, 0.0, 0.0]})
-        every = range(len(subject.joints))
-        for read in (weightless, compensated):
-            yield Candidate(read=read, cause=cause, concerned=every)
+        yield from (Candidate(read=read, cause=cause) for read in (weightless, compensated))
 
 
 def _turned(subject: Subject, gravity: FloatArray) -> Candidate:
@@ -206,8 +204,7 @@ def _turned(subject: Subject, gravity: FloatArray) -> Candidate:
         vector=vector,
         angle=np.degrees(angle),
     )
-    every = range(len(subject.joints))
-    return Candidate(read=lambda subject: subject.under(gravity), cause=cause, concerned=every, alone=alone)
+    return Candidate(read=lambda subject: subject.under(gravity), cause=cause, alone=alone)
 
 
 def weightless(subject: Subject) -> Subject:

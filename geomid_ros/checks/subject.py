@@ -209,6 +209,11 @@ class Subject:
         return np.asarray(2.0 / np.maximum(np.sqrt(np.mean(self.friction**2, axis=0)), 1e-6))
 
     @cached_property
+    def few(self) -> Subject:
+        """The same at a few instants, which tell what resembles the prediction most."""
+        return self.part(slice(None, None, -(-len(self.samples) // (2 * FEWEST))))
+
+    @cached_property
     def moving(self) -> Subject:
         """The same at the instants at which a joint moves."""
         return self.part(self.is_moving)

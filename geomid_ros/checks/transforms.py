@@ -17,7 +17,6 @@ from geomid_ros.checks.candidates import PROBABLE, REASON, ROUNDS, STEP, TILT, C
 from geomid_ros.checks.causes import Cause
 from geomid_ros.checks.efforts import OF_EFFORTS, compensated, exchanges, weightless
 from geomid_ros.checks.evidence import LEAST_SIGMA
-from geomid_ros.checks.instants import FEWEST
 from geomid_ros.checks.subject import Subject
 from geomid_ros.model.samples import SIGN, Samples
 from geomid_ros.types import FloatArray, IntArray
@@ -32,11 +31,12 @@ UNITS = {
     "N": {"mm": 1e-3},
 }
 """Units of positions, in rad and m, of joints with efforts in N m and N."""
+_BEST = 3  # of a row, that are judged
 TIMES = (0.5, 2.0, 1e-3, 1e3)
 """Factors of time: seconds that are counted as halves, twice, as milliseconds or as thousands."""
 
 
-def _names(subject: Subject, _: Subject) -> Iterator[Candidate]:
+def _names(subject: Subject) -> Iterator[Candidate]:
     """Positions and efforts of one joint are those of another."""
     for pairs in exchanges(subject.names):
         sources = np.arange(len(subject.joints))
@@ -54,7 +54,7 @@ def _names(subject: Subject, _: Subject) -> Iterator[Candidate]:
         yield _of_motion(read, cause, [place for pair in pairs for place in pair], sources=sources)
 
 
-def positions(subject: Subject, _: Subject) -> Iterator[Candidate]:
+def positions(subject: Subject) -> Iterator[Candidate]:
     """Positions and speeds of all joints that turn, or of one joint, are in another unit: in a smaller one only where
     they are beyond limits, or a turn."""
     robot = subject.robot
@@ -88,14 +88,13 @@ def _in_unit(
     names = subject.names if joint is None else [robot.joint_names[joint]]
     right = "m and m/s" if unit in UNITS["N"] else "rad and rad/s"
     cause = Cause.of("position", names, positions=said, unit=unit, right=right)
-    every = range(len(subject.joints))
-    return _of_motion(lambda samples: _moved(samples, np.diag(scales)), cause, every, settled=settled)
+    return _of_motion(lambda samples: _moved(samples, np.diag(scales)), cause, settled=settled)
 
 
 def _of_motion(
     change: Callable[[Samples], Samples],
     cause: Cause,
-    concerned: Sequence[int],
+    concerned: Sequence[int] | EllipsisType = ...,
     *,
     sources: IntArray | EllipsisType = ...,
     settled: bool = False,
@@ -128,9 +127,9 @@ def _moved(samples: Samples, matrix: FloatArray, zero: FloatArray | float = 0.0,
     )
 
 
-def _times(subject: Subject, _: Subject) -> Iterator[Candidate]:
+def _times(subject: Subject) -> Iterator[Candidate]:
     """Stamps run too fast or too slow: where inertia does not fit gravity, and there is gravity in the efforts."""
-    same, every = np.eye(len(subject.robot.joints)), range(len(subject.joints))
+    same = np.eye(len(subject.robot.joints))
     for rate in TIMES:
         said = f"{1.0 / rate:g} times as slow" if rate < 1.0 else f"{rate:g} times as fast"
         cause = Cause.of("time", subject.names, rate=said, period=f"{1.0 / rate:g} times")
@@ -140,21 +139,21 @@ def _times(subject: Subject, _: Subject) -> Iterator[Candidate]:
             without = max(Judged.mended(read(subject), subject.spread).log for read in (weightless, compensated))
             return replace(judged, log=judged.log - max(without - subject.nominal.log, 0.0))
 
-        yield Candidate(undo=undo, cause=cause, concerned=every)
+        yield Candidate(undo=undo, cause=cause)
 
 
-def _zeros(subject: Subject, few: Subject) -> Iterator[Candidate]:
+def _zeros(subject: Subject) -> Iterator[Candidate]:
     """A joint that turns counts from another zero: each from where efforts resemble those predicted most."""
     for joint in _turning(subject):
-        yield _zero(subject, joint, 1.0, _best_start(few, joint, 1.0))
+        yield _zero(subject, joint, 1.0, _best_start(subject.few, joint, 1.0))
 
 
-def _axes(subject: Subject, few: Subject) -> Iterator[Candidate]:
+def _axes(subject: Subject) -> Iterator[Candidate]:
     """A joint counts the other way round, from any zero, or the angle of a parallel joint, too."""
     robot = subject.robot
     turning = _turning(subject)
     for joint in range(len(robot.joints)):
-        yield _zero(subject, joint, -1.0, _best_start(few, joint, -1.0) if joint in turning else 0.0)
+        yield _zero(subject, joint, -1.0, _best_start(subject.few, joint, -1.0) if joint in turning else 0.0)
         yield _half_axis(subject, joint)
         for other in robot.parallel_joints(joint) if joint in turning else ():
             yield from (_absolute(subject, joint, other, share) for share in (1.0, -1.0) if other in turning)
@@ -178,14 +177,14 @@ def _absolute(subject: Subject, joint: int, other: int, share: float) -> Candida
     cause = Cause.of("absolute", [names[joint], names[other]], sign="minus" if share > 0.0 else "plus")
     matrix = np.eye(len(names))
     matrix[joint, other] = -share
-    return _of_motion(lambda samples: _moved(samples, matrix), cause, range(len(subject.joints)))
+    return _of_motion(lambda samples: _moved(samples, matrix), cause)
 
 
 def _half_axis(subject: Subject, joint: int) -> Candidate:
     """Position and speed of a joint have the opposite sign, its effort has not."""
     cause = Cause.of("axis", [subject.robot.joint_names[joint]], reversed="position and velocity", zero="")
     signs = np.where(np.arange(len(subject.robot.joints)) == joint, -1.0, 1.0)
-    return _of_motion(lambda samples: _moved(samples, np.diag(signs)), cause, range(len(subject.joints)))
+    return _of_motion(lambda samples: _moved(samples, np.diag(signs)), cause)
 
 
 def _zero(subject: Subject, joint: int, sign: float, start: float) -> Candidate:
@@ -223,7 +222,7 @@ def _zero(subject: Subject, joint: int, sign: float, start: float) -> Candidate:
         beside = "" if abs(turn) < 5.0 else f", and {said} to be added to its positions then"
         return Cause.of("axis", [name], reversed="position, velocity and effort", zero=beside)
 
-    return Candidate(undo=undo, read=read, cause=cause, concerned=range(len(subject.joints)))
+    return Candidate(undo=undo, read=read, cause=cause)
 
 
 def _recounted(samples: Samples, joint: int, sign: float, zero: float) -> Samples:
@@ -237,19 +236,17 @@ OF_MOTION = (_times, _names, _zeros, _axes)
 """Rows of candidates whose motion is another than that of the recording."""
 
 
-_BEST = 3
 _AS_IT_MOVES = (*OF_EFFORTS, positions)  # unless its angles cannot be any
 
 
 def transforms(subject: Subject) -> tuple[list[Candidate], int]:
     """All candidates that are worth judging on a subject, and how many they are chosen from."""
-    few = subject.part(slice(None, None, -(-len(subject.samples) // (2 * FEWEST))))
     # Of what is nearly explained no more could be told by reading the motion otherwise.
     more = float(np.sum(np.log(subject.nominal.sigmas / LEAST_SIGMA)))
     rows = (*_AS_IT_MOVES, *OF_MOTION) if probabilities([more], 1)[0] > PROBABLE else _AS_IT_MOVES
     chosen, count = list[Candidate](), 0
     for row in rows:
-        ranked = sorted(row(subject, few), key=lambda candidate: -candidate.resemblance(few))
+        ranked = sorted(row(subject), key=lambda candidate: -candidate.resemblance(subject.few))
         chosen += [c for place, c in enumerate(ranked) if place < _BEST or c.settled or c.read is None]
         count += len(ranked)
     return chosen, count
