@@ -37,7 +37,7 @@ class EffortQuality:
         """
         self._joints, self._turning, self._note = tuple(joints), turning, note
         self._kept: list[tuple[IntArray, FloatArray, FloatArray]] = []
-        self._due = _FIRST
+        self._due = self._room = _FIRST  # messages of the window, and those that are still to come
         self._before = {kind: np.zeros(len(joints), dtype=np.bool_) for kind in _SENTENCES}
         self._told = dict(self._before)
 
@@ -50,9 +50,10 @@ class EffortQuality:
             efforts: ``(N, J)``, NaN where not measured.
         """
         while len(stamps):
-            room = self._due - sum(len(part[0]) for part in self._kept)
+            room = self._room
             self._kept.append((stamps[:room], positions[:room], efforts[:room]))
-            if len(stamps) >= room:
+            self._room -= len(stamps[:room])
+            if not self._room:
                 self._judge()
             stamps, positions, efforts = stamps[room:], positions[room:], efforts[room:]
 
@@ -68,8 +69,10 @@ class EffortQuality:
                 sentence = f"efforts of {who} {_SENTENCES[kind].format(np.median(every[joints]))}"
                 self._note(Reason(sentence, "told") if kind == "coarse" else driver_error(sentence))
         self._before = found
-        self._kept = [(stamps, positions, efforts)] if self._due < _MOST else []
+        kept = self._due if self._due < _MOST else 0
+        self._kept = [(stamps[:kept], positions[:kept], efforts[:kept])]
         self._due = min(5 * self._due // 4, _MOST)
+        self._room = self._due - kept
 
 
 def peculiar(

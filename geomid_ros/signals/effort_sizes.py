@@ -113,7 +113,7 @@ class SaturationDetector:
         moves = np.where(largest & ~(np.abs(velocity) < STILL), numbers, -1)
         moved = (_latest(moves, np.full(self._joints, -1)) > last_below) | (self._moved & ~ended)
         count = self._at_largest + np.cumsum(largest, axis=0)
-        held = self._learn_held(numbers, effort != last, np.abs(last), record, grown, moving)
+        held = self._learn_held(numbers, effort != last, grown | (np.abs(last) < record), moving[:, None])
         longest = _LONG * np.maximum(1, held)  # that rounding could explain
         found: BoolArray = (held > 0) & (numbers - last_below >= longest) & moved & moving[:, None]
         found &= (count < _MOSTLY * numbers) & (stamps[:, None] - since >= _SHORTEST)
@@ -124,32 +124,22 @@ class SaturationDetector:
         self._moved, self._at_largest = moved[-1], count[-1]
         return found
 
-    def _learn_held(
-        self,
-        numbers: IntArray,
-        new: BoolArray,
-        last: FloatArray,
-        largest: FloatArray,
-        grown: BoolArray,
-        moving: BoolArray,
-    ) -> IntArray:
+    def _learn_held(self, numbers: IntArray, new: BoolArray, smaller: BoolArray, moving: BoolArray) -> IntArray:
         """Learn for how many messages efforts stay the same though they are not the largest: those of a driver that
         renews them seldom do.
 
         Args:
             numbers: of the messages ``(N, joints)``.
             new: whether efforts are others than those before ``(N, joints)``.
-            last: sizes of those before ``(N, joints)``.
-            largest: ``(N, joints)`` so far.
-            grown: where one is larger than ever ``(N, joints)``.
-            moving: ``(N,)`` whether the robot moves.
+            smaller: whether those before were not the largest ``(N, joints)``.
+            moving: ``(N, 1)`` whether the robot moves.
 
         Returns:
             ``(N, joints)`` the most messages so far.
         """
-        begun = _latest(np.where(new | ~moving[:, None], numbers, -1), self._begun)
+        begun = _latest(np.where(new | ~moving, numbers, -1), self._begun)
         begun_before = np.vstack([self._begun, begun[:-1]])
-        counts = np.where(new & moving[:, None] & (grown | (last < largest)), numbers - begun_before, 0)
+        counts = np.where(new & moving & smaller, numbers - begun_before, 0)
         held = _latest(counts, self._held)
         self._begun, self._held = begun[-1], held[-1]
         return held

@@ -6,9 +6,6 @@ followed by a central difference of order six, so it is the derivative of the fi
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TypeVar
-
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
@@ -22,8 +19,6 @@ _LENGTH_IN_CUTOFF_PERIODS = 4.0
 _FIRST_DIFFERENCE = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60.0
 _SECOND_DIFFERENCE = np.array([2.0, -27.0, 270.0, -490.0, 270.0, -27.0, 2.0]) / 180.0
 LOWEST_RATE_PER_CUTOFF = 2.5
-
-T = TypeVar("T", float, FloatArray)
 
 
 def highest_cutoff(period: float) -> float:
@@ -112,9 +107,9 @@ def cubic_weights(nodes: FloatArray, times: FloatArray) -> FloatArray:
     return weights
 
 
-def _lagrange(nodes: Iterable[T], time: T) -> tuple[T, T, T, T]:
+def _lagrange(nodes: FloatArray, time: FloatArray) -> tuple[FloatArray, ...]:
     a, b, c, d = nodes
-    p, q, r, s = time - a, time - b, time - c, time - d
+    p, q, r, s = time - nodes
     return (
         q / (a - b) * (r / (a - c)) * (s / (a - d)),
         p / (b - a) * (r / (b - c)) * (s / (b - d)),
@@ -123,9 +118,8 @@ def _lagrange(nodes: Iterable[T], time: T) -> tuple[T, T, T, T]:
     )
 
 
-def _line(nodes: Iterable[T], time: T) -> tuple[T, T, T, T]:
-    _, b, c, _ = nodes
-    share = (time - b) / (c - b)
+def _line(nodes: FloatArray, time: FloatArray) -> tuple[FloatArray, ...]:
+    share = (time - nodes[1]) / (nodes[2] - nodes[1])
     return 0.0 * share, 1.0 - share, share, 0.0 * share
 
 

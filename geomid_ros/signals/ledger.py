@@ -87,7 +87,7 @@ class Ledger:
     """
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._topics: dict[str, Account] = {}
 
     @property
@@ -99,18 +99,14 @@ class Ledger:
     def restore(self, accounts: Mapping[str, Account]) -> None:
         """Add what an earlier process counted, unless this one has accepted or rejected anything itself."""
         with self._lock:
-            if any(account.accepted or account.rejected for account in self._topics.values()):
-                return
-            self._add(accounts)
+            if not any(account.accepted or account.rejected for account in self._topics.values()):
+                self.add(accounts)
 
     def add(self, accounts: Mapping[str, Account]) -> None:
         """Add what another ledger has counted."""
         with self._lock:
-            self._add(accounts)
-
-    def _add(self, accounts: Mapping[str, Account]) -> None:
-        for topic, other in accounts.items():
-            self._topics[topic] = self._account(topic).plus(other)
+            for topic, other in accounts.items():
+                self._topics[topic] = self._account(topic).plus(other)
 
     def accept(self, topic: str, count: int = 1) -> None:
         """Count messages that are used."""

@@ -189,16 +189,12 @@ class SignalPipeline:
         try:
             yield
         except Exception as error:
-            self._drop_open(f"{type(error).__name__} while taking a message")
+            self._joined.clear()
+            held = self._admission.held
+            for topic, count in (self._open - held).items():
+                self.ledger.drop(topic, f"{type(error).__name__} while taking a message", count)
+            self._open = held
             raise
-
-    def _drop_open(self, reason: str) -> None:
-        """Drop the messages of which nothing has become."""
-        self._joined.clear()
-        held = self._admission.held
-        for topic, count in (self._open - held).items():
-            self.ledger.drop(topic, reason, count)
-        self._open = held
 
     def _refused(self, topic: str, reason: str, count: int) -> None:
         self.ledger.reject(topic, reason, count)
