@@ -11,11 +11,12 @@ from geomid_ros.checks.evidence import FOLLOWS, HALF, LEAST_SIGMA, Evidence, evi
 from geomid_ros.checks.flexible import FlexibleFit
 from geomid_ros.checks.instants import FEWEST, Kept
 from geomid_ros.checks.rows import effort_rows, friction_columns, gravity_rows, prior_factor
+from geomid_ros.estimation.tolerances import ROUNDING
+from geomid_ros.model.moving import STILL
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import STILL, Samples
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
-_ROUNDING = 1e-10
 STRETCHES = 20
 """Of a recording: something may begin with each, and they are alternately in one part and in the other."""
 _OF_MOTION = (
@@ -196,7 +197,7 @@ class Subject:
         """Directions ``(D, r)`` of the links' errors that the motion shows, in units of their covariance's factor."""
         scaled = (self.regressor @ self.factor) / np.maximum(self.spread, np.finfo(float).tiny)[None, :, None]
         values, vectors = np.linalg.eigh(np.tensordot(scaled, scaled, ((0, 1), (0, 1))))
-        return np.asarray(vectors[:, values > _ROUNDING * values[-1]])
+        return np.asarray(vectors[:, values > ROUNDING * values[-1]])
 
     @cached_property
     def columns(self) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.signals.ledger import Reason, driver_error
-from geomid_ros.signals.limits import LARGEST_NUMBER, MOST_NAMES, UNLIKE_ONE
+from geomid_ros.signals.limits import LARGEST_NUMBER, UNLIKE_ONE
 from geomid_ros.signals.messages import Block
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
@@ -156,7 +156,7 @@ def missing_joint(joints: Sequence[str], names: Sequence[str]) -> str:
             f"{sentence}: the URDF's names have the prefix '{prefix}', the messages' do not. Give the URDF without it"
         )
     if present.isdisjoint(joints):
-        quoted = ", ".join(f"'{name}'" for name in names[:MOST_NAMES])
+        quoted = ", ".join(f"'{name}'" for name in names[:3])
         return f"{sentence}: none of the messages' names is a joint of this URDF ({quoted} ...)"
     strange = next((name for name in names if name not in joints), None)
     other = f"; or is it '{strange}'?" if strange else ""

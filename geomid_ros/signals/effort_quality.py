@@ -8,13 +8,11 @@ import numpy as np
 
 from geomid_ros.model.moving import STILL
 from geomid_ros.signals.ledger import Reason, driver_error
-from geomid_ros.signals.limits import CLEAR
+from geomid_ros.signals.limits import CLEAR, LONGEST_SAME
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _FIRST, _MOST = 512, 16384  # messages that are judged together: a quarter more each time, up to the most
-_LONGEST_HELD = 0.05  # [s] what is renewed at 20 Hz or more is hardly late
 _SMALL = 0.05  # share of messages, and of a range
-_FILLED = 8.0  # standard deviations: a range that efforts fill
 _MANY, _OVERFLOWS = 10, 3  # changes, and overflows in either direction, at least
 _SENTENCES = {
     "held": "come only every {:.1g} s, and are the same numbers in between",
@@ -105,7 +103,7 @@ def peculiar(
     moving = np.abs(np.diff(positions, axis=0)) > STILL * period
     renewed = np.sum(moving & (change > 0.0), axis=0)
     every = period * np.sum(moving, axis=0) / np.maximum(renewed, 1)
-    held = fine & (renewed >= _MANY) & (every > _LONGEST_HELD) & (usual > CLEAR * step)
+    held = fine & (renewed >= _MANY) & (every > LONGEST_SAME) & (usual > CLEAR * step)
 
     least = np.min(size, axis=0, where=size > 0.0, initial=np.inf)
     dead = (np.mean(size == 0.0, axis=0) > _SMALL) & (CLEAR * least > spread)
@@ -115,7 +113,7 @@ def peculiar(
     low, high = place < _SMALL, place > 1.0 - _SMALL
     both = [np.sum(one[:-1] & other[1:], axis=0) for one, other in ((low, high), (high, low))]
     over = fine & ~held & ~zero & (usual < _SMALL * whole) & (np.minimum(*both) >= _OVERFLOWS)
-    over &= whole < _FILLED * spread  # else it is a few spikes that make the range
+    over &= whole < 2.0 * CLEAR * spread  # else it is a few spikes that make the range
 
     alike = np.array([np.mean((size > 0.0) & (efforts == own[:, None]), axis=0) > 1.0 - _SMALL for own in efforts.T])
     np.fill_diagonal(alike, val=False)

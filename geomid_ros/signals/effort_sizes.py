@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from geomid_ros.model.moving import STILL
+from geomid_ros.signals.limits import LONGEST_SAME
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _CHUNK = 128  # messages that are learned from at once
 _TAIL = 6  # messages of a chunk, at either end, that do not count
 _IN_RANGE, _IN_CHANGES, _IN_LIMIT = 1.5, 8.0, 0.02  # times the range of efforts, their changes, and the URDF's limit
-_SHORTEST = 50_000_000  # [ns] a saturated effort is exactly the largest for at least so long
 _LONG = 6  # messages at least, and times as long as any smaller effort stayed the same
 _MOSTLY = 0.75  # the largest share of all messages in which a saturated effort is the largest
 
@@ -116,7 +116,7 @@ class SaturationDetector:
         held = self._learn_held(numbers, effort != last, grown | (np.abs(last) < record), moving[:, None])
         longest = _LONG * np.maximum(1, held)  # that rounding could explain
         found: BoolArray = (held > 0) & (numbers - last_below >= longest) & moved & moving[:, None]
-        found &= (count < _MOSTLY * numbers) & (stamps[:, None] - since >= _SHORTEST)
+        found &= (count < _MOSTLY * numbers) & (1e-9 * (stamps[:, None] - since) >= LONGEST_SAME)
         self._stamp, self._last = int(stamps[-1]), effort[-1].copy()
         self._messages += len(stamps)
         self._largest = record[-1]

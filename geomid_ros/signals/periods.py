@@ -16,7 +16,6 @@ FEWEST = 32
 """Messages that the period is inferred from."""
 FEWEST_IN_BURSTS = 320
 """The same, where messages come in bursts."""
-_IN_BURSTS = 0.2  # the share of such steps, where messages come in bursts
 _UNEVEN = 0.35  # of the time between bursts, that their ends may be off a line
 MISSED = 2.5
 """Periods between two messages, or between bursts: more is a pause."""
@@ -25,11 +24,11 @@ _FOLLOWS = 0.05  # of the time that a burst is late by, which the times are move
 
 
 def in_bursts(stamps: IntArray, max_gap: int) -> bool:
-    """Whether more than a fifth of the steps between increasing stamps are shorter than a quarter of the mean step.
+    """Whether more than a quarter of the steps between increasing stamps are shorter than a quarter of the mean step.
     Steps longer than ``max_gap`` [ns] do not count."""
     steps = np.diff(stamps)
     steps = steps[steps <= max_gap]
-    return bool(len(steps) and np.mean(steps < np.mean(steps) / CLEAR) > _IN_BURSTS)
+    return bool(len(steps) and np.mean(steps < np.mean(steps) / CLEAR) > 1.0 / CLEAR)
 
 
 class RegularClock:

@@ -32,15 +32,15 @@ from geomid_ros.signals.arrived import (
     without_refusal,
     wrenches,
 )
+from geomid_ros.signals.base import Stance
 from geomid_ros.signals.joint_gate import JointGate
 from geomid_ros.signals.joint_messages import JointReader, RejectedError
 from geomid_ros.signals.joint_parts import SILENT, JointParts, Part
 from geomid_ros.signals.ledger import Ledger
-from geomid_ros.signals.limits import MOST_JOINTS
+from geomid_ros.signals.limits import MOST_WAITING
 from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, Accepted, Block, Message
 from geomid_ros.signals.sampler import Sampler
 from geomid_ros.signals.settings import SignalSettings
-from geomid_ros.signals.stance import Stance
 from geomid_ros.types import AnyArray, FloatArray
 
 _DEFAULTS = SignalSettings()
@@ -89,7 +89,7 @@ class SignalPipeline:
             joints_heard: the names of joints in messages are added to it.
             mount: of the IMU on a floating base, whose messages come on IMU.
             controller: of the joints: efforts are those of commands, which come on COMMANDS.
-            loads: of the feet, whose stance samples carry; see :class:`~geomid_ros.signals.stance.Stance`.
+            loads: of the feet, whose stance samples carry; see :class:`~geomid_ros.signals.base.Stance`.
 
         Raises:
             InputError: two topics have the same name, a gain is of an unknown joint, or the cutoff is too high.
@@ -204,7 +204,7 @@ class SignalPipeline:
         """What messages say by themselves, by their source."""
         found: dict[Source, list[Arrived]] = {}
         for block in blocks:
-            if block.topic == JOINT_STATES and len(self.joints_heard) < MOST_JOINTS:
+            if block.topic == JOINT_STATES and len(self.joints_heard) < MOST_WAITING:
                 self.joints_heard.update(block.names)
             try:
                 source = block.topic, self._part(block)

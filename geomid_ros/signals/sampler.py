@@ -14,7 +14,7 @@ from geomid_ros.model.columns import Column, Entries, PlacedColumn
 from geomid_ros.model.controller import Controller
 from geomid_ros.model.imu import ImuMount
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.imu_segment import ImuSegment
+from geomid_ros.signals.base import ImuSegment
 from geomid_ros.signals.joint_messages import FROZEN
 from geomid_ros.signals.ledger import Account, Ledger, driver_error
 from geomid_ros.signals.limits import HORIZON, MOST_WAITING, PERIOD_ROUNDING

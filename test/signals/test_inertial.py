@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 from geomid_ros.model.imu import ImuMount
-from geomid_ros.signals.imu_segment import GRAVITY_REMOVED, IN_G, NO_SPECIFIC_FORCE
+from geomid_ros.signals.base import GRAVITY_REMOVED, IN_G, NO_SPECIFIC_FORCE
 from geomid_ros.signals.ledger import meaning_of
 from geomid_ros.signals.messages import IMU
 from geomid_ros.signals.pipeline import SignalPipeline

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.stance import Stance
+from geomid_ros.signals.base import Stance
 from geomid_ros.types import FloatArray, IntArray
 
 STEP = 10_000_000  # [ns]
