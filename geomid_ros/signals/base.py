@@ -18,6 +18,8 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _LEVELLING = 1.0  # [s] to both sides, over which the specific force is averaged
 _UNLIKE_GRAVITY = 0.3  # as a share of it
+LIFTED = 0.1
+"""A foot in the air seems to bear less, as a share of what each bears when all stand: inertias are not known yet."""
 
 _EXPECTED = "publish what the accelerometer measures, gravity included, in m/s^2 (sensor_msgs/Imu)"
 IN_G = driver_error(f"the acceleration is in g: {_EXPECTED}")
@@ -92,10 +94,6 @@ def _fault(weighed: float) -> str:
     if abs(STANDARD_GRAVITY * weighed - 1.0) < _UNLIKE_GRAVITY:
         return IN_G
     return GRAVITY_REMOVED if weighed < _UNLIKE_GRAVITY else NO_SPECIFIC_FORCE
-
-
-LIFTED = 0.1
-"""A foot in the air seems to bear less, as a share of what each bears when all stand: inertias are not known yet."""
 
 
 class Stance:
