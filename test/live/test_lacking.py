@@ -25,8 +25,7 @@ from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import lacking_in_messages
 from geomid_ros.session.recordings import silent
 from geomid_ros.session.session import Session
-from geomid_ros.signals.messages import JOINT_STATES, Accepted
-from geomid_ros.signals.recent import Recent
+from geomid_ros.signals.messages import JOINT_STATES, Accepted, Recent
 
 NOISE, RIPPLE, WAVES = 0.02, 0.5, 14.0  # [N m], [N m] and per radian, at joint2
 PATIENCE = 600.0  # [s]
