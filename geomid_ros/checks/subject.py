@@ -12,7 +12,6 @@ from geomid_ros.checks.flexible import FlexibleFit
 from geomid_ros.checks.instants import FEWEST, Kept
 from geomid_ros.checks.rows import effort_rows, friction_columns, gravity_rows, prior_factor
 from geomid_ros.estimation.tolerances import ROUNDING
-from geomid_ros.model.moving import STILL
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import STILL, Samples
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray

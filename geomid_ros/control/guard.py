@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.model.moving import STILL
+from geomid_ros.model.samples import STILL
 from geomid_ros.types import FloatArray
 
 LASTING = 0.1

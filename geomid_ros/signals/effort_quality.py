@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from geomid_ros.model.moving import STILL
+from geomid_ros.model.samples import STILL
 from geomid_ros.signals.ledger import Reason, driver_error
 from geomid_ros.signals.limits import CLEAR, LONGEST_SAME
 from geomid_ros.types import BoolArray, FloatArray, IntArray

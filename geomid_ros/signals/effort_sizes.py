@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomid_ros.model.moving import STILL
+from geomid_ros.model.samples import STILL
 from geomid_ros.signals.limits import LONGEST_SAME
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 

@@ -7,7 +7,7 @@ from math import tau
 
 import numpy as np
 
-from geomid_ros.model.moving import STILL
+from geomid_ros.model.samples import STILL
 from geomid_ros.signals.arrived import missing_joint, plausible, without_refusal
 from geomid_ros.signals.effort_quality import EffortQuality
 from geomid_ros.signals.effort_sizes import SaturationDetector

@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.signals import messages as module
 from geomid_ros.signals.messages import JOINT_STATES, Recent
-from geomid_ros.model.channels import WrenchSensor
-from geomid_ros.signals import recent as module
-from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.signals.pipeline import SignalPipeline
 
 from .sent import JointMessage, WrenchMessage

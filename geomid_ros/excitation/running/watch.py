@@ -11,8 +11,8 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.excitation.trajectory import Trajectory
-from geomid_ros.signals.messages import Message
 from geomid_ros.model.robot import Robot
+from geomid_ros.signals.messages import Message
 from geomid_ros.types import FloatArray
 
 _LONGEST_LOOK = 0.01  # [s]: a longer pause was one of this process, not of the robot
