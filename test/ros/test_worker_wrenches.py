@@ -54,7 +54,7 @@ Change = Callable[[float, np.ndarray], np.ndarray]  # of a wrench, or efforts, a
 @pytest.fixture(autouse=True)
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
     """The machine may be busy."""
-    monkeypatch.setattr(module, "_PATIENCE", PATIENCE)
+    monkeypatch.setattr(module, "PATIENCE", PATIENCE)
 
 
 @cache

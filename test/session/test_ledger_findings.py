@@ -19,7 +19,6 @@ from signals.feeding import feed
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.live import inbox
 from geomid_ros.live import worker as live
 from geomid_ros.live.inbox import Received
 from geomid_ros.live.worker import Worker
@@ -277,8 +276,7 @@ def numbers(estimate: Estimate) -> tuple[FloatArray, FloatArray]:
 @pytest.fixture(autouse=True)
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
     """The machine may be busy."""
-    monkeypatch.setattr(live, "_PATIENCE", PATIENCE)
-    monkeypatch.setattr(inbox, "_LONGEST_STANDSTILL", PATIENCE)
+    monkeypatch.setattr(live, "PATIENCE", PATIENCE)
 
 
 @pytest.mark.parametrize("name", CASES)
