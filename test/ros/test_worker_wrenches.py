@@ -116,7 +116,7 @@ class Working:
             for item in items[begin : begin + AT_ONCE]:
                 self.worker.take([Received(*item.raw)])
             self.status()
-            while not self.worker._inbox.empty:  # on a busy machine what waits for long is dropped
+            while self.worker._inbox.unfinished:  # what has no room is dropped
                 time.sleep(2e-3)
                 self.status()
 
