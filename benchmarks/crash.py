@@ -169,7 +169,7 @@ class _Keeper:
         damaged, before = 0, self.newest
         for path in self.folder.glob("checkpoint-*"):
             try:
-                found = decoded(path.read_bytes(), self._session.meaning, self._session.model.channels)
+                found = decoded(Checkpoint, path.read_bytes(), self._session.meaning)
             except InputError:
                 damaged += 1
                 continue

@@ -239,7 +239,7 @@ def _supervised(command: tuple[str, ...]) -> Iterator[Callable[[], int]]:
 
 
 def _kept(out: Path) -> int:
-    return len(list((out / "kept").glob("bag-*.npz")))
+    return len(list((out / "kept").glob("bag-*.safetensors")))
 
 
 def _wait_for(run: subprocess.Popen[bytes], reached: Callable[[], bool]) -> None:
@@ -279,7 +279,7 @@ def memory(report: Report, folder: Path) -> None:
             [sys.executable, "-c", script, *arguments], capture_output=True, text=True, check=True, timeout=3600
         )
         peaks[count] = int(ended.stderr.split()[-1]) / 1024
-        size = sum(path.stat().st_size for path in (out / "kept").glob("bag-*.npz")) / count
+        size = sum(path.stat().st_size for path in (out / "kept").glob("bag-*.safetensors")) / count
         report.say(
             f"{count} bags: the client takes {peaks[count]:.0f} MB at most, {time.perf_counter() - begin:.0f} s; "
             f"{size / 1e6:.2f} MB are kept of a bag"

@@ -15,7 +15,7 @@ import math
 import reprlib
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from types import UnionType
@@ -25,7 +25,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.disk import read_text
-from geomid_ros.types import FloatArray
+from geomid_ros.types import AnyArray, FloatArray, frozen
 
 Vector: TypeAlias = Annotated[FloatArray, (3,)]
 Matrix: TypeAlias = Annotated[FloatArray, (3, 3)]
@@ -38,6 +38,13 @@ _LARGEST_COUNT = 2**63
 _MOST_ENTRIES = 10_000  # of a list
 _EXPECTED = {float: "a finite number", int: "a count", str: "a text", bool: "true or false"}
 T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """An array of float64, or bytes, that a document of an archive holds; see :mod:`geomid_ros.files.archive`."""
+
+    content: AnyArray | bytes
 
 
 def read_document(path: Path, what: str, keys: tuple[str, ...]) -> dict[str, Any]:
@@ -79,8 +86,8 @@ def structured(kind: type[T], value: Any, where: str) -> T:
 
 def _structured(kind: Any, value: Any, where: str) -> Any:
     origin, inner = get_origin(kind), get_args(kind)
-    if kind is Any:
-        return value
+    if kind is bytes or origin is np.ndarray:
+        return _stored(kind, value, where)
     if origin is Annotated:
         return _array(value, inner[1], where)
     if origin is Literal:
@@ -103,7 +110,18 @@ def _structured(kind: Any, value: Any, where: str) -> Any:
     return _simple(kind, value, where)
 
 
+def _stored(kind: Any, value: Any, where: str) -> AnyArray | bytes:
+    found = value.content if isinstance(value, Stored) else None
+    if kind is bytes and isinstance(found, bytes):
+        return found
+    if kind is not bytes and isinstance(found, np.ndarray) and np.all(np.isfinite(found)):
+        return frozen(found)
+    raise _wrong(value, where, "bytes" if kind is bytes else "an array of finite numbers")
+
+
 def _simple(kind: Any, value: Any, where: str) -> Any:
+    if kind is Any:
+        return value
     if kind is float and value is None:
         return math.nan
     if kind is float and type(value) in (int, float) and abs(value) < _LARGEST:

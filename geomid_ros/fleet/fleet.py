@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError
+from geomid_ros.files.schema import structured
 from geomid_ros.fleet.cluster import Cluster, failure
-from geomid_ros.fleet.kept import RobotResults
+from geomid_ros.fleet.kept import SUFFIX, RobotResults
 from geomid_ros.fleet.recordings import FleetBag
 from geomid_ros.fleet.store import Store
 from geomid_ros.fleet.work import BagOutcome, FleetPlan, solve_robot, summarise_bag
@@ -93,8 +94,8 @@ class Fleet:
     def _outcome(self, name: str) -> BagOutcome | None:
         """What became of a bag that was read before; None if that cannot be told."""
         try:
-            return BagOutcome.read(self._store.get(name) or b"")
-        except (KeyError, TypeError, ValueError):
+            return structured(BagOutcome, json.loads(self._store.get(name) or b""), f"{self._store.url}/{name}:")
+        except (InputError, ValueError, RecursionError):
             return None
 
     def _solve(
@@ -107,7 +108,7 @@ class Fleet:
         jobs = [
             (robot, (self._store, self._plan.name, names[robot], kept[robot], locked))
             for robot, (used, locked) in chosen.items()
-            if used and f"{names[robot]}.npz" not in self._kept
+            if used and f"{names[robot]}{SUFFIX}" not in self._kept
         ]
         errors: dict[str, str] = {}
         for done, (robot, found) in enumerate(_run(workers, solve_robot, jobs), 1):
@@ -138,14 +139,14 @@ class Fleet:
 
     def results(self, robot: FleetRobot) -> RobotResults:
         """The results of a robot that has some. Raises InputError if they cannot be read."""
-        content = self._store.get(f"{robot.kept}.npz")
+        content = self._store.get(f"{robot.kept}{SUFFIX}")
         if content is None:
             raise InputError(f"{self._store.url}: the results of robot '{robot.name}' are missing; run the same again")
         try:
             return RobotResults.decoded(content)
         except InputError as error:
             raise InputError(
-                f"{self._store.url}/{robot.kept}.npz: {error}; delete it, and run the same again"
+                f"{self._store.url}/{robot.kept}{SUFFIX}: {error}; delete it, and run the same again"
             ) from error
 
 

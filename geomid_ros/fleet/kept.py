@@ -3,34 +3,27 @@
 Of a bag, what an estimate needs: the summaries of its rows, and what is known of it beside them. Of a robot its files,
 and what a population is made of.
 
-Both are NumPy archives without pickled objects. That of a bag has two checkpoints
-(:mod:`geomid_ros.files.checkpoints.checkpoint`), of what is fitted and of what is held out, and a JSON text.
+Both are files as checkpoints are (:mod:`geomid_ros.files.archive`).
 """
 
 from __future__ import annotations
 
-import io
 import json
-import zipfile
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.comparison import compared
 from geomid_ros.estimation.identifier import LONGEST_STEP, Memory
 from geomid_ros.estimation.population import RobotLikelihood
-from geomid_ros.estimation.posterior import EffectCoordinate
 from geomid_ros.estimation.summary import RowSummary, SummaryState
-from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded, encoded
+from geomid_ros.files.archive import archived, unarchived
+from geomid_ros.files.checkpoints.checkpoint import decoded, encoded
 from geomid_ros.files.disk import write_bytes
 from geomid_ros.files.models.estimate_file import EstimateFile
+from geomid_ros.files.schema import structured
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
@@ -39,7 +32,8 @@ from geomid_ros.session.recordings import Bags, read_bags, read_with_locked
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import Training
 
-_FITTED, _HELD_OUT, _BESIDE = "fitted", "held_out", "beside"
+SUFFIX = ".safetensors"
+"""Of these files."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -63,35 +57,14 @@ class BagSummary:
 
     def encoded(self, session: Session) -> bytes:
         """As a file."""
-        accounts = self.recorded.accounts
-        fitted = encoded(Checkpoint(session.meaning, self.fitted, accounts), session.model.channels)
-        judged = Memory(self.held_out, Counter(), None, None)
-        held_out = encoded(Checkpoint(session.meaning, judged), session.model.channels)
-        beside = asdict(self.recorded) | {"locked": self.locked, "begin": self.begin, "end": self.end}
-        del beside["accounts"]
-        content = io.BytesIO()
-        blobs = {_FITTED: np.frombuffer(fitted, np.uint8), _HELD_OUT: np.frombuffer(held_out, np.uint8)}
-        np.savez(content, allow_pickle=False, **{_BESIDE: np.array(json.dumps(beside))}, **blobs)
-        return content.getvalue()
+        return encoded({"meaning": session.meaning, **vars(self)}, self.recorded.accounts)
 
     @staticmethod
     def decoded(content: bytes, session: Session) -> BagSummary:
         """From a file, for a session of the same meaning. Raises InputError for what is no such file."""
         try:
-            with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-                meaning, channels = session.meaning, session.model.channels
-                fitted = decoded(archive[_FITTED].tobytes(), meaning, channels)
-                held_out = decoded(archive[_HELD_OUT].tobytes(), meaning, channels)
-                beside = json.loads(str(archive[_BESIDE]))
-            return BagSummary(
-                fitted=fitted.memory,
-                held_out=held_out.memory.summary,
-                recorded=_recorded(beside, fitted),
-                locked=tuple(beside["locked"]),
-                begin=beside["begin"],
-                end=beside["end"],
-            )
-        except (zipfile.BadZipFile, KeyError, TypeError, ValueError, OSError, EOFError) as error:
+            return decoded(BagSummary, content, session.meaning)
+        except InputError as error:
             raise InputError(f"the summary of a bag cannot be read ({error})") from error
 
     def plus(self, later: BagSummary) -> BagSummary:
@@ -171,25 +144,6 @@ def _rows(model: MeasurementModel, batches: Sequence[Samples]) -> SummaryState:
     return summary.state()
 
 
-def _recorded(entry: Mapping[str, Any], fitted: Checkpoint) -> Recorded:
-    names = ("remarks", "unmeasured", "incomplete", "unchecked", "settled")
-    findings = tuple(
-        Finding(cause=_cause(f["cause"]), sure=f["sure"], rivals=tuple(map(_cause, f["rivals"])))
-        for f in entry["findings"]
-    )
-    texts = {name: tuple(map(str, entry[name])) for name in names}
-    return Recorded(accounts=fitted.accounts, findings=findings, **texts)
-
-
-def _cause(entry: Mapping[str, Any]) -> Cause:
-    places = tuple(map(str, entry["places"]))
-    return Cause(kind=entry["kind"], sentence=entry["sentence"], settings=entry["settings"], places=places)
-
-
-_HEADER, _FILE = "header", "file "
-_ARRAYS = ("rows", "targets", "parameters", "prior", "scales")
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RobotResults:
     """The ``files`` of a robot's folder by name, and the ``evidence`` that a population is made of."""
@@ -199,33 +153,16 @@ class RobotResults:
 
     @property
     def encoded(self) -> bytes:
-        """As a NumPy archive without pickled objects."""
-        header = {"links": self.evidence.links, "effects": [asdict(effect) for effect in self.evidence.effects]}
-        arrays = {name: getattr(self.evidence, name) for name in _ARRAYS}
-        files = {_FILE + name: np.frombuffer(content, np.uint8) for name, content in self.files.items()}
-        content = io.BytesIO()
-        np.savez(content, allow_pickle=False, **{_HEADER: np.array(json.dumps(header))}, **arrays, **files)
-        return content.getvalue()
+        """As a file."""
+        return archived(vars(self))
 
     @staticmethod
     def decoded(content: bytes) -> RobotResults:
-        """From such an archive. Raises InputError for what is none."""
+        """From such a file. Raises InputError for what is none."""
         try:
-            return RobotResults._read(content)
-        except (zipfile.BadZipFile, KeyError, TypeError, ValueError, EOFError) as error:
+            return structured(RobotResults, unarchived(content), "its text:")
+        except InputError as error:
             raise InputError(f"the stored result of a robot cannot be read ({error})") from error
-
-    @staticmethod
-    def _read(content: bytes) -> RobotResults:
-        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-            header = json.loads(str(archive[_HEADER]))
-            evidence = RobotLikelihood(
-                links=tuple(header["links"]),
-                effects=tuple(EffectCoordinate(**entry) for entry in header["effects"]),
-                **{name: archive[name] for name in _ARRAYS},
-            )
-            files = {key[len(_FILE) :]: archive[key].tobytes() for key in archive.files if key.startswith(_FILE)}
-        return RobotResults(files=files, evidence=evidence)
 
     @property
     def estimate(self) -> EstimateFile:

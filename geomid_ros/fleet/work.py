@@ -17,9 +17,10 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.population import RobotLikelihood
 from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.files.checkpoints.checkpoint import FORMAT
 from geomid_ros.files.models.readers import READERS
-from geomid_ros.files.schema import FORMAT
-from geomid_ros.fleet.kept import BagSummary, RobotResults, summarise, total
+from geomid_ros.files.schema import plain, structured
+from geomid_ros.fleet.kept import SUFFIX, BagSummary, RobotResults, summarise, total
 from geomid_ros.fleet.recordings import FleetBag, on_this_disk
 from geomid_ros.fleet.store import Store
 from geomid_ros.session.configuration import Configuration
@@ -58,11 +59,6 @@ class FleetPlan:
     def document(self) -> dict[str, Any]:
         """As JSON."""
         return asdict(self)
-
-    @staticmethod
-    def of(document: dict[str, Any]) -> FleetPlan:
-        """From a :attr:`document`."""
-        return FleetPlan(**document | {"topics": Topics(**document["topics"])})
 
     @property
     def name(self) -> str:
@@ -103,17 +99,6 @@ class BagOutcome:
     seconds: float = 0.0
     size: int = 0
 
-    @staticmethod
-    def read(content: bytes) -> BagOutcome:
-        """From JSON."""
-        entry = json.loads(content)
-        return BagOutcome(**entry | {name: tuple(entry[name]) for name in ("doubts", "locked")})
-
-    @property
-    def encoded(self) -> bytes:
-        """As JSON."""
-        return json.dumps(asdict(self)).encode()
-
 
 def summarise_bag(store: Store, plan_name: str, bag: FleetBag) -> BagOutcome:
     """Summarise a bag. What is wrong with the bag itself is an outcome, too."""
@@ -128,7 +113,7 @@ def summarise_bag(store: Store, plan_name: str, bag: FleetBag) -> BagOutcome:
     except InputError as error:
         outcome = BagOutcome(error=str(error), seconds=time.perf_counter() - begin)
     else:
-        store.put(f"{name}.npz", content)
+        store.put(f"{name}{SUFFIX}", content)
         outcome = BagOutcome(
             doubts=tuple(finding.sentence for finding in summary.recorded.findings),
             locked=summary.locked,
@@ -136,7 +121,7 @@ def summarise_bag(store: Store, plan_name: str, bag: FleetBag) -> BagOutcome:
             seconds=time.perf_counter() - begin,
             size=len(content),
         )
-    store.put(f"{name}.json", outcome.encoded)
+    store.put(f"{name}.json", json.dumps(plain(outcome)).encode())
     return outcome
 
 
@@ -160,7 +145,7 @@ def solve_robot(store: Store, plan_name: str, name: str, bags: Sequence[str], lo
         results = _results(session, *solve(session, summary))
     except InputError as error:
         return str(error)
-    store.put(f"{name}.npz", results.encoded)
+    store.put(f"{name}{SUFFIX}", results.encoded)
     return ""
 
 
@@ -194,7 +179,7 @@ def _results(session: Session, estimate: Estimate, held_out: FloatArray | None, 
 
 
 def _kept(store: Store, name: str, session: Session) -> BagSummary:
-    content = store.get(f"{name}.npz")
+    content = store.get(f"{name}{SUFFIX}")
     if content is None:
         raise InputError(f"{store.url}: a bag's summary is missing ({name}); run the same again")
     return BagSummary.decoded(content, session)
@@ -209,7 +194,7 @@ def _plan(store: Store, name: str) -> FleetPlan:
             f"{store.url}: a worker does not see this folder; --out must be on a disk that all workers share, or "
             "--keep a URL that they reach"
         )
-    plan = FleetPlan.of(json.loads(content))
+    plan = structured(FleetPlan, json.loads(content), f"{store.url}/{name}:")
     if plan.version != installed_version():
         found = installed_version()
         raise InputError(f"a worker has geomid_ros {found}, not {plan.version}: install the same everywhere")

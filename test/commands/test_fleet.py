@@ -170,7 +170,7 @@ def test_what_is_kept_and_damaged_is_told_or_made_anew(bags: Path, scheduler: st
     outcome.write_text("{")
     done(*arguments)
     assert read(tmp_path / "bob") == before
-    (results,) = (tmp_path / "kept").glob("robot-*.npz")
+    (results,) = (tmp_path / "kept").glob("robot-*.safetensors")
     results.write_bytes(results.read_bytes()[:100])
     assert "delete it, and run the same again" in refused(*arguments)
     results.unlink()

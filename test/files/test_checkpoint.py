@@ -25,9 +25,11 @@ from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.identifier import Memory
 from geomid_ros.estimation.summary import SummaryState
+from geomid_ros.files.archive import pack, unpack
 from geomid_ros.files.checkpoints import checkpoint_folder
-from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded, encoded, pack, unpack
+from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded, encoded
 from geomid_ros.files.checkpoints.checkpoint_folder import CheckpointFolder
+from geomid_ros.model.samples import Samples
 from geomid_ros.model.samples import REGIMES, Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
@@ -38,6 +40,10 @@ from .recordings import BAGS
 
 GENERATIONS = ("checkpoint-a.safetensors", "checkpoint-b.safetensors")
 INSTANTS = 400
+
+
+def written(checkpoint: Checkpoint) -> bytes:
+    return encoded(vars(checkpoint), checkpoint.accounts)
 
 
 def session(robot: str = "arm3", **values: Any) -> Session:
@@ -85,13 +91,12 @@ def checkpoint_of(end: int) -> Checkpoint:
 def small() -> tuple[Session, bytes]:
     """A session and the file of its checkpoint."""
     known = learned()
-    return known, encoded(known.checkpoint(), known.model.channels)
+    return known, written(known.checkpoint())
 
 
 def read(content: bytes) -> Checkpoint:
     """As a session like that of :func:`small` reads it."""
-    fresh = small()[0]
-    checkpoint = decoded(content, fresh.meaning, fresh.model.channels)
+    checkpoint = decoded(Checkpoint, content, small()[0].meaning)
     session().restore(checkpoint)
     return checkpoint
 
@@ -119,8 +124,7 @@ class TestRoundTrip:
         """With the same rows to the last bit, and estimates that differ by nothing; also after more rows."""
         half = 170
         one, other = learned(half, forgetting_time=forgetting_time), session(forgetting_time=forgetting_time)
-        content = encoded(one.checkpoint(), one.model.channels)
-        checkpoint = decoded(content, other.meaning, other.model.channels)
+        checkpoint = decoded(Checkpoint, written(one.checkpoint()), other.meaning)
         other.restore(checkpoint)
         assert checkpoint.accounts == one.pipeline.ledger.topics
         assert other.identifier.rows == one.identifier.rows == 3 * half
@@ -139,32 +143,26 @@ class TestRoundTrip:
         assert rejected["standing still"] > 0
 
     def test_what_follows_from_reasons_is_kept(self) -> None:
-        """Of a file that says none, driver errors are known by their heading."""
         known, _ = small()
         account = Account(
             rejected=Counter({driver_error("no joint names"): 1, "late": 2}), noted=Counter({CLOCK_SET: 1})
         )
-        content = encoded(replace(known.checkpoint(), accounts={"joint_states": account}), known.model.channels)
-        texts, vectors = unpack(content)
-        document = json.loads(texts["checkpoint"])
-        del document["ledger"]["joint_states"]["meanings"]
-        for file, told in ((content, "told"), (pack({"checkpoint": json.dumps(document)}, vectors), "")):
-            found = read(file).accounts["joint_states"]
-            assert {str(why): meaning_of(why) for why in found.rejected} == {
-                "driver error: no joint names": "driver error",
-                "late": "",
-            }
-            assert [meaning_of(why) for why in found.noted] == [told]
+        found = read(written(replace(known.checkpoint(), accounts={"joint_states": account}))).accounts["joint_states"]
+        assert {str(why): meaning_of(why) for why in found.rejected} == {
+            "driver error: no joint names": "driver error",
+            "late": "",
+        }
+        assert [meaning_of(why) for why in found.noted] == ["told"]
 
     def test_others_can_read_it(self) -> None:
         """The reference implementation of the format, if it is installed."""
         tensors = pytest.importorskip("safetensors.numpy").load(small()[1])
-        texts, vectors = unpack(small()[1])
+        text, vectors = unpack(small()[1])
         assert bytes(tensors.pop("sha256")) == small()[1][-32:]
         assert tensors.keys() == vectors.keys()
         for name, vector in vectors.items():
             np.testing.assert_array_equal(tensors[name], vector)
-        assert json.loads(texts["checkpoint"])["ledger"]["joint_states"]["accepted"] == 1234
+        assert json.loads(text)["accounts"]["joint_states"]["accepted"] == 1234
 
 
 class TestDamage:
@@ -194,43 +192,58 @@ def signed(body: bytes) -> bytes:
 
 def altered(change: Callable[[dict[str, Any], dict[str, Any]], Any]) -> bytes:
     """The small file with something else in it, and the checksum of that."""
-    texts, vectors = unpack(small()[1])
-    document = json.loads(texts["checkpoint"])
-    change(document, vectors)
-    return pack({"checkpoint": json.dumps(document)}, vectors)
+    text, vectors = unpack(small()[1])
+    document, changeable = json.loads(text), {name: vector.copy() for name, vector in vectors.items()}
+    change(document, changeable)
+    return pack(json.dumps(document), changeable)
 
 
-FIRST = "fold 0/channel 0/joint1"
+def rows_of(document: dict[str, Any]) -> Any:
+    return document["memory"]["summary"]
+
+
+def first(document: dict[str, Any]) -> str:
+    """The name of the first factor."""
+    return str(rows_of(document)["factors"][0][0]["array"])
+
+
+def pose(document: dict[str, Any]) -> str:
+    return str(document["memory"]["last_pose"]["array"])
+
+
 CRAFTED: dict[str, Callable[[dict[str, Any], dict[str, Any]], Any]] = {
     "has format 1": lambda d, _: d.update(format=1),
-    "rows is not given": lambda d, _: d.pop("rows"),
-    "ledger./wrench.lost is not given": lambda d, _: d["ledger"]["/wrench"].pop("lost"),
-    "lacks 'fold 0": lambda _, v: v.pop(FIRST),
-    "lacks 'counts'": lambda _, v: v.pop("counts"),
-    "rows is -1, expected a count": lambda d, _: d.update(rows=-1),
-    "instants is 1.5, expected a count": lambda d, _: d.update(instants=1.5),
+    "summary.rows is not given": lambda d, _: rows_of(d).pop("rows"),
+    r"factors\[0\]\[0\] is .*, expected an array": lambda d, v: v.update(x=v.pop(first(d))),
+    "counts is not given": lambda d, _: rows_of(d).pop("counts"),
+    "rows is -1, expected a count": lambda d, _: rows_of(d).update(rows=-1),
+    "instants is 1.5, expected a count": lambda d, _: rows_of(d).update(instants=1.5),
     "number is True, expected a count": lambda d, _: d.update(number=True),
-    "last_stamp is 9223372036854775808, expected a count": lambda d, _: d.update(last_stamp=2**63),
-    "rows_rejected.x is '7', expected a count": lambda d, _: d["rows_rejected"].update(x="7"),
-    "weight is 'x', expected a finite number": lambda d, _: d.update(weight="x"),
-    r"ledger is \[\], expected an object": lambda d, _: d.update(ledger=[]),
-    "ledger.joint_states is None, expected an object with accepted": lambda d, _: d["ledger"].update(joint_states=None),
+    "last_stamp is 9223372036854775808, expected a count": lambda d, _: d["memory"].update(last_stamp=2**63),
+    "rows_rejected.x is '7', expected a count": lambda d, _: d["memory"]["rows_rejected"].update(x="7"),
+    "weight is 'x', expected a finite number": lambda d, _: rows_of(d).update(weight="x"),
+    r"accounts is \[\], expected an object": lambda d, _: d.update(accounts=[]),
+    "accounts.joint_states is None, expected an object": lambda d, _: d["accounts"].update(joint_states=None),
+    "meanings.late is 'x', expected": lambda d, _: d["meanings"].update(late="x"),
     "does not say what": lambda d, _: d.update(meaning=None),
     "another robot": lambda d, _: d["meaning"].update(robot_description="0"),
     "filter.cutoff is 8.0, here 5.0": lambda d, _: d["meaning"].update({"filter.cutoff": 8.0}),
     "new is 1, here None": lambda d, _: d["meaning"].update(new=1),
-    "1000000000 folds": lambda d, _: d.update(folds=10**9),
-    "0 folds": lambda d, v: (d.update(folds=0), v.update(counts=np.zeros(0))),
-    "15 folds, expected 16": lambda d, v: (d.update(folds=15), v.update(counts=np.zeros(15 * 3 * REGIMES))),
-    "negative or not finite": lambda _, v: v.update(counts=-v["counts"]),
-    "or not finite": lambda _, v: v.update(counts=v["counts"] * np.nan),
-    "'joint1' are not finite": lambda _, v: v[FIRST].__setitem__(3, np.inf),
-    "'joint1' has 11 numbers, not a triangle": lambda _, v: v.update({FIRST: np.zeros(11)}),
-    "last pose is not finite": lambda _, v: v["last_pose"].__setitem__(0, np.nan),
-    "pose of shape": lambda _, v: v.update(last_pose=np.zeros(4)),
-    "an estimate of 3 parameters": lambda _, v: v.update(estimate=np.zeros(3)),
-    "estimate is not finite": lambda _, v: v["estimate"].__setitem__(0, np.nan),
-    "chosen_at_rows is None": lambda d, _: d.update(chosen_at_rows=None),
+    r"new is Stored\(.*, here None": lambda d, _: d["meaning"].update(new=d["memory"]["last_pose"]),
+    "0 folds": lambda d, _: rows_of(d).update(factors=[]),
+    "15 folds, expected 16": lambda d, _: rows_of(d)["factors"].pop(),
+    "negative or not finite": lambda d, v: v[rows_of(d)["counts"]["array"]].__imul__(-1.0),
+    r"counts is .*, expected an array of finite": lambda d, v: v[rows_of(d)["counts"]["array"]].fill(np.nan),
+    r"factors\[0\]\[0\] is .*, expected an array of finite": lambda d, v: v[first(d)].__setitem__(3, np.inf),
+    "11 numbers are no triangle": lambda d, v: v.update({first(d): np.zeros(11)}),
+    "numbers are no triangle": lambda d, _: rows_of(d)["factors"][0][0].update(shape=[2**31, 2**32]),
+    "rows of channel 'joint1' are": lambda d, _: rows_of(d)["factors"][0].__setitem__(0, d["memory"]["last_pose"]),
+    "cannot reshape": lambda d, _: d["memory"]["last_pose"].update(shape=[4]),
+    "not enough values": lambda d, _: d["memory"]["last_pose"].update(triangle=True),
+    "last_pose is .*, expected an array": lambda d, v: v[pose(d)].__setitem__(0, np.nan),
+    "pose of shape": lambda d, v: (v.update({pose(d): np.zeros(4)}), d["memory"]["last_pose"].update(shape=[4])),
+    "an estimate of 3 parameters": lambda d, _: d["warm"].update(parameters=d["memory"]["last_pose"]),
+    "warm.rows is None": lambda d, _: d["warm"].update(rows=None),
 }
 
 
@@ -243,12 +256,12 @@ class TestCrafted:
             read(altered(CRAFTED[message]))
 
     def test_infinity_in_disguise(self) -> None:
-        texts, vectors = unpack(small()[1])
-        text = re.sub(r'"weight": [0-9.]+', '"weight": 1e999', texts["checkpoint"])
+        text, vectors = unpack(small()[1])
+        text = re.sub(r'"weight": [0-9.]+', '"weight": 1e999', text)
         with pytest.raises(InputError, match="weight is inf, expected a finite number"):
-            read(pack({"checkpoint": text}, vectors))
+            read(pack(text, vectors))
         with pytest.raises(InputError, match="Infinity is not JSON"):
-            read(pack({"checkpoint": text.replace("1e999", "Infinity")}, vectors))
+            read(pack(text.replace("1e999", "Infinity"), vectors))
 
     @pytest.mark.parametrize(
         "header",
@@ -259,14 +272,14 @@ class TestCrafted:
             b"[" * 100_000,
             b"1" * 100_000,
             b'{"__metadata__": 1}',
-            b'{"__metadata__": {"checkpoint": 1}}',
+            b'{"__metadata__": {"document": 1}}',
             b'{"__metadata__": {}, "x": []}',
             b'{"__metadata__": {}, "x": {"dtype": "F64", "shape": [1], "data_offsets": [0, 1e999]}}',
             b'{"__metadata__": {}, "x": {"dtype": "F64", "shape": [2], "data_offsets": [0, 8]}}',
             b'{"__metadata__": {}, "x": {"dtype": "F64", "shape": [0], "data_offsets": [8, 0]}}',
             b'{"__metadata__": {}, "x": {"dtype": "F64", "shape": [99], "data_offsets": [0, 792]}}',
             b'{"__metadata__": {}, "x": {"dtype": "I64", "shape": [1], "data_offsets": [0, 8]}}',
-            b'{"__metadata__": {"checkpoint": "' + b"[" * 100_000 + b'"}}',
+            b'{"__metadata__": {"document": "' + b"[" * 100_000 + b'"}}',
         ],
         ids=range(14),
     )
@@ -322,7 +335,7 @@ def contents(path: Path) -> dict[str, bytes]:
 
 def newest(path: Path) -> Path:
     """The newer generation."""
-    numbers = {name: json.loads(unpack((path / name).read_bytes())[0]["checkpoint"])["number"] for name in GENERATIONS}
+    numbers = {name: json.loads(unpack((path / name).read_bytes())[0])["number"] for name in GENERATIONS}
     return path / max(numbers, key=lambda name: numbers[name])
 
 

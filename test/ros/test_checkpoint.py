@@ -61,7 +61,7 @@ def generations(folder: Path) -> list[Checkpoint]:
     """All checkpoints in a folder, the newest last; each must be whole."""
     of = session()
     files = sorted(folder.glob("checkpoint-*"))
-    found = [decoded(file.read_bytes(), of.meaning, of.model.channels) for file in files]
+    found = [decoded(Checkpoint, file.read_bytes(), of.meaning) for file in files]
     return sorted(found, key=lambda checkpoint: checkpoint.number)
 
 

@@ -12,7 +12,8 @@ from benchmarks.fuzz.mutations import changed_bytes
 from benchmarks.fuzz.target import require
 from benchmarks.fuzz.targets.model import EDGES, changed_document
 from geomid_ros.commands.demo import shared_file
-from geomid_ros.files.checkpoints.checkpoint import decoded, encoded, pack, unpack
+from geomid_ros.files.archive import pack, unpack
+from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded, encoded
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
@@ -32,8 +33,9 @@ class CheckpointTarget:
         session.identifier.add(_samples(session))
         session.pipeline.ledger.restore({"joint_states": Account(1234)})
         self._session = session
-        self._whole = encoded(session.checkpoint(), session.model.channels)
-        self._texts, self._vectors = unpack(self._whole)
+        checkpoint = session.checkpoint()
+        self._whole = encoded(vars(checkpoint), checkpoint.accounts)
+        self._text, self._vectors = unpack(self._whole)
         self._use(self._whole)
 
     def attempt(self, random: Random) -> None:
@@ -46,15 +48,14 @@ class CheckpointTarget:
         require(content == self._whole, "a value has changed under its checksum")
 
     def _crafted(self, random: Random) -> bytes:
-        texts, vectors = dict(self._texts), {name: vector.copy() for name, vector in self._vectors.items()}
+        text, vectors = self._text, {name: vector.copy() for name, vector in self._vectors.items()}
         if random.random() < 0.6:
-            (name,) = texts
-            document = json.loads(texts[name])
+            document = json.loads(text)
             meaning = document.pop("meaning") if random.random() < 0.9 else None  # else most changes would be there
             changed_document(document, random)
             if meaning:
                 document["meaning"] = meaning
-            texts[name] = json.dumps(document)
+            text = json.dumps(document)
         if random.random() < 0.6:
             name = random.choice(list(vectors))
             vector = vectors.pop(name)
@@ -63,10 +64,10 @@ class CheckpointTarget:
                 vector[random.randrange(len(vector))] = random.choice(numbers)
             choices = (vector, vector, vector[:-1], np.zeros(0), np.repeat(vector, 2))
             vectors[random.choice((name, name, name, "x"))] = random.choice(choices)
-        return pack(texts, vectors)
+        return pack(text, vectors)
 
     def _use(self, content: bytes) -> None:
-        checkpoint = decoded(content, self._session.meaning, self._session.model.channels)
+        checkpoint = decoded(Checkpoint, content, self._session.meaning)
         self._session.restore(checkpoint)
         require(self._session.identifier.rows >= 0, "a negative number of rows")
 

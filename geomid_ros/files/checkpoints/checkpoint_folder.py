@@ -45,7 +45,6 @@ class CheckpointFolder:
         """
         self.path = path
         self._meaning = meaning
-        self._channels = channels
         self._limit = largest_size(channels, folds)
         self._number = 0
         self._next = _NAMES[0]
@@ -110,7 +109,7 @@ class CheckpointFolder:
             try:
                 content = _content(self.path / name, self._limit)
                 if content is not None:
-                    found[name] = decoded(content, self._meaning, self._channels)
+                    found[name] = decoded(Checkpoint, content, self._meaning)
             except InputError as error:
                 problems[name] = str(error)
         return found, problems
@@ -131,7 +130,7 @@ class CheckpointFolder:
             raise GeomidError(self._in_the_way)
         path = self.path / self._next
         try:
-            content = encoded(replace(checkpoint, number=self._number + 1), self._channels)
+            content = encoded(vars(replace(checkpoint, number=self._number + 1)), checkpoint.accounts)
         except InputError as error:
             raise GeomidError(f"{path}: cannot be written ({error})") from error
         write_bytes(path, content)
