@@ -19,7 +19,6 @@ from geomid_ros.exports.inertial import Summand, total
 from geomid_ros.exports.model import Model, read_model
 from geomid_ros.files.models.effect_forms import coefficients_of
 from geomid_ros.files.models.estimate_file import EstimateFile
-from geomid_ros.files.models.sidecar import quantities_entry, quantity_entry
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.schema import plain
 from geomid_ros.geometry import pseudo_inertia
@@ -63,8 +62,8 @@ class Comparison(ComparisonPage):
             "changed_links": [
                 {
                     "link": link.link,
-                    "mass": quantity_entry(link.mass),
-                    "moment": quantities_entry(link.moment),
+                    "mass": plain(link.mass),
+                    "moment": plain(link.moment),
                     "gain": link.gain,
                     "rivals": list(link.rivals),
                 }
@@ -159,7 +158,7 @@ def _entry(difference: Difference) -> dict[str, Any]:
         "place": difference.place,
         "effect": difference.effect,
         "parameter": difference.parameter,
-        **{key: None if value is None else quantity_entry(value) for key, value in values.items()},
+        **plain(values),
         "joint_interval": plain(difference.half_width),
         "differs": difference.differs,
     }

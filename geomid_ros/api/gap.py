@@ -19,8 +19,8 @@ from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.estimate_file import causes_entry
 from geomid_ros.files.models.gap_file import GapFile, gap_document, page_entries
 from geomid_ros.files.models.readers import DESCRIBED_FOR, URDF
-from geomid_ros.files.models.sidecar import effect_entry
 from geomid_ros.files.models.tables import tables, write_tables
+from geomid_ros.files.schema import plain
 from geomid_ros.gap.result import Finding, GapResult, Verdict
 from geomid_ros.model.samples import Samples
 from geomid_ros.report.gap_page import GapPage, SimulatedAgain, simulated_again, write_gap_page
@@ -102,7 +102,7 @@ class Gap:
             "robot": session.robot.name,
             "recordings": [path.name for path, _ in self.bags.shares],
             "judged_seconds": float(elapsed(stamps)[-1]) if len(stamps) else 0.0,
-            "known": [effect_entry(effect) for effect in session.loaded.effects],
+            "known": plain(session.loaded.effects),
             "not_simulated": self.not_simulated,
         }
         remarks = {"causes": causes_entry(session.findings), "warnings": session.warnings(), "notes": session.notes}

@@ -105,7 +105,7 @@ def write_gap_page(path: Path, page: GapPage) -> None:
 
 
 def _content(page: GapPage) -> dict[str, Any]:
-    result, known = page.result, page.file.known_effects("known")
+    result, known = page.result, page.file.known
     return {
         "file": page.file,
         "known": known,

@@ -48,9 +48,9 @@ def _refuse_others(model: MeasurementModel, floor: Mapping[str, float], path: Pa
 
 
 def _dispute(model: MeasurementModel, entry: OpenFinding) -> Ambiguity:
-    found = _name_of_finding(model, entry.finding)
+    found = _name_of_finding(model, entry)
     rivals = [_any(model, rival.effect, rival.joint) for rival in entry.rivals]
-    return Ambiguity(found, _coefficients(entry.finding, found), tuple(rivals))
+    return Ambiguity(found, _coefficients(entry, found), tuple(rivals))
 
 
 def _name_of_finding(model: MeasurementModel, finding: KnownEffect) -> Name:

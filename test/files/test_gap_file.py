@@ -11,8 +11,9 @@ import pytest
 
 from geomid_ros.files.disk import write_json
 from geomid_ros.files.models.gap_file import GapFile, gap_document, is_open, page_entries
-from geomid_ros.files.models.sidecar import effect_of
-from geomid_ros.model.effects import Quantity
+from geomid_ros.files.models.sidecar import check_effect
+from geomid_ros.files.schema import structured
+from geomid_ros.model.effects import KnownEffect, Quantity
 
 from .gaps import FLOOR, Case, gap_result
 
@@ -86,7 +87,7 @@ def test_what_is_not_a_number_is_null() -> None:
 def test_a_finding_can_be_read_as_an_effect(case: str) -> None:
     result = gap_result(case, JOINTS)  # type: ignore[arg-type]
     (entry,) = gap_document(result, {})["findings"]
-    effect = effect_of(entry, "gap.json")
+    effect = check_effect(structured(KnownEffect, entry, "gap.json"), "gap.json")
     assert (effect.effect, effect.joint) == ("coulomb_friction", "knee")
     assert effect.parameters == result.findings[0].parameters
 
@@ -96,15 +97,11 @@ def test_rivals_of_a_name_that_is_not_sure_are_open(case: Case, answer: bool) ->
     assert is_open(gap_result(case, ("shoulder", "elbow"))) is answer
 
 
-def test_the_probability_of_an_older_file_is_that_of_its_word() -> None:
+def test_it_is_read_again() -> None:
     result = gap_result("incomplete", JOINTS)
     document = json.loads(json.dumps(gap_document(result, {}) | page_entries(result, np.zeros_like(result.inertias))))
     document |= {"robot": "", "recordings": [], "judged_seconds": 1.0, "known": [], "not_simulated": ""}
     document |= {"causes": [], "warnings": [], "notes": []}
-    for entry in (*document["findings"], *document["links"]):
-        del entry["probability"]
-    read, gap = GapFile.of(document, "gap.json"), gap_document(result, {})
-    pairs = zip((*read.findings, *read.links), (*gap["findings"], *gap["links"]), strict=True)
-    for found, entry in pairs:
-        assert found.confidence == entry["confidence"]
+    read = GapFile.of(document, "gap.json")
+    assert (read.findings, read.links, read.result.verdict) == (result.findings, result.links, result.verdict)
     assert read.result.corrected_floor.tolist() == pytest.approx(result.corrected_floor.tolist())

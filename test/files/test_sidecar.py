@@ -83,7 +83,7 @@ UNUSABLE: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
         edited(*FIRST, "parameters", "slope", value={"value": 1.0, "unit": ""}),
         "unknown parameter 'slope'",
     ),
-    "a bare number": (edited(*LEVEL, value=1.0), "coefficient is 1.0, expected an object with value, unit"),
+    "a bare number": (edited(*LEVEL, value=1.0), "coefficient is 1.0, expected an object with value"),
     "a text as a value": (edited(*LEVEL, "value", value="much"), "expected a finite number"),
     "a truth value": (edited(*LEVEL, "value", value=True), "expected a finite number"),
     "an infinite value": (edited(*LEVEL, "value", value=float("inf")), "expected a finite number"),
@@ -91,7 +91,7 @@ UNUSABLE: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "negative friction": (edited(*LEVEL, "value", value=-0.1), "coefficient is -0.1, expected a number above 0"),
     "a negative deviation": (edited(*LEVEL, "std", value=-1.0), "std is -1"),
     "another unit": (edited(*LEVEL, "unit", value="lb in"), "unit is 'lb in', expected N m s/rad or N s/m"),
-    "no unit": (edited(*LEVEL, "unit"), "unit is not given"),
+    "no unit": (edited(*LEVEL, "unit"), "unit is '', expected N m s/rad or N s/m"),
 }
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from files.gaps import gap_page
 
-from geomid_ros.files.models.sidecar import EffectEntry, QuantityEntry
+from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.report.gap_page import GapPage, write_gap_page
 from geomid_ros.report.gap_words import measured, ratio, verdict_sentence
 from geomid_ros.report.series import MOST_DRAWN
@@ -147,8 +147,8 @@ def test_only_links_that_changed_are_in_the_table_of_changes(drawn: Draw) -> Non
 
 
 def test_what_the_model_said_before_is_in_the_table_of_changes(drawn: Draw) -> None:
-    level = QuantityEntry(0.25, "N m")
-    known = (EffectEntry(effect="coulomb_friction", joint="joint2", parameters={"level": level}),)
+    level = Quantity(0.25, unit="N m")
+    known = (KnownEffect(effect="coulomb_friction", joint="joint2", parameters={"level": level}),)
     file = replace(PAGES["ambiguous"].file, known=known)
     page = drawn(replace(PAGES["ambiguous"], file=file))
     assert "already in the model Coulomb friction at joint2" in page.text

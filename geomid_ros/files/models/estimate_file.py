@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from geomid_ros.checks.causes import Cause, Finding
+from geomid_ros.checks.causes import Finding
 from geomid_ros.checks.verdict import NOT_CONVERGED, STATUS, USABLE, Verdict
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.comparison import LinkValues, RobotValues
@@ -24,7 +24,7 @@ from geomid_ros.estimation.estimate import (
     WeighedEstimate,
 )
 from geomid_ros.files.models.effect_forms import coefficient, combined, continued, is_coefficient
-from geomid_ros.files.models.sidecar import EffectEntry, coefficient_entry, effect_entry
+from geomid_ros.files.models.sidecar import check_effect, coefficient_entry
 from geomid_ros.files.models.urdf import Inertia
 from geomid_ros.files.schema import (
     FORMAT,
@@ -92,6 +92,13 @@ class LinkEntry(InertiaEntry):
 
 
 @dataclass(frozen=True, kw_only=True)
+class AddedEffect(KnownEffect):
+    """An effect of any other form, with the share of its uncertainty that data removed if that is known."""
+
+    from_data: float = math.nan
+
+
+@dataclass(frozen=True, kw_only=True)
 class CoefficientEntry:
     """An effect of one coefficient at a joint."""
 
@@ -124,7 +131,7 @@ class HandoverEntry:
     """The model that was fitted for a reader of descriptions, and what its file leaves of data by channel."""
 
     links: tuple[LinkEntry, ...]
-    effects: tuple[EffectEntry, ...]
+    effects: tuple[KnownEffect, ...]
     file: str = ""
     alone: ByChannel = field(default_factory=dict)
     corrected: ByChannel = field(default_factory=dict)
@@ -178,7 +185,7 @@ class EstimateFile:
     document: Mapping[str, Any]
     links: tuple[LinkEntry, ...]
     effects: tuple[CoefficientEntry, ...]
-    added: tuple[EffectEntry, ...] = ()
+    added: tuple[AddedEffect, ...] = ()
     robot: str = ""
     converged: bool = True
     reason: str = ""
@@ -231,7 +238,7 @@ class EstimateFile:
             _known(each, own, f"{self.source}:")
             for each, own in zip(self.effects, self.document["effects"], strict=True)
         ]
-        return combined([*single, *(e.known(f"{self.source}: added[{k}]") for k, e in enumerate(self.added))])
+        return combined([*single, *(check_effect(e, f"{self.source}: added[{k}]") for k, e in enumerate(self.added))])
 
     @property
     def judgement(self) -> Verdict:
@@ -417,9 +424,7 @@ def estimate_document(
         ],
         "effects": [coefficient_entry(e) | {"from_data": share} for e, share in effects if is_coefficient(e)],
         "added": [
-            effect_entry(e) | ({} if share is None else {"from_data": share})
-            for e, share in effects
-            if not is_coefficient(e)
+            plain(e) | ({} if share is None else {"from_data": share}) for e, share in effects if not is_coefficient(e)
         ],
         "known": [entry(own, "name", "mass", "std", "given", "given_std") for own in estimate.known],
         "rms": {
@@ -462,14 +467,7 @@ def verdict_entry(verdict: Verdict, findings: Sequence[Finding]) -> dict[str, An
 
 def causes_entry(findings: Sequence[Finding]) -> list[dict[str, Any]]:
     """What a recording seems to be, with the parameters that mend it."""
-    return [
-        _cause_entry(own.cause) | {"sure": own.sure, "rivals": [_cause_entry(c) for c in own.rivals]}
-        for own in findings
-    ]
-
-
-def _cause_entry(cause: Cause) -> dict[str, Any]:
-    return entry(cause, "kind", "places", "sentence", "settings")
+    return [plain(own.cause) | {"sure": own.sure, "rivals": plain(own.rivals)} for own in findings]
 
 
 def account_entry(account: Account) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from geomid_ros.checks.causes import Cause
 from geomid_ros.checks.causes import Finding as Doubt
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.estimate_file import by_channel
-from geomid_ros.files.models.sidecar import EffectEntry, effect_entry, effect_of, quantities_entry, quantity_entry
+from geomid_ros.files.models.sidecar import check_effect
 from geomid_ros.files.schema import FORMAT, entry, plain, read_document, structured
 from geomid_ros.gap.result import (
     Finding,
@@ -35,8 +35,6 @@ from geomid_ros.gap.result import (
 from geomid_ros.model.effects import KnownEffect, effect_class
 from geomid_ros.types import FloatArray
 
-_OF_WORDS = {"confident": 0.99, "tentative": 0.7, "ambiguous": 0.3}  # of an older file, which has a word alone
-_OF_FINDING = ("probability", "confidence", "rivals", "separability", "loss", "share", "was")
 _KINDS = ("before", "inertias_only", "after", "expected")
 Errors: TypeAlias = Mapping[str, Mapping[str, float]]
 Parameters: TypeAlias = Annotated[FloatArray, (10,)]
@@ -92,7 +90,7 @@ class GapFile:
     findings: tuple[Finding, ...]
     links: tuple[LinkChange, ...]
     unexplained: tuple[Unexplained, ...]
-    ordinary: tuple[EffectEntry, ...]
+    ordinary: tuple[KnownEffect, ...]
     gap: Errors
     floor: Mapping[str, float]
     resimulated: Errors | None
@@ -106,7 +104,7 @@ class GapFile:
     robot: str
     recordings: tuple[str, ...]
     judged_seconds: float
-    known: tuple[EffectEntry, ...]
+    known: tuple[KnownEffect, ...]
     not_simulated: str
     causes: tuple[CauseEntry, ...]
     warnings: tuple[str, ...]
@@ -115,10 +113,11 @@ class GapFile:
     @staticmethod
     def of(document: Mapping[str, Any], source: str) -> GapFile:
         """The content of a document. Raises InputError naming the ``source`` and what is wrong in it."""
-        for index, finding in enumerate(document["findings"]):
-            effect_of(finding, f"{source}: findings[{index}]")
-        older = {key: [*map(_with_probability, document[key])] for key in ("findings", "links") if key in document}
-        return structured(GapFile, {**document, **older, "source": source}, f"{source}:")
+        file = structured(GapFile, {**document, "source": source}, f"{source}:")
+        for key, effects in (("findings", file.findings), ("ordinary", file.ordinary), ("known", file.known)):
+            for index, effect in enumerate(effects):
+                check_effect(effect, f"{source}: {key}[{index}]")
+        return file
 
     @property
     def nominal(self) -> FloatArray:
@@ -129,10 +128,6 @@ class GapFile:
     def doubts(self) -> list[str]:
         """What makes the recording doubtful, in sentences."""
         return [own.doubt for own in self.causes]
-
-    def known_effects(self, key: str) -> list[KnownEffect]:
-        """The ``known`` or the ``ordinary`` effects. Raises InputError naming the source for what is none."""
-        return [own.known(f"{self.source}: {key}[{index}]") for index, own in enumerate(getattr(self, key))]
 
     @property
     def result(self) -> GapResult:
@@ -161,15 +156,10 @@ class GapFile:
             inertias=np.array([own.after for own in self.bodies]).reshape(-1, 10),
             coefficients=np.zeros(0),
             beside=(),
-            ordinary=tuple(self.known_effects("ordinary")),
+            ordinary=self.ordinary,
             folded={},
             seconds=self.seconds,
         )
-
-
-def _with_probability(given: Any) -> Any:
-    word = given.get("confidence") if isinstance(given, dict) else None
-    return {"probability": _OF_WORDS[word], **given} if isinstance(word, str) and word in _OF_WORDS else given
 
 
 def _no_trace(channels: int) -> Trace:
@@ -187,22 +177,16 @@ def read_gap(path: Path) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _OpenFinding(EffectEntry):
+class OpenFinding(KnownEffect):
+    """A finding, and its ``rivals``."""
+
     rivals: tuple[Rival, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Findings:
-    findings: tuple[_OpenFinding, ...]
+    findings: tuple[OpenFinding, ...]
     floor: Mapping[str, float] | None = None
-
-
-@dataclass(frozen=True)
-class OpenFinding:
-    """A finding, and its ``rivals``."""
-
-    finding: KnownEffect
-    rivals: tuple[Rival, ...]
 
 
 def read_open_findings(path: Path) -> tuple[list[OpenFinding], dict[str, float]]:
@@ -211,8 +195,9 @@ def read_open_findings(path: Path) -> tuple[list[OpenFinding], dict[str, float]]
     Raises InputError naming the file and what is wrong in it, or that nothing is open.
     """
     document = structured(_Findings, read_gap(path), f"{path}:")
-    found = [OpenFinding(own.known(f"{path}: findings[{k}]"), own.rivals) for k, own in enumerate(document.findings)]
-    left = [finding for finding in found if finding.rivals]
+    for index, finding in enumerate(document.findings):
+        check_effect(finding, f"{path}: findings[{index}]")
+    left = [finding for finding in document.findings if finding.rivals]
     for rival in (rival for finding in left for rival in finding.rivals):
         effect_class(rival.effect)
     if not left:
@@ -231,21 +216,12 @@ def gap_document(result: GapResult, simulations: Mapping[str, Errors]) -> dict[s
     return {
         "format": FORMAT,
         "verdict": result.verdict,
-        "findings": [
-            effect_entry(own)
-            | entry(own, *_OF_FINDING)
-            | {"sentence": own.sentence, "settled_by": own.settled_by, "moment": quantities_entry(own.moment)}
-            for own in result.findings
-        ],
-        "links": [
-            {"link": own.link, "joint": own.joint, "mass": quantity_entry(own.mass), **entry(own, "was")}
-            | {"moment": quantities_entry(own.moment), **entry(own, "loss", "probability", "confidence", "sentence")}
-            for own in result.links
-        ],
+        "findings": [plain(own) | entry(own, "confidence") for own in result.findings],
+        "links": [plain(own) | entry(own, "confidence", "sentence") for own in result.links],
         "unexplained": plain(result.unexplained),
         "gap": {kind: by_channel(channels, getattr(gap, kind)) for kind in _KINDS}
         | {"moving": by_channel(channels, result.moving)},
-        "ordinary": [effect_entry(effect) for effect in result.ordinary],
+        "ordinary": plain(result.ordinary),
         "floor": by_channel(channels, result.corrected_floor),
         "resimulated": plain(simulations.get("windows")),
         "closed_loop": plain(simulations.get("closed_loop")),

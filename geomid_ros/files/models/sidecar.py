@@ -19,10 +19,9 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,9 +30,8 @@ import yaml
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.disk import write_text
 from geomid_ros.files.parameter_file import read_yaml
-from geomid_ros.files.schema import FORMAT, check_form, entry, structured
+from geomid_ros.files.schema import FORMAT, check_form, plain, structured
 from geomid_ros.model.effects import EFFECTS, KnownEffect, ParameterForm, Quantity, effect_class
-from geomid_ros.model.effects.parameters import Quantities
 
 _PLACES = {
     "joint": ("joint", "the joint at which it acts"),
@@ -49,53 +47,34 @@ _HEADER = """\
 """
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Sidecar:
     """The effects of the robot called ``robot``."""
 
-    robot: str
+    robot: str = ""
     effects: tuple[KnownEffect, ...]
 
 
-@dataclass(frozen=True)
-class QuantityEntry:
-    """A parameter of an effect in files."""
-
-    value: float
-    unit: str
-    std: float = math.nan
-
-
-@dataclass(frozen=True, kw_only=True)
-class EffectEntry:
-    """An effect in files: with its place, and with the share of its uncertainty that data removed if that is known."""
-
-    effect: str
-    joint: str = ""
-    link: str = ""
-    parameters: Mapping[str, QuantityEntry] = field(default_factory=dict)
-    from_data: float = math.nan
-
-    def known(self, where: str) -> KnownEffect:
-        """The effect. Raises InputError beginning with ``where`` if it cannot be."""
-        if self.effect not in EFFECTS:
-            raise InputError(f"{where}: {unknown_name('effect', self.effect, EFFECTS)}")
-        cls, where = EFFECTS[self.effect], f"{where} ({self.effect})"
-        key, what = _PLACES.get(cls.place, ("effect", ""))
-        if not getattr(self, key):
-            raise InputError(f"{where}: {key} is not given, expected {what}")
-        forms = {form.name: form for form in cls.parameters}
-        for name in self.parameters:
-            if name not in forms:
-                raise InputError(f"{where}: parameters: {unknown_name('parameter', name, forms)}")
-        for name, form in forms.items():
-            if name not in self.parameters and not form.optional:
-                raise InputError(f"{where}: parameters: {name} is not given")
-        found = {name: _quantity(q, forms[name], f"{where}: parameters: {name}") for name, q in self.parameters.items()}
-        return KnownEffect(self.effect, self.joint, self.link, found)
+def check_effect(effect: KnownEffect, where: str) -> KnownEffect:
+    """The effect that a file has. Raises InputError beginning with ``where`` if it cannot be."""
+    if effect.effect not in EFFECTS:
+        raise InputError(f"{where}: {unknown_name('effect', effect.effect, EFFECTS)}")
+    cls, where = EFFECTS[effect.effect], f"{where} ({effect.effect})"
+    key, what = _PLACES.get(cls.place, ("effect", ""))
+    if not getattr(effect, key):
+        raise InputError(f"{where}: {key} is not given, expected {what}")
+    forms = {form.name: form for form in cls.parameters}
+    for name, quantity in effect.parameters.items():
+        if name not in forms:
+            raise InputError(f"{where}: parameters: {unknown_name('parameter', name, forms)}")
+        _check_quantity(quantity, forms[name], f"{where}: parameters: {name}")
+    for name, form in forms.items():
+        if name not in effect.parameters and not form.optional:
+            raise InputError(f"{where}: parameters: {name} is not given")
+    return effect
 
 
-def _quantity(given: QuantityEntry, form: ParameterForm, where: str) -> Quantity:
+def _check_quantity(given: Quantity, form: ParameterForm, where: str) -> None:
     if not form.above < given.value < form.below:
         raise InputError(f"{where} is {given.value:g}, expected a number above {form.above:g} and below {form.below:g}")
     if given.std < 0.0:
@@ -103,17 +82,6 @@ def _quantity(given: QuantityEntry, form: ParameterForm, where: str) -> Quantity
     if given.unit not in form.units:
         expected = " or ".join(dict.fromkeys(form.units))
         raise InputError(f"{where}: unit is {given.unit!r:.80}, expected {expected}")
-    return Quantity(given.value, given.std, given.unit)
-
-
-def effect_of(given: Any, where: str) -> KnownEffect:
-    """The effect that a file has. Raises InputError that begins with ``where``."""
-    return structured(EffectEntry, given, where).known(where)
-
-
-def effect_entry(effect: KnownEffect) -> dict[str, Any]:
-    """An effect as :func:`effect_of` reads it."""
-    return entry(effect, "effect", "joint", "link") | {"parameters": quantities_entry(effect.parameters)}
 
 
 def coefficient_entry(effect: KnownEffect) -> dict[str, Any]:
@@ -121,17 +89,7 @@ def coefficient_entry(effect: KnownEffect) -> dict[str, Any]:
     quantity, *_ = effect.parameters.values()
     name = effect_class(effect.effect).usual_constant
     constants = {name: effect.parameters[name].value} if name in effect.parameters else {}
-    return {"name": effect.effect, "joint": effect.joint, **quantity_entry(quantity), **constants}
-
-
-def quantities_entry(quantities: Quantities) -> dict[str, Any]:
-    """Values with their units and standard deviations; null for what is not finite."""
-    return {name: quantity_entry(quantity) for name, quantity in quantities.items()}
-
-
-def quantity_entry(quantity: Quantity) -> dict[str, Any]:
-    """A value with its unit and standard deviation; null for what is not finite."""
-    return entry(quantity, "value", "unit", "std")
+    return {"name": effect.effect, "joint": effect.joint, **plain(quantity), **constants}
 
 
 def write_sidecar(
@@ -147,18 +105,12 @@ def write_sidecar(
 
 
 def _entry(effect: KnownEffect, alone: KnownEffect) -> dict[str, Any]:
-    forms = effect_class(effect.effect).parameters
-    place = {"joint": effect.joint, "link": effect.link}
+    forms = [form for form in effect_class(effect.effect).parameters if form.name in effect.parameters]
     other = {n: float(q.value) for n, q in alone.parameters.items() if q.value != effect.parameters[n].value}
     return {
-        "effect": effect.effect,
-        **{key: name for key, name in place.items() if name},
-        "parameters": {
-            name: {"value": float(q.value), "std": float(q.std) if math.isfinite(q.std) else None, "unit": q.unit}
-            for name, q in effect.parameters.items()
-        },
-        "urdf": [form.name for form in forms if form.urdf and form.name in effect.parameters],
-        "mjcf": [form.name for form in forms if form.mjcf and form.name in effect.parameters],
+        **{key: own for key, own in plain(effect).items() if own},
+        "urdf": [form.name for form in forms if form.urdf],
+        "mjcf": [form.name for form in forms if form.mjcf],
         **({"alone": other} if other else {}),
     }
 
@@ -167,14 +119,10 @@ def read_sidecar(path: Path) -> Sidecar:
     """Read a sidecar. Raises InputError naming the file and the key."""
     document = read_yaml(path, "file of effects")
     check_form(document, ("effects",), f"{path}:", "file of effects")
-    entries = structured(_Document, document, f"{path}:").effects
-    effects = [each.known(f"{path}: effects[{index}]") for index, each in enumerate(entries)]
-    for (name, place), count in Counter((effect.effect, effect.link or effect.joint) for effect in effects).items():
+    sidecar = structured(Sidecar, document, f"{path}:")
+    for index, effect in enumerate(sidecar.effects):
+        check_effect(effect, f"{path}: effects[{index}]")
+    for (name, place), count in Counter((own.effect, own.link or own.joint) for own in sidecar.effects).items():
         if count > 1:
             raise InputError(f"{path}: {name} is said twice at '{place}'")
-    return Sidecar(str(document.get("robot", "")), tuple(effects))
-
-
-@dataclass(frozen=True)
-class _Document:
-    effects: tuple[EffectEntry, ...]
+    return sidecar

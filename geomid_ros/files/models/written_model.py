@@ -29,8 +29,9 @@ from geomid_ros.files.models.estimate_file import (
 )
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.readers import ELEMENTS
-from geomid_ros.files.models.sidecar import coefficient_entry, effect_entry, write_sidecar
+from geomid_ros.files.models.sidecar import check_effect, coefficient_entry, write_sidecar
 from geomid_ros.files.models.urdf import inertia_of, with_effects, with_inertials
+from geomid_ros.files.schema import FORMAT, plain
 from geomid_ros.files.schema import FORMAT
 from geomid_ros.model.coefficients import Coefficient
 from geomid_ros.model.effects import Effect, KnownEffect, Place, effect_class
@@ -87,7 +88,7 @@ def write_model(
         "format": FORMAT,
         "links": [link_entry(name, merged[name], inertia) for name, inertia in bodies.items()],
         "effects": [coefficient_entry(effect) for effect in effects if is_coefficient(effect)],
-        "added": [effect_entry(effect) for effect in effects if not is_coefficient(effect)],
+        "added": [plain(effect) for effect in effects if not is_coefficient(effect)],
         "robot": model.robot.name,
         "verdict": verdict_entry(recording_verdict(findings), findings),
     }
@@ -185,7 +186,7 @@ def _whole(there: _There, key: tuple[Place, Effect, int], elements: Collection[s
 def handover_entry(model: WrittenModel, merged: Mapping[str, Sequence[str]]) -> dict[str, Any]:
     """What ``estimate.json`` says of the model that a file holds."""
     links = [link_entry(name, merged[name], inertia_of(own)) for name, own in model.inertias.items()]
-    return {"links": links, "effects": [effect_entry(effect) for effect in model.effects]}
+    return {"links": links, "effects": plain(model.effects)}
 
 
 def written_for(file: EstimateFile, reader: str) -> WrittenModel | None:
@@ -195,5 +196,5 @@ def written_for(file: EstimateFile, reader: str) -> WrittenModel | None:
     if found is None:
         return None
     where = f"{file.source}: handover for {reader}"
-    effects = [each.known(f"{where}: effects[{index}]") for index, each in enumerate(found.effects)]
+    effects = [check_effect(each, f"{where}: effects[{index}]") for index, each in enumerate(found.effects)]
     return WrittenModel(inertias_of(found.links, where), tuple(effects))

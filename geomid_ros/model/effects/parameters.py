@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 COM_ENTRIES = ("com_x", "com_y", "com_z")
@@ -18,11 +18,11 @@ Values: TypeAlias = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Quantity:
-    """A parameter's value with its standard deviation and unit."""
+    """A parameter's value with its standard deviation, NaN where it is not known, and unit."""
 
     value: float
-    std: float
-    unit: str
+    std: float = math.nan
+    unit: str = ""
 
     def scaled(self, factor: float) -> Quantity:
         """The quantity times an exact ``factor``."""
@@ -62,9 +62,9 @@ class KnownEffect:
     """
 
     effect: str
-    joint: str
-    link: str
-    parameters: Quantities
+    joint: str = ""
+    link: str = ""
+    parameters: Quantities = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
