@@ -40,7 +40,8 @@ from sensor_msgs.msg import JointState
 from benchmarks.measuring import processor_seconds
 from benchmarks.report import Report
 from geomid_ros.errors import InputError
-from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded
+from geomid_ros.files.archive import decoded
+from geomid_ros.files.checkpoints import Checkpoint
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration

@@ -1,4 +1,5 @@
-"""Dataclasses with arrays in one file of the safetensors format, with a checksum: nothing in it could run.
+"""Dataclasses with arrays, above all rows with their meaning, in one file of the safetensors format with a checksum:
+nothing in it could run.
 
 The length of a JSON header (8 bytes, little-endian), the header, the arrays' numbers one after the other. The header
 has ``dtype``, ``shape`` and ``data_offsets`` of each, and a text under ``__metadata__``: the fields as JSON, in which
@@ -16,19 +17,71 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.schema import Stored, structured
+from geomid_ros.signals.ledger import Account, Meaning, Reason, meaning_of
 from geomid_ros.types import AnyArray, FloatArray
 
+FORMAT = 4
+"""Of files of rows."""
 MOST_HEADER = 4_000_000
 """Bytes of the header."""
+T = TypeVar("T")
 _TEXTS, _CHECKSUM = "__metadata__", "sha256"
 _LENGTH, _DIGEST = 8, hashlib.sha256().digest_size  # bytes of the header's length and of the checksum
 _DTYPES: Mapping[str, np.dtype[Any]] = {"F64": np.dtype("<f8"), "U8": np.dtype(np.uint8)}
+
+
+def encoded(fields: Mapping[str, Any], accounts: Mapping[str, Account]) -> bytes:
+    """The file of a checkpoint, or of other rows: its ``fields``, among them the ``meaning``; and what follows from the
+    reasons in the ``accounts`` that are in these fields. Raises InputError when the ledger is too long."""
+    reasons = (why for own in accounts.values() for kind in (own.rejected, own.dropped, own.noted) for why in kind)
+    meanings = {why: meaning for why in reasons if (meaning := meaning_of(why))}
+    return archived({"format": FORMAT, **fields, "meanings": meanings})
+
+
+def decoded(kind: type[T], content: bytes, meaning: Mapping[str, Any]) -> T:
+    """The dataclass that such a file holds, if its rows have this ``meaning``.
+
+    Raises InputError for a file that is damaged or crafted, or of another robot or configuration.
+    """
+    document = unarchived(content)
+    if document.get("format") != FORMAT:
+        raise InputError(f"has format {document.get('format')!r:.80}, this version reads format {FORMAT}")
+    _require_meaning(document.get("meaning"), meaning)
+    meanings = structured(_Reasons, document, "its text:").meanings
+    return structured(kind, _with_meanings(document, meanings), "its text:")
+
+
+@dataclass(frozen=True)
+class _Reasons:
+    meanings: Mapping[str, Meaning]
+
+
+def _with_meanings(value: Any, meanings: Mapping[str, Meaning]) -> Any:
+    """What a document has, in which reasons say again what follows from them."""
+    if isinstance(value, dict):
+        return {
+            Reason(key, meanings[key]) if key in meanings else key: _with_meanings(own, meanings)
+            for key, own in value.items()
+        }
+    return value
+
+
+def _require_meaning(found: Any, expected: Mapping[str, Any]) -> None:
+    """Refuse rows that mean something else."""
+    if not isinstance(found, dict):
+        raise InputError("does not say what its rows mean")
+    different = [name for name in {**expected, **found} if found.get(name) != expected.get(name)]
+    if "robot_description" in different:
+        raise InputError("of another robot: the robot description differs")
+    if different:
+        named = [f"{name} is {found.get(name)!r:.80}, here {expected.get(name)!r:.80}" for name in different]
+        raise InputError(f"of another configuration: {'; '.join(named)}")
 
 
 def archived(document: Mapping[str, Any]) -> bytes:

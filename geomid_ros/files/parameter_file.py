@@ -1,15 +1,17 @@
-"""Reading YAML, above all ROS parameter files: what rcl reads, and no more."""
+"""Reading YAML as rcl does, and no more: ROS parameter files, and ``joint_limits.yaml`` of MoveIt and ros2_control."""
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from geomid_ros.errors import InputError
+from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.excitation.limits import JointLimits
 from geomid_ros.files.disk import read_text
 from geomid_ros.model.urdf_tree import MOST_BYTES
 
@@ -75,3 +77,47 @@ def _flat(tree: Mapping[Any, Any], prefix: str = "") -> dict[str, Any]:
     for key, value in tree.items():
         flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
     return flat
+
+
+_LIMITS = ("velocity", "acceleration", "jerk", "effort")
+
+
+def read_joint_limits(path: Path, joints: Collection[str]) -> dict[str, JointLimits]:
+    """The limits of a robot's ``joints`` in a file, by name; other joints may be in it.
+
+    Raises InputError naming the file and the key.
+    """
+    document = read_yaml(path, "file of joint limits")
+    entries = document.get("joint_limits") if isinstance(document, dict) else None
+    if not isinstance(entries, dict):
+        raise InputError(f"{path}: has no 'joint_limits' by joint, as MoveIt's joint_limits.yaml has")
+    if not set(entries) & set(joints):
+        named = [str(name) for name in entries]
+        raise InputError(f"{path}: {unknown_name('joint', named[0] if named else '', joints)}")
+    return {name: _limits_of(entries[name], f"{path}: joint '{name}'") for name in joints if name in entries}
+
+
+def _limits_of(entry: Any, where: str) -> JointLimits:
+    if not isinstance(entry, dict):
+        raise InputError(f"{where} is no mapping of limits")
+    found = {kind: _limit(entry, f"max_{kind}", f"has_{kind}_limits", where) for kind in _LIMITS}
+    for kind, value in found.items():
+        if value is not None and not value > 0.0:
+            raise InputError(f"{where}: max_{kind} is {value:g}, expected a number greater than zero")
+    ends = {end: _limit(entry, f"{key}_position", "has_position_limits", where) for end, key in _ENDS.items()}
+    return JointLimits(**ends, **found)
+
+
+_ENDS = {"lower": "min", "upper": "max"}
+
+
+def _limit(entry: Mapping[str, Any], key: str, switch: str, where: str) -> float | None:
+    """The number of a limit; None where it is absent or switched off."""
+    if entry.get(switch) is False or entry.get(key) is None:
+        if entry.get(switch) is True:
+            raise InputError(f"{where}: {switch} is true and {key} is absent; give it a number")
+        return None
+    value = entry[key]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(f"{where}: {key} is {value!r}, expected a finite number")
+    return float(value)

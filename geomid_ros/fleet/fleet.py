@@ -13,9 +13,8 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.files.schema import structured
 from geomid_ros.fleet.cluster import Cluster, failure
-from geomid_ros.fleet.kept import SUFFIX, RobotResults
+from geomid_ros.fleet.kept import SUFFIX, RobotResults, Store
 from geomid_ros.fleet.recordings import FleetBag
-from geomid_ros.fleet.store import Store
 from geomid_ros.fleet.work import BagOutcome, FleetPlan, solve_robot, summarise_bag
 from geomid_ros.session.recordings import Progress, silent
 

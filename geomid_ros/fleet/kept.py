@@ -1,4 +1,4 @@
-"""What is kept of bags and robots.
+"""What is kept of bags and robots while a fleet is worked on, in a folder that all workers see or an object store.
 
 Of a bag, what an estimate needs: the summaries of its rows, and what is known of it beside them. Of a robot its files,
 and what a population is made of.
@@ -13,14 +13,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
+from typing import Any
 
-from geomid_ros.errors import InputError
+from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.estimation.comparison import compared
 from geomid_ros.estimation.identifier import LONGEST_STEP, Memory
 from geomid_ros.estimation.population import RobotLikelihood
 from geomid_ros.estimation.summary import RowSummary, SummaryState
-from geomid_ros.files.archive import archived, unarchived
-from geomid_ros.files.checkpoints.checkpoint import decoded, encoded
+from geomid_ros.files.archive import archived, decoded, encoded, unarchived
 from geomid_ros.files.disk import write_bytes
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.schema import structured
@@ -31,6 +31,70 @@ from geomid_ros.session.recording_facts import Recorded
 from geomid_ros.session.recordings import Bags, read_bags, read_with_locked
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import Training
+
+_LOCAL = "file"
+
+
+def file_system(url: str) -> tuple[Any, str]:
+    """The file system of a path or URL (fsspec), and the path there.
+
+    Raises:
+        InputError: fsspec, or what it needs for this kind of URL, is not installed, or knows no such kind.
+    """
+    try:
+        from fsspec.core import url_to_fs  # noqa: PLC0415 an extra
+    except ImportError as error:
+        raise InputError("geomid fleet needs the extra 'fleet': pip install geomid_ros[fleet]") from error
+    try:
+        found: tuple[Any, str] = url_to_fs(url)
+    except (ImportError, ValueError, OSError) as error:
+        raise InputError(f"{url}: cannot be reached ({error})") from error
+    return found
+
+
+def is_local(system: Any) -> bool:
+    """Whether a file system is this machine's."""
+    return _LOCAL in (system.protocol if isinstance(system.protocol, tuple) else (system.protocol,))
+
+
+@dataclass(frozen=True)
+class Store:
+    """Files by name under a path or URL; each is whole or not there."""
+
+    url: str
+
+    def get(self, name: str) -> bytes | None:
+        """The content of a file; None if there is none. Raises InputError if it cannot be read."""
+        system, folder = file_system(self.url)
+        try:
+            content: bytes = system.cat_file(f"{folder}/{name}")
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            raise InputError(f"{self.url}: cannot be read ({error})") from error
+        return content
+
+    def put(self, name: str, content: bytes) -> None:
+        """Write a file. Raises GeomidError if it cannot be written."""
+        system, folder = file_system(self.url)
+        if is_local(system):
+            write_bytes(Path(folder) / name, content)
+            return
+        try:
+            system.pipe_file(f"{folder}/{name}", content)
+        except OSError as error:
+            raise GeomidError(f"{self.url}: cannot be written ({error})") from error
+
+    def names(self) -> set[str]:
+        """The names of all files."""
+        system, folder = file_system(self.url)
+        try:
+            return {path.rpartition("/")[2] for path in system.ls(folder, detail=False)}
+        except FileNotFoundError:
+            return set()
+        except OSError as error:
+            raise InputError(f"{self.url}: cannot be read ({error})") from error
+
 
 SUFFIX = ".safetensors"
 """Of these files."""

@@ -17,12 +17,11 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.population import RobotLikelihood
 from geomid_ros.estimation.summary import RowSummary
-from geomid_ros.files.checkpoints.checkpoint import FORMAT
-from geomid_ros.files.models.readers import READERS
+from geomid_ros.files.archive import FORMAT
+from geomid_ros.files.models.effect_forms import READERS
 from geomid_ros.files.schema import plain, structured
-from geomid_ros.fleet.kept import SUFFIX, BagSummary, RobotResults, summarise, total
+from geomid_ros.fleet.kept import SUFFIX, BagSummary, RobotResults, Store, summarise, total
 from geomid_ros.fleet.recordings import FleetBag, on_this_disk
-from geomid_ros.fleet.store import Store
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, Topics, with_locked
 from geomid_ros.session.session import Session

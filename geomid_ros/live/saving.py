@@ -15,8 +15,7 @@ from typing import TypeAlias
 
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.files.checkpoints.checkpoint import Checkpoint
-from geomid_ros.files.checkpoints.checkpoint_folder import CheckpointFolder, Restored
+from geomid_ros.files.checkpoints import Checkpoint, CheckpointFolder, Restored
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.files.models.written_model import ESTIMATE
 from geomid_ros.gap.evidence.features import StandingRemainder

@@ -19,8 +19,8 @@ from geomid_ros.excitation.rivals import DECIDED, DiscriminationCriterion, decid
 from geomid_ros.excitation.search import Search, expected_error, other_motions, random_feasible
 from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.files.models.estimate_file import EstimateFile
-from geomid_ros.files.models.joint_limits import read_joint_limits
 from geomid_ros.files.models.posterior import beside, read_posterior
+from geomid_ros.files.parameter_file import read_joint_limits
 from geomid_ros.model.collision import CollisionModel, Pair
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.session.collision_scene import NOT_LOOKED, Surroundings, not_watched, without_touching

@@ -9,7 +9,7 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.limits import JointLimits, motion_limits
-from geomid_ros.files.models.joint_limits import read_joint_limits
+from geomid_ros.files.parameter_file import read_joint_limits
 from geomid_ros.model.robot import Robot
 
 from .arm import urdf

@@ -25,10 +25,9 @@ from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.identifier import Memory
 from geomid_ros.estimation.summary import SummaryState
-from geomid_ros.files.archive import pack, unpack
-from geomid_ros.files.checkpoints import checkpoint_folder
-from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded, encoded
-from geomid_ros.files.checkpoints.checkpoint_folder import CheckpointFolder
+from geomid_ros.files import checkpoints
+from geomid_ros.files.archive import decoded, encoded, pack, unpack
+from geomid_ros.files.checkpoints import Checkpoint, CheckpointFolder
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.samples import REGIMES, Samples
 from geomid_ros.session.configuration import Configuration
@@ -471,7 +470,7 @@ class TestFolder:
         def fail(*_: object) -> str:
             raise OSError(errno.EROFS, "Read-only file system")
 
-        monkeypatch.setattr(checkpoint_folder, "_renamed", fail)
+        monkeypatch.setattr(checkpoints, "_renamed", fail)
         before, other = contents(folder), session(effort_gain=2.0)
         with opened(folder, other) as keeper:
             problems = keeper.restore(other.restore).problems

@@ -22,7 +22,8 @@ from geometry_msgs.msg import InertiaStamped
 from signals.feeding import completed
 
 from geomid_ros.estimation.estimator import WarmStart
-from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded
+from geomid_ros.files.archive import decoded
+from geomid_ros.files.checkpoints import Checkpoint
 from geomid_ros.live import saving
 from geomid_ros.live.saving import Checkpoints
 from geomid_ros.live.worker import Worker

@@ -12,8 +12,8 @@ from benchmarks.fuzz.mutations import changed_bytes
 from benchmarks.fuzz.target import require
 from benchmarks.fuzz.targets.model import EDGES, changed_document
 from geomid_ros.commands.demo import shared_file
-from geomid_ros.files.archive import pack, unpack
-from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded, encoded
+from geomid_ros.files.archive import decoded, encoded, pack, unpack
+from geomid_ros.files.checkpoints import Checkpoint
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session

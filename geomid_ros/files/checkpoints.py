@@ -1,4 +1,7 @@
-"""The folder of a node's checkpoints: two generations, each whole, and the newest of those that could not be used."""
+"""Checkpoints of a running node: all that an identification has learned, so that it can go on after a crash.
+
+Their folder has two generations, each whole, and the newest of those that could not be used.
+"""
 
 from __future__ import annotations
 
@@ -7,22 +10,53 @@ import os
 import stat
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
 from typing import Any
 
 from geomid_ros.errors import GeomidError, InputError
-from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded, encoded, largest_size
+from geomid_ros.estimation.estimator import WarmStart
+from geomid_ros.estimation.identifier import Memory
+from geomid_ros.files.archive import MOST_HEADER, decoded, encoded
 from geomid_ros.files.disk import FOR_OWNER, make_folder, write_bytes
 from geomid_ros.model.channels import Channel
+from geomid_ros.model.moving import REGIMES
+from geomid_ros.signals.ledger import Account
 
 _NAMES = ("checkpoint-a.safetensors", "checkpoint-b.safetensors")
 _LOCK = ".lock"
 _READ = os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC  # of a pipe it waits for nobody
 _ASIDE = "unused-"  # how the names of files begin that could not be used
 _MOST_ASIDE = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """What an identification needs to go on after a crash.
+
+    Attributes:
+        meaning: What the rows mean (:attr:`Session.meaning`).
+        memory: State of the identifier.
+        accounts: The ledger's, by topic.
+        warm: The last estimate.
+        solving: Checksum of what the estimate depends on beside the rows.
+        number: Greater than that of the checkpoint before.
+    """
+
+    meaning: Mapping[str, Any]
+    memory: Memory
+    accounts: Mapping[str, Account] = field(default_factory=dict)
+    warm: WarmStart | None = None
+    solving: str = ""
+    number: int = 0
+
+
+def largest_size(channels: Sequence[Channel], folds: int) -> int:
+    """Bytes that no checkpoint of these channels exceeds."""
+    numbers = sum((len(channel.columns) + 1) ** 2 + 1 for channel in channels)
+    return 2 * MOST_HEADER + 8 * folds * REGIMES * numbers
 
 
 @dataclass(frozen=True)
