@@ -15,6 +15,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Literal, TypeVar
@@ -32,7 +33,7 @@ MOST_HEADER = 4_000_000
 """Bytes of the header."""
 T = TypeVar("T")
 _TEXTS, _CHECKSUM = "__metadata__", "sha256"
-_LENGTH, _DIGEST = 8, hashlib.sha256().digest_size  # bytes of the header's length and of the checksum
+_LENGTH, _DIGEST = struct.Struct("<Q"), hashlib.sha256().digest_size
 _DTYPES: Mapping[str, np.dtype[Any]] = {"F64": np.dtype("<f8"), "U8": np.dtype(np.uint8)}
 
 
@@ -159,9 +160,7 @@ def pack(text: str, vectors: Mapping[str, AnyArray]) -> bytes:
     encoded += b" " * (-len(encoded) % 8)
     if len(encoded) > MOST_HEADER:
         raise InputError(f"a header of {len(encoded)} bytes, at most {MOST_HEADER} are allowed")
-    content = b"".join(
-        [len(encoded).to_bytes(_LENGTH, "little"), encoded, *(own.tobytes() for own in vectors.values())]
-    )
+    content = b"".join([_LENGTH.pack(len(encoded)), encoded, *(own.tobytes() for own in vectors.values())])
     return content + hashlib.sha256(content).digest()
 
 
@@ -177,11 +176,11 @@ def unpack(content: bytes) -> tuple[str, dict[str, AnyArray]]:
     body, checksum = content[:-_DIGEST], content[-_DIGEST:]
     if hashlib.sha256(body).digest() != checksum:
         raise InputError("the checksum is wrong: damaged or truncated")
-    length = int.from_bytes(body[:_LENGTH], "little")
-    if length > min(MOST_HEADER, len(body) - _LENGTH):
+    (length,) = _LENGTH.unpack_from(body.ljust(_LENGTH.size, b"\xff"))
+    if length > min(MOST_HEADER, len(body) - _LENGTH.size):
         raise InputError("the header is longer than the file, or than is allowed")
-    header = _parsed(body[_LENGTH : _LENGTH + length].decode("utf-8", errors="replace"))
-    numbers = body[_LENGTH + length :]
+    start, numbers = body[_LENGTH.size : _LENGTH.size + length], body[_LENGTH.size + length :]
+    header = _parsed(start.decode("utf-8", errors="replace"))
     text = structured(_Texts, header.pop(_TEXTS, None), "the header:").document
     header.pop(_CHECKSUM, None)
     vectors, end = {}, 0

@@ -13,9 +13,8 @@ import yaml
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.excitation.limits import JointLimits
 from geomid_ros.files.disk import read_text
+from geomid_ros.files.schema import MOST_ENTRIES
 from geomid_ros.model.urdf_tree import MOST_BYTES
-
-_MOST_NODES = 40_000
 
 
 class _Loader(yaml.SafeLoader):
@@ -38,8 +37,8 @@ class _Loader(yaml.SafeLoader):
             raise yaml.YAMLError(f"aliases are not allowed, {where}")
         if getattr(event, "tag", None) is not None:
             raise yaml.YAMLError(f"the tag {event.tag} is not allowed, {where}")
-        if self._nodes > _MOST_NODES:
-            raise yaml.YAMLError(f"more than {_MOST_NODES} values, {where}")
+        if self._nodes > MOST_ENTRIES:
+            raise yaml.YAMLError(f"more than {MOST_ENTRIES} values, {where}")
         return super().compose_node(parent, index)
 
 

@@ -32,10 +32,10 @@ Matrix: TypeAlias = Annotated[FloatArray, (3, 3)]
 
 FORMAT = 1
 """Of all documents that :func:`read_document` reads."""
+MOST_ENTRIES = 40_000
+"""Of a list, and of a YAML file."""
 
 _LARGEST = 1e50  # products of three still fit
-_LARGEST_COUNT = 2**63
-_MOST_ENTRIES = 10_000  # of a list
 _EXPECTED = {float: "a finite number", int: "a count", str: "a text", bool: "true or false"}
 T = TypeVar("T")
 
@@ -99,8 +99,8 @@ def _structured(kind: Any, value: Any, where: str) -> Any:
     if is_dataclass(kind):
         return _object(kind, value, where)
     if origin is tuple:
-        if not isinstance(value, list) or len(value) > _MOST_ENTRIES:
-            raise _wrong(value, where, f"a list of at most {_MOST_ENTRIES}")
+        if not isinstance(value, list) or len(value) > MOST_ENTRIES:
+            raise _wrong(value, where, f"a list of at most {MOST_ENTRIES}")
         return tuple(_structured(inner[0], each, f"{where}[{index}]") for index, each in enumerate(value))
     if inner:
         _check_keys(value, where, "an object")
@@ -126,7 +126,7 @@ def _simple(kind: Any, value: Any, where: str) -> Any:
         return math.nan
     if kind is float and type(value) in (int, float) and abs(value) < _LARGEST:
         return float(value)
-    if kind is not float and type(value) is kind and (kind is not int or 0 <= value < _LARGEST_COUNT):
+    if kind is not float and type(value) is kind and (kind is not int or 0 <= value <= np.iinfo(np.int64).max):
         return value
     raise _wrong(value, where, _EXPECTED[kind])
 

@@ -26,7 +26,7 @@ from rosbags.typesys import Stores, get_typestore
 from benchmarks.fuzz.mcap_writer import MAGIC, Form, Message, chunk, mcap, record, text
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import Bag
-from geomid_ros.files.bags.storage import MOST_BYTES
+from geomid_ros.files.disk import MOST_BYTES
 
 from .recordings import BAGS, TYPES, Recorded, recorded, write_bag
 
@@ -451,12 +451,12 @@ class TestCrafted:
     def test_messages_of_chunks_that_all_overlap_are_bounded(
         self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     ) -> None:
-        monkeypatch.setattr("geomid_ros.files.bags.mcap._MOST_PENDING", 40_000)
+        monkeypatch.setattr("geomid_ros.files.bags.mcap.MOST_BYTES", 40_000)
         messages = [Message(0, time, bytes(100)) for index in range(50) for time in (0 if index else 1, 10**9 + index)]
         path = tmp_path / "mixed.mcap"
         path.write_bytes(mcap([("/a", "std_msgs/msg/String")], messages, Form(chunk=2)))
         assert content(path)[:2] == [("/a", 0, bytes(100))] * 2
-        monkeypatch.setattr("geomid_ros.files.bags.mcap._MOST_PENDING", 10_000)
+        monkeypatch.setattr("geomid_ros.files.bags.mcap.MOST_BYTES", 10_000)
         assert "overlap too much in time" in error_of(path)
 
     def test_what_a_bag_calls_its_topics_does_not_reach_the_terminal(self, tmp_path: Path) -> None:

@@ -24,7 +24,8 @@ from tempfile import TemporaryDirectory
 from typing import Any
 from urllib.parse import quote
 
-from geomid_ros.files.bags.storage import MOST_BYTES, FaultError, Part, RawMessage, TornError, cut_off, damaged
+from geomid_ros.files.bags.storage import FaultError, Part, RawMessage, TornError, cut_off, damaged
+from geomid_ros.files.disk import MOST_BYTES
 
 _MAGIC = b"SQLite format 3\0"
 _HEADER = struct.Struct(">16xH6xII60xI4x")  # page size, changes, pages, changes when the pages were counted
@@ -32,7 +33,6 @@ _COLUMN = r"\s*\w+(?: (?:INTEGER|TEXT|BLOB|PRIMARY|KEY|AUTOINCREMENT|NOT|NULL))*
 _PLAIN = re.compile(
     rf"CREATE TABLE \w+ ?\((?:{_COLUMN},)*{_COLUMN}\)|CREATE INDEX \w+ ON \w+ ?\( ?\w+(?: ASC| DESC)? ?\)"
 )
-_MOST_SCHEMA = 10_000  # characters of one statement
 _STEPS = 100_000  # of SQLite's machine, between two looks at how many there were
 _RESCUE = "'sqlite3 FILE .recover' may save it"
 # What rosbag2 has had from its first version on.
@@ -160,7 +160,7 @@ class Database:
 
     def _check_schema(self) -> None:
         for name, text in self._query("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL"):
-            plain = re.sub(r"\s+", " ", text.replace('"', "")[:_MOST_SCHEMA]) if isinstance(text, str) else ""
+            plain = re.sub(r"\s+", " ", text.replace('"', "")) if isinstance(text, str) else ""
             if not _PLAIN.fullmatch(plain):
                 raise FaultError(f"{str(name)[:50]!r} is not a plain table or index as written by rosbag2")
         for table, needed in _NEEDED.items():

@@ -11,15 +11,16 @@ import contextlib
 import heapq
 import math
 import struct
+import sys
 from binascii import crc32
 from collections import Counter
 from collections.abc import Collection, Iterator
+from enum import IntEnum
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.storage import (
-    MOST_BYTES,
     PIECE,
     FaultError,
     Part,
@@ -30,18 +31,29 @@ from geomid_ros.files.bags.storage import (
     unpacked,
     unpacked_part,
 )
+from geomid_ros.files.disk import MOST_BYTES
 
 _MAGIC = b"\x89MCAP0\r\n"
-_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END = 1, 2, 3, 4, 5, 6, 0x0B, 0x0F
-_PRIVATE = 0x80  # of a record's kind: it is for other programs
 _RECORD = struct.Struct("<BQ")  # kind, length
 _MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, times of recording and of publishing
 _MOST_STRETCHES = 1_000_000
-_MOST_PENDING = 2 * MOST_BYTES  # of messages that are held at once: those of a chunk, and of others that overlap it
-_BYTES_BESIDE_DATA = 250  # of a message that is held
 T = TypeVar("T")
 _TOO_MUCH = "its chunks are too large, or overlap too much in time; 'mcap sort' may help"
 _RESCUE = "'mcap recover' may save it"
+
+
+class _Kind(IntEnum):
+    """Kinds of records; that of other programs' records has the bit PRIVATE."""
+
+    HEADER = 1
+    FOOTER = 2
+    SCHEMA = 3
+    CHANNEL = 4
+    MESSAGE = 5
+    CHUNK = 6
+    STATISTICS = 0x0B
+    DATA_END = 0x0F
+    PRIVATE = 0x80
 
 
 class _RecordSpan(NamedTuple):
@@ -137,14 +149,14 @@ class McapFile:
             if wanted.keys().isdisjoint(stretch.channels):
                 continue
             while pending and pending[0][0] < stretch.first:
-                held -= _BYTES_BESIDE_DATA + len(pending[0][-1])
+                held -= _memory(pending[0])
                 yield self._raw_message(heapq.heappop(pending))
             for channel, time, data in self._read(stretch):
                 if channel in wanted:
-                    heapq.heappush(pending, (time, serial, channel, bytes(data)))
-                    held += _BYTES_BESIDE_DATA + len(data)
+                    heapq.heappush(pending, entry := (time, serial, channel, bytes(data)))
+                    held += _memory(entry)
                     serial += 1
-                if held > _MOST_PENDING:
+                if held > MOST_BYTES:
                     raise InputError(f"{self._path}: {_TOO_MUCH}")
         while pending:
             yield self._raw_message(heapq.heappop(pending))
@@ -157,7 +169,7 @@ class McapFile:
         """Channel, time and bytes of each message in a stretch that was looked at before."""
         try:
             for kind, record in self._contents(stretch.begin, stretch.end, stretch.chunk):
-                if kind == _MESSAGE:
+                if kind == _Kind.MESSAGE:
                     channel, _, time, _ = _MESSAGE_HEAD.unpack_from(record)
                     yield channel, time, record[_MESSAGE_HEAD.size :]
         except (FaultError, OSError, ValueError, struct.error) as error:
@@ -173,16 +185,16 @@ class McapFile:
         data_end = 0
         for kind, begin, end in self._walk():
             if data_end:
-                if kind == _STATISTICS:
+                if kind == _Kind.STATISTICS:
                     self._check_count(begin)
-            elif kind == _DATA_END:
+            elif kind == _Kind.DATA_END:
                 self._check_sum(0, begin, self._number(begin + _RECORD.size, 4), "data section")
                 data_end = end
                 self.checked |= self._number(begin + _RECORD.size, 4) != 0
-            elif kind == _HEADER:
+            elif kind == _Kind.HEADER:
                 self._check_profile(begin, end)
-            elif kind in (_CHUNK, _SCHEMA, _CHANNEL, _MESSAGE):
-                self._add(self._examined(begin, end, kind == _CHUNK))
+            elif kind in (_Kind.CHUNK, _Kind.SCHEMA, _Kind.CHANNEL, _Kind.MESSAGE):
+                self._add(self._examined(begin, end, kind == _Kind.CHUNK))
         last = self._size - len(_MAGIC)
         if self._bytes(last, self._size) != _MAGIC or not data_end:
             raise TornError("its end is missing", self._size)
@@ -191,18 +203,18 @@ class McapFile:
     def _walk(self) -> Iterator[tuple[int, int, int]]:
         """Kind, offset and end of each record, up to the footer."""
         kind, begin = 0, len(_MAGIC)
-        while kind != _FOOTER:
+        while kind != _Kind.FOOTER:
             head = self._bytes(begin, begin + _RECORD.size)
             if len(head) < _RECORD.size or not any(head):  # zeros are what a disk may have that lost its power
                 raise TornError("the file ends before its footer", begin)
             kind, length = _RECORD.unpack(head)
-            if not _HEADER <= kind <= _DATA_END and not kind & _PRIVATE:
+            if not _Kind.HEADER <= kind <= _Kind.DATA_END and not kind & _Kind.PRIVATE:
                 raise FaultError(f"a record of the unknown kind {kind}", begin)
             end = begin + _RECORD.size + length
             if end > self._size:
-                if kind & _PRIVATE or length > MOST_BYTES:
+                if kind & _Kind.PRIVATE or length > MOST_BYTES:
                     raise FaultError(f"a record of {length} bytes, more than there are", begin)
-                if kind == _CHUNK:
+                if kind == _Kind.CHUNK:
                     self._add_torn(begin)
                 there = self._size - begin - _RECORD.size
                 raise TornError(f"a record of {length} bytes, of which {there} are there", begin)
@@ -237,15 +249,15 @@ class McapFile:
         first, last, counted = math.inf, self._last, Counter[int]()
         try:
             for kind, record in self._contents(begin, end, chunk):
-                if kind == _MESSAGE:
+                if kind == _Kind.MESSAGE:
                     channel, _, time, _ = _MESSAGE_HEAD.unpack_from(record)
                     if channel not in self._channels:
                         raise ValueError(f"a message of channel {channel}, which was not declared")  # noqa: TRY301
                     counted[channel] += 1
                     first, last = min(first, time), max(last, time)
-                elif kind == _SCHEMA:
+                elif kind == _Kind.SCHEMA:
                     self._take_schema(_Fields(record))
-                elif kind == _CHANNEL:
+                elif kind == _Kind.CHANNEL:
                     self._take_channel(_Fields(record))
         except (ValueError, struct.error) as error:
             raise FaultError(str(error), begin) from error
@@ -300,6 +312,11 @@ class McapFile:
             found = crc32(self._bytes(place, min(end, place + PIECE)), found)
         if found != recorded:
             raise FaultError(f"the checksum of its {what} is wrong", begin)
+
+
+def _memory(message: tuple[object, ...]) -> int:
+    """Bytes that a message takes while it is held."""
+    return sys.getsizeof(message) + sum(map(sys.getsizeof, message))
 
 
 def _set_once(table: dict[int, T], key: int, value: T, what: str) -> None:

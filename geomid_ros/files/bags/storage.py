@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from geomid_ros.errors import InputError
+from geomid_ros.files.disk import MOST_BYTES
 
 
 class RawMessage(NamedTuple):
@@ -91,9 +92,6 @@ def cut_off(path: Path, fault: FaultError, count: int, time: int) -> str:
 def _place(fault: FaultError) -> str:
     return "" if fault.offset is None else f" at byte {fault.offset}"
 
-
-MOST_BYTES = 1 << 27
-"""Of a message or a chunk of messages; recorders make chunks of 1 or 4 MB, or of one message that is larger."""
 
 METHODS = ("zstd", "lz4")
 """Of compression."""

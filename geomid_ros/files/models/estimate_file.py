@@ -46,7 +46,6 @@ from geomid_ros.signals.ledger import Account
 from geomid_ros.types import FloatArray
 
 _MOST_LINKS_TOGETHER = 100  # of more, what is known of all together would be most of the file
-_LARGEST_RESIDUAL = 1e9
 _PACKED = "<f4"  # seven digits do, and nobody reads so many
 OF_PAGE = (
     *("robot", "rms", "sigma", "channels", "seconds", "steps", "gamma", "rows", "known", "urdf_masses"),
@@ -293,7 +292,7 @@ class EstimateFile:
             raise self._useless(f"on {len(self.links)} links cannot be read ({error})") from error
         if list(self.information.links) != list(self.inertias):
             raise self._useless("is on other links than those listed, or in another order")
-        if not _can_be_measured(rows, self.inertias) or not np.all(np.abs(residuals) < _LARGEST_RESIDUAL):
+        if not _can_be_measured(rows, self.inertias) or not np.all(np.isfinite(residuals)):
             raise self._useless("on the links is more than any measurement can tell")
         return LinksInformation(rows, residuals)
 

@@ -15,10 +15,10 @@ from __future__ import annotations
 import io
 import json
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -34,12 +34,13 @@ FORMAT = 2
 _HEADER = "posterior"
 _VECTORS = ("parameters", "prior", "prior_spreads")
 _MOST_PARAMETERS = 2000
-_ENCRYPTED = 1  # bit of a zip entry's flags
 _LARGEST = 1e6  # N m, N, rad, rad/s
 _ROUNDING = 1e-8
 T = TypeVar("T")
 
-_UNREADABLE = (zipfile.BadZipFile, KeyError, TypeError, ValueError, RecursionError, EOFError, NotImplementedError)
+# What NumPy, zipfile and json raise; RuntimeError for encrypted files, MemoryError for an array that is not there.
+_UNREADABLE = (zipfile.BadZipFile, LookupError, TypeError, ValueError, RuntimeError, EOFError, MemoryError)
+_Arrays: TypeAlias = Mapping[str, AnyArray]
 
 
 def write_posterior(path: Path, posterior: Posterior, remainder: StandingRemainder | None = None) -> list[Path]:
@@ -109,20 +110,29 @@ class _Header:
     remainder: _OfRemainder | None = None
 
 
-def _read(path: Path, read: Callable[[zipfile.ZipFile, _Header], T]) -> T:
+def _read(path: Path, read: Callable[[_Arrays, _Header], T]) -> T:
     """Read a part of the archive with its header."""
     content = read_bytes(path, "posterior")
     try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            return read(archive, _header(archive))
+        arrays = _unpacked(content)
+        return read(arrays, _header(arrays))
     except InputError as error:
         raise InputError(f"{path}: {error}; identify again") from error
     except _UNREADABLE as error:
         raise InputError(f"{path}: the posterior cannot be read ({error}); identify again") from error
 
 
-def _header(archive: zipfile.ZipFile) -> _Header:
-    document = json.loads(str(_array(archive, _HEADER)))
+def _unpacked(content: bytes) -> _Arrays:
+    """All arrays; of those that are compressed, which may be larger than any memory, none."""
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        if any(own.compress_type != zipfile.ZIP_STORED for own in archive.infolist()):
+            raise InputError("its arrays are compressed")
+    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+        return dict(arrays)
+
+
+def _header(arrays: _Arrays) -> _Header:
+    document = json.loads(str(arrays[_HEADER]))
     if document["format"] not in (1, FORMAT):
         raise InputError(f"has format {document['format']!r}, this version reads formats 1 and {FORMAT}")
     return structured(_Header, document, "its text:")
@@ -155,18 +165,18 @@ def _arrays_of(remainder: StandingRemainder) -> dict[str, FloatArray]:
     return arrays
 
 
-def _remainder(archive: zipfile.ZipFile, header: _Header) -> StandingRemainder | None:
+def _remainder(arrays: _Arrays, header: _Header) -> StandingRemainder | None:
     if header.remainder is None:
         return None
     joints, channels = header.remainder.joints, header.remainder.channels
-    knots, scales, means, triangles = _numbers(archive, "knots", (len(joints), 3, 2)), [], [], []
+    knots, scales, means, triangles = _numbers(arrays, "knots", (len(joints), 3, 2)), [], [], []
     for place in range(len(channels)):
-        size = len(_array(archive, f"mean_{place}"))
-        rows = _numbers(archive, f"triangle_{place}", (size * (size + 1) // 2,), np.float32)
+        size, columns = len(arrays[f"mean_{place}"]), len(arrays[f"scales_{place}"])
+        rows = _numbers(arrays, f"triangle_{place}", (size * (size + 1) // 2,), np.float32)
         triangle = np.zeros((size, size))
         triangle[np.triu_indices(size)] = rows
-        scales.append(_numbers(archive, f"scales_{place}", (size or len(_array(archive, f"scales_{place}")),)))
-        means.append(_numbers(archive, f"mean_{place}", (size,)))
+        scales.append(_numbers(arrays, f"scales_{place}", (size or columns,)))
+        means.append(_numbers(arrays, f"mean_{place}", (size,)))
         triangles.append(triangle)
     remainder = StandingRemainder(
         joints=joints,
@@ -180,7 +190,7 @@ def _remainder(archive: zipfile.ZipFile, header: _Header) -> StandingRemainder |
     return remainder
 
 
-def _posterior(archive: zipfile.ZipFile, header: _Header) -> Posterior:
+def _posterior(arrays: _Arrays, header: _Header) -> Posterior:
     links, effects = header.links, header.effects
     if [e.positive for e in effects] != sorted((e.positive for e in effects), reverse=True):
         raise InputError("its text: effects are not in order, expected the positive ones first")
@@ -190,9 +200,9 @@ def _posterior(archive: zipfile.ZipFile, header: _Header) -> Posterior:
         links=tuple(link.name for link in links),
         merged=tuple(link.merged for link in links),
         effects=effects,
-        covariance=_numbers(archive, "covariance", (size, size)),
-        scales=_numbers(archive, "scales", (len(effects) - positives,)),
-        **{name: _numbers(archive, name, (size,)) for name in _VECTORS},
+        covariance=_numbers(arrays, "covariance", (size, size)),
+        scales=_numbers(arrays, "scales", (len(effects) - positives,)),
+        **{name: _numbers(arrays, name, (size,)) for name in _VECTORS},
     )
     _check(posterior)
     return posterior
@@ -214,26 +224,9 @@ def _check(posterior: Posterior) -> None:
         raise InputError("holds a covariance that is not positive semidefinite")
 
 
-def _numbers(
-    archive: zipfile.ZipFile, name: str, shape: tuple[int, ...], kind: type[np.floating] = np.float64
-) -> FloatArray:
-    array = _array(archive, name)
+def _numbers(arrays: _Arrays, name: str, shape: tuple[int, ...], kind: type[np.floating] = np.float64) -> FloatArray:
+    array = arrays[name]
     if array.shape != shape or array.dtype != kind or not np.all(np.isfinite(array)):
         expected = f"finite {np.dtype(kind)} of {shape}"
         raise InputError(f"'{name}' is {array.dtype} of shape {array.shape}, expected {expected}")
     return frozen(array)
-
-
-def _array(archive: zipfile.ZipFile, name: str) -> AnyArray:
-    """An array of the archive; one that is larger than its file is not made."""
-    entry = archive.getinfo(f"{name}.npy")
-    if entry.compress_type != zipfile.ZIP_STORED or entry.flag_bits & _ENCRYPTED:
-        raise InputError(f"'{name}' is compressed or encrypted")
-    content = io.BytesIO(archive.read(entry))
-    if np.lib.format.read_magic(content) != (1, 0):
-        raise InputError(f"'{name}' is no array of NumPy's format 1.0")
-    shape, _, dtype = np.lib.format.read_array_header_1_0(content)
-    if dtype.hasobject or dtype.itemsize * int(np.prod(shape, dtype=object)) != entry.file_size - content.tell():
-        raise InputError(f"'{name}' is torn, or of objects")
-    content.seek(0)
-    return np.asarray(np.lib.format.read_array(content, allow_pickle=False))

@@ -13,11 +13,11 @@ from pathlib import Path
 
 from geomid_ros.errors import InputError
 from geomid_ros.model.urdf_tree import MOST_BYTES
+from geomid_ros.signals.limits import LONGEST_REASON
 
 SUFFIX = ".xacro"
 _SECONDS = 30
 _MEMORY = 2_000_000_000
-_LONGEST_REASON = 300  # characters
 
 
 def urdf_of_xacro(path: Path, arguments: Sequence[str] = ()) -> str:
@@ -63,7 +63,7 @@ def _run(command: Sequence[str], path: Path) -> str:
         out.seek(0), errors.seek(0)
         text, said = out.read(MOST_BYTES + 1), errors.read(MOST_BYTES)
     if status != 0:
-        last = " ".join(said.decode(errors="replace").split())[-_LONGEST_REASON:]
+        last = " ".join(said.decode(errors="replace").split())[-LONGEST_REASON:]
         raise InputError(f"{path}: xacro cannot make a URDF of it ({last or status}); is an --xacro-arg missing?")
     return text.decode(errors="replace")
 
