@@ -24,7 +24,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 from urllib.parse import quote
 
-from geomid_ros.files.bags.storage import FaultError, Part, RawMessage, TornError, cut_off, damaged
+from geomid_ros.files.bags.storage import FaultError, RawMessage, Storage, TornError
 from geomid_ros.files.disk import MOST_BYTES
 
 _MAGIC = b"SQLite format 3\0"
@@ -34,60 +34,34 @@ _PLAIN = re.compile(
     rf"CREATE TABLE \w+ ?\((?:{_COLUMN},)*{_COLUMN}\)|CREATE INDEX \w+ ON \w+ ?\( ?\w+(?: ASC| DESC)? ?\)"
 )
 _STEPS = 100_000  # of SQLite's machine, between two looks at how many there were
-_RESCUE = "'sqlite3 FILE .recover' may save it"
 # What rosbag2 has had from its first version on.
 _NEEDED = {"topics": {"id", "name", "type", "serialization_format"}, "messages": {"topic_id", "timestamp", "data"}}
 
 
-class Database:
-    """An open SQLite file; see :class:`~geomid_ros.files.bags.storage.Storage`.
+class Database(Storage):
+    """An open SQLite file."""
 
-    Raises InputError naming the file, the place if SQLite knows it, and how much can be read.
-    """
+    rescue = "'sqlite3 FILE .recover' may save it"
 
     def __init__(self, path: Path) -> None:
-        self._path = path
-        self._size = path.stat().st_size
         self._topics: dict[int, tuple[str, str]] = {}
-        self.counts: dict[tuple[str, str], int] = {}  # of messages, by topic and type
-        self.start: int | None = None  # [ns] when the first message was recorded
-        self.cut = ""
-        self.checked = False
         self._end: int | None = None  # the last row to be read, of a file that is cut off
         self._steps = 0
-        self._scratch: TemporaryDirectory[str] | None = None
+        self._stack = contextlib.ExitStack()
+        super().__init__(path)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._stack.close()
+
+    def _examine(self) -> None:
+        self.checked = False
         header = self._header()
         self._database = sqlite3.connect(self._address(), uri=True)
+        self._stack.callback(self._database.close)
         self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_BYTES)
         self._database.set_progress_handler(self._too_long, _STEPS)
-        try:
-            list(self._query(f"PRAGMA hard_heap_limit = {4 * MOST_BYTES}"))
-            self._check(header)
-        except TornError as fault:
-            self.cut = cut_off(path, fault, *self._take_whole_rows())
-        except FaultError as fault:
-            part = Part(*self._take_whole_rows(), _RESCUE)
-            self.close()
-            raise damaged(path, fault, part) from fault
-
-    def _address(self) -> str:
-        """Where SQLite finds the database: a copy, if a write-ahead log belongs to it."""
-        log = self._beside("-wal")
-        if log is None:
-            # Immutable: SQLite neither locks the file nor looks for a journal beside it.
-            return f"file:{quote(str(self._path))}?mode=ro&immutable=1"
-        self._scratch = TemporaryDirectory(prefix="geomid_bag_")
-        for file in (self._path, log):
-            shutil.copyfile(file, Path(self._scratch.name) / file.name)
-        return f"file:{quote(str(Path(self._scratch.name) / self._path.name))}?mode=ro"
-
-    def _beside(self, ending: str) -> Path | None:
-        """A file of SQLite's beside this one, if it has anything in it."""
-        journal = self._path.with_name(self._path.name + ending)
-        return journal if journal.is_file() and journal.stat().st_size else None
-
-    def _check(self, header: bytes) -> None:
-        """Look at the whole file. Raises TornError or FaultError."""
+        list(self._query(f"PRAGMA hard_heap_limit = {4 * MOST_BYTES}"))
         self._check_size(header)
         if journal := self._beside("-journal"):
             raise TornError(f"{journal.name} holds a part of it; 'sqlite3 FILE VACUUM' merges both")
@@ -95,14 +69,24 @@ class Database:
         self._check_pages()
         self._read_topics()
         last = self._count_messages()
-        if self._scratch:
-            self.cut = cut_off(self._path, TornError("it was not closed"), sum(self.counts.values()), last)
+        if self._beside("-wal"):
+            self.cut = self._truncated(TornError("it was not closed"), sum(self.counts.values()), last)
 
-    def close(self) -> None:
-        """Close the file."""
-        self._database.close()
-        if self._scratch:
-            self._scratch.cleanup()
+    def _address(self) -> str:
+        """Where SQLite finds the database: a copy, if a write-ahead log belongs to it."""
+        log = self._beside("-wal")
+        if log is None:
+            # Immutable: SQLite neither locks the file nor looks for a journal beside it.
+            return f"file:{quote(str(self._path))}?mode=ro&immutable=1"
+        scratch = Path(self._stack.enter_context(TemporaryDirectory(prefix="geomid_bag_")))
+        for file in (self._path, log):
+            shutil.copyfile(file, scratch / file.name)
+        return f"file:{quote(str(scratch / self._path.name))}?mode=ro"
+
+    def _beside(self, ending: str) -> Path | None:
+        """A file of SQLite's beside this one, if it has anything in it."""
+        journal = self._path.with_name(self._path.name + ending)
+        return journal if journal.is_file() and journal.stat().st_size else None
 
     def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
         """Everything on ``topics`` in the order of recording; of a file that is cut off in that of writing, as an index
@@ -124,7 +108,7 @@ class Database:
                 count, last = count + 1, time
                 yield RawMessage(self._topics[identity][0], time, self._topics[identity][1], data)
         except FaultError as fault:
-            raise damaged(self._path, fault, Part(count, last, _RESCUE)) from fault
+            raise self._damaged(fault, count, last) from fault
 
     def _query(self, text: str, *values: int) -> Generator[Any, None, None]:
         """The rows of a query, which may take as many steps as the file's size is worth. Raises FaultError."""
@@ -146,7 +130,7 @@ class Database:
         with self._path.open("rb") as file:
             header = file.read(_HEADER.size)
         if not (header.startswith(_MAGIC) or _MAGIC.startswith(header)):
-            raise damaged(self._path, FaultError("it does not begin with an SQLite header", 0), Part(0, 0, ""))
+            raise FaultError("it does not begin with an SQLite header", 0)
         return header
 
     def _check_size(self, header: bytes) -> None:
@@ -199,11 +183,12 @@ class Database:
             end = max(end, last) if isinstance(last, int) else end
         return end
 
-    def _take_whole_rows(self) -> tuple[int, int]:
+    def _whole(self) -> tuple[int, int]:
         """Find and count the messages that can be read in the order of writing, while row numbers rise: damaged pages
         may lead back to others. Returns how many they are, and the time of the last [ns]."""
-        last = 0
-        self._end = 0
+        last = self._end = 0
+        if not self._steps:  # it was not opened
+            return 0, 0
         rows = self._query("SELECT rowid, topic_id, timestamp, data FROM messages NOT INDEXED")
         with contextlib.suppress(FaultError), contextlib.closing(rows):
             # Else SQLite reads nothing at all of a file that is shorter than it should be.

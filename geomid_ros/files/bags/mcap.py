@@ -20,17 +20,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.bags.storage import (
-    PIECE,
-    FaultError,
-    Part,
-    RawMessage,
-    TornError,
-    cut_off,
-    damaged,
-    unpacked,
-    unpacked_part,
-)
+from geomid_ros.files.bags.storage import PIECE, FaultError, RawMessage, Storage, TornError, unpacked, unpacked_part
 from geomid_ros.files.disk import MOST_BYTES
 
 _MAGIC = b"\x89MCAP0\r\n"
@@ -39,7 +29,6 @@ _MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, times of recording 
 _MOST_STRETCHES = 1_000_000
 T = TypeVar("T")
 _TOO_MUCH = "its chunks are too large, or overlap too much in time; 'mcap sort' may help"
-_RESCUE = "'mcap recover' may save it"
 
 
 class _Kind(IntEnum):
@@ -95,50 +84,27 @@ class _Fields:
         return str(self.block(*self.numbers("<I")), "utf-8")
 
 
-class McapFile:
-    """An open mcap file; see :class:`~geomid_ros.files.bags.storage.Storage`.
+class McapFile(Storage):
+    """An open mcap file; one that is only cut off is read."""
 
-    Raises InputError naming the file, the place, and how much can be read before it, where it is damaged; a file that
-    is only cut off is read.
-    """
+    rescue = "'mcap recover' may save it"
 
     def __init__(self, path: Path) -> None:
-        self._path = path
-        self._size = path.stat().st_size
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, tuple[str, str]] = {}
         self._counted: Counter[int] = Counter()
         self._last = 0
         self._stretches: list[_RecordSpan] = []
         self._known_sets: dict[frozenset[int], frozenset[int]] = {}
-        self.cut = ""
-        self.checked = True
         self._file = path.open("rb")
-        try:
-            self._scan()
-        except TornError as fault:
-            self.cut = cut_off(path, fault, self._counted.total(), self._last)
-        except FaultError as fault:
-            self.close()
-            raise damaged(path, fault, Part(self._counted.total(), self._last, _RESCUE)) from fault
+        super().__init__(path)
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
 
-    @property
-    def counts(self) -> dict[tuple[str, str], int]:
-        """How many messages there are, by topic and type."""
-        counts: Counter[tuple[str, str]] = Counter(dict.fromkeys(self._channels.values(), 0))
-        for channel, count in self._counted.items():
-            counts[self._channels[channel]] += count
-        return dict(counts)
-
-    @property
-    def start(self) -> int | None:
-        """When the first message was recorded [ns]."""
-        first = min((stretch.first for stretch in self._stretches), default=math.inf)
-        return int(first) if math.isfinite(first) else None
+    def _whole(self) -> tuple[int, int]:
+        return self._counted.total(), self._last
 
     def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
         """Everything on ``topics`` in the order of recording."""
@@ -175,8 +141,17 @@ class McapFile:
         except (FaultError, OSError, ValueError, struct.error) as error:
             raise InputError(f"{self._path}: has changed since it was opened ({error})") from error
 
+    def _examine(self) -> None:
+        try:
+            self._scan()
+        finally:
+            self.counts = dict.fromkeys(self._channels.values(), 0)
+            for channel, count in self._counted.items():
+                self.counts[self._channels[channel]] += count
+            first = min((stretch.first for stretch in self._stretches), default=math.inf)
+            self.start = int(first) if math.isfinite(first) else None
+
     def _scan(self) -> None:
-        """Look at the whole file."""
         first = self._bytes(0, len(_MAGIC))
         if not _MAGIC.startswith(first):
             raise FaultError("it does not begin with an MCAP header", 0)

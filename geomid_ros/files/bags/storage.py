@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import shutil
 import sys
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Iterator
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.disk import MOST_BYTES
@@ -26,71 +26,69 @@ class RawMessage(NamedTuple):
     data: bytes
 
 
-class Storage(Protocol):
-    """An open file of a recording.
-
-    ``cut`` says where the file is cut off and how much of it is whole, empty if all is; ``checked``: whether it has
-    checksums, by which damage to its numbers is seen.
-    """
-
-    cut: str
-    checked: bool
-
-    @property
-    def counts(self) -> Mapping[tuple[str, str], int]:
-        """How many messages there are, by topic and type."""
-
-    @property
-    def start(self) -> int | None:
-        """When the first message was recorded [ns]."""
-
-    def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
-        """Everything on ``topics`` in the order of recording. Raises InputError naming the file."""
-
-    def close(self) -> None:
-        """Close the file."""
-
-
 class FaultError(Exception):
     """A fault in a file, with the ``offset`` of its byte if that is known."""
 
     def __init__(self, why: str, offset: int | None = None) -> None:
         super().__init__(why)
-        self.offset = offset
+        self.sentence = f", {why}" if offset is None else f" at byte {offset}, {why}"
 
 
 class TornError(FaultError):
     """The file ends too early: its recorder was killed, or it was not copied to its end. What it has is whole."""
 
 
-@dataclass(frozen=True)
-class Part:
-    """The readable part of a damaged file: ``count`` messages, the last at ``time`` [ns]; ``rescue`` says how to
-    recover them."""
+class Storage(ABC):
+    """An open file of a recording, all of which was examined.
 
-    count: int
-    time: int
-    rescue: str
+    ``counts``: how many messages there are, by topic and type; ``start``: when the first was recorded [ns]. ``cut``
+    says where the file is cut off and how much of it is whole, empty if all is; ``checked``: whether it has checksums,
+    by which damage to its numbers is seen.
 
-    def __str__(self) -> str:
-        if not self.count:
-            return "No message before that can be read"
-        return f"Only a part is readable: {self.count} messages, up to {self.time * 1e-9:.3f} s. {self.rescue}"
+    Raises InputError naming the file, the place of damage if that is known, and how much can be read.
+    """
 
+    rescue = ""
+    """How to recover a part of a damaged file."""
 
-def damaged(path: Path, fault: FaultError, part: Part) -> InputError:
-    """The error for a file with this fault, and this part that can still be read."""
-    return InputError(f"{path}: cannot be read as a rosbag2 recording: damaged{_place(fault)}, {fault}. {part}")
+    def __init__(self, path: Path) -> None:
+        self._path, self._size = path, path.stat().st_size
+        self.counts: dict[tuple[str, str], int] = {}
+        self.start: int | None = None
+        self.cut, self.checked = "", True
+        try:
+            self._examine()
+        except TornError as fault:
+            self.cut = self._truncated(fault, *self._whole())
+        except FaultError as fault:
+            error = self._damaged(fault, *self._whole())
+            self.close()
+            raise error from fault
 
+    @abstractmethod
+    def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
+        """Everything on ``topics`` in the order of recording. Raises InputError naming the file."""
 
-def cut_off(path: Path, fault: FaultError, count: int, time: int) -> str:
-    """The sentence on a file that ends too early, with ``count`` whole messages, the last at ``time`` [ns]."""
-    whole = f"its {count} intact messages are read, up to {time * 1e-9:.3f} s" if count else "it has no intact message"
-    return f"{path}: truncated{_place(fault)}, {fault}; {whole}"
+    @abstractmethod
+    def close(self) -> None:
+        """Close the file."""
 
+    @abstractmethod
+    def _examine(self) -> None:
+        """Open the file, and look at all of it. Raises FaultError."""
 
-def _place(fault: FaultError) -> str:
-    return "" if fault.offset is None else f" at byte {fault.offset}"
+    @abstractmethod
+    def _whole(self) -> tuple[int, int]:
+        """How many messages can be read of a file with a fault, and the time of the last [ns]."""
+
+    def _damaged(self, fault: FaultError, count: int, time: int) -> InputError:
+        part = f"Only a part is readable: {count} messages, up to {time * 1e-9:.3f} s. {self.rescue}"
+        readable = part if count else "No message before that can be read"
+        return InputError(f"{self._path}: cannot be read as a rosbag2 recording: damaged{fault.sentence}. {readable}")
+
+    def _truncated(self, fault: FaultError, count: int, time: int) -> str:
+        whole = f"its {count} intact messages are read, up to {time * 1e-9:.3f} s"
+        return f"{self._path}: truncated{fault.sentence}; {whole if count else 'it has no intact message'}"
 
 
 METHODS = ("zstd", "lz4")
