@@ -31,7 +31,7 @@ from benchmarks.handover import closed_loop
 from benchmarks.handover.readers import READERS, Predict, installed
 from benchmarks.measured_data import CASES, DATA, Case
 from geomid_ros.api.identify import Identification
-from geomid_ros.exports.descriptions import DESCRIPTIONS
+from geomid_ros.exports.descriptions import described
 from geomid_ros.exports.model import read_model
 from geomid_ros.exports.payload import each_link
 from geomid_ros.files.bags.bag import Bag
@@ -71,7 +71,7 @@ def _by_reader(found: Identification, test: Samples, folder: Path) -> dict[str, 
     rows = {}
     for tool, readers in READERS.items():
         model = read_model(folder / "estimate.json", tool)
-        text = DESCRIPTIONS[tool].robot(model, each_link(model), {}).text
+        text = described(model, tool, each_link(model), {}).text
         if tool == "urdf":
             text = (folder / "identified.urdf").read_text()
         for reader, load in readers:
@@ -141,7 +141,7 @@ def _loops(case: Case, found: Identification, folder: Path) -> dict[str, float]:
     joints = list(found.session.robot.joint_names)
     recording = _commanded(DATA / case.train[0], joints)
     model = read_model(folder / "estimate.json", "mujoco")
-    text = DESCRIPTIONS["mujoco"].robot(model, each_link(model), {}).text
+    text = described(model, "mujoco", each_link(model), {}).text
     delay = closed_loop.best_delay(text, joints, recording.part(0.0, _FITTED))
     error = closed_loop.error(text, joints, recording.part(_FITTED, 1.0), delay)
     return {"file": 1e3 * error, "delay [ms]": 1e3 * delay}

@@ -213,7 +213,7 @@ def _urdf_values(model: Model, result: _Result) -> RobotValues:
             raise _other_robot(model.source, model.tree.links, str(result.path), result.values.links)
         if not parts:
             raise InputError(f"{model.source}: link '{name}' has no <inertial>, and {result.path} has identified it")
-        terms = [Summand(model.bodies[link].inertial, model.placement(link, name)) for link in parts]
+        terms = [Summand(model.bodies[link], model.placement(link, name)) for link in parts]
         quantities = total(terms, f"{model.source}: link '{name}'").quantities
         links[name] = LinkValues(
             parameters=pseudo_inertia.parameters_of(quantities), std=np.zeros(10), merged=body.merged

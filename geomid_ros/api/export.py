@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from geomid_ros.api.options import PathLike, Texts, entries
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.exports.descriptions import DESCRIPTIONS, Whole
+from geomid_ros.exports.descriptions import DESCRIPTIONS, Whole, described
 from geomid_ros.exports.formats import CONTROLLERS
 from geomid_ros.exports.inertial import Export
 from geomid_ros.exports.model import Model, read_model
@@ -93,7 +93,7 @@ def _check(tool: str, frame: str | None, links: Texts | None, without: PathLike 
 def _whole(model: Model, tool: str, into: PathLike | None, packages: Mapping[str, Path]) -> Whole:
     if into is not None:
         return into_mjcf(model, Path(into))
-    return DESCRIPTIONS[tool].robot(model, each_link(model), packages)
+    return described(model, tool, each_link(model), packages)
 
 
 def _payload(model: Model, frame: str, links: Texts | None, reference: Model | None) -> Export:

@@ -84,7 +84,7 @@ class Gap:
         with TemporaryDirectory() as folder:
             write_found(Path(folder), self.session, self.result)
             model = read_model(Path(folder) / "estimate.json", self.reader)
-        return DESCRIPTIONS[self.reader].whole(as_described(model), {})
+        return DESCRIPTIONS[self.reader].whole(as_described(model))
 
     @property
     def status(self) -> int:

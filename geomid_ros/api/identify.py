@@ -100,7 +100,7 @@ class Identification:
     @cached_property
     def written(self) -> HandedOver:
         """The description that is written for :attr:`reader`."""
-        return HandedOver(self.session, self.estimate, self.reader, {})
+        return HandedOver(self.session, self.estimate, self.reader)
 
     @cached_property
     def handover(self) -> JudgedFile:

@@ -16,12 +16,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 from geomid_ros.exports import formats
-from geomid_ros.files.models.effect_forms import DESCRIBED_FOR, ELEMENTS, joint_attributes, unsaid
+from geomid_ros.files.models.effect_forms import ELEMENTS, joint_attributes, unsaid
 from geomid_ros.files.models.urdf import for_drake, for_gazebo, with_effects
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.robot import Robot
@@ -70,35 +71,37 @@ class Whole(NamedTuple):
 
 
 class RobotToDescribe(NamedTuple):
-    """A robot to describe: its ``urdf`` with the inertias, the ``path`` that its meshes are found from, the ``effects``
-    beside, ``gravity (3,)`` where its base stands straight, and what ``read``s it."""
+    """A robot to describe: its ``urdf`` with the inertias, the ``path`` that its meshes are found from, also in the
+    ``packages``' folders, the ``effects`` beside, ``gravity (3,)`` where its base stands straight, and what ``read``s
+    it."""
 
     urdf: str
     path: Path
     effects: Sequence[KnownEffect]
     gravity: FloatArray
     read: Callable[[], Robot]
+    packages: Mapping[str, Path] = MappingProxyType({})
 
 
 class DescriptionFormat(NamedTuple):
-    """Who reads what: the ``files`` that it understands (see :meth:`ParameterForm.said_by`), a ``note`` for its user,
-    the form of one ``inertial``, and the ``whole`` robot, its meshes in the packages' folders."""
+    """A ``note`` for who uses the description, the form of one ``inertial``, and the ``whole`` robot."""
 
-    files: tuple[str, ...]
     note: tuple[str, ...]
     inertial: Callable[[Export], str]
-    whole: Callable[[RobotToDescribe, Mapping[str, Path]], Whole]
+    whole: Callable[[RobotToDescribe], Whole]
 
     def payload(self, export: Export) -> str:
-        """One inertia."""
-        return formats.described([export], self.inertial)
+        """One inertia below a comment with its standard deviations."""
+        comments = formats.comments(export)
+        return formats.xml_comment([*comments, f"  in the frame of link '{export.frame}'"]) + self.inertial(export)
 
-    def robot(self, model: Model, links: Sequence[Export], packages: Mapping[str, Path]) -> Whole:
-        """The whole robot, and behind it a comment on its ``links`` and on what it lacks."""
-        text, own, beside = self.whole(as_described(model), packages)
-        lacks = [*not_said(model, self.files), *own]
-        lines = [*self.note, *lacks, *(line for export in links for line in formats.comments(export))]
-        return Whole(text.rstrip() + "\n" + formats.xml_comment(lines), lacks, beside)
+
+def described(model: Model, reader: str, links: Sequence[Export], packages: Mapping[str, Path]) -> Whole:
+    """The whole robot for a reader, and behind it a comment on its ``links`` and on what it lacks."""
+    text, own, beside = DESCRIPTIONS[reader].whole(as_described(model, packages))
+    lacks = [*not_said(model, ELEMENTS[reader]), *own]
+    lines = [*DESCRIPTIONS[reader].note, *lacks, *(line for export in links for line in formats.comments(export))]
+    return Whole(text.rstrip() + "\n" + formats.xml_comment(lines), lacks, beside)
 
 
 def not_said(model: Model, files: tuple[str, ...]) -> list[str]:
@@ -108,11 +111,11 @@ def not_said(model: Model, files: tuple[str, ...]) -> list[str]:
     return [f"Not representable here: {'; '.join([*names, *refit])}"] if names else []
 
 
-def _urdf(robot: RobotToDescribe, _: Mapping[str, Path]) -> Whole:
+def _urdf(robot: RobotToDescribe) -> Whole:
     return Whole(with_effects(robot.urdf, robot.effects), [])
 
 
-def _isaac(robot: RobotToDescribe, _: Mapping[str, Path]) -> Whole:
+def _isaac(robot: RobotToDescribe) -> Whole:
     said = joint_attributes(robot.effects, "joint")
     joints = {
         joint: {isaac: float(f"{own[ours]:.6g}") for isaac, ours in _ISAAC_JOINT.items() if ours in own}
@@ -122,61 +125,51 @@ def _isaac(robot: RobotToDescribe, _: Mapping[str, Path]) -> Whole:
     return Whole(text, [f"{_ISAAC_FILE}: {json.dumps(joints)}"], {_ISAAC_FILE: json.dumps(joints, indent=2) + "\n"})
 
 
-def _gazebo(robot: RobotToDescribe, _: Mapping[str, Path]) -> Whole:
+def _gazebo(robot: RobotToDescribe) -> Whole:
     return Whole(for_gazebo(with_effects(robot.urdf, robot.effects), robot.effects), [])
 
 
-def _drake(robot: RobotToDescribe, _: Mapping[str, Path]) -> Whole:
+def _drake(robot: RobotToDescribe) -> Whole:
     return Whole(for_drake(with_effects(robot.urdf, robot.effects), robot.effects, str(robot.path)), [])
 
 
-def _mujoco(robot: RobotToDescribe, packages: Mapping[str, Path]) -> Whole:
+def _mujoco(robot: RobotToDescribe) -> Whole:
     # What only an MJCF needs takes as long to import as all else.
     from geomid_ros.files.models.mjcf import mjcf  # noqa: PLC0415
     from geomid_ros.files.models.mjcf_shapes import mjcf_shapes  # noqa: PLC0415
     from geomid_ros.files.shapes.meshes import MeshFinder  # noqa: PLC0415
 
-    shapes = mjcf_shapes(robot.urdf, str(robot.path), MeshFinder(robot.path, packages).find)
+    shapes = mjcf_shapes(robot.urdf, str(robot.path), MeshFinder(robot.path, robot.packages).find)
     missing = list(dict.fromkeys(shapes.missing))
     more = [f"{len(missing) - _MOST_MISSING} more shapes are missing"] if len(missing) > _MOST_MISSING else []
     text = mjcf(robot.read(), {}, robot.effects, gravity=robot.gravity, shapes=shapes)
     return Whole(text, [*missing[:_MOST_MISSING], *more])
 
 
-def as_described(model: Model) -> RobotToDescribe:
+def as_described(model: Model, packages: Mapping[str, Path] = MappingProxyType({})) -> RobotToDescribe:
     """A model as descriptions are made of it."""
-    return RobotToDescribe(model.urdf, model.urdf_path, model.effects, model.gravity, lambda: described_robot(model))
+    read = partial(described_robot, model)
+    return RobotToDescribe(model.urdf, model.urdf_path, model.effects, model.gravity, read, packages)
 
 
 def described_robot(model: Model) -> Robot:
-    """The robot with the bodies that were identified."""
+    """The robot with the bodies that were identified; joints between links that were identified as one are locked."""
+    merged = {link for body in model.bodies.values() for link in body.merged}
     return Robot(
         model.urdf,
         source=str(model.urdf_path),
         floating_base=model.tree.root in model.estimated,
         cuts=[joint.child for joint in model.tree.joints if joint.type == "fixed" and joint.child in model.estimated],
-        locked_joints=_locked(model),
+        locked_joints=[joint.name for joint in model.tree.joints if joint.child in merged and joint.type != "fixed"],
     )
 
 
-def _locked(model: Model) -> list[str]:
-    """The joints between links that were identified as one."""
-    merged = {link for body in model.bodies.values() for link in body.merged}
-    return [joint.name for joint in model.tree.joints if joint.child in merged and joint.type != "fixed"]
-
-
-DESCRIPTIONS = dict(
-    zip(
-        DESCRIBED_FOR,
-        (
-            DescriptionFormat(ELEMENTS["urdf"], (), formats.urdf_inertial, _urdf),
-            DescriptionFormat(ELEMENTS["moveit"], _MOVEIT_NOTE, formats.urdf_inertial, _urdf),
-            DescriptionFormat(ELEMENTS["isaac"], _ISAAC_NOTE, formats.urdf_inertial, _isaac),
-            DescriptionFormat(ELEMENTS["gazebo"], _GAZEBO_NOTE, formats.sdf_inertial, _gazebo),
-            DescriptionFormat(ELEMENTS["drake"], _DRAKE_NOTE, formats.urdf_inertial, _drake),
-            DescriptionFormat(ELEMENTS["mujoco"], _MUJOCO_NOTE, formats.mjcf_inertial, _mujoco),
-        ),
-        strict=True,
-    )
-)
-"""By the name of who is to read it."""
+DESCRIPTIONS = {
+    "urdf": DescriptionFormat((), formats.urdf_inertial, _urdf),
+    "moveit": DescriptionFormat(_MOVEIT_NOTE, formats.urdf_inertial, _urdf),
+    "isaac": DescriptionFormat(_ISAAC_NOTE, formats.urdf_inertial, _isaac),
+    "gazebo": DescriptionFormat(_GAZEBO_NOTE, formats.sdf_inertial, _gazebo),
+    "drake": DescriptionFormat(_DRAKE_NOTE, formats.urdf_inertial, _drake),
+    "mujoco": DescriptionFormat(_MUJOCO_NOTE, formats.mjcf_inertial, _mujoco),
+}
+"""By the name of who is to read it: each of :data:`DESCRIBED_FOR`."""

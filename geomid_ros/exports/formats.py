@@ -97,14 +97,6 @@ JSON = "json"
 """Who reads drawn robots in one file, as ``estimate.json`` has links and effects."""
 
 
-def described(exports: Sequence[Export], inertial: Callable[[Export], str]) -> str:
-    """An element for each inertia, below a comment with its standard deviations."""
-    return "\n".join(
-        xml_comment([*comments(export), f"  in the frame of link '{export.frame}'"]) + inertial(export)
-        for export in exports
-    )
-
-
 def urdf_inertial(export: Export) -> str:
     """For all that reads a URDF."""
     entries = " ".join(f'{key}="{number(value)}"' for key, value in _inertia_entries(export).items())

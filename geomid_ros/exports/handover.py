@@ -41,13 +41,11 @@ class HandedOver:
         session: the robot, and the description that was given.
         estimate: what was found.
         reader: of :data:`~geomid_ros.files.models.written_model.ELEMENTS`.
-        packages: folders of ROS packages by name, for meshes.
     """
 
     session: Session
     estimate: Estimate
     reader: str
-    packages: Mapping[str, Path]
 
     @property
     def name(self) -> str:
@@ -70,7 +68,7 @@ class HandedOver:
             session.configuration.gravity,
             partial(session.read_robot, urdf, session.robot.source),
         )
-        return DESCRIPTIONS[self.reader].whole(robot, self.packages)
+        return DESCRIPTIONS[self.reader].whole(robot)
 
     @property
     def files(self) -> dict[str, str]:

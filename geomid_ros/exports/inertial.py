@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,8 +42,7 @@ class UncertainInertia:
         return bool(np.any(np.isfinite(self.std)))
 
 
-@dataclass(frozen=True, eq=False)
-class Summand:
+class Summand(NamedTuple):
     """A body in a sum: the homogeneous ``placement (4, 4)`` of its frame in that of the sum; ``sign`` is -1 for a body
     that is subtracted."""
 

@@ -30,17 +30,15 @@ _PAYLOAD = ("mass", *COM_ENTRIES, *pseudo_inertia.INERTIA_NAMES)
 
 
 @dataclass(frozen=True, eq=False)
-class MassiveLink:
-    """A link with a mass.
+class MassiveLink(UncertainInertia):
+    """A link with a mass, and its inertia in its own frame.
 
     Attributes:
-        inertial: Its inertia in its own frame.
         merged: Links that are fixed to it and counted in.
         unidentified: Quantities that the data do not identify; None where that is not known.
         from_data: Share that came from the data, NaN where that is not known.
     """
 
-    inertial: UncertainInertia
     merged: tuple[str, ...] = ()
     unidentified: tuple[str, ...] | None = None
     from_data: float = np.nan
@@ -114,7 +112,10 @@ def read_model(path: Path, reader: str = "") -> Model:
     friction = _dynamics(text, str(urdf), found)
     if written is not None:
         found = tuple(effect for effect in written.effects if not is_body(effect))
-        bodies |= {name: _at(bodies[name], own) for name, own in written.inertias.items()}
+        bodies |= {
+            name: replace(bodies[name], quantities=pseudo_inertia.quantities_of(own))
+            for name, own in written.inertias.items()
+        }
         text = with_inertials(text, {name: inertia_of(own) for name, own in written.inertias.items()})
     return Model(
         source=source,
@@ -149,12 +150,6 @@ def _of_urdf(path: Path) -> Model:
     )
 
 
-def _at(body: MassiveLink, parameters: FloatArray) -> MassiveLink:
-    """A body with other parameters ``(10,)``, as sure as it was."""
-    quantities = pseudo_inertia.quantities_of(parameters)
-    return replace(body, inertial=UncertainInertia(quantities, body.inertial.std))
-
-
 def _dynamics(urdf: str, source: str, found: Sequence[KnownEffect]) -> list[KnownEffect]:
     """Friction in a URDF's <dynamics> that is not among the effects that were ``found``."""
     said = joint_attributes(found, "dynamics")
@@ -182,10 +177,7 @@ def _placements(urdf: str, tree: UrdfTree, source: str) -> dict[str, FloatArray]
 
 def _urdf_bodies(tree: UrdfTree) -> dict[str, MassiveLink]:
     unknown = np.full(10, np.nan)
-    return {
-        name: MassiveLink(UncertainInertia(pseudo_inertia.quantities_of(own), unknown))
-        for name, own in tree.inertials.items()
-    }
+    return {name: MassiveLink(pseudo_inertia.quantities_of(own), unknown) for name, own in tree.inertials.items()}
 
 
 def _estimated_bodies(file: EstimateFile, tree: UrdfTree) -> dict[str, MassiveLink]:
@@ -194,7 +186,7 @@ def _estimated_bodies(file: EstimateFile, tree: UrdfTree) -> dict[str, MassiveLi
     _check_same_model(file.inertias if written is None else written.inertias, tree, file.source)
     bodies = _urdf_bodies(tree)
     if any(link.cannot_tell is not None for link in file.links):
-        bodies = {name: MassiveLink(body.inertial, unidentified=QUANTITIES) for name, body in bodies.items()}
+        bodies = {name: replace(body, unidentified=QUANTITIES) for name, body in bodies.items()}
     bodies |= {link.name: _estimated_body(link, file.inertias[link.name]) for link in file.links}
     return bodies | _found_payloads(bodies, file.known_effects)
 
@@ -210,8 +202,8 @@ def _check_same_model(inertias: Mapping[str, FloatArray], tree: UrdfTree, source
 
 
 def _estimated_body(link: LinkEntry, parameters: FloatArray) -> MassiveLink:
-    inertial = UncertainInertia(pseudo_inertia.quantities_of(parameters), link.std_quantities)
-    return MassiveLink(inertial, link.merged or (), link.cannot_tell, link.from_data)
+    quantities = pseudo_inertia.quantities_of(parameters)
+    return MassiveLink(quantities, link.std_quantities, link.merged or (), link.cannot_tell, link.from_data)
 
 
 def _found_payloads(bodies: Mapping[str, MassiveLink], effects: Sequence[KnownEffect]) -> dict[str, MassiveLink]:
@@ -221,5 +213,5 @@ def _found_payloads(bodies: Mapping[str, MassiveLink], effects: Sequence[KnownEf
         name = f"{effect.link}_payload"
         if is_body(effect) and name in bodies:
             std = [effect.parameters[key].std if key in effect.parameters else np.nan for key in _PAYLOAD]
-            found[name] = MassiveLink(UncertainInertia(bodies[name].inertial.quantities, np.array(std)))
+            found[name] = MassiveLink(bodies[name].quantities, np.array(std))
     return found

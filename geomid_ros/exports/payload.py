@@ -61,7 +61,7 @@ def difference(model: Model, reference: Model, frame: str) -> Export:
         *_joints_at_zero(model, carried, frame),
         *_exact(model, carried, inertial),
         *_exact(reference, taken, inertial),
-        *([_AS_INDEPENDENT] if any(reference.bodies[link].inertial.has_std for link in taken) else []),
+        *([_AS_INDEPENDENT] if any(reference.bodies[link].has_std for link in taken) else []),
         *_other_differences(model, reference, frame),
     )
     return Export(f"payload at '{frame}': {what}", frame, inertial, notes)
@@ -73,7 +73,7 @@ def each_link(model: Model) -> list[Export]:
     exports = []
     for name in model.estimated or model.bodies:
         body = model.bodies[name]
-        inertial = total([Summand(body.inertial, np.eye(4))], f"{model.source}: link '{name}'")
+        inertial = total([Summand(body, np.eye(4))], f"{model.source}: link '{name}'")
         exports.append(Export(f"link '{name}'", name, inertial, _link_notes(body)))
     return exports
 
@@ -99,7 +99,7 @@ def _sum_of(model: Model, links: Sequence[str], frame: str) -> Export:
         )
     _check_identified(model, massive)
     inertial = total(_terms(model, massive, frame), f"{model.source}: {', '.join(massive)} together")
-    parts = ", ".join(f"{link} ({model.bodies[link].inertial.mass:.4g} kg)" for link in massive)
+    parts = ", ".join(f"{link} ({model.bodies[link].mass:.4g} kg)" for link in massive)
     unidentified = [
         f"hardly identified by the data of {link}, mostly as in the prior: {', '.join(quantities)}"
         for link in massive
@@ -127,7 +127,7 @@ def _moving_with(model: Model, frame: str) -> list[str]:
 
 
 def _terms(model: Model, links: Sequence[str], frame: str, sign: float = 1.0) -> list[Summand]:
-    return [Summand(model.bodies[link].inertial, model.placement(link, frame), sign) for link in links]
+    return [Summand(model.bodies[link], model.placement(link, frame), sign) for link in links]
 
 
 def _check_whole(model: Model, links: Sequence[str]) -> None:
@@ -143,7 +143,7 @@ def _check_whole(model: Model, links: Sequence[str]) -> None:
 
 
 def _check_identified(model: Model, links: Sequence[str]) -> None:
-    masses = {link: model.bodies[link].inertial.mass for link in links}
+    masses = {link: model.bodies[link].mass for link in links}
     unidentified = {link: names for link in links if (names := _unidentified_weight(model.bodies[link]))}
     if sum(masses[link] for link in unidentified) > _UNIDENTIFIED_SHARE * sum(masses.values()):
         quantities = "; ".join(f"{', '.join(names)} of '{link}'" for link, names in unidentified.items())
@@ -169,7 +169,7 @@ def _joints_at_zero(model: Model, links: Sequence[str], frame: str) -> list[str]
 
 def _exact(model: Model, links: Sequence[str], inertial: UncertainInertia) -> list[str]:
     """Which links count as exact in the sum ``inertial``."""
-    names = [link for link in links if not model.bodies[link].inertial.has_std]
+    names = [link for link in links if not model.bodies[link].has_std]
     return [f"taken as exact: {', '.join(names)} of {model.source}"] if names and inertial.has_std else []
 
 
@@ -177,7 +177,7 @@ def _other_differences(model: Model, reference: Model, frame: str) -> list[str]:
     """Links elsewhere that differ: part of the payload may be in them."""
     carried = model.tree.subtree(_carrier(model, frame))
     common = [link for link in _massive(model, model.tree.links) if link in reference.bodies and link not in carried]
-    differing = [link for link in common if not _same(model.bodies[link].inertial, reference.bodies[link].inertial)]
+    differing = [link for link in common if not _same(model.bodies[link], reference.bodies[link])]
     if not differing:
         return []
     weighing = f"weigh it by {_weighing(reference, frame)}"

@@ -18,7 +18,6 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.exports.descriptions import DESCRIPTIONS, as_described
 from geomid_ros.exports.formats import JSON, SAME
-from geomid_ros.exports.inertial import UncertainInertia
 from geomid_ros.exports.model import Model, read_model
 from geomid_ros.exports.patch_mjcf import OwnMjcf, read_own_mjcf
 from geomid_ros.files.models.effect_forms import by_parameter, is_coefficient
@@ -63,16 +62,14 @@ class DrawnRobots:
         links = dict(
             zip(self.posterior.links, parameters[: 10 * len(self.posterior.links)].reshape(-1, 10), strict=True)
         )
-        bodies = {
-            name: replace(
-                self.model.bodies[name],
-                inertial=UncertainInertia(pseudo_inertia.quantities_of(own), np.full(10, np.nan)),
-            )
+        bodies, unknown = self.model.bodies, np.full(10, np.nan)
+        drawn = {
+            name: replace(bodies[name], quantities=pseudo_inertia.quantities_of(own), std=unknown)
             for name, own in links.items()
         }
         return replace(
             self.model,
-            bodies={**self.model.bodies, **bodies},
+            bodies={**bodies, **drawn},
             urdf=with_inertials(self.model.urdf, {name: inertia_of(own) for name, own in links.items()}),
             effects=self._effects(parameters),
         )
@@ -144,7 +141,7 @@ def _check_same(model: Model, posterior: Posterior, file: Path) -> None:
             f"{file}: of the links {', '.join(posterior.links)}, and {model.source} of {', '.join(model.estimated)}"
         )
     for name, own in zip(posterior.links, pseudo_inertia.quantities_of(parameters), strict=True):
-        there = model.bodies[name].inertial.quantities
+        there = model.bodies[name].quantities
         if not np.allclose(own, there, rtol=SAME, atol=SAME * np.max(np.abs(there))):
             raise InputError(f"{file}: not of the estimate beside it, {model.source}; keep together what one run wrote")
 
@@ -172,11 +169,11 @@ def described(
 def _writer(model: Model, tool: str, into: Path | None, packages: Mapping[str, Path]) -> Callable[[Model], str]:
     """What makes the text of a drawn robot."""
     if tool != "mujoco":
-        return lambda drawn: DESCRIPTIONS[tool].whole(as_described(drawn), packages).text
+        return lambda drawn: DESCRIPTIONS[tool].whole(as_described(drawn, packages)).text
     if into is not None:
         own = read_own_mjcf(model, into)
         return replace(own, text=_with_absolute_folders(own.text, into)).with_numbers
-    text = DESCRIPTIONS[tool].whole(as_described(model), packages).text
+    text = DESCRIPTIONS[tool].whole(as_described(model, packages)).text
     placements = {name: np.eye(4) for name in model.estimated}
     joints = [joint.name for joint in model.tree.joints]
     return OwnMjcf(model.urdf_path, text, placements, joints, ()).with_numbers
@@ -204,7 +201,7 @@ def _json(robots: DrawnRobots) -> str:
 def _entries(robots: DrawnRobots, model: Model) -> dict[str, Any]:
     links = []
     for name, merged in zip(robots.posterior.links, robots.posterior.merged, strict=True):
-        inertial = model.bodies[name].inertial
+        inertial = model.bodies[name]
         links.append(link_entry(name, merged, (inertial.mass, inertial.com, inertial.inertia)))
     return {
         "links": links,
@@ -270,7 +267,7 @@ def _events(robots: DrawnRobots) -> dict[str, Any]:
     events = {}
     for link, quantities in _quantities(robots).items():
         body = {"name": "robot", "body_names": link}
-        centre = robots.model.bodies[link].inertial.com
+        centre = robots.model.bodies[link].com
         shifts = dict(zip("xyz", map(_band, quantities[:, 1:4].T - centre[:, None]), strict=True))
         mass = {"mass_distribution_params": _band(quantities[:, 0]), "recompute_inertia": True}
         events[f"mass_of_{link}"] = _event("randomize_rigid_body_mass", body, mass, absolute=True)

@@ -16,7 +16,7 @@ from model.robots import random_samples
 from scipy.spatial.transform import Rotation
 
 from geomid_ros.errors import InputError
-from geomid_ros.exports.descriptions import DESCRIPTIONS
+from geomid_ros.exports.descriptions import DESCRIPTIONS, described
 from geomid_ros.exports.model import Model, read_model
 from geomid_ros.exports.patch_mjcf import into_mjcf
 from geomid_ros.exports.payload import each_link
@@ -53,7 +53,7 @@ def written(folder: Path, effects: list[KnownEffect], urdf: str = URDF) -> Model
 
 
 def exported(model: Model, tool: str, packages: dict[str, Path] | None = None) -> str:
-    return DESCRIPTIONS[tool].robot(model, each_link(model), packages or {}).text
+    return described(model, tool, each_link(model), packages or {}).text
 
 
 def predicted(model: Model) -> tuple[Samples, FloatArray]:
@@ -171,7 +171,7 @@ CANNOT = {
 @pytest.mark.parametrize("tool", DESCRIPTIONS)
 def test_what_a_format_cannot_say_is_said(tool: str, tmp_path: Path) -> None:
     at_two = [known for known in EFFECTS if known.joint == "joint2"]
-    whole = DESCRIPTIONS[tool].robot(written(tmp_path, [*at_two, SPRING, LOAD]), [], {})
+    whole = described(written(tmp_path, [*at_two, SPRING, LOAD]), tool, [], {})
     sentence = whole.lacks[0]
     said = {*sentence.removeprefix("Not representable here: ").split("; ")}
     assert said == CANNOT[tool] | {"load friction of joint3"}
@@ -184,7 +184,7 @@ def test_shapes_come_along_as_far_as_their_meshes_are_found(tmp_path: Path) -> N
     head, _, tail = URDF.partition("</link>")
     both = (mesh.format("there.obj") + mesh.format("gone.stl")).replace("</link>", "", 1)
     model = written(tmp_path, [], head + both + tail)
-    whole = DESCRIPTIONS["mujoco"].robot(model, [], {"none": tmp_path})
+    whole = described(model, "mujoco", [], {"none": tmp_path})
     compiled = mujoco.MjModel.from_xml_string(whole.text)
     shapes = len(re.findall("<(?:visual|collision)>", URDF))
     assert (compiled.ngeom, compiled.nmesh) == (shapes + 1, 1)
@@ -255,7 +255,7 @@ def test_a_spring_in_degrees_and_what_others_count_in(tmp_path: Path) -> None:
     whole = into_mjcf(model, own)
     masses = mujoco.MjModel.from_xml_string(whole.text)
     assert masses.body("tool").mass[0] == 0.0
-    assert masses.body("link3").mass[0] == pytest.approx(model.bodies["link3"].inertial.mass)
+    assert masses.body("link3").mass[0] == pytest.approx(model.bodies["link3"].mass)
     assert any("tool" in sentence for sentence in whole.lacks)
 
 
@@ -274,7 +274,7 @@ def test_a_payload_is_carried_by_its_link(tmp_path: Path) -> None:
     model, own = written(tmp_path, [effect("payload", "link3", **PAYLOAD)]), tmp_path / "own.xml"
     own.write_text(mjcf(Robot(URDF), {}))
     mass = mujoco.MjModel.from_xml_string(into_mjcf(model, own).text).body("link3").mass[0]
-    assert mass == pytest.approx(model.bodies["link3"].inertial.mass + PAYLOAD["mass"])
+    assert mass == pytest.approx(model.bodies["link3"].mass + PAYLOAD["mass"])
 
 
 def test_a_file_that_only_mujoco_can_read_is_refused(tmp_path: Path) -> None:

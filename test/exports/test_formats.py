@@ -16,6 +16,7 @@ from geometry_msgs.msg import Inertia, Vector3
 
 from geomid_ros.errors import InputError
 from geomid_ros.exports import formats
+from geomid_ros.exports.descriptions import DescriptionFormat, Whole
 from geomid_ros.exports.inertial import Export
 from geomid_ros.exports.model import read_model
 from geomid_ros.exports.payload import attached, each_link
@@ -37,7 +38,7 @@ TRUTH = ROBOT.seen("tool", "flange")
 
 
 def pasted(export: Export, inertial: Callable[[Export], str]) -> str:
-    return formats.described([export], inertial)
+    return DescriptionFormat((), inertial, lambda _: Whole("", [])).payload(export)
 
 
 def line(text: str, start: str) -> str:
@@ -132,10 +133,12 @@ def test_every_link_in_its_own_frame(tmp_path: Path) -> None:
     chain = Chain((Link("a---b", "", bodies[0]), Link("c", "a---b", bodies[1], "continuous", (1, 2, 3), (1, 2, 3))))
     exports = each_link(read_model(chain.write(tmp_path)))
     for element, write in {"mass": formats.sdf_inertial, "inertial": formats.mjcf_inertial}.items():
-        root = ET.fromstring(f"<all>{formats.described(exports, write)}</all>")
+        root = ET.fromstring(f"<all>{''.join(pasted(own, write) for own in exports)}</all>")
         masses = [float(own.get("mass") or own.text or "nan") for own in root.iter(element)]
         assert masses == pytest.approx([body.mass for body in bodies], rel=1e-8)
-    links = ET.fromstring(f"<all>{formats.described(exports, formats.urdf_inertial)}</all>").findall("inertial/origin")
+    links = ET.fromstring(f"<all>{''.join(pasted(own, formats.urdf_inertial) for own in exports)}</all>").findall(
+        "inertial/origin"
+    )
     for origin, body in zip(links, bodies, strict=True):
         np.testing.assert_allclose([float(own) for own in (origin.get("xyz") or "").split()], body.com, **EXACT)
 

@@ -33,7 +33,7 @@ def found() -> Identification:
 
 
 def handed(reader: str) -> HandedOver:
-    return HandedOver(found().session, found().estimate, reader, {})
+    return HandedOver(found().session, found().estimate, reader)
 
 
 def expected(reader: str) -> dict[str, float]:
@@ -68,7 +68,7 @@ def test_springs_rest_and_couplings_are_loaded_as_they_were_fitted(reader: str) 
     """What the file holds: all of it in an MJCF, all but couplings for Gazebo; no offset is left to a sensor."""
     if reader == "mujoco":
         pytest.importorskip("mujoco")
-    result = HandedOver(rich().session, rich().estimate, reader, {})
+    result = HandedOver(rich().session, rich().estimate, reader)
     parameters = rich().estimate.within[reader]
     names = [c.effect.name for c in rich().session.model.coefficients]
     coupled = [parameters[30 + k] for k, name in enumerate(names) if name.startswith("coupled")]
@@ -135,7 +135,7 @@ def test_what_is_exported_later_is_what_was_fitted_then(reader: str, tmp_path: P
     assert model.fitted
     written = found().session.written_model(found().estimate, reader)
     for name, parameters in written.inertias.items():
-        assert model.bodies[name].inertial.mass == pytest.approx(parameters[0], rel=1e-9)
+        assert model.bodies[name].mass == pytest.approx(parameters[0], rel=1e-9)
     said = {(effect.effect, effect.joint): effect for effect in model.effects}
     for effect in written.effects:
         there = said[effect.effect, effect.joint]

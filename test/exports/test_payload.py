@@ -181,9 +181,9 @@ def test_standard_deviations_are_those_of_repeated_draws() -> None:
 def test_an_uncertainty_that_is_not_known_is_not_made_up(tmp_path: Path) -> None:
     """Of all: not known. Of one part: that counts as exact, and it is said which."""
     unknown = np.full(10, np.nan)
-    one, other = (replace(term, inertial=replace(term.inertial, std=unknown)) for term in map(random_term, (5, 6)))
+    one, other = (term._replace(inertial=replace(term.inertial, std=unknown)) for term in map(random_term, (5, 6)))
     assert np.all(np.isnan(total([one, other], "sum").std))
-    sure = replace(other, inertial=replace(other.inertial, std=0.01 * np.abs(other.inertial.quantities)))
+    sure = other._replace(inertial=replace(other.inertial, std=0.01 * np.abs(other.inertial.quantities)))
     assert total([one, sure], "sum").std[0] == pytest.approx(0.01 * other.inertial.mass)
     model, reference = read_model(merged().write(tmp_path / "with")), read_model(Chain(ARM).write(tmp_path / "arm"))
     payload = difference(model, reference, "tool0")
