@@ -20,12 +20,11 @@ from geomid_ros.exports.descriptions import DESCRIPTIONS, as_described
 from geomid_ros.exports.formats import JSON, SAME
 from geomid_ros.exports.model import Model, read_model
 from geomid_ros.exports.patch_mjcf import OwnMjcf, read_own_mjcf
-from geomid_ros.files.models.effect_forms import by_parameter, is_coefficient
+from geomid_ros.files.models.effect_forms import by_parameter
 from geomid_ros.files.models.estimate_file import link_entry
 from geomid_ros.files.models.posterior import beside, read_posterior
-from geomid_ros.files.models.sidecar import coefficient_entry
+from geomid_ros.files.models.sidecar import effects_entries
 from geomid_ros.files.models.urdf import inertia_of, with_inertials
-from geomid_ros.files.schema import plain
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
 from geomid_ros.model.effects.parameters import COM_ENTRIES
@@ -203,11 +202,7 @@ def _entries(robots: DrawnRobots, model: Model) -> dict[str, Any]:
     for name, merged in zip(robots.posterior.links, robots.posterior.merged, strict=True):
         inertial = model.bodies[name]
         links.append(link_entry(name, merged, (inertial.mass, inertial.com, inertial.inertia)))
-    return {
-        "links": links,
-        "effects": [coefficient_entry(effect) for effect in model.effects if is_coefficient(effect)],
-        "added": [plain(effect) for effect in model.effects if not is_coefficient(effect)],
-    }
+    return {"links": links, **effects_entries(model.effects)}
 
 
 _HEADER = """\

@@ -20,14 +20,13 @@ from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.identifier import Memory
 from geomid_ros.files.archive import MOST_HEADER, decoded, encoded
-from geomid_ros.files.disk import FOR_OWNER, make_folder, write_bytes
+from geomid_ros.files.disk import FOR_OWNER, make_folder, read_bytes, write_bytes
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.moving import REGIMES
 from geomid_ros.signals.ledger import Account
 
 _NAMES = ("checkpoint-a.safetensors", "checkpoint-b.safetensors")
 _LOCK = ".lock"
-_READ = os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC  # of a pipe it waits for nobody
 _ASIDE = "unused-"  # how the names of files begin that could not be used
 _MOST_ASIDE = 10
 
@@ -88,7 +87,7 @@ class CheckpointFolder:
             mode = stat.S_IMODE(path.stat().st_mode)
             if mode & (stat.S_IRWXG | stat.S_IRWXO):
                 raise GeomidError(f"{path}: no checkpoints in a folder that others may use (mode {mode:o}): chmod 700")
-            self._lock = os.open(path / _LOCK, _READ | os.O_CREAT, FOR_OWNER)
+            self._lock = os.open(path / _LOCK, os.O_RDONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, FOR_OWNER)
         except OSError as error:
             raise GeomidError(f"{path}: no folder for checkpoints ({error.strerror or error})") from error
         try:
@@ -140,10 +139,12 @@ class CheckpointFolder:
         """The checkpoints that can be read, and what is wrong with the others, by name."""
         found, problems = {}, {}
         for name in _NAMES:
+            path = self.path / name
             try:
-                content = _content(self.path / name, self._limit)
-                if content is not None:
-                    found[name] = decoded(Checkpoint, content, self._meaning)
+                if path.is_symlink():
+                    raise InputError("a link, which may lead out of the folder")  # noqa: TRY301
+                if path.exists():
+                    found[name] = decoded(Checkpoint, read_bytes(path, "checkpoint", self._limit), self._meaning)
             except InputError as error:
                 problems[name] = str(error)
         return found, problems
@@ -184,18 +185,3 @@ def _renamed(path: Path) -> str:
     aside = next(path.with_name(name) for name in names if not path.with_name(name).exists())
     path.rename(aside)
     return aside.name
-
-
-def _content(path: Path, limit: int) -> bytes | None:
-    """The bytes of a file, None if it is absent. Raises InputError."""
-    try:
-        descriptor = os.open(path, _READ)
-        with os.fdopen(descriptor, "rb") as file:
-            status = os.fstat(descriptor)
-            if not stat.S_ISREG(status.st_mode) or status.st_size > limit:
-                raise InputError(f"no regular file of at most {limit} bytes")
-            return file.read(limit)
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror or error})") from error

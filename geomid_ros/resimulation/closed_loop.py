@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.files.models.written_model import ModelFiles
-from geomid_ros.model.effects import Motion
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.resimulate import Resimulated, SimulatedTrace
@@ -18,6 +17,7 @@ from geomid_ros.resimulation.windows import (
     Windows,
     WindowSimulation,
     interpolated,
+    motion_at,
     root_mean_square,
     stretches,
 )
@@ -261,10 +261,7 @@ def _driving(
     setpoints = controller.stiffness * interpolated(times, part.position, middles - 0.5 * simulation.step)
     setpoints += controller.damping * interpolated(times, part.velocity, middles + 0.5 * simulation.step)
     needed = _effort(part, controller, samples.position, samples.velocity)
-    effort, feedforward, *motion = (
-        interpolated(times, values, middles)
-        for values in (needed, part.feedforward, samples.position, samples.velocity, samples.acceleration)
-    )
-    moving = Motion(*motion)
+    effort, feedforward = (interpolated(times, values, middles) for values in (needed, part.feedforward))
+    moving = motion_at(part.stretch, middles)
     free = feedforward + controller.constant + setpoints - robot.unsaid_friction(effort, moving)
     return np.where(controller.found, free, robot.prescribed_effort(moving.acceleration))

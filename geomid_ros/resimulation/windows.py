@@ -13,6 +13,7 @@ from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import Motion
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
+from geomid_ros.resimulation.written_robot import WrittenRobot
 from geomid_ros.resimulation.written_robot import Rollout, WrittenRobot
 from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import BoolArray, FloatArray, IntArray
@@ -50,15 +51,6 @@ class Windows:
         """Indices of each window's samples behind its start ``(W, intervals)``."""
         return self.starts[:, None] + 1 + np.arange(self.intervals)
 
-    def substeps(self, step: float) -> int:
-        """Number of integration steps, none longer than ``step`` [s], from one sample to the next."""
-        return max(1, int(np.ceil(self.stretch.period / step - 1e-9)))
-
-    def instants(self, substeps: int) -> FloatArray:
-        """The middles of the integration steps of each window ``(W, steps)`` [s]."""
-        steps = np.arange(self.intervals * substeps) + 0.5
-        return self.stretch.times[self.starts, None] + self.stretch.period * steps / substeps
-
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
@@ -76,14 +68,20 @@ class WindowSimulation:
     def __init__(self, robot: WrittenRobot, windows: Windows) -> None:
         self._robot = robot
         self.windows = windows
-        self._substeps = windows.substeps(robot.step)
-        self.step = windows.stretch.period / self._substeps
-        self.instants = windows.instants(self._substeps)
+        period, times = windows.stretch.period, windows.stretch.times
+        # From one sample to the next, none longer than the robot's step.
+        self._substeps = max(1, int(np.ceil(period / robot.step - 1e-9)))
+        self.step = period / self._substeps
+        middles = period * (np.arange(windows.intervals * self._substeps) + 0.5) / self._substeps
+        self.instants = times[windows.starts, None] + middles
+        """The middles of the integration steps of each window ``(W, steps)`` [s]."""
 
     @cached_property
     def driving(self) -> FloatArray:
         """Measured efforts as they drive the joints in MuJoCo, in the middle of each step ``(W, steps, J)``."""
-        return driving_efforts(self._robot, self.windows.stretch, self.instants)
+        robot, samples, times = self._robot, self.windows.stretch.samples, self.windows.stretch.times
+        true = robot.true_effort(interpolated(times, samples.effort, self.instants + robot.delay))
+        return robot.driving_effort(true, motion_at(self.windows.stretch, self.instants))
 
     @cached_property
     def _states(self) -> tuple[FloatArray, FloatArray]:
@@ -101,19 +99,9 @@ class WindowSimulation:
     def run(self, disturbance: FloatArray | float = 0.0, driving: FloatArray | None = None) -> Simulated:
         """Simulate under the measured efforts, or those ``driving (W, steps, J)``, and a disturbance of that shape."""
         efforts = (self.driving if driving is None else driving) + disturbance
-        return self._simulated(self._robot.rollout(*self._states, efforts, self.step))
-
-    def _simulated(self, rollout: Rollout) -> Simulated:
+        position, velocity, sensed = self._robot.rollout(*self._states, efforts, self.step)
         at_samples = slice(self._substeps - 1, None, self._substeps)
-        return Simulated(rollout.position[:, at_samples], rollout.velocity[:, at_samples], rollout.sensed.mean(axis=1))
-
-
-def driving_efforts(robot: WrittenRobot, stretch: Stretch, instants: FloatArray) -> FloatArray:
-    """Measured efforts as they drive the joints in MuJoCo at ``instants (...)`` [s], ``(..., J)``."""
-    samples, times = stretch.samples, stretch.times
-    true = robot.true_effort(interpolated(times, samples.effort, instants + robot.delay))
-    motion = (samples.position, samples.velocity, samples.acceleration)
-    return robot.driving_effort(true, Motion(*(interpolated(times, values, instants) for values in motion)))
+        return Simulated(position[:, at_samples], velocity[:, at_samples], sensed.mean(axis=1))
 
 
 _SHORTEST = 0.25  # [s] a shorter part is not used
@@ -152,6 +140,13 @@ def interpolated(times: FloatArray, values: FloatArray, at: FloatArray) -> Float
     return np.asarray(spline(at))
 
 
+def motion_at(stretch: Stretch, instants: FloatArray) -> Motion:
+    """The measured motion at ``instants (...)`` [s], ``(..., J)`` each."""
+    samples = stretch.samples
+    parts = (samples.position, samples.velocity, samples.acceleration)
+    return Motion(*(interpolated(stretch.times, part, instants) for part in parts))
+
+
 _DRAWS = 4  # of noise for each window
 
 
@@ -183,20 +178,15 @@ class Errors:
     def of(self, windows: Windows, instants: FloatArray, robot: WrittenRobot, simulated: Simulated) -> FloatArray:
         """Measured minus simulated."""
         velocity = windows.stretch.samples.velocity[windows.samples[:, -1]] - simulated.velocity[:, -1]
-        motion = self._mean_motion(windows, instants)
+        moving = motion_at(windows.stretch, instants)
+        motion = Motion(*(part.mean(axis=1) for part in (moving.position, moving.velocity, moving.acceleration)))
         wrenches = [
-            _mean(windows, instants, self._measured(windows.stretch, sensor))
+            interpolated(windows.stretch.times, self._measured(windows.stretch, sensor), instants).mean(axis=1)
             - robot.wrench(simulated.sensed, sensor)[:, sensor.axis_indices]
             - robot.wrench_error(motion, sensor)
             for sensor in self._sensors
         ]
         return np.hstack([velocity, *wrenches])
-
-    @staticmethod
-    def _mean_motion(windows: Windows, instants: FloatArray) -> Motion:
-        samples = windows.stretch.samples
-        parts = (samples.position, samples.velocity, samples.acceleration)
-        return Motion(*(_mean(windows, instants, part) for part in parts))
 
     def of_noise(self, simulation: WindowSimulation, robot: WrittenRobot, undisturbed: Simulated) -> FloatArray:
         """What noise in the efforts and wrenches changes, ``(draws W, channels)``."""
@@ -211,11 +201,6 @@ class Errors:
             changes.append(np.hstack([velocity, *wrenches]))
             changes[-1][:, self._joints :] -= noise[..., self._joints :].mean(axis=1)
         return np.concatenate(changes)
-
-
-def _mean(windows: Windows, instants: FloatArray, values: FloatArray) -> FloatArray:
-    """Of ``values (N, K)`` at the instants of each window, ``(W, K)``."""
-    return np.asarray(interpolated(windows.stretch.times, values, instants).mean(axis=1))
 
 
 def root_mean_square(parts: Sequence[FloatArray]) -> FloatArray:

@@ -25,16 +25,6 @@ _STILL_SPEED = 0.02  # [rad/s, m/s] within which the sign of a velocity is smoot
 _IMMOVABLE = 1e7  # [kg m^2, kg] inertia of a joint that follows its measured motion, whatever acts on it
 
 
-@dataclass(frozen=True, eq=False)
-class Rollout:
-    """The joints' ``position, velocity (W, steps, J)`` after each step of W runs, and what the sensors show before it,
-    ``sensed (W, steps, values)``."""
-
-    position: FloatArray
-    velocity: FloatArray
-    sensed: FloatArray
-
-
 class WrittenRobot:
     """A compiled ``model`` with a fixed base. Arrays ``(..., J)`` follow ``joints``, the measured ones.
 
@@ -210,9 +200,16 @@ class WrittenRobot:
             efforts[index] = data.qfrc_inverse[list(self.gears)]
         return efforts
 
-    def rollout(self, position: FloatArray, velocity: FloatArray, efforts: FloatArray, step: float) -> Rollout:
-        """Integrate in steps of ``step`` [s] from states, ``position, velocity (W, nv)`` in MuJoCo's order, under
-        ``efforts (W, steps, J)`` of the joints."""
+    def rollout(
+        self, position: FloatArray, velocity: FloatArray, efforts: FloatArray, step: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Integrate W runs in steps of ``step`` [s] from states, ``position, velocity (W, nv)`` in MuJoCo's order,
+        under ``efforts (W, steps, J)`` of the joints.
+
+        Returns:
+            Positions and velocities of the joints ``(W, steps, J)`` after each step, and what the sensors show before
+            it, ``(W, steps, values)``.
+        """
         model, mujoco = self.model, self.mujoco
         applied = np.zeros((*efforts.shape[:2], model.nv))
         applied[:, :, self.dofs] = efforts
@@ -228,7 +225,7 @@ class WrittenRobot:
             )
         finally:
             model.opt.timestep = written
-        return Rollout(states[:, :, 1 + self.dofs], states[:, :, 1 + model.nq + self.dofs], sensed)
+        return states[:, :, 1 + self.dofs], states[:, :, 1 + model.nq + self.dofs], sensed
 
 
 FLOATING = "the base floats, and its motion cannot be simulated without its contacts"

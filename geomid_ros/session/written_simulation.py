@@ -14,9 +14,10 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.disk import write_text
+from geomid_ros.files.models.estimate_file import by_channel
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.sidecar import write_sidecar
-from geomid_ros.files.models.written_model import ModelFiles, NoiseFloor, WrittenModel, model_files, write_model
+from geomid_ros.files.models.written_model import ModelFiles, WrittenModel, write_model
 from geomid_ros.gap.result import GapResult
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.samples import Samples
@@ -54,9 +55,9 @@ def write_found(folder: Path, session: Session, result: GapResult) -> list[Path]
         The files: estimate.json, identified.urdf, identified.xml (MJCF) and effects.yaml.
     """
     known = session.loaded.refitted(session.model, result.coefficients, result.beside)
-    floor = NoiseFloor(result.channels, result.corrected_floor, result.cutoff)
+    noise = {"floor": by_channel(result.channels, result.corrected_floor), "cutoff": result.cutoff}
     effects = [*known.beside_inertias, *result.ordinary, *result.sure]
-    return _write(folder, session, result.inertias, effects, floor=floor, folded=result.folded)
+    return _write(folder, session, result.inertias, effects, noise=noise, folded=result.folded)
 
 
 def nominal_inertias(session: Session) -> FloatArray:
@@ -98,7 +99,7 @@ def simulate_again(
         before, after = Path(folder) / "before", Path(folder) / "after"
         _write(before, session, nominal_inertias(session), known.in_samples)
         _write(after, session, result.inertias, [*fitted.in_samples, *result.ordinary, *result.sure])
-        files = model_files(before), model_files(after)
+        files = ModelFiles.of(before), ModelFiles.of(after)
         try:
             return _simulated(session, Noise.of(result), files, sharp, commands, cutoff)
         except InputError as error:  # what was found is worth more than its simulation

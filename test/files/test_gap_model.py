@@ -9,8 +9,9 @@ from xml.etree import ElementTree
 import numpy as np
 import yaml
 
+from geomid_ros.files.models.estimate_file import by_channel
 from geomid_ros.files.models.loaded_model import LoadedModel
-from geomid_ros.files.models.written_model import NoiseFloor, write_model
+from geomid_ros.files.models.written_model import write_model
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
@@ -31,10 +32,10 @@ def test_files_that_cannot_say_a_friction_have_the_other_without_it(tmp_path: Pa
         friction("quadratic_friction", -0.5, "N m s^2/rad^2"),
     ]
     inertias = dict(zip(MODEL.body_names, MODEL.nominal_inertias.reshape(-1, 10), strict=True))
-    floor = NoiseFloor(MODEL.robot.joint_names, np.array([0.1, 0.2, np.nan]), 8.0)
+    noise = {"floor": by_channel(MODEL.robot.joint_names, np.array([0.1, 0.2, np.nan])), "cutoff": 8.0}
     folded = {("joint1", "dynamics/damping"): -0.4}
     gravity = MODEL.robot.gravity
-    write_model(tmp_path, MODEL, URDF, inertias, effects, gravity, floor=floor, folded=folded)
+    write_model(tmp_path, MODEL, URDF, inertias, effects, gravity, noise=noise, folded=folded)
     joint = ElementTree.parse(tmp_path / "identified.urdf").find("joint[@name='joint1']/dynamics")
     assert joint is not None
     assert float(joint.attrib["damping"]) == 1.6

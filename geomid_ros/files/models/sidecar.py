@@ -20,7 +20,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ import yaml
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.disk import write_text
+from geomid_ros.files.models.effect_forms import is_coefficient
 from geomid_ros.files.parameter_file import read_yaml
 from geomid_ros.files.schema import FORMAT, check_form, plain, structured
 from geomid_ros.model.effects import EFFECTS, KnownEffect, ParameterForm, Quantity, effect_class
@@ -90,6 +91,15 @@ def coefficient_entry(effect: KnownEffect) -> dict[str, Any]:
     name = effect_class(effect.effect).usual_constant
     constants = {name: effect.parameters[name].value} if name in effect.parameters else {}
     return {"name": effect.effect, "joint": effect.joint, **plain(quantity), **constants}
+
+
+def effects_entries(effects: Iterable[KnownEffect]) -> dict[str, Any]:
+    """The ``effects`` of one coefficient at a joint, and those of other forms that are ``added``."""
+    kinds: dict[str, Any] = {"effects": [], "added": []}
+    for effect in effects:
+        single = is_coefficient(effect)
+        kinds["effects" if single else "added"].append(coefficient_entry(effect) if single else plain(effect))
+    return kinds
 
 
 def write_sidecar(

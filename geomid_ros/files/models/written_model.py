@@ -11,6 +11,7 @@ import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -19,16 +20,15 @@ from geomid_ros.checks.causes import Finding
 from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.disk import write_json, write_text
-from geomid_ros.files.models.effect_forms import ELEMENTS, combined, continued, is_coefficient
+from geomid_ros.files.models.effect_forms import ELEMENTS, combined, continued
 from geomid_ros.files.models.estimate_file import (
     EstimateFile,
-    by_channel,
     inertias_of,
     link_entry,
     verdict_entry,
 )
 from geomid_ros.files.models.mjcf import mjcf
-from geomid_ros.files.models.sidecar import check_effect, coefficient_entry, write_sidecar
+from geomid_ros.files.models.sidecar import check_effect, effects_entries, write_sidecar
 from geomid_ros.files.models.urdf import inertia_of, with_effects, with_inertials
 from geomid_ros.files.schema import FORMAT, plain
 from geomid_ros.files.schema import FORMAT
@@ -38,7 +38,6 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
 ESTIMATE, URDF, MJCF, EFFECTS_FILE = "estimate.json", "identified.urdf", "identified.xml", "effects.yaml"
-_NOTHING: Mapping[tuple[str, str], float] = {}
 
 
 @dataclass(frozen=True)
@@ -48,14 +47,10 @@ class ModelFiles:
     mjcf: Path
     effects: Path | None = None
 
-
-@dataclass(frozen=True, eq=False)
-class NoiseFloor:
-    """The noise's standard deviation in each of ``channels``, ``stds (C,)``, below the ``cutoff`` [Hz]."""
-
-    channels: Sequence[str]
-    stds: FloatArray
-    cutoff: float
+    @staticmethod
+    def of(folder: Path) -> ModelFiles:
+        """Those of :func:`write_model` in a folder."""
+        return ModelFiles(folder / MJCF, folder / EFFECTS_FILE)
 
 
 def write_model(
@@ -66,15 +61,15 @@ def write_model(
     effects: Iterable[KnownEffect],
     gravity: FloatArray,
     findings: Sequence[Finding] = (),
-    floor: NoiseFloor | None = None,
-    folded: Mapping[tuple[str, str], float] = _NOTHING,
+    noise: Mapping[str, Any] = MappingProxyType({}),
+    folded: Mapping[tuple[str, str], float] = MappingProxyType({}),
 ) -> list[Path]:
     """Write the model with ``inertias (10,)`` of identified bodies by name and all of its ``effects`` into ``folder``;
     returns the files.
 
     ``gravity (3,)`` is that of a base which stands straight; ``findings`` are what seems to be wrong with the recording
-    that the model is from, whose ``floor`` is written if it is known; ``folded``: by how much attributes of joints
-    differ in URDF and MJCF, which cannot say all friction. Of effects that are there twice, see
+    that the model is from, ``noise`` its floor by channel and its cutoff, if known; ``folded``: by how much attributes
+    of joints differ in URDF and MJCF, which cannot say all friction. Of effects that are there twice, see
     :func:`~geomid_ros.files.models.effect_forms.combined`.
     """
     effects = combined(effects)
@@ -82,16 +77,14 @@ def write_model(
     bodies = {name: inertia_of(parameters) for name, parameters in inertias.items()}
     merged = {body.name: body.merged for body in model.robot.bodies if body.name in bodies}
     removed = [name for names in merged.values() for name in names]
-    noise = {} if floor is None else {"floor": by_channel(floor.channels, floor.stds), "cutoff": floor.cutoff}
     document = {
         "format": FORMAT,
         "links": [link_entry(name, merged[name], inertia) for name, inertia in bodies.items()],
-        "effects": [coefficient_entry(effect) for effect in effects if is_coefficient(effect)],
-        "added": [plain(effect) for effect in effects if not is_coefficient(effect)],
+        **effects_entries(effects),
         "robot": model.robot.name,
         "verdict": verdict_entry(recording_verdict(findings), findings),
     }
-    write_json(folder / ESTIMATE, document | noise)
+    write_json(folder / ESTIMATE, document | dict(noise))
     write_text(folder / URDF, with_effects(with_inertials(urdf, bodies, removed), alone))
     write_text(folder / MJCF, mjcf(model.robot, inertias, alone, model.sensors, gravity))
     write_sidecar(folder / EFFECTS_FILE, model.robot.name, effects, alone)
@@ -111,11 +104,6 @@ def _with_folded(effects: Sequence[KnownEffect], folded: Mapping[tuple[str, str]
         changed = {name: replace(q, value=q.value + changes.get(name, 0.0)) for name, q in effect.parameters.items()}
         found.append(replace(effect, parameters=changed))
     return found
-
-
-def model_files(folder: Path) -> ModelFiles:
-    """The files of :func:`write_model` in ``folder`` that a simulation needs."""
-    return ModelFiles(folder / MJCF, folder / EFFECTS_FILE)
 
 
 _There: TypeAlias = dict[tuple[Place, Effect, int], tuple[Coefficient, float]]
@@ -157,15 +145,11 @@ def written_model(
     there: _There = {(c.place, c.effect, c.index): (c, value) for c, value in pairs if value}
     wholes = [whole for key in list(there) if (whole := _whole(there, key, ELEMENTS[reader])) is not None]
     stds = {(effect.name, effect.joint, effect.parameter): effect.std for effect in estimate.effects}
-    found = [
-        KnownEffect(c.effect.name, c.place_name, "", c.parameters(value, stds.get(_name(c), math.nan)))
-        for c, value in there.values()
-    ]
+    found = []
+    for c, value in there.values():
+        std = stds.get((c.effect.name, c.place_name, c.parameter), math.nan)
+        found.append(KnownEffect(c.effect.name, c.place_name, "", c.parameters(value, std)))
     return WrittenModel(inertias, tuple(continued(combined([*found, *wholes]), known)))
-
-
-def _name(coefficient: Coefficient) -> tuple[str, str, str]:
-    return coefficient.effect.name, coefficient.place_name, coefficient.parameter
 
 
 def _whole(there: _There, key: tuple[Place, Effect, int], elements: Collection[str]) -> KnownEffect | None:
