@@ -104,9 +104,6 @@ class WindowSimulation:
         return Simulated(position[:, at_samples], velocity[:, at_samples], sensed.mean(axis=1))
 
 
-_SHORTEST = 0.25  # [s] a shorter part is not used
-
-
 @dataclass(frozen=True, eq=False)
 class Stretch:
     """Samples at equal distances of ``period`` [s]; ``times (N,)`` [s] from the first sample of all."""
@@ -117,14 +114,14 @@ class Stretch:
 
 
 def stretches(recordings: Iterable[Samples]) -> list[Stretch]:
-    """The parts of recordings without a pause that are long enough to be simulated."""
+    """The parts of recordings without a pause that are as long as two windows."""
     found: list[Stretch] = []
     for samples in recordings:
         period = 1e-9 * float(np.median(np.diff(samples.stamps))) if len(samples) > 1 else 0.0
         found += [
             Stretch(part, 1e-9 * (part.stamps - part.stamps[0]), period)
             for part in samples.stretches()
-            if len(part) * period >= _SHORTEST
+            if len(part) * period >= 2.0 * HORIZON
         ]
     return found
 

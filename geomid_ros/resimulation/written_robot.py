@@ -17,11 +17,12 @@ from geomid_ros.files.models.sidecar import read_sidecar
 from geomid_ros.files.models.written_model import ModelFiles
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import Effect, Motion, Place, SensorEffect, Values, effect_class, joints_of, values_of
+from geomid_ros.model.effects.places import place_named
+from geomid_ros.model.moving import SMOOTH_SIGN
 from geomid_ros.model.effects.situation import place_named
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
-_STILL_SPEED = 0.02  # [rad/s, m/s] within which the sign of a velocity is smoothed
 _IMMOVABLE = 1e7  # [kg m^2, kg] inertia of a joint that follows its measured motion, whatever acts on it
 
 
@@ -145,7 +146,7 @@ class WrittenRobot:
         ``u = tau + c |tau| s`` with the direction of motion s.
         """
         velocity = motion.velocity
-        sign = np.tanh(velocity / _STILL_SPEED)
+        sign = SMOOTH_SIGN.values(motion)
         by_motion = np.zeros(velocity.shape)
         for effect, place, own in self._of_motion:
             by_motion += effect.unsaid_efforts(own, motion, place)

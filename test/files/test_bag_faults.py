@@ -451,12 +451,12 @@ class TestCrafted:
     def test_messages_of_chunks_that_all_overlap_are_bounded(
         self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     ) -> None:
-        monkeypatch.setattr("geomid_ros.files.bags.mcap.MOST_BYTES", 40_000)
-        messages = [Message(0, time, bytes(100)) for index in range(50) for time in (0 if index else 1, 10**9 + index)]
+        monkeypatch.setattr("geomid_ros.files.bags.mcap.MOST_BYTES", 400_000)
+        messages = [Message(0, time, bytes(1000)) for index in range(50) for time in (0 if index else 1, 10**9 + index)]
         path = tmp_path / "mixed.mcap"
         path.write_bytes(mcap([("/a", "std_msgs/msg/String")], messages, Form(chunk=2)))
-        assert content(path)[:2] == [("/a", 0, bytes(100))] * 2
-        monkeypatch.setattr("geomid_ros.files.bags.mcap.MOST_BYTES", 10_000)
+        assert content(path)[:2] == [("/a", 0, bytes(1000))] * 2
+        monkeypatch.setattr("geomid_ros.files.bags.mcap.MOST_BYTES", 40_000)
         assert "overlap too much in time" in error_of(path)
 
     def test_what_a_bag_calls_its_topics_does_not_reach_the_terminal(self, tmp_path: Path) -> None:

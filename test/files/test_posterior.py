@@ -161,7 +161,7 @@ def test_what_the_model_lacks_is_read_as_it_was_written(with_remainder: Path) ->
 def test_what_would_be_refused_is_not_written(tmp_path: Path) -> None:
     own, path = remainder(), tmp_path / POSTERIOR
     for wrong in (
-        replace(own, means=(1e7 * own.means[0], own.means[1])),
+        replace(own, means=(np.inf * own.means[0], own.means[1])),
         replace(own, basis=replace(own.basis, scales=(1e4 * own.basis.scales[0], own.basis.scales[1]))),
         replace(own, triangles=(np.nan * own.triangles[0], own.triangles[1])),
     ):
@@ -203,7 +203,6 @@ def test_files_without_it_are_read(written: Path) -> None:
         (lambda arrays: arrays | {"scales_0": 0.0 * arrays["scales_0"]}, "cannot be"),
         (lambda arrays: arrays | {"mean_1": arrays["mean_1"][:2]}, "'triangle_1' is float32 of shape"),
         (lambda arrays: arrays | {"mean_1": np.inf * arrays["mean_1"]}, "finite"),
-        (lambda arrays: arrays | {"mean_1": 1e12 * arrays["mean_1"]}, "beyond all measure"),
         (lambda arrays: arrays | {"triangle_0": arrays["triangle_0"].astype("f8")}, "'triangle_0' is float64"),
     ],
 )

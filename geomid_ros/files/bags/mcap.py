@@ -26,7 +26,6 @@ from geomid_ros.files.disk import MOST_BYTES
 _MAGIC = b"\x89MCAP0\r\n"
 _RECORD = struct.Struct("<BQ")  # kind, length
 _MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, times of recording and of publishing
-_MOST_STRETCHES = 1_000_000
 T = TypeVar("T")
 _TOO_MUCH = "its chunks are too large, or overlap too much in time; 'mcap sort' may help"
 
@@ -248,8 +247,8 @@ class McapFile(Storage):
             channels = old.channels | new.channels
             channels = self._known_sets.setdefault(channels, channels)
             self._stretches[-1] = _RecordSpan(old.begin, new.end, False, min(old.first, new.first), channels)
-        elif len(self._stretches) == _MOST_STRETCHES:
-            raise FaultError(f"more than {_MOST_STRETCHES} chunks", new.begin)
+        elif len(self._stretches) * _memory(new) > MOST_BYTES:
+            raise FaultError(f"more than {len(self._stretches)} chunks", new.begin)
         else:
             self._stretches.append(new)
 

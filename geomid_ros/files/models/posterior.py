@@ -34,7 +34,6 @@ FORMAT = 2
 _HEADER = "posterior"
 _VECTORS = ("parameters", "prior", "prior_spreads")
 _MOST_PARAMETERS = 2000
-_LARGEST = 1e6  # N m, N, rad, rad/s
 _ROUNDING = 1e-8
 T = TypeVar("T")
 
@@ -150,8 +149,8 @@ def _objection(remainder: StandingRemainder) -> str:
         return "holds a remainder whose ranges cannot be"
     if not all(np.all((own > 0.0) & (own <= LARGEST_SCALE)) for own in scales):
         return "holds a remainder whose scales cannot be"
-    if not all(np.all(np.abs(own) < _LARGEST) for own in (knots, *remainder.means, *remainder.triangles)):
-        return "holds a remainder beyond all measure"
+    if not all(np.all(np.isfinite(own)) for own in (knots, *remainder.means, *remainder.triangles)):
+        return "holds a remainder that is not finite"
     return ""
 
 
