@@ -23,7 +23,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.schema import Stored, structured
+from geomid_ros.files.schema import Stored, structured, triangle_of, upper_triangle
 from geomid_ros.signals.ledger import Account, Meaning, Reason, meaning_of
 from geomid_ros.types import AnyArray, FloatArray
 
@@ -97,7 +97,7 @@ def archived(document: Mapping[str, Any]) -> bytes:
             return {"bytes": name}
         if isinstance(value, np.ndarray):
             triangle = value.ndim == 2 and len(value) <= value.shape[1] and not np.any(np.tril(value, -1))
-            vectors[name] = (value[_upper(value.shape)] if triangle else value.ravel()).astype(_DTYPES["F64"])
+            vectors[name] = (value[triangle_of(value.shape)] if triangle else value.ravel()).astype(_DTYPES["F64"])
             return {"array": name, "shape": value.shape} | ({"triangle": True} if triangle else {})
         return (
             value.item()
@@ -136,14 +136,7 @@ def _shaped(vector: AnyArray, given: _Reference) -> FloatArray:
     rows, columns = given.shape
     if rows > columns or rows * columns - rows * (rows - 1) // 2 != len(vector):
         raise ValueError(f"{len(vector)} numbers are no triangle of shape {given.shape}")
-    matrix = np.zeros(given.shape)
-    matrix[_upper(given.shape)] = vector
-    return matrix
-
-
-def _upper(shape: tuple[int, ...]) -> tuple[AnyArray, ...]:
-    """The places of the numbers in the upper triangle, row by row."""
-    return np.triu_indices(shape[0], 0, shape[1])
+    return upper_triangle(vector, given.shape)
 
 
 def pack(text: str, vectors: Mapping[str, AnyArray]) -> bytes:

@@ -25,6 +25,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.disk import read_text
+from geomid_ros.model.urdf_tree import LARGEST_NUMBER
 from geomid_ros.types import AnyArray, FloatArray, frozen
 
 Vector: TypeAlias = Annotated[FloatArray, (3,)]
@@ -35,7 +36,6 @@ FORMAT = 1
 MOST_ENTRIES = 40_000
 """Of a list, and of a YAML file."""
 
-_LARGEST = 1e50  # products of three still fit
 _EXPECTED = {float: "a finite number", int: "a count", str: "a text", bool: "true or false"}
 T = TypeVar("T")
 
@@ -124,7 +124,7 @@ def _simple(kind: Any, value: Any, where: str) -> Any:
         return value
     if kind is float and value is None:
         return math.nan
-    if kind is float and type(value) in (int, float) and abs(value) < _LARGEST:
+    if kind is float and type(value) in (int, float) and abs(value) < LARGEST_NUMBER:
         return float(value)
     if kind is not float and type(value) is kind and (kind is not int or 0 <= value <= np.iinfo(np.int64).max):
         return value
@@ -159,7 +159,7 @@ def _array(value: Any, shape: tuple[int, ...], where: str) -> FloatArray:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         array = np.zeros(0)
-    if array.shape != shape or np.any(np.abs(array) >= _LARGEST):
+    if array.shape != shape or np.any(np.abs(array) >= LARGEST_NUMBER):
         raise _wrong(value, where, f"finite numbers, {' by '.join(map(str, shape))}")
     return array
 
@@ -176,10 +176,19 @@ def unpacked(text: str, form: str, count: int) -> FloatArray:
 
 def unpacked_triangle(text: str, form: str, size: int) -> FloatArray:
     """The upper triangular matrix ``(size, size)`` whose numbers are in such a text, row by row. Raises ValueError."""
-    triangle = unpacked(text, form, size * (size + 1) // 2)  # before the matrix: the file has room for as many
-    matrix = np.zeros((size, size))
-    matrix[np.triu_indices(size)] = triangle
+    return upper_triangle(unpacked(text, form, size * (size + 1) // 2), (size, size))
+
+
+def upper_triangle(numbers: AnyArray, shape: tuple[int, ...]) -> FloatArray:
+    """The matrix with these numbers in its upper triangle, row by row, which no file claims without them."""
+    matrix = np.zeros(shape)
+    matrix[triangle_of(shape)] = numbers
     return matrix
+
+
+def triangle_of(shape: tuple[int, ...]) -> tuple[AnyArray, ...]:
+    """The places of the numbers in an upper triangle, row by row."""
+    return np.triu_indices(shape[0], 0, shape[1])
 
 
 def _at(where: str, name: str) -> str:

@@ -25,7 +25,8 @@ MOST_BYTES = 5_000_000
 _MAX_NESTING = 64
 _MAX_ELEMENTS = 200_000
 _MAX_LINKS = 1000
-_MAX_NUMBER = 1e50  # products of three still fit
+LARGEST_NUMBER = 1e50
+"""Of what files say: products of three still fit."""
 _MAX_AXES = 128  # pinocchio's memory grows with their cube
 # Python alone would read 1_000 and digits of other scripts, too.
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
@@ -228,8 +229,7 @@ def _joint(element: Element, source: str) -> UrdfJoint:
     kind = element.get("type", "")
     if kind not in _AXES:
         raise InputError(f"{where} is of the unknown type '{kind}'. Valid: {', '.join(_AXES)}")
-    read_numbers(element, "origin", ("xyz",), [0.0, 0.0, 0.0], where)
-    read_numbers(element, "origin", ("rpy",), [0.0, 0.0, 0.0], where)
+    origin_of(element, where)
     if kind != "fixed" and not any(read_numbers(element, "axis", ("xyz",), [1.0, 0.0, 0.0], where)):
         raise InputError(f"{where}: its <axis> has no direction")
     if kind in ("revolute", "prismatic") or element.find("limit") is not None:
@@ -266,13 +266,17 @@ def inertial_parameters(link: Element, source: str) -> FloatArray | None:
         raise InputError(f"{where} has more than one <inertial>")
     (mass,) = read_numbers(inertial, "mass", ("value",), None, where)
     entries = read_numbers(inertial, "inertia", pseudo_inertia.INERTIA_NAMES, None, where)
-    centre = read_numbers(inertial, "origin", ("xyz",), [0.0, 0.0, 0.0], where)
-    angles = read_numbers(inertial, "origin", ("rpy",), [0.0, 0.0, 0.0], where)
+    centre, axes = origin_of(inertial, where)
     if mass == 0.0:
         return None
-    axes = axes_of(angles)
     central = axes @ pseudo_inertia.inertia_matrix(np.array(entries)) @ axes.T
-    return pseudo_inertia.assemble(np.array(mass), np.array(centre), central)
+    return pseudo_inertia.assemble(np.array(mass), centre, central)
+
+
+def origin_of(element: Element, where: str) -> tuple[FloatArray, FloatArray]:
+    """Position ``(3,)`` [m] and axes ``(3, 3)`` of an ``<origin>``. Raises InputError beginning with ``where``."""
+    position, angles = (read_numbers(element, "origin", (key,), [0.0] * 3, where) for key in ("xyz", "rpy"))
+    return np.array(position), axes_of(angles)
 
 
 def axes_of(angles: Sequence[float]) -> FloatArray:
@@ -298,7 +302,7 @@ def read_numbers(
     expected = len(default) if default is not None else len(keys)
     parts = [part for text in texts for part in (text or "").split()]
     numbers = [float(part) for part in parts] if all(map(_NUMBER.fullmatch, parts)) else []
-    if len(numbers) != expected or not np.all(np.abs(numbers) < _MAX_NUMBER):
+    if len(numbers) != expected or not np.all(np.abs(numbers) < LARGEST_NUMBER):
         said = (f"no {key}" if text is None else f'{key}="{text}"' for key, text in zip(keys, texts, strict=False))
         found = "is absent" if element is None else f"has {', '.join(said)}"
         raise InputError(f"{where}: its <{tag}> {found}; expected {expected} finite numbers as {', '.join(keys)}")

@@ -11,7 +11,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.model.se3 import quaternion
-from geomid_ros.model.urdf_tree import axes_of, read_numbers, read_xml
+from geomid_ros.model.urdf_tree import origin_of, read_numbers, read_xml
 from geomid_ros.types import FloatArray
 
 _READ_BY_MUJOCO = (".stl", ".obj", ".msh")
@@ -59,8 +59,8 @@ def mjcf_shapes(urdf: str, source: str, find: Callable[[str, str], Path]) -> Sha
 
 
 def _placement(element: Element, where: str) -> dict[str, str]:
-    position, angles = (read_numbers(element, "origin", (key,), [0.0] * 3, where) for key in ("xyz", "rpy"))
-    return {"pos": words(position), "quat": words(np.roll(quaternion(axes_of(angles)), 1))}
+    position, axes = origin_of(element, where)
+    return {"pos": words(position), "quat": words(np.roll(quaternion(axes), 1))}
 
 
 def _shape(element: Element, where: str) -> dict[str, str]:

@@ -25,7 +25,7 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.files.disk import read_bytes, write_bytes
-from geomid_ros.files.schema import plain, structured
+from geomid_ros.files.schema import plain, structured, upper_triangle
 from geomid_ros.gap.evidence.features import LARGEST_SCALE, Basis, StandingRemainder
 from geomid_ros.types import AnyArray, FloatArray, frozen
 
@@ -172,11 +172,9 @@ def _remainder(arrays: _Arrays, header: _Header) -> StandingRemainder | None:
     for place in range(len(channels)):
         size, columns = len(arrays[f"mean_{place}"]), len(arrays[f"scales_{place}"])
         rows = _numbers(arrays, f"triangle_{place}", (size * (size + 1) // 2,), np.float32)
-        triangle = np.zeros((size, size))
-        triangle[np.triu_indices(size)] = rows
         scales.append(_numbers(arrays, f"scales_{place}", (size or columns,)))
         means.append(_numbers(arrays, f"mean_{place}", (size,)))
-        triangles.append(triangle)
+        triangles.append(upper_triangle(rows, (size, size)))
     remainder = StandingRemainder(
         joints=joints,
         channels=channels,

@@ -21,7 +21,7 @@ from geomid_ros.files.models.effect_forms import is_body, joint_attributes, payl
 from geomid_ros.files.models.xml_edits import Edit, Span, children_of, edited, end_of_tag, insertion, with_attributes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, values_of
-from geomid_ros.model.urdf_tree import MOST_BYTES, axes_of, read_numbers, read_xml
+from geomid_ros.model.urdf_tree import MOST_BYTES, origin_of, read_numbers, read_xml
 from geomid_ros.types import FloatArray
 
 # Mass [kg], centre of mass (3,) [m] in the link's frame, inertia (3, 3) [kg m^2] about it in the link's axes.
@@ -184,8 +184,7 @@ def joint_frames(urdf: str, source: str) -> tuple[JointFrame, ...]:
 def _joint_frame(element: Element, source: str) -> JointFrame:
     name, kind = element.get("name", ""), element.get("type", "")
     where = f"{source}: joint '{name}'"
-    position = read_numbers(element, "origin", ("xyz",), [0.0, 0.0, 0.0], where)
-    angles = read_numbers(element, "origin", ("rpy",), [0.0, 0.0, 0.0], where)
+    position, rotation = origin_of(element, where)
     axis = np.array(read_numbers(element, "axis", ("xyz",), [1.0, 0.0, 0.0], where))
     lower, upper, effort = -math.inf, math.inf, math.inf
     if kind in ("revolute", "prismatic"):
@@ -196,8 +195,8 @@ def _joint_frame(element: Element, source: str) -> JointFrame:
         slides=kind == "prismatic",
         parent=element.find("parent").get("link", ""),  # type: ignore[union-attr]  # the tree was checked
         child=element.find("child").get("link", ""),  # type: ignore[union-attr]
-        position=np.array(position),
-        rotation=axes_of(angles),
+        position=position,
+        rotation=rotation,
         axis=axis / np.linalg.norm(axis) if np.any(axis) else axis,
         lower=lower,
         upper=upper,

@@ -17,7 +17,7 @@ from geomid_ros.files.shapes.meshes import SUFFIXES, MeshFinder, read_mesh
 from geomid_ros.model import shapes
 from geomid_ros.model.collision import ConvexShape, HalfSpace, Obstacle
 from geomid_ros.model.shape_prior import Solid
-from geomid_ros.model.urdf_tree import axes_of, read_numbers, read_xml
+from geomid_ros.model.urdf_tree import origin_of, read_numbers, read_xml
 from geomid_ros.types import FloatArray, IntArray
 
 # Attributes of the primitives and how many numbers they hold.
@@ -167,9 +167,7 @@ def _primitive(geometry: Element, tag: str, where: str) -> _Shape | None:
 def _placement(element: Element, where: str) -> FloatArray:
     """The ``<origin>`` of a shape, ``(4, 4)``."""
     placement = np.eye(4)
-    placement[:3, 3] = read_numbers(element, "origin", ("xyz",), [0.0, 0.0, 0.0], where)
-    angles = read_numbers(element, "origin", ("rpy",), [0.0, 0.0, 0.0], where)
-    placement[:3, :3] = axes_of(angles)
+    placement[:3, 3], placement[:3, :3] = origin_of(element, where)
     return placement
 
 
