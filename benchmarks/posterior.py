@@ -26,6 +26,7 @@ from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.estimation.suggested_motions import instants
 from geomid_ros.exports.torque_spread import torque_bands, within_ranges
 from geomid_ros.files.models.urdf import with_inertials
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import Effect
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.robot import Robot
@@ -194,7 +195,8 @@ def _least(posterior: Posterior, true: FloatArray) -> FloatArray:
 def true_parameters(posterior: Posterior, truth: dict[str, Any], urdf: str, cuts: Sequence[str]) -> FloatArray:
     """The true parameters ``(D,)`` of a simulated robot, in the posterior's order; effects that it has not are zero."""
     inertias = {
-        link["name"]: (link["mass"], np.array(link["com"]), np.array(link["inertia"])) for link in truth["links"]
+        link["name"]: pseudo_inertia.assemble(*(np.array(link[key]) for key in ("mass", "com", "inertia")))
+        for link in truth["links"]
     }
     robot = Robot(with_inertials(urdf, inertias), cuts=cuts)
     bodies = {body.name: body.parameters for body in robot.bodies}

@@ -114,7 +114,7 @@ def offsets_beside(found: Identification, tool: str, joints: list[str]) -> Float
 def _with_estimated(found: Identification) -> str:
     """The URDF as it was given with the estimate's own inertias."""
     merged = [name for link in found.links for name in link.merged]
-    inertias = {link.name: (link.mass, link.com, link.inertia) for link in found.links}
+    inertias = {link.name: link.parameters for link in found.links}
     return with_inertials(found.session.urdf, inertias, merged)
 
 

@@ -45,7 +45,7 @@ def prior(urdf: Path, mass: float, keep: list[str] | None, package_path: dict[st
     unchanged. The result is a prior for identification, not an estimate.
     """
     from geomid_ros.files.disk import write_text
-    from geomid_ros.files.models.urdf import inertia_of, read_urdf, with_inertials
+    from geomid_ros.files.models.urdf import read_urdf, with_inertials
     from geomid_ros.files.shapes.meshes import MeshFinder
     from geomid_ros.files.shapes.shapes import ShapeReader
     from geomid_ros.model.robot import Robot
@@ -61,7 +61,7 @@ def prior(urdf: Path, mass: float, keep: list[str] | None, package_path: dict[st
     solids = _solids(reader, {name: link for name, link in robot.links.items() if name not in kept})
     robot.check_staying(solids)
     result = shape_prior(robot.inertials, solids, mass, str(urdf))
-    inertias = {link.name: inertia_of(link.parameters) for link in result.links if link.parameters is not None}
+    inertias = {link.name: link.parameters for link in result.links if link.parameters is not None}
     written = with_inertials(text, inertias)
     write_text(out, written)
     _show(result, kept)

@@ -15,7 +15,7 @@ from geomid_ros.exports.formats import SAME
 from geomid_ros.exports.inertial import UncertainInertia
 from geomid_ros.files.models.effect_forms import URDF, coefficient, effects_of_dynamics, is_body, joint_attributes
 from geomid_ros.files.models.estimate_file import EstimateFile, LinkEntry
-from geomid_ros.files.models.urdf import inertia_of, joint_frames, read_urdf, with_inertials
+from geomid_ros.files.models.urdf import joint_frames, read_urdf, with_inertials
 from geomid_ros.files.models.written_model import written_for
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
@@ -116,7 +116,7 @@ def read_model(path: Path, reader: str = "") -> Model:
             name: replace(bodies[name], quantities=pseudo_inertia.quantities_of(own))
             for name, own in written.inertias.items()
         }
-        text = with_inertials(text, {name: inertia_of(own) for name, own in written.inertias.items()})
+        text = with_inertials(text, written.inertias)
     return Model(
         source=source,
         tree=tree,

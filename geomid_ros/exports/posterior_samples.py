@@ -24,7 +24,7 @@ from geomid_ros.files.models.effect_forms import by_parameter
 from geomid_ros.files.models.estimate_file import link_entry
 from geomid_ros.files.models.posterior import beside, read_posterior
 from geomid_ros.files.models.sidecar import effects_entries
-from geomid_ros.files.models.urdf import inertia_of, with_inertials
+from geomid_ros.files.models.urdf import with_inertials
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
 from geomid_ros.model.effects.parameters import COM_ENTRIES
@@ -69,7 +69,7 @@ class DrawnRobots:
         return replace(
             self.model,
             bodies={**bodies, **drawn},
-            urdf=with_inertials(self.model.urdf, {name: inertia_of(own) for name, own in links.items()}),
+            urdf=with_inertials(self.model.urdf, links),
             effects=self._effects(parameters),
         )
 
@@ -198,10 +198,10 @@ def _json(robots: DrawnRobots) -> str:
 
 
 def _entries(robots: DrawnRobots, model: Model) -> dict[str, Any]:
-    links = []
-    for name, merged in zip(robots.posterior.links, robots.posterior.merged, strict=True):
-        inertial = model.bodies[name]
-        links.append(link_entry(name, merged, (inertial.mass, inertial.com, inertial.inertia)))
+    links = [
+        link_entry(name, merged, pseudo_inertia.parameters_of(model.bodies[name].quantities))
+        for name, merged in zip(robots.posterior.links, robots.posterior.merged, strict=True)
+    ]
     return {"links": links, **effects_entries(model.effects)}
 
 

@@ -39,7 +39,7 @@ from geomid_ros.files.models.estimate_file import account_entry, estimate_docume
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.population import population_document, read_population
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
-from geomid_ros.files.models.urdf import inertia_of, with_effects, with_inertials
+from geomid_ros.files.models.urdf import with_effects, with_inertials
 from geomid_ros.files.models.written_model import WrittenModel, handover_entry, written_model
 from geomid_ros.model.absent_joints import lockable
 from geomid_ros.model.alike_parts import AlikeParts, alike_parts, said_alike
@@ -525,8 +525,7 @@ class Session:
     def with_inertias_of(self, estimate: Estimate, written: WrittenModel) -> str:
         """The robot description with the inertias of a written model of an estimate, and its friction as it was."""
         merged = [name for link in estimate.links for name in link.merged]
-        inertias = {name: inertia_of(own) for name, own in written.inertias.items()}
-        return with_inertials(self.urdf, inertias, merged)
+        return with_inertials(self.urdf, written.inertias, merged)
 
     def save(
         self,

@@ -16,6 +16,7 @@ from report.pages import Page
 
 import geomid_ros
 from geomid_ros.files.models.urdf import with_inertials
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.simulation import SimulationOptions, simulate
 
 ARM7, LINK = BAGS / "arm7.urdf", "link6"
@@ -99,7 +100,10 @@ def test_a_mass_that_was_changed_is_named(planted: tuple[Path, Path]) -> None:
 def urdf_of(estimate: Path, path: Path) -> Path:
     """The robot's description with an estimate's inertias; links that are counted in weigh nothing."""
     links = json.loads(estimate.read_text())["links"]
-    inertias = {link["name"]: (link["mass"], np.array(link["com"]), np.array(link["inertia"])) for link in links}
+    inertias = {
+        link["name"]: pseudo_inertia.assemble(*(np.array(link[key]) for key in ("mass", "com", "inertia")))
+        for link in links
+    }
     merged = [name for link in links for name in link["merged"]]
     path.write_text(with_inertials(ARM7.read_text(), inertias, merged))
     return path

@@ -150,7 +150,7 @@ def test_an_earlier_estimate_is_exported_as_not_fitted(tmp_path: Path) -> None:
     document = json.loads((tmp_path / "estimate.json").read_text())
     del document["handover"]
     (tmp_path / "estimate.json").write_text(json.dumps(document))
-    inertias = {link.name: (link.mass, link.com, link.inertia) for link in found().links}
+    inertias = {link.name: link.parameters for link in found().links}
     (tmp_path / "identified.urdf").write_text(with_inertials(found().session.urdf, inertias))
     assert not read_model(tmp_path / "estimate.json", "mujoco").fitted
 

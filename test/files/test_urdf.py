@@ -59,7 +59,7 @@ MARK = re.compile(r"@(\w+)@")
 def with_identified_inertias(urdf: str, links: Sequence[LinkEstimate]) -> str:
     """A URDF with what was identified: the links that are counted in with others have no mass of their own."""
     merged = [name for link in links for name in link.merged]
-    return with_inertials(urdf, {link.name: (link.mass, link.com, link.inertia) for link in links}, merged)
+    return with_inertials(urdf, {link.name: link.parameters for link in links}, merged)
 
 
 def filled(template: str) -> str:

@@ -15,7 +15,6 @@ from benchmarks.fuzz.target import require
 from geomid_ros.commands.demo import shared_file
 from geomid_ros.files.models.effect_forms import coefficient
 from geomid_ros.files.models.urdf import with_effects, with_inertials
-from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import Quantity
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
@@ -140,7 +139,7 @@ class UrdfTarget:
         inertias = {body.name: body.parameters for body in bodies if body.name in session.model.body_names}
         written = with_inertials(
             text,
-            {name: _inertia(values) for name, values in inertias.items()},
+            inertias,
             [name for body in bodies if body.name in inertias for name in body.merged],
         )
         again = Session(written, configuration, "written.urdf")
@@ -150,10 +149,6 @@ class UrdfTarget:
         friction = Quantity(0.5, 0.1, "N m s/rad")
         effects = [coefficient("viscous_friction", joint, friction) for joint in session.robot.joint_names]
         Session(with_effects(written, effects), configuration, "effects.urdf")
-
-
-def _inertia(parameters: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    return float(parameters[0]), pseudo_inertia.centre_of_mass(parameters), pseudo_inertia.central_inertia(parameters)
 
 
 def _changed_tree(text: str, random: Random) -> str:

@@ -25,7 +25,6 @@ from geomid_ros.estimation.estimate import (
 )
 from geomid_ros.files.models.effect_forms import coefficient, combined, continued, is_coefficient
 from geomid_ros.files.models.sidecar import check_effect, coefficient_entry
-from geomid_ros.files.models.urdf import Inertia
 from geomid_ros.files.schema import (
     FORMAT,
     Matrix,
@@ -415,7 +414,8 @@ def estimate_document(
         **entry(estimate, "steps", "gamma"),
         "rows": {"accepted": estimate.rows_accepted, "set_aside": estimate.rows_set_aside, "rejected": rejected},
         "links": [
-            link_entry(link.name, link.merged, (link.mass, link.com, link.inertia))
+            {"name": link.name, "merged": [*link.merged]}
+            | plain(InertiaEntry(mass=link.mass, com=link.com, inertia=link.inertia))
             | {"std": plain(InertiaEntry(mass=link.std_mass, com=link.std_com, inertia=link.std_inertia))}
             | entry(link, "distance_from_prior", "from_data", "min_eigenvalue_ratio", "cannot_tell")
             | {"identified_moments": [*link.moments], "outlier": link.outlier}
@@ -448,10 +448,10 @@ def model_effects(estimate: Estimate, known: Sequence[KnownEffect]) -> list[Know
     return continued(found, known)
 
 
-def link_entry(name: str, merged: Sequence[str], inertia: Inertia) -> dict[str, Any]:
-    """A link with its inertia and the fixed links that are merged into it."""
-    mass, com, own = inertia
-    return {"name": name, "merged": [*merged], **plain(InertiaEntry(mass=mass, com=com, inertia=own))}
+def link_entry(name: str, merged: Sequence[str], parameters: FloatArray) -> dict[str, Any]:
+    """A link with parameters ``(10,)`` and the fixed links that are merged into it."""
+    com, inertia = pseudo_inertia.centre_of_mass(parameters), pseudo_inertia.central_inertia(parameters)
+    return {"name": name, "merged": [*merged], **plain(InertiaEntry(mass=parameters[0], com=com, inertia=inertia))}
 
 
 def by_channel(channels: Sequence[str], values: FloatArray) -> dict[str, float | None]:

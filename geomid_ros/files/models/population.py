@@ -23,7 +23,6 @@ from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.posterior import EffectCoordinate
 from geomid_ros.files.disk import write_json
 from geomid_ros.files.models.estimate_file import LinkEntry, inertias_of, link_entry
-from geomid_ros.files.models.urdf import inertia_of
 from geomid_ros.files.schema import FORMAT, packed, plain, read_document, structured, unpacked_triangle
 from geomid_ros.types import FloatArray, frozen
 
@@ -46,7 +45,7 @@ def population_document(population: Population) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "robots": population.robots,
-        "links": [link_entry(name, (), inertia_of(own)) for name, own in zip(population.links, bodies, strict=True)],
+        "links": [link_entry(name, (), own) for name, own in zip(population.links, bodies, strict=True)],
         "effects": [
             plain(effect) | {"value": value} | ({} if effect.positive else {"scale": next(scales)})
             for effect, value in zip(population.effects, values, strict=True)

@@ -10,22 +10,18 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
 from xml.etree.ElementTree import Element
 from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 
 from geomid_ros.files.disk import read_text
-from geomid_ros.files.models.effect_forms import is_body, joint_attributes, payload_quantities
+from geomid_ros.files.models.effect_forms import is_body, joint_attributes, payload_parameters
 from geomid_ros.files.models.xml_edits import Edit, Span, children_of, edited, end_of_tag, insertion, with_attributes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, values_of
 from geomid_ros.model.urdf_tree import MOST_BYTES, origin_of, read_numbers, read_xml
 from geomid_ros.types import FloatArray
-
-# Mass [kg], centre of mass (3,) [m] in the link's frame, inertia (3, 3) [kg m^2] about it in the link's axes.
-Inertia: TypeAlias = tuple[float, FloatArray, FloatArray]
 
 
 def read_urdf(path: Path) -> str:
@@ -33,24 +29,19 @@ def read_urdf(path: Path) -> str:
     return read_text(path, "robot description", MOST_BYTES)
 
 
-def inertia_of(parameters: FloatArray) -> Inertia:
-    """The inertia of a body with parameters ``(10,)``."""
-    centre = pseudo_inertia.centre_of_mass(parameters)
-    return float(parameters[0]), centre, pseudo_inertia.central_inertia(parameters)
-
-
-def with_inertials(urdf: str, inertias: Mapping[str, Inertia], removed: Sequence[str] = ()) -> str:
-    """``urdf`` with these inertials, by the link's name, and without those of the links ``removed``, which are fixed to
-    others and counted in there; every other character of it is kept."""
+def with_inertials(urdf: str, inertias: Mapping[str, FloatArray], removed: Sequence[str] = ()) -> str:
+    """``urdf`` with the inertials of bodies with these parameters ``(10,)``, by the link's name, and without those of
+    the links ``removed``, which are fixed to others and counted in there; every other character of it is kept."""
     data = urdf.encode()
     links = children_of(data, "robot", "link", "inertial")
-    edits = [insertion(data, links[name], _inertial(*inertia)) for name, inertia in inertias.items()]
+    edits = [insertion(data, links[name], _inertial(own)) for name, own in inertias.items()]
     edits += [(*inertial, b"") for name in removed if (inertial := links[name].child)]
     return edited(data, edits).decode()
 
 
-def _inertial(mass: float, com: FloatArray, inertia: FloatArray) -> bytes:
-    centre = " ".join(f"{value:.9g}" for value in com)
+def _inertial(parameters: FloatArray) -> bytes:
+    mass, inertia = parameters[0], pseudo_inertia.central_inertia(parameters)
+    centre = " ".join(f"{value:.9g}" for value in pseudo_inertia.centre_of_mass(parameters))
     entries = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
     numbers = " ".join(f'{key}="{inertia[index]:.9g}"' for key, index in entries.items())
     return (
@@ -85,8 +76,7 @@ def _payload(effect: KnownEffect, links: Mapping[str, Span], joints: Mapping[str
     name = f"{effect.link}_payload"
     while name in links or name in joints:
         name += "_"
-    payload = payload_quantities(values_of(effect))
-    inertial = _inertial(payload[0], payload[1:4], pseudo_inertia.inertia_matrix(payload[4:])).decode()
+    inertial = _inertial(payload_parameters(values_of(effect))).decode()
     return (
         f'  <link name="{name}">\n    {inertial}\n  </link>\n  <joint name="{name}" type="fixed">\n'
         f'    <parent link="{effect.link}"/>\n    <child link="{name}"/>\n  </joint>\n'

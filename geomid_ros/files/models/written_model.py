@@ -29,7 +29,7 @@ from geomid_ros.files.models.estimate_file import (
 )
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.sidecar import check_effect, effects_entries, write_sidecar
-from geomid_ros.files.models.urdf import inertia_of, with_effects, with_inertials
+from geomid_ros.files.models.urdf import with_effects, with_inertials
 from geomid_ros.files.schema import FORMAT, plain
 from geomid_ros.files.schema import FORMAT
 from geomid_ros.model.coefficients import Coefficient
@@ -74,18 +74,17 @@ def write_model(
     """
     effects = combined(effects)
     alone = _with_folded(effects, folded)
-    bodies = {name: inertia_of(parameters) for name, parameters in inertias.items()}
-    merged = {body.name: body.merged for body in model.robot.bodies if body.name in bodies}
+    merged = {body.name: body.merged for body in model.robot.bodies if body.name in inertias}
     removed = [name for names in merged.values() for name in names]
     document = {
         "format": FORMAT,
-        "links": [link_entry(name, merged[name], inertia) for name, inertia in bodies.items()],
+        "links": [link_entry(name, merged[name], own) for name, own in inertias.items()],
         **effects_entries(effects),
         "robot": model.robot.name,
         "verdict": verdict_entry(recording_verdict(findings), findings),
     }
     write_json(folder / ESTIMATE, document | dict(noise))
-    write_text(folder / URDF, with_effects(with_inertials(urdf, bodies, removed), alone))
+    write_text(folder / URDF, with_effects(with_inertials(urdf, inertias, removed), alone))
     write_text(folder / MJCF, mjcf(model.robot, inertias, alone, model.sensors, gravity))
     write_sidecar(folder / EFFECTS_FILE, model.robot.name, effects, alone)
     return [folder / name for name in (ESTIMATE, URDF, MJCF, EFFECTS_FILE)]
@@ -168,7 +167,7 @@ def _whole(there: _There, key: tuple[Place, Effect, int], elements: Collection[s
 
 def handover_entry(model: WrittenModel, merged: Mapping[str, Sequence[str]]) -> dict[str, Any]:
     """What ``estimate.json`` says of the model that a file holds."""
-    links = [link_entry(name, merged[name], inertia_of(own)) for name, own in model.inertias.items()]
+    links = [link_entry(name, merged[name], own) for name, own in model.inertias.items()]
     return {"links": links, "effects": plain(model.effects)}
 
 
