@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -63,19 +65,10 @@ class Fleet:
         Raises:
             InputError: the workers cannot be reached, or are gone; what was done so far is kept.
         """
-        cluster: Cluster | None = None
-
-        def workers() -> Cluster:
-            nonlocal cluster
-            cluster = cluster or connect()
-            return cluster
-
-        try:
+        with ExitStack() as stack:
+            workers = cache(lambda: stack.enter_context(connect()))
             outcomes = self._summarise(workers, progress)
             return list(self._solve(workers, outcomes, progress))
-        finally:
-            if cluster is not None:
-                cluster.close()
 
     def _summarise(self, workers: Callable[[], Cluster], progress: Progress) -> dict[FleetBag, BagOutcome]:
         """What became of every bag."""

@@ -20,8 +20,8 @@ from geomid_ros.model.shape_prior import Solid
 from geomid_ros.model.urdf_tree import origin_of, read_numbers, read_xml
 from geomid_ros.types import FloatArray, IntArray
 
-# Attributes of the primitives and how many numbers they hold.
-_PRIMITIVES = {"box": (("size",), 3), "cylinder": (("radius", "length"), 2), "sphere": (("radius",), 1)}
+# Attributes of the primitives: one number each, but for the edges of a box.
+_PRIMITIVES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}
 # Of the surfaces of round shapes, with which only their overlap with others is computed.
 _SECTIONS, _SUBDIVISIONS = 128, 4
 # Surfaces are joined in single precision.
@@ -150,8 +150,8 @@ def _primitive(geometry: Element, tag: str, where: str) -> _Shape | None:
     """A primitive about its own centre; None if it has no volume."""
     if tag not in _PRIMITIVES:
         raise InputError(f"{where}: a shape is a <{tag}>. Valid: {', '.join(_PRIMITIVES)}, mesh")
-    keys, count = _PRIMITIVES[tag]
-    sizes = read_numbers(geometry, tag, keys, [0.0] * count, where)
+    keys = _PRIMITIVES[tag]
+    sizes = read_numbers(geometry, tag, keys, [0.0] * (3 if tag == "box" else len(keys)), where)
     if min(sizes) < 0.0:
         raise InputError(f"{where}: a {tag} has a negative {' or '.join(keys)}")
     if 0.0 in sizes:
