@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import shlex
+import sys
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
@@ -26,7 +27,6 @@ _FORMATS: dict[str, Callable[[Path], Storage]] = {".mcap": McapFile, ".db3": Dat
 _SUFFIXES = {"mcap": ".mcap", "sqlite3": ".db3"}  # by rosbag2's name of the format
 _TO_JAZZY = ("--dst-typestore", "ros2_jazzy")
 _METADATA = "metadata.yaml"
-_MOST_MESSAGES = 4096  # of a batch
 _MOST_BYTES = 8_000_000  # of a batch, and of a message whose fields are read; a robot description has up to 5 MB
 
 
@@ -107,25 +107,27 @@ class Bag:
         """Topic, time of recording [ns] and message of everything on ``topics``, in the order of recording."""
         types = message_types()
         for count, (topic, time, kind, data) in enumerate(self._raw_messages(topics)):
-            where = f"{self.path}: message on {topic} at {time} ns"
             if kind not in types.types:
-                raise InputError(f"{where} has the type {kind}, which is not a standard ROS 2 type")
-            if len(data) > _MOST_BYTES:
-                raise self._too_long(RawMessage(topic, time, kind, data))
+                raise InputError(f"{self._where(topic, time)} has the type {kind}, which is not a standard ROS 2 type")
+            self._check_size(topic, time, data)
             try:
                 yield topic, time, types.deserialize_cdr(data, kind)
             except Exception as error:  # whatever bytes of another form make the code for this type raise
                 reason = (str(error).splitlines() or [type(error).__name__])[0]
                 raise self.not_valid(topic, time, kind, reason, count) from error
 
-    def _too_long(self, message: RawMessage) -> InputError:
-        where = f"{self.path}: message on {message.topic} at {message.time} ns"
-        return InputError(f"{where} has {len(message.data)} bytes, more than the maximum of {_MOST_BYTES}")
+    def _where(self, topic: str, time: int) -> str:
+        return f"{self.path}: message on {topic} at {time} ns"
+
+    def _check_size(self, topic: str, time: int, data: bytes) -> None:
+        if len(data) > _MOST_BYTES:
+            raise InputError(
+                f"{self._where(topic, time)} has {len(data)} bytes, more than the maximum of {_MOST_BYTES}"
+            )
 
     def not_valid(self, topic: str, time: int, kind: str, reason: str, count: int) -> InputError:
         """The error for a message whose bytes are not of its type, after ``count`` others."""
-        where = f"{self.path}: message on {topic} at {time} ns"
-        return InputError(f"{where} is not a valid {kind} ({reason}); {count} before it are")
+        return InputError(f"{self._where(topic, time)} is not a valid {kind} ({reason}); {count} before it are")
 
     def batches(self, topics: Collection[str]) -> Iterator[list[RawMessage]]:
         """Everything on ``topics``, many messages at once.
@@ -136,11 +138,10 @@ class Bag:
         batch: list[RawMessage] = []
         size = 0
         for message in self._raw_messages(topics):
+            self._check_size(message.topic, message.time, message.data)
             batch.append(message)
-            size += len(message.data)
-            if len(batch) >= _MOST_MESSAGES or size > _MOST_BYTES:
-                if len(message.data) > _MOST_BYTES:
-                    raise self._too_long(message)
+            size += sys.getsizeof(message.data)
+            if size > _MOST_BYTES:
                 yield batch
                 batch, size = [], 0
         if batch:
@@ -159,8 +160,7 @@ class Bag:
         try:
             return message._replace(data=unpacked_message(message.data, method))
         except ValueError as error:
-            where = f"message on {message.topic} at {message.time} ns"
-            raise InputError(f"{self.path}: {where} cannot be unpacked, {error}") from error
+            raise InputError(f"{self._where(message.topic, message.time)} cannot be unpacked, {error}") from error
 
 
 def bags_in(path: Path) -> list[Path]:
