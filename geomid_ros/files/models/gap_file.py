@@ -35,6 +35,11 @@ from geomid_ros.gap.result import (
 from geomid_ros.model.effects import KnownEffect, effect_class
 from geomid_ros.types import FloatArray
 
+_AS_FOUND = (
+    *("verdict", "findings", "links", "unexplained", "ordinary"),
+    *("located", "ranking", "cutoff", "seconds"),
+)
+"""What the file has as the result has it."""
 _KINDS = ("before", "inertias_only", "after", "expected")
 Errors: TypeAlias = Mapping[str, Mapping[str, float]]
 Parameters: TypeAlias = Annotated[FloatArray, (10,)]
@@ -139,26 +144,18 @@ class GapFile:
             raise InputError(f"{self.source}: units does not say one for each channel of the floor")
         errors = {key: np.array([*own.values()]) for key, own in self.gap.items()}
         return GapResult(
-            verdict=self.verdict,  # type: ignore[arg-type]
-            findings=self.findings,
-            links=self.links,
-            unexplained=self.unexplained,
+            **{name: getattr(self, name) for name in _AS_FOUND},
             channels=channels,
             units=tuple(self.units[name] for name in channels),
             floor=floor * effort_gains(self.findings, channels),
-            cutoff=self.cutoff,
             gap=GapErrors(*(errors[kind] for kind in _KINDS)),
             moving=errors["moving"],
-            located=self.located,
-            ranking=self.ranking,
             trace=_no_trace(len(channels)),
             bodies=tuple(own.name for own in self.bodies),
             inertias=np.array([own.after for own in self.bodies]).reshape(-1, 10),
             coefficients=np.zeros(0),
             beside=(),
-            ordinary=self.ordinary,
             folded={},
-            seconds=self.seconds,
         )
 
 
@@ -215,13 +212,11 @@ def gap_document(result: GapResult, simulations: Mapping[str, Errors]) -> dict[s
     channels, gap = result.channels, result.gap
     return {
         "format": FORMAT,
-        "verdict": result.verdict,
+        **entry(result, "verdict", "unexplained", "ordinary"),
         "findings": [plain(own) | entry(own, "confidence") for own in result.findings],
         "links": [plain(own) | entry(own, "confidence", "sentence") for own in result.links],
-        "unexplained": plain(result.unexplained),
         "gap": {kind: by_channel(channels, getattr(gap, kind)) for kind in _KINDS}
         | {"moving": by_channel(channels, result.moving)},
-        "ordinary": plain(result.ordinary),
         "floor": by_channel(channels, result.corrected_floor),
         "resimulated": plain(simulations.get("windows")),
         "closed_loop": plain(simulations.get("closed_loop")),
