@@ -22,7 +22,7 @@ from geomid_ros.estimation.identifier import Memory
 from geomid_ros.files.archive import MOST_HEADER, decoded, encoded
 from geomid_ros.files.disk import FOR_OWNER, make_folder, read_bytes, write_bytes
 from geomid_ros.model.channels import Channel
-from geomid_ros.model.moving import REGIMES
+from geomid_ros.model.samples import REGIMES
 from geomid_ros.signals.ledger import Account
 
 _NAMES = ("checkpoint-a.safetensors", "checkpoint-b.safetensors")

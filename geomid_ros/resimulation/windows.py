@@ -14,7 +14,6 @@ from geomid_ros.model.effects import Motion
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.written_robot import WrittenRobot
-from geomid_ros.resimulation.written_robot import Rollout, WrittenRobot
 from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 

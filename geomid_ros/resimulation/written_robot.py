@@ -17,10 +17,8 @@ from geomid_ros.files.models.sidecar import read_sidecar
 from geomid_ros.files.models.written_model import ModelFiles
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import Effect, Motion, Place, SensorEffect, Values, effect_class, joints_of, values_of
-from geomid_ros.model.effects.places import place_named
-from geomid_ros.model.moving import SMOOTH_SIGN
 from geomid_ros.model.effects.situation import place_named
-from geomid_ros.model.samples import Samples
+from geomid_ros.model.samples import SMOOTH_SIGN, Samples
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _IMMOVABLE = 1e7  # [kg m^2, kg] inertia of a joint that follows its measured motion, whatever acts on it

@@ -29,7 +29,6 @@ from geomid_ros.files import checkpoints
 from geomid_ros.files.archive import decoded, encoded, pack, unpack
 from geomid_ros.files.checkpoints import Checkpoint, CheckpointFolder
 from geomid_ros.model.samples import Samples
-from geomid_ros.model.samples import REGIMES, Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.signals.joint_gate import CLOCK_SET

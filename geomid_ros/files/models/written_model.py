@@ -31,7 +31,6 @@ from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.sidecar import check_effect, effects_entries, write_sidecar
 from geomid_ros.files.models.urdf import with_effects, with_inertials
 from geomid_ros.files.schema import FORMAT, plain
-from geomid_ros.files.schema import FORMAT
 from geomid_ros.model.coefficients import Coefficient
 from geomid_ros.model.effects import Effect, KnownEffect, Place, effect_class
 from geomid_ros.model.measurement import MeasurementModel
