@@ -83,11 +83,13 @@ class SolvingProcess:
 
         return run
 
-    def give_up(self) -> None:
-        """End the process in the midst of its task, if it has one; whoever waits for that gets an error."""
-        if self._solving.locked():
-            self._given_up = True
-            self._process.kill()
+    def give_up(self) -> bool:
+        """End the process in the midst of its task, and whoever waits for that gets an error; False if it has none."""
+        if not self._solving.locked():
+            return False
+        self._given_up = True
+        self._process.kill()
+        return True
 
     def _answered(
         self, method: Callable[..., Answer], task: object, arguments: tuple[Any, ...], named: dict[str, Any]

@@ -165,12 +165,13 @@ class Supervisor:
         if len(self._restarts) == MOST_RESTARTS:
             self._hung = f"{what} hangs again after {MOST_RESTARTS} restarts; no restart for an hour"
             return
+        if not intake and not (self._solving and self._solving.give_up()):
+            self._hung = f"{what} hangs, and not in a solve; restart the node"
+            return
         self._restarts.append(time.monotonic())
         self._hung = f"{what} hung and was restarted, {len(self._restarts)} of at most {MOST_RESTARTS} times"
         if intake:
             self.build(self.worker.session.urdf, "robot_description", self._absent)
-        elif self._solving:
-            self._solving.give_up()
 
     def close(self, save: Callable[[Session, Estimate, float], None]) -> None:
         """End the threads, after saving the last estimate.

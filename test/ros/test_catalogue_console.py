@@ -247,10 +247,11 @@ class Hanging:
     """As much of a solving process as hangs."""
 
     def __init__(self) -> None:
-        self.restarts = 0
+        self.restarts, self.solves = 0, True
 
-    def give_up(self) -> None:
-        self.restarts += 1
+    def give_up(self) -> bool:
+        self.restarts += self.solves
+        return self.solves
 
 
 def test_92_hangs_are_forgotten_after_an_hour(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -277,6 +278,9 @@ def test_92_hangs_are_forgotten_after_an_hour(monkeypatch: pytest.MonkeyPatch) -
     watched.restart_what_hangs()
     assert solving.restarts == 21 + MOST_RESTARTS
     assert "1 of at most 3 times" in watched.problem
+    solving.solves = False  # it hangs in something else, which nobody can end
+    watched.restart_what_hangs()
+    assert watched.problem == "the solver hangs, and not in a solve; restart the node"
 
 
 class Slow:
