@@ -14,7 +14,7 @@ from geomid_ros.exports.inertial import Export
 from geomid_ros.exports.model import Model, read_model
 from geomid_ros.exports.patch_mjcf import into_mjcf
 from geomid_ros.exports.payload import attached, chosen, difference, each_link
-from geomid_ros.files.models.effect_forms import INTO
+from geomid_ros.files.models.readers import INTO
 
 _MUJOCO = "mujoco"
 

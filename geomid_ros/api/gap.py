@@ -16,9 +16,9 @@ from geomid_ros.exports.descriptions import DESCRIPTIONS, Whole, as_described
 from geomid_ros.exports.handover import JudgedFile, file_name, judge
 from geomid_ros.exports.model import read_model
 from geomid_ros.files.disk import staged, write_json, write_text
-from geomid_ros.files.models.effect_forms import DESCRIBED_FOR, URDF
 from geomid_ros.files.models.estimate_file import causes_entry
 from geomid_ros.files.models.gap_file import GapFile, gap_document, page_entries
+from geomid_ros.files.models.readers import DESCRIBED_FOR, URDF
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.files.schema import plain
 from geomid_ros.gap.result import Finding, GapResult, Verdict

@@ -20,9 +20,10 @@ from geomid_ros.estimation.estimate import SURE, EffectEstimate, Estimate, LinkE
 from geomid_ros.estimation.suggested_motions import suggested_motions
 from geomid_ros.exports.handover import HandedOver, JudgedFile
 from geomid_ros.files.disk import staged, write_json, write_text
-from geomid_ros.files.models.effect_forms import DESCRIBED_FOR, ELEMENTS, READERS, URDF, unsaid
+from geomid_ros.files.models.effect_forms import unsaid
 from geomid_ros.files.models.estimate_file import EstimateFile, model_effects
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
+from geomid_ros.files.models.readers import DESCRIBED_FOR, ELEMENTS, READERS, URDF
 from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.gap.evidence.features import StandingRemainder

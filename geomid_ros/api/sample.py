@@ -14,7 +14,7 @@ from geomid_ros.exports.formats import JSON
 from geomid_ros.exports.posterior_samples import DrawnRobots, described, draw_robots, ranges_text
 from geomid_ros.exports.torque_spread import TorqueSpread, torque_spread
 from geomid_ros.files.disk import write_text
-from geomid_ros.files.models.effect_forms import DESCRIBED_FOR
+from geomid_ros.files.models.readers import DESCRIBED_FOR
 from geomid_ros.report.pictures import torque_picture
 from geomid_ros.session.recordings import Progress, silent
 

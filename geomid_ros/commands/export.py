@@ -10,7 +10,7 @@ import geomid_ros
 from geomid_ros.commands.options import PATH, Names, package_option
 from geomid_ros.errors import one_line
 from geomid_ros.exports.formats import CONTROLLERS
-from geomid_ros.files.models.effect_forms import DESCRIBED_FOR
+from geomid_ros.files.models.readers import DESCRIBED_FOR
 
 
 @click.command()

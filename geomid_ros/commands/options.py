@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 import click
 
-from geomid_ros.files.models.effect_forms import DESCRIBED_FOR, URDF
+from geomid_ros.files.models.readers import DESCRIBED_FOR, URDF
 
 Decorator: TypeAlias = Callable[[Callable[..., Any]], Callable[..., Any]]
 

@@ -12,7 +12,7 @@ from geomid_ros.commands.options import OUT, PATH, package_option
 from geomid_ros.commands.terminal import plain_table, progress_bar, results_console
 from geomid_ros.errors import one_line
 from geomid_ros.exports.formats import JSON
-from geomid_ros.files.models.effect_forms import DESCRIBED_FOR
+from geomid_ros.files.models.readers import DESCRIBED_FOR
 
 if TYPE_CHECKING:
     from geomid_ros.exports.torque_spread import TorqueSpread

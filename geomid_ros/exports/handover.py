@@ -15,9 +15,10 @@ from geomid_ros.checks.unexplained import WORSE
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.exports.descriptions import DESCRIPTIONS, RobotToDescribe, Whole
-from geomid_ros.files.models.effect_forms import ELEMENTS, URDF, coefficients_of, unsaid
+from geomid_ros.files.models.effect_forms import coefficients_of, unsaid
 from geomid_ros.files.models.estimate_file import model_effects
 from geomid_ros.files.models.read_back import Attributes, ReadBack, read_urdf_back
+from geomid_ros.files.models.readers import ELEMENTS, URDF
 from geomid_ros.files.models.written_model import WrittenModel
 from geomid_ros.files.schema import entry
 from geomid_ros.geometry import pseudo_inertia

@@ -13,8 +13,9 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.exports.formats import SAME
 from geomid_ros.exports.inertial import UncertainInertia
-from geomid_ros.files.models.effect_forms import URDF, coefficient, effects_of_dynamics, is_body, joint_attributes
+from geomid_ros.files.models.effect_forms import coefficient, effects_of_dynamics, is_body, joint_attributes
 from geomid_ros.files.models.estimate_file import EstimateFile, LinkEntry
+from geomid_ros.files.models.readers import URDF
 from geomid_ros.files.models.urdf import joint_frames, read_urdf, with_inertials
 from geomid_ros.files.models.written_model import written_for
 from geomid_ros.geometry import pseudo_inertia

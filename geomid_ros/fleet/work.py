@@ -18,7 +18,7 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.population import RobotLikelihood
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.files.archive import FORMAT
-from geomid_ros.files.models.effect_forms import READERS
+from geomid_ros.files.models.readers import READERS
 from geomid_ros.files.schema import plain, structured
 from geomid_ros.fleet.kept import SUFFIX, BagSummary, RobotResults, Store, summarise, total
 from geomid_ros.fleet.recordings import FleetBag, on_this_disk

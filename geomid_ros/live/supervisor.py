@@ -12,7 +12,7 @@ from geomid_ros.checks.check import JudgementTask
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.identifier import EstimationTask
-from geomid_ros.files.models.effect_forms import URDF
+from geomid_ros.files.models.readers import URDF
 from geomid_ros.live.saving import Checkpoints, CheckpointStatus
 from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.live.worker import PATIENCE, OnEstimate, OnSamples, Worker

@@ -12,7 +12,7 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.file_fits import held_columns
 from geomid_ros.estimation.identifier import Identifier
-from geomid_ros.files.models.effect_forms import ELEMENTS
+from geomid_ros.files.models.readers import ELEMENTS
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples

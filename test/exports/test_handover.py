@@ -15,9 +15,9 @@ import geomid_ros
 from geomid_ros.api.identify import Identification
 from geomid_ros.exports.handover import HandedOver, JudgedFile, read_mjcf_back
 from geomid_ros.exports.model import read_model
-from geomid_ros.files.models.effect_forms import READERS
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.read_back import ReadBack, read_urdf_back
+from geomid_ros.files.models.readers import READERS
 from geomid_ros.files.models.urdf import for_drake, with_inertials
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.model.samples import Samples

@@ -1,10 +1,8 @@
-"""What follows from the values of a model's effects: attributes in descriptions, who reads which of these, and what a
-file cannot say."""
+"""What follows from the values of a model's effects: attributes in descriptions, and what a file cannot say."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from types import MappingProxyType
 
 import numpy as np
 
@@ -13,27 +11,6 @@ from geomid_ros.model.effects import EFFECTS, IdentifiedEffect, KnownEffect, Qua
 from geomid_ros.model.effects.parameters import COM_ENTRIES
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
-
-URDF, INTO = "urdf", "mjcf_joints"
-ELEMENTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        URDF: ("urdf",),
-        "moveit": ("urdf",),
-        "isaac": ("urdf", "mjcf/joint/armature"),
-        "gazebo": ("urdf", "gazebo"),
-        "drake": ("urdf/link", "drake"),
-        "mujoco": ("mjcf",),
-        "mjcf_joints": ("mjcf/joint", "mjcf/body"),
-    }
-)
-"""By the name of who reads a description of the whole robot, the elements that it takes; see
-:meth:`~geomid_ros.model.effects.ParameterForm.said_by`. Isaac's armature stands in a file beside its URDF; an MJCF of
-the user's own takes what its bodies and joints say (:data:`INTO`)."""
-
-READERS = tuple(reader for reader in ELEMENTS if reader != "moveit")
-"""Those whose files differ."""
-DESCRIBED_FOR = tuple(reader for reader in ELEMENTS if reader != INTO)
-"""Those that a description of a whole robot is written for."""
 
 
 def is_body(effect: KnownEffect) -> bool:

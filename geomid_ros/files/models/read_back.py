@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from geomid_ros.files.models.effect_forms import ELEMENTS
+from geomid_ros.files.models.readers import ELEMENTS
 from geomid_ros.model.effects import EFFECTS, Effect, MotionEffect, Place
 from geomid_ros.model.effects.situation import place_named
 from geomid_ros.model.measurement import MeasurementModel

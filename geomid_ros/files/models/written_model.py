@@ -20,7 +20,7 @@ from geomid_ros.checks.causes import Finding
 from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.disk import write_json, write_text
-from geomid_ros.files.models.effect_forms import ELEMENTS, combined, continued
+from geomid_ros.files.models.effect_forms import combined, continued
 from geomid_ros.files.models.estimate_file import (
     EstimateFile,
     inertias_of,
@@ -28,6 +28,7 @@ from geomid_ros.files.models.estimate_file import (
     verdict_entry,
 )
 from geomid_ros.files.models.mjcf import mjcf
+from geomid_ros.files.models.readers import ELEMENTS
 from geomid_ros.files.models.sidecar import check_effect, effects_entries, write_sidecar
 from geomid_ros.files.models.urdf import with_effects, with_inertials
 from geomid_ros.files.schema import FORMAT, plain
