@@ -9,6 +9,8 @@ from rosbags.rosbag2 import StoragePlugin
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import Bag
+from geomid_ros.files.bags.storage import RawMessage
+from geomid_ros.signals.limits import MOST_WAITING
 
 from .recordings import BAGS, altered, recorded, write_bag
 
@@ -90,3 +92,13 @@ def test_a_measured_db3_as_its_driver_recorded_it() -> None:
         topic = bag.find_topic("joint_states", "sensor_msgs/msg/JointState", "--joint-topic")
         messages = [message for _, _, message in bag.messages([topic])]
     assert len(messages) == 3441
+
+
+def test_batches_are_no_longer_than_streams_wait_for_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However small the messages are: of one topic no more come at once than are kept until those of another."""
+    many = [RawMessage(topic, time, "std_msgs/msg/Empty", b"") for time in range(20_000) for topic in ("/a", "/b")]
+    monkeypatch.setattr(Bag, "_raw_messages", lambda *_: iter(many))
+    with Bag(BAGS / "arm3") as bag:
+        batches = list(bag.batches(["/a", "/b"]))
+    assert [message for batch in batches for message in batch] == many
+    assert max(map(len, batches)) < MOST_WAITING

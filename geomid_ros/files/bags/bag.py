@@ -27,6 +27,7 @@ _FORMATS: dict[str, Callable[[Path], Storage]] = {".mcap": McapFile, ".db3": Dat
 _SUFFIXES = {"mcap": ".mcap", "sqlite3": ".db3"}  # by rosbag2's name of the format
 _TO_JAZZY = ("--dst-typestore", "ros2_jazzy")
 _METADATA = "metadata.yaml"
+_MOST_MESSAGES = 4096  # of a batch: streams wait for each other, and no more of one than is kept meanwhile
 _MOST_BYTES = 8_000_000  # of a batch, and of a message whose fields are read; a robot description has up to 5 MB
 
 
@@ -141,7 +142,7 @@ class Bag:
             self._check_size(message.topic, message.time, message.data)
             batch.append(message)
             size += sys.getsizeof(message.data)
-            if size > _MOST_BYTES:
+            if len(batch) >= _MOST_MESSAGES or size > _MOST_BYTES:
                 yield batch
                 batch, size = [], 0
         if batch:
