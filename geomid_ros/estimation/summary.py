@@ -265,6 +265,8 @@ class RowSummary:
         numbers = np.array([state.instants, state.time, state.rows, state.weight])
         if state.counts.shape != (self.folds, len(self.groups)) or len(state.factors) != self.folds:
             raise InputError(f"{len(state.factors)} folds, expected {self.folds} of {len(self.channels)} channels")
+        if any(len(factors) != len(self.groups) for factors in state.factors):
+            raise InputError(f"folds of other groups, expected {len(self.groups)} groups in each")
         if not all(np.all(np.isfinite(array) & (array >= 0.0)) for array in (numbers, state.counts)):
             raise InputError("numbers of rows that are negative or not finite")
         summaries = [

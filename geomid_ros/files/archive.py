@@ -96,7 +96,7 @@ def archived(document: Mapping[str, Any]) -> bytes:
             vectors[name] = np.frombuffer(value, np.uint8)
             return {"bytes": name}
         if isinstance(value, np.ndarray):
-            triangle = value.ndim == 2 and len(value) <= value.shape[1] and not np.any(np.tril(value, -1))
+            triangle = value.ndim == 2 and 0 < len(value) <= value.shape[1] and not np.any(np.tril(value, -1))
             vectors[name] = (value[triangle_of(value.shape)] if triangle else value.ravel()).astype(_DTYPES["F64"])
             return {"array": name, "shape": value.shape} | ({"triangle": True} if triangle else {})
         return (
@@ -134,7 +134,7 @@ def _shaped(vector: AnyArray, given: _Reference) -> FloatArray:
     if not given.triangle:
         return vector.reshape(given.shape)
     rows, columns = given.shape
-    if rows > columns or rows * columns - rows * (rows - 1) // 2 != len(vector):
+    if not 0 < rows <= columns or rows * columns - rows * (rows - 1) // 2 != len(vector):
         raise ValueError(f"{len(vector)} numbers are no triangle of shape {given.shape}")
     return upper_triangle(vector, given.shape)
 

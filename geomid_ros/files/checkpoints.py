@@ -87,7 +87,9 @@ class CheckpointFolder:
             mode = stat.S_IMODE(path.stat().st_mode)
             if mode & (stat.S_IRWXG | stat.S_IRWXO):
                 raise GeomidError(f"{path}: no checkpoints in a folder that others may use (mode {mode:o}): chmod 700")
-            self._lock = os.open(path / _LOCK, os.O_RDONLY | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, FOR_OWNER)
+            self._lock = os.open(
+                path / _LOCK, os.O_RDONLY | os.O_NONBLOCK | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, FOR_OWNER
+            )
         except OSError as error:
             raise GeomidError(f"{path}: no folder for checkpoints ({error.strerror or error})") from error
         try:

@@ -181,8 +181,10 @@ def candidates(model: MeasurementModel, known: Collection[EffectTerm] = (), *, b
         for cls in EFFECTS.values()
         for effect in cls.variants()
         for place in model.places.of(effect)
-        if (effect.name, place) not in has and not (model.legs and isinstance(effect, SituationEffect))
+        if (effect.name, place) not in has
     ]
+    if model.legs:
+        found = [c for c in found if not isinstance(c.effect, SituationEffect)]
     return sorted(found, key=_order)
 
 

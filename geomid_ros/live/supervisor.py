@@ -160,6 +160,7 @@ class Supervisor:
         intake = self.worker.activity.current[1] > HANGING
         solver = self.worker.solver.activity.current[1] > HANGING
         if not solver and not intake:
+            self._hung = self._hung if self._restarts else ""
             return
         what = "message processing" if intake else "the solver"
         if len(self._restarts) == MOST_RESTARTS:
@@ -172,6 +173,8 @@ class Supervisor:
         self._hung = f"{what} hung and was restarted, {len(self._restarts)} of at most {MOST_RESTARTS} times"
         if intake:
             self.build(self.worker.session.urdf, "robot_description", self._absent)
+        else:
+            self.worker.solver.activity.count_anew()
 
     def close(self, save: Callable[[Session, Estimate, float], None]) -> None:
         """End the threads, after saving the last estimate.

@@ -43,6 +43,7 @@ class Activity:
 
     def __init__(self) -> None:
         self._begun: tuple[str, float] | None = None
+        self._counted_from = 0.0
 
     @contextmanager
     def doing(self, what: str) -> Iterator[None]:
@@ -57,4 +58,8 @@ class Activity:
     def current(self) -> tuple[str, float]:
         """What the thread does, and the seconds since it began; nothing and 0 while it waits."""
         begun = self._begun
-        return (begun[0], time.monotonic() - begun[1]) if begun else ("", 0.0)
+        return (begun[0], time.monotonic() - max(begun[1], self._counted_from)) if begun else ("", 0.0)
+
+    def count_anew(self) -> None:
+        """Count what it does from now on: what held it up was ended."""
+        self._counted_from = time.monotonic()

@@ -96,8 +96,14 @@ def find(session: Session, recordings: Recordings, progress: Progress) -> GapRes
     """Run :func:`~geomid_ros.gap.workflow.find_gap` with the session's model and what is known of it.
 
     Raises:
-        InputError: the recordings are too short, without motion or without anything measured.
+        InputError: the recordings are too short, without motion or without anything measured, or the robot stands on
+            its legs and the model has effects that depend on loads.
     """
+    if session.model.legs and session.loaded.beside_coefficients:
+        raise InputError(
+            f"{session.loaded.not_predicted}. On legs that stand, the ground loads the joints, too, and gaps cannot be "
+            "found beside such effects; leave them out of the model"
+        )
     return find_gap(
         session.model,
         recordings.train,

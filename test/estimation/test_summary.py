@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
+from geomid_ros.errors import InputError
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.samples import REGIMES
@@ -221,3 +223,13 @@ def test_what_waits_is_absorbed_channel_by_channel_without_changing_anything() -
     assert steps == 3 * 5, "three channels are measured, in five of the folds"
     assert not any(waiting for fold in pending._waiting for waiting in fold)
     np.testing.assert_allclose(content(pending, x), expected, rtol=CONTENT)
+
+
+def test_a_fold_that_lacks_a_group_is_refused() -> None:
+    """And changes nothing."""
+    found = summary(*rows(0, 100), folds=4, block=30)
+    state, again = found.state(), RowSummary(CHANNELS, folds=4, block=30)
+    factors = (state.factors[0][:-1], *state.factors[1:])
+    with pytest.raises(InputError, match="groups"):
+        again.restore(replace(state, factors=factors))
+    assert again.rows == 0

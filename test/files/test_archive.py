@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.archive import archived, unarchived
+from geomid_ros.files.archive import archived, pack, unarchived, unpack
 from geomid_ros.files.schema import structured
 from geomid_ros.types import FloatArray
 
@@ -56,3 +56,14 @@ def test_what_is_no_array_is_refused(value: object, message: str) -> None:
     content = archived({"arrays": {"x": value}, "files": {}})
     with pytest.raises(InputError, match=f"arrays.x is .*{message}"):
         structured(Kept, unarchived(content), "its text:")
+
+
+def test_a_triangle_without_numbers_is_refused_unmade() -> None:
+    """However large it claims to be; an empty array is none."""
+    empty = np.zeros((0, 7))
+    assert structured(Kept, unarchived(archived({"arrays": {"x": empty}, "files": {}})), "").arrays["x"].shape == (0, 7)
+    text, vectors = unpack(archived({"arrays": {"x": np.zeros(0)}, "files": {}}))
+    claimed = text.replace('"shape": [0]', f'"shape": [0, {10**11}], "triangle": true')
+    assert claimed != text
+    with pytest.raises(InputError):
+        unarchived(pack(claimed, vectors))

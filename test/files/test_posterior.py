@@ -119,6 +119,12 @@ def test_an_array_that_claims_to_be_larger_than_its_file_is_refused_unmade(writt
     refused(written, "cannot be read")
 
 
+def test_a_member_that_is_no_array_is_refused(written: Path) -> None:
+    with zipfile.ZipFile(written, "a") as archive:
+        archive.writestr("scales", b"xxx")
+    refused(written, "no array")
+
+
 def test_what_is_no_archive_is_refused(tmp_path: Path) -> None:
     (tmp_path / POSTERIOR).write_text("{}")
     refused(tmp_path / POSTERIOR, "cannot be read")

@@ -13,7 +13,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from files.recordings import TYPES
 
-from geomid_ros.live import saving, supervisor
+from geomid_ros.live import saving, supervisor, threads
 from geomid_ros.live.status import Status
 from geomid_ros.live.supervisor import FORGOTTEN, MOST_RESTARTS, Supervisor
 from geomid_ros.live.threads import Activity
@@ -281,6 +281,30 @@ def test_92_hangs_are_forgotten_after_an_hour(monkeypatch: pytest.MonkeyPatch) -
     solving.solves = False  # it hangs in something else, which nobody can end
     watched.restart_what_hangs()
     assert watched.problem == "the solver hangs, and not in a solve; restart the node"
+    monkeypatch.setattr(Activity, "current", ("", 0.0))
+    now[0] += 2.0 * FORGOTTEN
+    watched.restart_what_hangs()
+    assert watched.problem == ""
+
+
+def test_92_what_goes_on_after_a_hang_has_its_own_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was held up counts from the end of what held it up: the next solve is not ended with it."""
+    now = [0.0]
+    monkeypatch.setattr(threads, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(supervisor, "time", threads.time)
+    ignored: Any = None
+    solving: Any = Hanging()
+    watched = Supervisor(Configuration({}), Ledger(), Lines(), on_samples=ignored, on_estimate=ignored, solving=solving)
+    solver = SimpleNamespace(activity=Activity())
+    worker: Any = SimpleNamespace(activity=Activity(), solver=solver)
+    watched.worker = worker
+    with solver.activity.doing("solving"):
+        for now[0] in (supervisor.HANGING + 1.0, supervisor.HANGING + 2.0, 2.0 * supervisor.HANGING):
+            watched.restart_what_hangs()
+        assert solving.restarts == 1
+        now[0] = 3.0 * supervisor.HANGING
+        watched.restart_what_hangs()
+        assert solving.restarts == 2
 
 
 class Slow:

@@ -126,8 +126,11 @@ def _unpacked(content: bytes) -> _Arrays:
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         if any(own.compress_type != zipfile.ZIP_STORED for own in archive.infolist()):
             raise InputError("its arrays are compressed")
-    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-        return dict(arrays)
+    with np.load(io.BytesIO(content), allow_pickle=False) as members:
+        arrays = dict(members)
+    if not all(isinstance(array, np.ndarray) for array in arrays.values()):
+        raise InputError("holds what is no array")
+    return arrays
 
 
 def _header(arrays: _Arrays) -> _Header:
