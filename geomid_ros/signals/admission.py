@@ -187,7 +187,7 @@ class Admission:
         Returns:
             The messages that go on; with each part but the first something is another: a clock, or a unit.
         """
-        for source in new.keys() - self._gates.keys():
+        for source in [source for source in new if source not in self._gates]:
             self._gates[source], self._decided[source] = self._new_gate(source), NOTHING
         for source in self._gates:
             self._decide(source, new.get(source, NOTHING), newest)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomid_ros.signals.admission import FROM_THE_FUTURE, NOT_LATER, PAUSE, SET_BACK, TOO_OLD, Gate
+from geomid_ros.signals.admission import FROM_THE_FUTURE, NOT_LATER, PAUSE, SET_BACK, TOO_OLD, Admission, Gate
 from geomid_ros.signals.arrived import NOTHING, Arrived
 from geomid_ros.signals.limits import PATIENCE
 
@@ -101,3 +101,16 @@ def test_late_ones_and_those_from_the_future_do_not_confirm_each_other() -> None
     used, refused, turns, held = judged(START, LATE, START + 10 * MAX_GAP, LATE)
     assert (used, turns, held) == ([START], [], 1)
     assert refused == [TOO_OLD, FROM_THE_FUTURE]
+
+
+def test_sources_go_on_in_the_order_in_which_they_came_first() -> None:
+    """Whatever their names are: what is told of them, and what they wait for each other, does not change by chance."""
+    sources = [(f"/wrench{number}", ()) for number in range(12)]
+    admission = Admission(lambda _: Gate(MAX_GAP), lambda *_: None)
+    for begin in range(0, len(sources), 6):
+        new = {
+            source: Arrived(np.array([place]), np.array([START]), np.zeros((1, 6)), np.full(1, None))
+            for place, source in enumerate(sources[begin : begin + 6], begin)
+        }
+        (admitted,) = admission.take(new, begin + 5)
+    assert list(admitted) == sources
