@@ -1,12 +1,28 @@
 """What may be named: places, coefficients, parameters, and what excludes what."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
+from model.robots import urdf
 
+from geomid_ros.errors import InputError
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.candidates import Candidate, EffectTerm
 from geomid_ros.model.channels import WrenchSensor
-from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, AtJoint, JointMotion, MotionEffect, OnLink, OnRobot
+from geomid_ros.model.contacts import Contact
+from geomid_ros.model.effects import (
+    DEFAULT_EFFECTS,
+    EFFECTS,
+    AtJoint,
+    JointMotion,
+    MotionEffect,
+    OnLink,
+    OnRobot,
+    SituationEffect,
+    effect_class,
+)
 from geomid_ros.model.effects.backlash import CROSSINGS
 from geomid_ros.model.effects.coulomb_friction import SMOOTHINGS
 from geomid_ros.model.effects.saturating_friction import SPEEDS as SETTING_IN
@@ -14,6 +30,7 @@ from geomid_ros.model.effects.stribeck_friction import SPEEDS
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN
+from geomid_ros.session.gap import find
 
 from . import planted
 
@@ -123,3 +140,22 @@ def test_a_joint_stands_still_below_a_hundredth_of_a_radian_per_second() -> None
     np.testing.assert_array_equal(REST.function.column(motion), [1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
     direction = SIGN.function.column(motion)
     np.testing.assert_array_less(np.abs(SMOOTH_SIGN.function.column(motion)[1:5]), np.abs(direction[1:5]))
+
+
+def test_on_legs_no_name_depends_on_loads() -> None:
+    """The ground loads the joints of a leg that stands, too: such an effect of a model is no candidate either."""
+    robot = Robot(urdf("go2.urdf"), floating_base=True)
+    model = MeasurementModel(robot, [], contacts=[Contact("FL_foot", 0.02)])
+    known = [EffectTerm(effect_class(name)(), AtJoint(0)) for name in ("effort_gain", "viscous_friction")]
+    found = library.candidates(model, known)
+    assert not [c.name for c in found if isinstance(c.effect, SituationEffect)]
+    assert {"viscous_friction", "payload"} <= {c.name for c in found}
+
+
+def test_a_model_with_effects_of_loads_is_refused_on_legs() -> None:
+    """By the name of the effect, before anything is fitted."""
+    loaded = SimpleNamespace(beside_coefficients=[1], not_predicted="m.json: effort_gain of elbow: not predicted")
+    session: Any = SimpleNamespace(model=SimpleNamespace(legs=True), loaded=loaded)
+    unused: Any = None
+    with pytest.raises(InputError, match="effort_gain of elbow.*leave them out of the model"):
+        find(session, unused, unused)
