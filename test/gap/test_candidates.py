@@ -157,5 +157,5 @@ def test_a_model_with_effects_of_loads_is_refused_on_legs() -> None:
     loaded = SimpleNamespace(beside_coefficients=[1], not_predicted="m.json: effort_gain of elbow: not predicted")
     session: Any = SimpleNamespace(model=SimpleNamespace(legs=True), loaded=loaded)
     unused: Any = None
-    with pytest.raises(InputError, match="effort_gain of elbow.*leave them out of the model"):
+    with pytest.raises(InputError, match=r"effort_gain of elbow.*leave them out of the model"):
         find(session, unused, unused)

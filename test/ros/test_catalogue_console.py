@@ -279,10 +279,10 @@ def test_92_hangs_are_forgotten_after_an_hour(monkeypatch: pytest.MonkeyPatch) -
     assert solving.restarts == 21 + MOST_RESTARTS
     assert "1 of at most 3 times" in watched.problem
     solving.solves = False  # it hangs in something else, which nobody can end
+    now[0] += 2.0 * FORGOTTEN
     watched.restart_what_hangs()
     assert watched.problem == "the solver hangs, and not in a solve; restart the node"
     monkeypatch.setattr(Activity, "current", ("", 0.0))
-    now[0] += 2.0 * FORGOTTEN
     watched.restart_what_hangs()
     assert watched.problem == ""
 
