@@ -41,9 +41,19 @@ _VISIBLE = 0.04
 """Share of a channel's remaining squares that an effect explains at least."""
 
 
-def choose(problem: Problem, earlier: IntArray | None = None) -> IntArray:
-    """The parameters that the rows ask for, by their columns: all that are not optional, each in its best shape, and
-    the optional ones that are believed.
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """The ``columns`` of the parameters that the rows ask for, and where their fit ended, if there was a choice: all
+    ``parameters (D,)``, zero where they are left out, and the links' ``spreads (links,)``."""
+
+    columns: IntArray
+    parameters: FloatArray | None = None
+    spreads: FloatArray | None = None
+
+
+def choose(problem: Problem, earlier: IntArray | None = None) -> Choice:
+    """The parameters that the rows ask for: all that are not optional, each in its best shape, and the optional ones
+    that are believed.
 
     Args:
         problem: with all coefficients.
@@ -51,7 +61,7 @@ def choose(problem: Problem, earlier: IntArray | None = None) -> IntArray:
     """
     rows = _Rows(problem)
     if not (rows.has_choice and rows.enough):
-        return rows.standing
+        return Choice(rows.standing)
     chosen = rows.fit(rows.standing if earlier is None else earlier)
     chosen = _shaped(chosen, range(len(problem.model.robot.joints)))
     chosen = _without_unbelieved(chosen)
@@ -63,7 +73,8 @@ def choose(problem: Problem, earlier: IntArray | None = None) -> IntArray:
         refused.add(rows.mechanism(column))
         if np.all(larger.possible) and larger.is_visible_beside(chosen):
             chosen = _shaped(larger, joints_of(rows.coefficient(column).place))
-    return _without_unbelieved(chosen).every
+    chosen = _without_unbelieved(chosen)
+    return Choice(chosen.every, chosen.parameters, chosen.fit.scales)
 
 
 def _shaped(fit: _Fit, joints: Collection[int]) -> _Fit:
@@ -236,9 +247,7 @@ class _Rows:
         prior = manifold.point(np.append(problem.prior[links], np.zeros(len(manifold.scales))))
         point, spreads = prior, usual
         if start is not None:
-            before = np.zeros(self.size)
-            before[start.columns] = start.fit.point.parameters
-            point, spreads = manifold.point(before[columns]), start.fit.scales
+            point, spreads = manifold.point(start.parameters[columns]), start.fit.scales
         known = problem.known.rows[:, columns]
         known_rows = np.column_stack([known, known @ prior.parameters - problem.known.targets])
         profile = Profile(manifold, self.products.select(columns), self.counts, prior, self.floors)
@@ -263,6 +272,13 @@ class _Fit:
     columns: IntArray
     fit: ProfileFit
     zero: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+    @cached_property
+    def parameters(self) -> FloatArray:
+        """All parameters ``(D,)``, zero where they are left out."""
+        every = np.zeros(self.rows.size)
+        every[self.columns] = self.fit.point.parameters
+        return every
 
     @property
     def every(self) -> IntArray:
@@ -303,8 +319,7 @@ class _Fit:
     def possible(self) -> BoolArray:
         """Whether each of the :attr:`chosen` is in its range, and does what it stands for beside all others at its
         place."""
-        every = np.zeros(self.rows.size)
-        every[self.columns] = self.fit.point.parameters
+        every = self.parameters
         there: dict[Place, dict[Effect, float]] = {}
         for column in self.every[self.every >= self.rows.first].tolist():
             own = self.rows.coefficient(column)
@@ -333,9 +348,7 @@ class _Fit:
     @cached_property
     def _vector(self) -> FloatArray:
         """All parameters and minus one ``(n + 1,)``: the residual is what the columns with the target leave of it."""
-        vector = np.zeros(self.rows.size + 1)
-        vector[self.columns], vector[-1] = self.fit.point.parameters, -1.0
-        return vector
+        return np.append(self.parameters, -1.0)
 
     @property
     def _slopes(self) -> FloatArray:

@@ -12,7 +12,7 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation import estimate_parts, uncertainty
 from geomid_ros.estimation.alike_prior import AlikePrior
-from geomid_ros.estimation.choice import choose
+from geomid_ros.estimation.choice import Choice, choose
 from geomid_ros.estimation.coupled_prior import CoupledPrior, fit_beside
 from geomid_ros.estimation.estimate import SURE, Estimate
 from geomid_ros.estimation.file_fits import fit_files
@@ -26,7 +26,7 @@ from geomid_ros.estimation.posterior import effect_columns
 from geomid_ros.estimation.problem import Problem, subproblem
 from geomid_ros.estimation.solvers import SOLVERS
 from geomid_ros.estimation.summary import RowSummary
-from geomid_ros.estimation.tolerances import ROUNDING
+from geomid_ros.estimation.tolerances import ROUNDING, SETTLED
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.alike_parts import AlikeParts
 from geomid_ros.model.measurement import MeasurementModel
@@ -142,19 +142,22 @@ def estimate(
         given_spreads=spreads,
     )
 
-    def fitted(columns: IntArray, begun: WarmStart | None = None) -> tuple[Fit, Iterable[str]]:
+    def fitted(columns: IntArray, begun: WarmStart | None, other: Choice | None = None) -> tuple[Fit, Iterable[str]]:
         problem = subproblem(whole, columns)
-        solve = partial(fit, tolerance=settings.tolerance, max_steps=settings.max_steps)
+        solve: Callable[..., Fit] = partial(fit, tolerance=settings.tolerance, max_steps=settings.max_steps)
         if begun is not None:
             solve = partial(solve, start=problem.manifold.point(begun.parameters[columns]), spreads=begun.spreads)
+        elif other is not None and other.parameters is not None:
+            solve = _of_two(solve, _place(problem, other.parameters[columns]), other.spreads)
         return _beside(_coupled(settings, problem), problem, solve)
 
     kept = None if warm is None else _kept(model, warm)
     if warm is None or kept is None or warm.effects_alone:
         coupled = _coupled(settings, whole)
         beside = whole if coupled is None else coupled.problem_at(coupled.problem.prior_point, coupled.trusted)
-        columns = choose(beside, kept)
-        result = _estimate(columns, model, fitted(columns), settings)
+        choice = choose(beside, kept)
+        columns = choice.columns
+        result = _estimate(columns, model, fitted(columns, None, choice), settings)
         while len(unsure := _unsure(model, result, columns)):
             columns = np.setdiff1d(columns, unsure)
             begun = WarmStart(result.parameters, spreads=result.spreads)
@@ -162,7 +165,7 @@ def estimate(
     else:
         columns = kept
         result = _estimate(columns, model, fitted(columns, warm), settings)
-    within = fit_files(model, columns, settings.files, lambda held: fitted(held)[0])
+    within = fit_files(model, columns, settings.files, lambda held: fitted(held, None)[0])
     return replace(result, within=within, seconds=time.perf_counter() - begin)
 
 
@@ -179,6 +182,24 @@ def _beside(prior: CoupledPrior | None, problem: Problem, solve: Callable[..., F
         return solve(problem), ()
     found, weights = fit_beside(prior, solve)
     return found, prior.unlike(weights)
+
+
+def _of_two(solve: Callable[..., Fit], other: Point, spreads: FloatArray | None) -> Callable[..., Fit]:
+    """A solver that begins a second time, at another point with other ``spreads (links,)``, where it is given none: of
+    two minima it takes the more likely one."""
+
+    def best(problem: Problem, start: Point | None = None, **more: FloatArray) -> Fit:
+        if start is not None:
+            return solve(problem, start, **more)
+        first, second = solve(problem), solve(problem, other, spreads)
+        return second if second.score < first.score - SETTLED else first
+
+    return best
+
+
+def _place(problem: Problem, parameters: FloatArray) -> Point:
+    """The point of ``parameters (D,)``, those of the prior where they are left out: what is positive cannot be zero."""
+    return problem.manifold.point(np.where(parameters == 0.0, problem.prior, parameters))
 
 
 def _kept(model: MeasurementModel, warm: WarmStart) -> IntArray:

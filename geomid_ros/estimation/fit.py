@@ -9,10 +9,11 @@ likelihood in Laplace's approximation.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.estimation.link_spreads import likely_spreads
+from geomid_ros.estimation.link_spreads import cost_of_spreads, likely_spreads
 from geomid_ros.estimation.objective import ProductsObjective, ResidualObjective, row_weights
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.solvers import Extrapolation, Solution, trust_region
@@ -63,6 +64,18 @@ class Fit:
     def assumed_spreads(self) -> FloatArray:
         """Standard deviations ``(D,)`` of the prior's error, tangent coordinates."""
         return _every_spread(self.problem, self.spreads)
+
+    @cached_property
+    def score(self) -> float:
+        """Minus twice the logarithm of the marginal likelihood in Laplace's approximation, up to what is the same for
+        all fits of a problem. There are several minima: a link that takes over what an effect does leaves its prior."""
+        problem = self.problem
+        rough = _rough(problem, self.sigmas, self.spreads)
+        found = rough.evaluate(self.point)
+        _, volume = np.linalg.slogdet(problem.independent * (found.information + np.diag(rough.prior_weights)))
+        likelihood = 2.0 * problem.independent * (found.value + float(problem.counts @ np.log(self.sigmas)))
+        widths = 2.0 * float(np.sum(np.log(self.assumed_spreads)))
+        return likelihood + float(volume) + widths + cost_of_spreads(self.spreads, problem.usual)
 
 
 def fit(

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from geomid_ros.estimation import estimator
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.fit import Fit, fit
 from geomid_ros.estimation.identifier import Identifier
@@ -18,6 +20,7 @@ from geomid_ros.model.effects import identifiable
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import REGIMES, regimes
 from geomid_ros.model.weighed_masses import weighed_rows
+from geomid_ros.session.configuration import Configuration
 from geomid_ros.types import FloatArray
 
 from .arms import Case, Truth, arm, efforts
@@ -150,6 +153,55 @@ def test_a_links_spread_is_its_distance_from_the_prior_and_what_is_unsure_of_it(
     of_links = np.sum(squares.reshape(-1, 10), axis=1)
     expected = np.sqrt((of_links + CERTAINTY * USUAL_SPREAD_OF_LINKS**2) / (10.0 + CERTAINTY))
     np.testing.assert_allclose(found.spreads, expected, rtol=1e-5)
+
+
+def test_the_score_is_the_density_of_what_was_measured() -> None:
+    """Of all rows at once, with their dense covariance: that of the noise, and of what the prior leaves unsure. The
+    links' spreads have their own."""
+    case = arm("arm3", 1)
+    case = replace(case, samples=case.samples.select(np.arange(len(case.samples)) % 4 == 0))
+    found = fit(problem(case), tolerance=1e-12, max_steps=300)
+    manifold, prior = found.problem.manifold, found.problem.prior_point
+    rows, channel = case.model.rows(case.samples), np.arange(len(case.model.channels))
+    sigmas = found.sigmas.reshape(REGIMES, -1)[regimes(case.samples), channel].ravel()
+    coefficients = rows.coefficients.reshape(len(sigmas), -1)
+    left = rows.targets.ravel() - coefficients @ found.point.parameters
+    tangent = manifold.whiten(found.point, coefficients)
+    covariance = np.diag(sigmas**2) + (tangent * found.assumed_spreads**2) @ tangent.T
+    off = left - tangent @ manifold.log(found.point, prior)
+    density = np.linalg.slogdet(covariance)[1] + off @ np.linalg.solve(covariance, off)
+    wide = found.spreads / USUAL_SPREAD_OF_LINKS
+    expected = density + CERTAINTY * np.sum(wide**-2.0 + 2.0 * np.log(wide))
+    assert found.score == pytest.approx(expected, abs=0.05)
+
+
+@pytest.mark.parametrize(("seed", "wrong"), [(7, 6), (2, 6), (6, 2)])
+def test_of_two_minima_the_more_likely_is_taken(seed: int, wrong: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A link is six times as heavy, motors cog, and 2.5 s of motion tell little: beside the effects that were chosen
+    there are two minima, one is reached from the prior, the other from where the choice ended. What is unsure goes from
+    the better one."""
+    case = arm("arm7", seed)
+    links = case.true.links.copy()
+    links[wrong] *= 6.0
+    first = case.samples.select(np.arange(len(case.samples)) < len(case.samples) // 8)
+    clean = efforts(case.model.robot, Truth(links, case.true.effects), first) + np.sin(7.0 * first.position)
+    noise = 0.1 * np.random.default_rng(wrong).normal(size=clean.shape)
+    model = MeasurementModel(case.model.robot, case.model.places.common, candidates=Configuration().candidates)
+    identifier = Identifier(model, EstimatorSettings())
+    identifier.add(replace(first, effort=clean + noise))
+    fits: list[tuple[Fit, dict[str, Any]]] = []
+
+    def recorded(problem: Problem, *start: Any, **more: Any) -> Fit:
+        fits.append((fit(problem, *start, **more), more))
+        return fits[-1][0]
+
+    monkeypatch.setattr(estimator, "fit", recorded)
+    identifier.solve()
+    (cold, _), (warm, _), (_, begun), *_ = fits
+    assert abs(cold.score - warm.score) > 5.0
+    better, worse = sorted((cold, warm), key=lambda found: found.score)
+    np.testing.assert_array_equal(begun["spreads"], better.spreads)
+    assert not np.array_equal(better.spreads, worse.spreads)
 
 
 def halting(name: str, seed: int) -> Case:
