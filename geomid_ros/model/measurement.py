@@ -389,10 +389,13 @@ class MeasurementModel:
         return coefficients, targets
 
     def _loads(self, samples: Samples, bodies: FloatArray) -> FloatArray:
-        """What the gears transmit ``(N, J)``, by what is known."""
+        """What the gears transmit ``(N, J)``, by what is known; of legs that stand by their efforts, for the ground
+        loads them, too."""
         loads = np.einsum("njbk,bk->nj", bodies[:, self.layout.efforts], self.loading)
         if self.resisting and self.layout.efforts:
             loads += samples.efforts_of(self.resisting)
+        for joints, stands in zip(self.legs.joints if self.legs else (), samples.standing.T, strict=False):
+            loads[np.ix_(stands, joints)] = np.nan_to_num(samples.effort[np.ix_(stands, joints)])
         return np.asarray(loads)
 
     @cached_property

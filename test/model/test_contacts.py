@@ -99,6 +99,23 @@ def test_columns_of_effects_lose_the_ground_as_rows_do() -> None:
     assert_equal(dense[left], rows.coefficients[left][:, len(model.nominal_inertias) :])
 
 
+def test_the_ground_loads_the_gears_of_legs_that_stand() -> None:
+    """Friction in proportion to the load, ground included, drops out of the base's rows; what it adds to the load
+    itself is of second order."""
+    robot = Robot(urdf("go2.urdf"), floating_base=True)
+    friction = 1e-6
+    model = MeasurementModel(robot, [identified_effect("load_friction")], contacts=[Contact("FL_foot", RADIUS)])
+    reference = Reference(urdf("go2.urdf"), floating_base=True)
+    samples = bent(robot, seed=2)
+    wrench = on_the_ground(reference, samples, robot.joint_names, "FL_foot", 3)
+    base, efforts = reference.inverse_dynamics(samples, robot.joint_names, {"FL_foot": wrench})
+    measured = efforts + friction * np.abs(efforts) * np.sign(samples.velocity)
+    samples = replace(with_values(samples, effort=measured), standing=np.ones((len(samples), 1), dtype=bool))
+    targets, predicted = model.predict(samples, np.append(model.nominal_inertias, np.full(len(robot.joints), friction)))
+    np.testing.assert_allclose((predicted - targets)[:, -6:], base, rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(predicted[:, 3:-6], targets[:, 3:-6], rtol=0.0, atol=1e-8)
+
+
 def test_a_foot_bears_what_its_leg_says() -> None:
     """By the URDF; a share of what each foot bears when all stand."""
     robot = Robot(urdf("go2.urdf"), floating_base=True)
