@@ -18,6 +18,7 @@ from geomid_ros.model.effects import (
     EFFECTS,
     AtSensor,
     Effect,
+    LoadEffect,
     MotionEffect,
     OnLink,
     Place,
@@ -171,8 +172,8 @@ NamesSearch: TypeAlias = Selection[Candidate, EffectTerm]
 
 def candidates(model: MeasurementModel, known: Collection[EffectTerm] = (), *, bare: bool = True) -> list[Candidate]:
     """All names for a robot with its sensors, and changes of what is ``known`` of it: it keeps its constants; ``bare``:
-    whether nothing is known of its joints, so that they have what joints have. What depends on loads is none of a robot
-    on its legs: there the ground loads them, too."""
+    whether nothing is known of its joints, so that they have what joints have. On its legs the ground loads a robot's
+    joints, too: what depends on more than the load itself is none there."""
     has = {(term.effect.name, term.place) for term in known}
     changes = [Candidate.of(*own, known=True) for own in dict.fromkeys((term.effect, term.place) for term in known)]
     found = [c for c in changes if set(c.terms) <= set(known)]
@@ -184,7 +185,7 @@ def candidates(model: MeasurementModel, known: Collection[EffectTerm] = (), *, b
         if (effect.name, place) not in has
     ]
     if model.legs:
-        found = [c for c in found if not isinstance(c.effect, SituationEffect)]
+        found = [c for c in found if isinstance(c.effect, LoadEffect) or not isinstance(c.effect, SituationEffect)]
     return sorted(found, key=_order)
 
 

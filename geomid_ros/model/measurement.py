@@ -389,14 +389,19 @@ class MeasurementModel:
         return coefficients, targets
 
     def _loads(self, samples: Samples, bodies: FloatArray) -> FloatArray:
-        """What the gears transmit ``(N, J)``, by what is known; of legs that stand by their efforts, for the ground
-        loads them, too."""
+        """What the gears transmit ``(N, J)``, by what is known."""
         loads = np.einsum("njbk,bk->nj", bodies[:, self.layout.efforts], self.loading)
         if self.resisting and self.layout.efforts:
             loads += samples.efforts_of(self.resisting)
+        return self.with_ground(samples, loads)
+
+    def with_ground(self, samples: Samples, loads: FloatArray) -> FloatArray:
+        """What the gears transmit ``(N, J)``, from that of the robot alone: of legs that stand the efforts, as the
+        ground loads them, too; zero where these are not measured."""
+        loads = loads.copy()
         for joints, stands in zip(self.legs.joints if self.legs else (), samples.standing.T, strict=False):
             loads[np.ix_(stands, joints)] = np.nan_to_num(samples.effort[np.ix_(stands, joints)])
-        return np.asarray(loads)
+        return loads
 
     @cached_property
     def _of_motion(self) -> tuple[Entries, IntArray, IntArray, IntArray]:

@@ -44,7 +44,8 @@ class Autoregression:
         covariance = np.array([_covariance(values, runs, lag) for lag in range(_HIGHEST_ORDER + 1)])
         if count == 0 or covariance[0] <= 0.0:
             return Autoregression.white()
-        predictors, variances = levinson(covariance)
+        with np.errstate(divide="ignore", invalid="ignore"):  # of a few rows an error's variance may be zero
+            predictors, variances = levinson(covariance)
         # Means over different pairs need not be the covariances of any process.
         possible = int(np.argmin(np.append(variances > 0.0, False)))
         variances = variances[:possible]

@@ -97,6 +97,7 @@ class Records:
         of_joints, joined["predicted"] = joined["predicted"], np.zeros((len(self.samples), channels))
         if model.layout.efforts:
             joined["predicted"][:, :joints] = of_joints
+            joined["transmitted"] = model.with_ground(self.samples, joined["transmitted"])
         return Situation(
             sign=self.samples.column(SIGN),
             **vars(dynamics.sensitivity(self.samples)),
