@@ -76,7 +76,8 @@ class Gap:
         """
         if self.with_simulator:
             return None
-        return judge(self.session, self.reader, self._description, self.held_out)
+        found = dict(zip(self.result.channels, (self.result.gap.after * self.result.floor).tolist(), strict=True))
+        return judge(self.session, self.reader, self._description, self.held_out, found)
 
     @cached_property
     def _description(self) -> Whole:

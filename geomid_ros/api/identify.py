@@ -95,6 +95,7 @@ class Identification:
     def verdict(self) -> Verdict:
         """Verdict on the result: ``usable``, ``doubtful`` or ``not converged``, with the reasons."""
         judged = self.session.verdict(self.estimate, self.judged, self.held_out_rms)
+        judged = replace(judged, warnings=(*judged.warnings, *self.handover.limited))
         worse = self.handover.worse
         return replace(judged, word=DOUBTFUL, reasons=(*judged.reasons, *worse)) if worse else judged
 
@@ -110,7 +111,7 @@ class Identification:
         Raises:
             InputError: the program does not take it.
         """
-        return self.written.judged(self.judged)
+        return self.written.judged(self.judged, self.rms)
 
     @cached_property
     def train(self) -> Sequence[Samples]:

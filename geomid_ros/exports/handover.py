@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -81,10 +81,11 @@ class HandedOver:
         effects = model_effects(self.estimate, self.session.loaded.effects)
         return unsaid([effect for effect in effects if joint in effect.joint.split("+")], ELEMENTS[self.reader])
 
-    def judged(self, batches: Sequence[Samples]) -> JudgedFile:
-        """How well it predicts samples. Raises InputError where the program does not take the file."""
+    def judged(self, batches: Sequence[Samples], found: Mapping[str, float]) -> JudgedFile:
+        """How well it predicts samples, of which all that was ``found`` leaves this RMS by channel. Raises InputError
+        where the program does not take the file."""
         lacks = {channel.name: self.lacks(channel.name) for channel in self.session.model.channels}
-        return judge(self.session, self.reader, self._whole, batches, self._errors_of_sensors, lacks)
+        return judge(self.session, self.reader, self._whole, batches, found, self._errors_of_sensors, lacks)
 
     @property
     def _errors_of_sensors(self) -> FloatArray:
@@ -110,6 +111,7 @@ class JudgedFile:
         alone: of the file by itself.
         corrected: of the file, with the errors of sensors that stand beside it.
         given: of the description that it is from.
+        found: of all that was found, also what the file cannot say.
         lacks: what the estimate has there and the file cannot say, in words.
     """
 
@@ -118,6 +120,7 @@ class JudgedFile:
     alone: Mapping[str, float]
     corrected: Mapping[str, float]
     given: Mapping[str, float]
+    found: Mapping[str, float]
     lacks: Mapping[str, Sequence[str]]
 
     @property
@@ -128,13 +131,24 @@ class JudgedFile:
 
     @property
     def worse(self) -> list[str]:
-        """Sentences on the channels that it predicts worse than the description that it is from."""
-        return [
-            f"'{name}' is predicted worse by {self.name} than by the given description: RMS {own:.3g} "
-            f"instead of {self.given[name]:.3g}{self._why(name)}; {_ADVICE}"
-            for name, own in self.alone.items()
-            if min(own, self.corrected[name]) > WORSE * self.given[name]
-        ]
+        """Sentences on the channels that it predicts worse than the description that it is from, and so does all that
+        was found."""
+        return [sentence for name, sentence in self._worse if self.found[name] > WORSE * self.given[name]]
+
+    @property
+    def limited(self) -> list[str]:
+        """The same where all that was found predicts better: what the file cannot say is why."""
+        return [sentence for name, sentence in self._worse if not self.found[name] > WORSE * self.given[name]]
+
+    @property
+    def _worse(self) -> Iterator[tuple[str, str]]:
+        for name, own in self.alone.items():
+            if min(own, self.corrected[name]) > WORSE * self.given[name]:
+                sentence = (
+                    f"'{name}' is predicted worse by {self.name} than by the given description: RMS {own:.3g} "
+                    f"instead of {self.given[name]:.3g}{self._why(name)}; {_ADVICE}"
+                )
+                yield name, sentence
 
     def _why(self, channel: str) -> str:
         lacks = self.lacks[channel]
@@ -154,6 +168,7 @@ def judge(
     reader: str,
     whole: Whole,
     batches: Sequence[Samples],
+    found: Mapping[str, float],
     errors: FloatArray | None = None,
     lacks: Mapping[str, Sequence[str]] = MappingProxyType({}),
 ) -> JudgedFile:
@@ -164,6 +179,7 @@ def judge(
         reader: who reads it.
         whole: the description.
         batches: samples to judge on.
+        found: RMS of what all that was found leaves of them, by channel.
         errors: parameters ``(D,)`` of the errors of sensors that stand beside it.
         lacks: what the estimate has and the description cannot say, by joint.
 
@@ -182,7 +198,7 @@ def judge(
         dict(zip(channels, own, strict=True)) for own in _rms(session.model, batches, kinds).tolist()
     )
     said = {channel: lacks.get(channel, ()) for channel in channels}
-    return JudgedFile(name, program, alone, corrected, before, said)
+    return JudgedFile(name, program, alone, corrected, before, found, said)
 
 
 def _rms(

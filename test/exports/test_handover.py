@@ -51,7 +51,7 @@ def expected(reader: str) -> dict[str, float]:
 def test_what_is_loaded_is_what_was_fitted(reader: str) -> None:
     if reader == "mujoco":
         pytest.importorskip("mujoco")
-    judged = handed(reader).judged(found().judged)
+    judged = handed(reader).judged(found().judged, found().rms)
     for name, alone in expected(reader).items():
         assert judged.alone[name] == pytest.approx(alone, rel=1e-4)
 
@@ -75,7 +75,7 @@ def test_springs_rest_and_couplings_are_loaded_as_they_were_fitted(reader: str) 
     assert np.any(coupled) == (reader == "mujoco")
     assert not [effect for effect in result.model.effects if effect.effect == "effort_offset"]
     rms = rich().session.rms(rich().judged, parameters)
-    assert [*result.judged(rich().judged).alone.values()] == pytest.approx(rms.tolist(), rel=1e-4)
+    assert [*result.judged(rich().judged, rich().rms).alone.values()] == pytest.approx(rms.tolist(), rel=1e-4)
 
 
 def test_drake_gets_no_link_without_a_mass() -> None:
@@ -118,14 +118,28 @@ def test_a_number_that_is_wrong_in_the_file_shows() -> None:
     assert np.all(bad > 2.0 * right)
 
 
-def test_a_file_worse_than_what_it_is_from_says_so_with_the_channel_and_what_it_lacks() -> None:
+def judged_file(found: float) -> JudgedFile:
+    """Of channel a worse than what it is from, of b as good; ``found``: of all that was found, at a."""
+    alone, corrected, given = {"a": 2.0, "b": 1.0}, {"a": 1.2, "b": 1.0}, {"a": 1.0, "b": 1.0}
     lacks = {"a": ("spring of a",), "b": ()}
-    judged = JudgedFile("f.urdf", "pinocchio", {"a": 2.0, "b": 1.0}, {"a": 1.2, "b": 1.0}, {"a": 1.0, "b": 1.0}, lacks)
+    return JudgedFile("f.urdf", "pinocchio", alone, corrected, given, {"a": found, "b": 1.0}, lacks)
+
+
+def test_a_file_worse_than_what_it_is_from_says_so_with_the_channel_and_what_it_lacks() -> None:
+    judged = judged_file(found=1.1)
     (sentence,) = judged.worse
+    assert not judged.limited
     assert sentence.startswith("'a' is predicted worse by f.urdf than by the given description: RMS 2 ")
     assert "it cannot hold spring of a" in sentence
-    offsets = JudgedFile("f.urdf", "pinocchio", {"a": 2.0}, {"a": 0.9}, {"a": 1.0}, {"a": ()})
+    offsets = JudgedFile("f.urdf", "pinocchio", {"a": 2.0}, {"a": 0.9}, {"a": 1.0}, {"a": 2.0}, {"a": ()})
     assert not offsets.worse, "an error of a sensor is no part of the robot"
+
+
+def test_what_a_file_cannot_say_casts_no_doubt_on_a_result_that_predicts_better() -> None:
+    """It is told, as the file's user has to know it."""
+    limited = judged_file(found=0.9)
+    assert not limited.worse
+    assert limited.limited == judged_file(found=1.1).worse
 
 
 @pytest.mark.parametrize("reader", ["urdf", "mujoco", "drake"])

@@ -55,6 +55,8 @@ def _print_file(console: Console, judged: JudgedFile | None) -> None:
     say(console, "", judged.sentence)
     for sentence in judged.worse:
         say(console, "DOUBTFUL", f"  {sentence}")
+    for sentence in judged.limited:
+        say(console, "Warning", f"  {sentence}")
 
 
 def _findings_table(result: GapResult) -> Table:
