@@ -85,7 +85,9 @@ class HandedOver:
         """How well it predicts samples, of which all that was ``found`` leaves this RMS by channel. Raises InputError
         where the program does not take the file."""
         lacks = {channel.name: self.lacks(channel.name) for channel in self.session.model.channels}
-        return judge(self.session, self.reader, self._whole, batches, found, self._errors_of_sensors, lacks)
+        return judge(
+            self.session, self.reader, self._whole, batches, found, errors=self._errors_of_sensors, lacks=lacks
+        )
 
     @property
     def _errors_of_sensors(self) -> FloatArray:
@@ -198,7 +200,9 @@ def judge(
         dict(zip(channels, own, strict=True)) for own in _rms(session.model, batches, kinds).tolist()
     )
     said = {channel: lacks.get(channel, ()) for channel in channels}
-    return JudgedFile(name, program, alone, corrected, before, found, said)
+    return JudgedFile(
+        name=name, program=program, alone=alone, corrected=corrected, given=before, found=found, lacks=said
+    )
 
 
 def _rms(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -122,7 +123,10 @@ def judged_file(found: float) -> JudgedFile:
     """Of channel a worse than what it is from, of b as good; ``found``: of all that was found, at a."""
     alone, corrected, given = {"a": 2.0, "b": 1.0}, {"a": 1.2, "b": 1.0}, {"a": 1.0, "b": 1.0}
     lacks = {"a": ("spring of a",), "b": ()}
-    return JudgedFile("f.urdf", "pinocchio", alone, corrected, given, {"a": found, "b": 1.0}, lacks)
+    everything = {"a": found, "b": 1.0}
+    return JudgedFile(
+        "f.urdf", "pinocchio", alone=alone, corrected=corrected, given=given, found=everything, lacks=lacks
+    )
 
 
 def test_a_file_worse_than_what_it_is_from_says_so_with_the_channel_and_what_it_lacks() -> None:
@@ -131,7 +135,7 @@ def test_a_file_worse_than_what_it_is_from_says_so_with_the_channel_and_what_it_
     assert not judged.limited
     assert sentence.startswith("'a' is predicted worse by f.urdf than by the given description: RMS 2 ")
     assert "it cannot hold spring of a" in sentence
-    offsets = JudgedFile("f.urdf", "pinocchio", {"a": 2.0}, {"a": 0.9}, {"a": 1.0}, {"a": 2.0}, {"a": ()})
+    offsets = replace(judged_file(found=1.1), corrected={"a": 0.9, "b": 1.0})
     assert not offsets.worse, "an error of a sensor is no part of the robot"
 
 
