@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.posterior import POSTERIOR, read_remainder
 from geomid_ros.gap.candidates import library_columns
@@ -22,7 +23,8 @@ from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import HELD_OUT, Bags, Progress, divided, read_samples, silent
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import check_measured
-from geomid_ros.signals.messages import JOINT_STATES, Accepted, message_type, parse
+from geomid_ros.signals.limits import ACCELEROMETER_BIAS
+from geomid_ros.signals.messages import IMU, JOINT_STATES, Accepted, message_type, parse
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray
@@ -112,12 +114,23 @@ def find(session: Session, recordings: Recordings, progress: Progress) -> GapRes
         alike=session.alike,
         nominal=session.prior,
         deviations=session.loaded.deviations(session.model),
-        known=session.loaded.information(session.model),
+        known=known_of(session),
         beside=session.loaded.beside_coefficients,
         standing=standing_of(session),
         simulated=recordings.simulated,
         progress=progress,
     )
+
+
+def known_of(session: Session) -> LinksInformation | None:
+    """What the session's model says of its links; of a robot with an IMU all masses may be off by a common share: in
+    either recording an error of the acceleration along gravity is taken for it."""
+    known, prior = session.loaded.information(session.model), session.prior
+    if known is None or prior is None or session.base_topic != IMU:
+        return known
+    masses = prior[: len(session.model.nominal_inertias)].reshape(-1, 10) * ([1.0] * 4 + [0.0] * 6)  # gravity's
+    share = np.sqrt(2.0) * ACCELEROMETER_BIAS / np.linalg.norm(session.model.robot.gravity)
+    return known.loosened(share * masses.ravel())
 
 
 def standing_of(session: Session) -> StandingRemainder | None:

@@ -11,6 +11,7 @@ FINEST = 1e-6  # [rad, m] No position is measured better
 SHORTEST_CONTACT = 33e-3  # [s] A collision of 40 ms is larger than a quarter of its height for so long
 LONGEST_SAME = 0.05  # [s] An effort that moves a joint is hardly the same for longer
 LONGEST_DELAY = 1.0  # [s] Of efforts
+ACCELEROMETER_BIAS = 0.03  # [m/s^2] Standard deviation of what it shows otherwise from one start to the next
 CLEAR = 4.0  # What is clearly larger is so many times as large: a step, or a change, beside usual ones
 
 # Tolerances of arithmetic.
