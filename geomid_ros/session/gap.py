@@ -27,6 +27,7 @@ from geomid_ros.signals.limits import ACCELEROMETER_BIAS
 from geomid_ros.signals.messages import IMU, JOINT_STATES, Accepted, message_type, parse
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
+from geomid_ros.signals.unitree import LOW_STATE
 from geomid_ros.types import FloatArray
 
 _LENGTHS = 0.1  # relative difference of two recordings of one motion
@@ -312,7 +313,10 @@ class GapReader:
 
     def _first_stamps(self, path: Path) -> list[int]:
         with Bag(path) as bag:
-            topic = bag.find_topic(self.bags.topics.joint_states, message_type(JOINT_STATES), "--joint-topic")
+            name, option = self.bags.topics.joint_states, "--joint-topic"
+            topic = bag.find_topic(name, message_type(JOINT_STATES), option, LOW_STATE)
+            if bag.topics[topic] == LOW_STATE:
+                return [time for _, time, _ in islice(bag.raw_messages([topic]), MESSAGES_FOR_RATE)]
             first = [parse(JOINT_STATES, m) for _, _, m in islice(bag.messages([topic]), MESSAGES_FOR_RATE)]
         # A driver may publish more often than it measures.
         new = {tuple(array.tobytes() for array in each.arrays): each.stamp for each in first[::-1]}

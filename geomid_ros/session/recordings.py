@@ -21,6 +21,7 @@ from geomid_ros.signals.decoding import Decoder
 from geomid_ros.signals.ledger import meaning_of
 from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, message_type
 from geomid_ros.signals.pipeline import SignalPipeline
+from geomid_ros.signals.unitree import KINDS
 
 HELD_OUT = 0.3
 """Share of a recording's time, at the end, that is judged on unless the user says otherwise."""
@@ -234,13 +235,15 @@ def read_samples(
     decoder = Decoder()
     done = ready = 0
     progress(f"reading {bag.path.name}", 0.0)
+    unitree = session.unitree()
     for batch in bag.batches(list(names)):
 
         def refuse(place: int, why: str) -> None:
             topic, time, kind, _ = batch[place]  # noqa: B023 called at once
             raise bag.not_valid(topic, time, kind, why, done + place)  # noqa: B023
 
-        pipeline.push(decoder.blocks([(names[topic], data) for topic, _, _, data in batch], refuse))
+        origins, messages = unitree.read(batch, names, refuse)
+        pipeline.push(decoder.blocks(messages, lambda place, why: refuse(origins[place], why)))  # noqa: B023
         done += len(batch)
         progress(f"reading {bag.path.name}", done / max(total, 1))
         samples = pipeline.collect()
@@ -256,8 +259,8 @@ def read_samples(
         raise NoSamplesError(_why_no_samples(bag, session, pipeline), session.lockable)
 
 
-def _resolved_topics(bag: Bag, session: Session, topics: Topics) -> dict[str, str]:
-    """The topics of the bag that are needed, and how the pipeline calls each."""
+def _resolved_topics(bag: Bag, session: Session, topics: Topics) -> dict[str, list[str]]:
+    """The topics of the bag that are needed, and how the pipeline calls what is on each."""
     asked = {JOINT_STATES: (topics.joint_states, topics.joint_option)}
     if session.robot.floating_base:
         imu = session.base_topic == IMU
@@ -265,7 +268,10 @@ def _resolved_topics(bag: Bag, session: Session, topics: Topics) -> dict[str, st
     if COMMANDS in session.topics:
         asked[COMMANDS] = (topics.commands, "--command")
     asked |= {sensor.topic: (sensor.topic, _WRENCH_OPTION) for sensor in session.model.sensors}
-    return {bag.find_topic(name, message_type(own), option): own for own, (name, option) in asked.items()}
+    found: dict[str, list[str]] = {}
+    for own, (name, option) in asked.items():
+        found.setdefault(bag.find_topic(name, message_type(own), option, KINDS.get(own, "")), []).append(own)
+    return found
 
 
 def _why_no_samples(bag: Bag, session: Session, pipeline: SignalPipeline) -> str:

@@ -56,6 +56,7 @@ from geomid_ros.signals.ledger import Account, Ledger
 from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, Accepted, Recent, message_type
 from geomid_ros.signals.pipeline import SignalPipeline, ignore
 from geomid_ros.signals.settings import SignalSettings
+from geomid_ros.signals.unitree import UnitreeMessages
 from geomid_ros.types import FloatArray
 
 
@@ -143,6 +144,12 @@ class Session:
             return Controller.of(self.configuration.gains, self.robot.joint_names, self.configuration["command.delay"])
         except InputError as error:
             raise InputError(f"{self.configuration.source}: command.gains: {error}") from error
+
+    def unitree(self) -> UnitreeMessages:
+        """What makes other messages of those of a Unitree robot. Raises InputError naming what is wrong with its
+        ``motors`` once there are such messages."""
+        configuration = self.configuration
+        return UnitreeMessages(configuration["motors"], self.robot.joint_names, self._controller, configuration.source)
 
     def read_robot(self, urdf: str, source: str) -> Robot:
         """The robot of a description with the same links and joints as this one's. Raises InputError naming the

@@ -15,7 +15,7 @@ from geomid_ros.signals.messages import COMMANDS, JOINT_STATES, ODOM, Block, mes
 from geomid_ros.types import AnyArray, BoolArray, IntArray
 
 _STAMP = slice(4, 12)  # seconds and nanoseconds, 4 bytes each
-_LITTLE_ENDIAN = b"\0\1"
+LITTLE_ENDIAN = b"\0\1"
 Raw: TypeAlias = tuple[str, bytes]
 """A message as it came: the topic, as the pipeline calls it, and its bytes (CDR)."""
 
@@ -141,7 +141,7 @@ def _parsed(raw: Raw, place: int) -> tuple[Block, _Layout | None]:
         block = Block.of(parse(topic, message), place)
     except Exception as error:  # whatever bytes of another form make the code for this type raise
         raise ValueError((str(error).splitlines() or [type(error).__name__])[0]) from error
-    if data[:2] != _LITTLE_ENDIAN:
+    if data[:2] != LITTLE_ENDIAN:
         return block, None
     return block, _layout(topic, data, message, block)
 

@@ -6,22 +6,33 @@ import json
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from files.recordings import Recorded, altered
 from model.robots import urdf
+from signals.unitree import low_state, write_bag
 
 from benchmarks.legs import CONTACTS, FEET, IMU, misplaced, true_parameters
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
+from geomid_ros.errors import InputError
+from geomid_ros.files.bags.bag import Bag
 from geomid_ros.model.robot import Robot
+from geomid_ros.model.samples import Samples
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.recordings import Topics, read_samples
+from geomid_ros.session.session import Session
+from geomid_ros.signals.unitree import LOW_STATE
 from geomid_ros.simulation.gaits import WalkOptions
 from geomid_ros.simulation.walking import simulate_walk
 
 from .running import NO_CHOICE, done, geomid, read, refused
 
+CONFIG = Path(__file__).parents[2] / "config"
 LEGS = ("--imu", f"/imu:{IMU}", "--contacts", ",".join(CONTACTS), "--cutoff", "15", "--no-report", *NO_CHOICE)
 
 
@@ -120,6 +131,40 @@ def test_a_load_on_the_trunk_is_named(folder: Path, tmp_path: Path) -> None:
     numbers = {name: parameter["value"] for name, parameter in sure["parameters"].items()}
     assert numbers["mass"] == pytest.approx(empty.payload, rel=0.05)
     np.testing.assert_allclose([numbers[f"com_{axis}"] for axis in "xyz"], empty.payload_at, atol=0.01)
+
+
+def samples_of(folder: Path, bag: Path, topics: Topics, **values: object) -> Samples:
+    """What is read of a recording with the quadruped's parameters."""
+    configuration = Configuration.read(CONFIG / "quadruped.yaml").with_values(values)
+    session = Session(urdf("go2.urdf"), configuration, str(folder / "go2.urdf"))
+    with Bag(bag) as opened:
+        return Samples.concatenate(list(read_samples(opened, session, session.new_pipeline(), topics)))
+
+
+def test_the_messages_of_unitree_say_what_those_of_ros_do(folder: Path, tmp_path: Path) -> None:
+    """In the order of Unitree's motors and in single precision; without the order they are refused."""
+    motors = Configuration.read(CONFIG / "quadruped.yaml")["motors"]
+    joints: dict[int, Any] = {}
+    states: list[tuple[int, bytes]] = []
+    with Bag(folder / "walk") as bag:
+        for topic, time, message in islice(bag.messages(["/joint_states", "/imu"]), 3000):
+            if topic == "/joint_states":
+                joints[time] = message
+            if topic == "/imu" and time in joints:
+                own = joints[time]
+                places = [list(own.name).index(joint) for joint in motors]
+                numbers = np.array([own.position, own.velocity, own.effort])[:, places].T
+                sensed = message.angular_velocity, message.linear_acceleration
+                states.append((time, low_state(numbers, *(np.array([v.x, v.y, v.z]) for v in sensed))))
+    write_bag(tmp_path / "unitree", "/lowstate", LOW_STATE, states)
+    topics = Topics("/lowstate", "", "/lowstate")
+    found = samples_of(folder, tmp_path / "unitree", topics)
+    expected = samples_of(folder, folder / "walk", Topics("joint_states", "")).select(slice(len(found)))
+    np.testing.assert_array_equal(found.stamps, expected.stamps)
+    for name in ("position", "effort", "base_velocity", "base_acceleration"):
+        np.testing.assert_allclose(found.arrays[name], expected.arrays[name], rtol=0.0, atol=1e-4)
+    with pytest.raises(InputError, match=r"quadruped\.yaml: motors: expected .* there are: none"):
+        samples_of(folder, tmp_path / "unitree", topics, motors=[])
 
 
 def scaled(key: str, factor: float) -> Callable[[Recorded], Recorded]:

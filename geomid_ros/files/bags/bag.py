@@ -84,8 +84,9 @@ class Bag:
         """When the first message was recorded [ns]; zero if there is none."""
         return min((storage.start for storage in self._storages if storage.start is not None), default=0)
 
-    def find_topic(self, name: str, message_type: str, option: str) -> str:
-        """The topic called ``name``, with or without a leading slash, checked to carry ``message_type``.
+    def find_topic(self, name: str, message_type: str, option: str, instead: str = "") -> str:
+        """The topic called ``name``, with or without a leading slash, checked to carry ``message_type``, or another one
+        ``instead``.
 
         ``option`` tells the user where the name can be changed.
         """
@@ -95,7 +96,7 @@ class Bag:
             listing = ", ".join(f"{topic} ({kind})" for topic, kind in self.topics.items()) or "none"
             raise InputError(f"{self.path}: has no topic {wanted}; {option} names another. Its topics: {listing}")
         topic, kind = topics[wanted]
-        if kind != message_type:
+        if kind not in (message_type, instead):
             raise InputError(f"{self.path}: topic {topic} is of type {kind}, expected {message_type}")
         return topic
 

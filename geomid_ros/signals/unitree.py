@@ -1,0 +1,146 @@
+"""Messages of Unitree's robots in place of ROS's: LowState as JointState and Imu, LowCmd as set-points.
+
+They are read by place: all their fields have fixed sizes, and their package is not needed. They have no stamp, so that
+the time at which they came counts, and no names: these are the motors' (https://github.com/unitreerobotics/unitree_ros2,
+``unitree_go/msg``). Robots of ``unitree_hg`` send others.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from geomid_ros.errors import InputError
+from geomid_ros.model.controller import Controller
+from geomid_ros.signals.decoding import LITTLE_ENDIAN, Raw
+from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES
+from geomid_ros.types import FloatArray
+
+LOW_STATE, LOW_CMD = "unitree_go/msg/LowState", "unitree_go/msg/LowCmd"
+KINDS = {JOINT_STATES: LOW_STATE, IMU: LOW_STATE, COMMANDS: LOW_CMD}
+"""The type that serves in place of that of each topic."""
+
+# Places in bytes, with the four that say how the rest is written.
+_SIZES = {LOW_STATE: 1180, LOW_CMD: 812}
+_MOTORS = 20
+_SENSED = slice(44, 68)  # gyroscope and accelerometer, three numbers each
+_FIRST = {LOW_STATE: 84, LOW_CMD: 28}
+_MOTOR = {  # in single precision: q, dq, tau_est; q, dq, tau, kp, kd
+    LOW_STATE: np.dtype({"names": "qdt", "formats": ["<f4"] * 3, "offsets": (0, 4, 12), "itemsize": 48}),
+    LOW_CMD: np.dtype({"names": "qdtkv", "formats": ["<f4"] * 5, "offsets": range(0, 20, 4), "itemsize": 36}),
+}
+
+
+@dataclass(eq=False)
+class UnitreeMessages:
+    """Makes other messages (CDR) of Unitree's, in the order in which they came.
+
+    Attributes:
+        motors: the joints of a robot's motors, in their order.
+        joints: all of the robot's.
+        controller: the gains that set-points are read with; None if they are not.
+        source: where the motors are from, for messages.
+    """
+
+    motors: Sequence[str]
+    joints: Sequence[str]
+    controller: Controller | None
+    source: str
+    _state: FloatArray = field(default_factory=lambda: np.zeros((3, 0)))
+
+    @cached_property
+    def _gains(self) -> FloatArray:
+        """kp and kd ``(2, motors)``, NaN where there are none. Raises InputError for motors that no robot has."""
+        missing = [joint for joint in self.joints if joint not in self.motors]
+        if missing or len(self.motors) > _MOTORS:
+            raise InputError(
+                f"{self.source}: motors: expected up to {_MOTORS} joints in the order of {LOW_STATE}, with "
+                f"'{(missing or self.joints)[0]}' among them, as in config/quadruped.yaml; there are: "
+                f"{', '.join(self.motors) or 'none'}"
+            )
+        gains = np.full((2, len(self.motors)), np.nan)
+        if self.controller is not None:
+            gains[:, [self.motors.index(joint) for joint in self.joints]] = self.controller.kp, self.controller.kd
+        return gains
+
+    def read(
+        self,
+        messages: Sequence[tuple[str, int, str, bytes]],
+        names: Mapping[str, Sequence[str]],
+        refuse: Callable[[int, str], None],
+    ) -> tuple[list[int], list[Raw]]:
+        """Messages of any types as what is read of them, and the place of the one that each is from.
+
+        Args:
+            messages: topic, time [ns], type and bytes.
+            names: what is read of each topic, as the pipeline calls it.
+            refuse: ``refuse(place, why)`` is told of messages that are not of their type.
+        """
+        origins, raw = list[int](), list[Raw]()
+        for place, (topic, time, kind, data) in enumerate(messages):
+            found = {names[topic][0]: data}
+            if kind in _SIZES:
+                try:
+                    found = self.translated(kind, time, data)
+                except ValueError as error:
+                    refuse(place, str(error))
+            own = [(name, found[name]) for name in names[topic] if name in found]
+            origins += [place] * len(own)
+            raw += own
+        return origins, raw
+
+    def translated(self, kind: str, time: int, data: bytes) -> dict[str, bytes]:
+        """The messages that one of a ``kind`` which came at a ``time`` [ns] stands for, by topic.
+
+        Raises:
+            ValueError: it is none of this kind.
+        """
+        if len(data) < _SIZES[kind] or data[:2] != LITTLE_ENDIAN:
+            raise ValueError(f"{len(data)} bytes, expected {_SIZES[kind]}, little-endian")
+        own = np.ndarray(self._gains.shape[1], _MOTOR[kind], data, _FIRST[kind])
+        numbers = np.array([own[name] for name in _MOTOR[kind].names or ()], dtype=float)
+        if kind == LOW_CMD:
+            return {COMMANDS: self._joint_state(time, self._set_points(*numbers))} if self._state.size else {}
+        self._state = numbers
+        sensed = np.frombuffer(data[_SENSED], "<f4").astype(float)
+        return {JOINT_STATES: self._joint_state(time, numbers), IMU: _imu(time, sensed)}
+
+    def _set_points(
+        self, wanted: FloatArray, speed: FloatArray, forward: FloatArray, kp: FloatArray, kd: FloatArray
+    ) -> FloatArray:
+        """Position, velocity and feed-forward ``(3, motors)`` that mean the same with the known gains: if a command
+        brings others, those of the motors' last state, and its effort there."""
+        position, velocity, _ = self._state
+        effort = kp * (wanted - position) + kd * (speed - velocity) + forward
+        same = np.all(np.isclose([kp, kd], self._gains), axis=0)
+        return np.where(same, [wanted, speed, forward], [position, velocity, effort])
+
+    def _joint_state(self, time: int, numbers: FloatArray) -> bytes:
+        """A sensor_msgs/JointState of position, velocity and effort ``(3, motors)``."""
+        data = _header(time) + struct.pack("<I", len(self.motors))
+        for name in self.motors:
+            text = name.encode() + b"\0"
+            data = _padded(data, 4) + struct.pack("<I", len(text)) + text
+        for own in numbers:
+            data = _padded(_padded(data, 4) + struct.pack("<I", len(own)), 8) + own.astype("<f8").tobytes()
+        return data
+
+
+def _imu(time: int, sensed: FloatArray) -> bytes:
+    """A sensor_msgs/Imu of angular velocity and specific force ``(6,)``, without orientation (a covariance of -1)."""
+    parts = ([0.0, 0.0, 0.0, 1.0, -1.0], np.zeros(8), sensed[:3], np.zeros(9), sensed[3:], np.zeros(9))
+    return _padded(_header(time), 8) + np.concatenate(parts).astype("<f8").tobytes()
+
+
+def _header(time: int) -> bytes:
+    """A std_msgs/Header without a frame, aligned for a count."""
+    return _padded(LITTLE_ENDIAN + b"\0\0" + struct.pack("<IIIx", *divmod(time, 1_000_000_000), 1), 4)
+
+
+def _padded(data: bytes, size: int) -> bytes:
+    """With zeros up to the next place of a number of this size; the first four bytes do not count."""
+    return data + bytes((4 - len(data)) % size)

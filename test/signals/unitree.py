@@ -1,0 +1,84 @@
+"""Unitree's messages as rosbags writes them, by their definitions."""
+
+from collections.abc import Iterable, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from geomid_ros.signals.unitree import LOW_CMD, LOW_STATE
+from geomid_ros.types import FloatArray
+
+_HEAD = "uint8[2] head\nuint8 level_flag\nuint8 frame_reserve\nuint32[2] sn\nuint32[2] version\nuint16 bandwidth\n"
+_DEFINITIONS = {
+    "IMUState": "float32[4] quaternion\nfloat32[3] gyroscope\nfloat32[3] accelerometer\nfloat32[3] rpy\n"
+    "int8 temperature\n",
+    "MotorState": "uint8 mode\nfloat32 q\nfloat32 dq\nfloat32 ddq\nfloat32 tau_est\nfloat32 q_raw\nfloat32 dq_raw\n"
+    "float32 ddq_raw\nint8 temperature\nuint32 lost\nuint32[2] reserve\n",
+    "MotorCmd": "uint8 mode\nfloat32 q\nfloat32 dq\nfloat32 tau\nfloat32 kp\nfloat32 kd\nuint32[3] reserve\n",
+    "BmsState": "uint8 version_high\nuint8 version_low\nuint8 status\nuint8 soc\nint32 current\nuint16 cycle\n"
+    "int8[2] bq_ntc\nint8[2] mcu_ntc\nuint16[15] cell_vol\n",
+    "BmsCmd": "uint8 off\nuint8[3] reserve\n",
+    "LowState": f"{_HEAD}IMUState imu_state\nMotorState[20] motor_state\nBmsState bms_state\nint16[4] foot_force\n"
+    "int16[4] foot_force_est\nuint32 tick\nuint8[40] wireless_remote\nuint8 bit_flag\nfloat32 adc_reel\n"
+    "int8 temperature_ntc1\nint8 temperature_ntc2\nfloat32 power_v\nfloat32 power_a\nuint16[4] fan_frequency\n"
+    "uint32 reserve\nuint32 crc\n",
+    "LowCmd": f"{_HEAD}MotorCmd[20] motor_cmd\nBmsCmd bms_cmd\nuint8[40] wireless_remote\nuint8[12] led\n"
+    "uint8[2] fan\nuint8 gpio\nuint32 reserve\nuint32 crc\n",
+}
+
+
+@cache
+def types() -> Any:
+    """A store of types with Unitree's."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    found: dict[str, Any] = {}
+    for name, text in _DEFINITIONS.items():
+        found |= get_types_from_msg(text, f"unitree_go/msg/{name}")
+    store.register(found)
+    return store
+
+
+def _filled(kind: str, **fields: Any) -> Any:
+    """A message of which all other fields are ones."""
+    found = {}
+    for name, (node, detail) in types().fielddefs[kind][1]:
+        if name in fields:
+            found[name] = fields[name]
+        elif node.name == "BASE":
+            found[name] = 1
+        elif node.name == "NAME":
+            found[name] = _filled(detail)
+        else:
+            (inner, of), count = detail
+            own = of[0] if inner.name == "BASE" else of
+            found[name] = np.ones(count, own) if inner.name == "BASE" else [_filled(own) for _ in range(count)]
+    return types().types[kind](**found)
+
+
+def low_state(motors: Sequence[FloatArray], gyroscope: FloatArray, accelerometer: FloatArray) -> bytes:
+    """With ``motors`` of which each has position, velocity and effort; all others are at one."""
+    states = [_filled("unitree_go/msg/MotorState", q=q, dq=dq, tau_est=tau) for q, dq, tau in motors]
+    states += [_filled("unitree_go/msg/MotorState")] * (20 - len(states))
+    numbers = {"gyroscope": gyroscope, "accelerometer": accelerometer}
+    imu = _filled("unitree_go/msg/IMUState", **{name: own.astype("f4") for name, own in numbers.items()})
+    return bytes(types().serialize_cdr(_filled(LOW_STATE, motor_state=states, imu_state=imu), LOW_STATE))
+
+
+def low_cmd(motors: Sequence[FloatArray]) -> bytes:
+    """With ``motors`` of which each has position, velocity, effort, kp and kd."""
+    names = "q", "dq", "tau", "kp", "kd"
+    commands = [_filled("unitree_go/msg/MotorCmd", **dict(zip(names, own, strict=True))) for own in motors]
+    commands += [_filled("unitree_go/msg/MotorCmd")] * (20 - len(commands))
+    return bytes(types().serialize_cdr(_filled(LOW_CMD, motor_cmd=commands), LOW_CMD))
+
+
+def write_bag(path: Path, topic: str, kind: str, messages: Iterable[tuple[int, bytes]]) -> None:
+    """Write a bag of one topic, of messages (times [ns] and bytes) of a ``kind``."""
+    with Writer(path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection(topic, kind, typestore=types())
+        for time, data in messages:
+            writer.write(connection, time, data)
