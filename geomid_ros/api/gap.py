@@ -9,6 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Unpack
 
+from geomid_ros.api.identify import DELAY, identify
 from geomid_ros.api.options import PathLike, Paths, RecordingKeywords, RecordingOptions, bag_paths
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, recording_verdict
 from geomid_ros.errors import InputError, unknown_name
@@ -204,12 +205,16 @@ def find_gap(
     chosen = RecordingOptions(urdf=urdf, **options)
     recorded, twins = chosen.bags(bags), bag_paths(simulated)
     robot = chosen.description(recorded.fitted, chosen.model)
+    parameters, notes = chosen.configuration(chosen.model), robot.notes
+    if parameters.gains:  # only a small delay is a column
+        first = identify(bags, urdf, candidates=(), progress=progress, **options).session
+        parameters, notes = parameters.with_values({DELAY: first.configuration[DELAY]}), tuple(first.settled)
     session, recordings = read_with_locked(
         lambda configured: gap_session(robot.text, configured, robot.source),
-        chosen.configuration(chosen.model),
+        parameters,
         lambda session: GapReader(session, recorded, progress).read(twins),
     )
-    session.settled.extend(robot.notes)
+    session.settled.extend(notes)
     session.check_description()
     of_bags = GapReader(session, recorded, progress)
     sharp = of_bags.sharp()

@@ -45,6 +45,8 @@ if TYPE_CHECKING:
     from geomid_ros.resimulation.closed_loop import Tracking
 
 
+DELAY = "command.delay"
+"""The parameter that an identification finds of commands."""
 _DELAYS = 3  # times a recording is read again with the delay of commands that was found
 
 
@@ -376,10 +378,10 @@ def identify(
     for _ in range(_DELAYS):
         if (delay := _late(estimate)) is None:
             break
-        parameters = parameters.with_values({"command.delay": parameters["command.delay"] + delay})
+        parameters = parameters.with_values({DELAY: parameters[DELAY] + delay})
         session, held_out, judged, estimate = solved(parameters)
-    if parameters["command.delay"]:
-        session.settled.append(f"commands act {1e3 * parameters['command.delay']:.1f} ms after their stamps")
+    if parameters[DELAY]:
+        session.settled.append(f"commands act {1e3 * parameters[DELAY]:.1f} ms after their stamps")
     session.settled.extend(robot.notes)
     return Identification(
         session=session,

@@ -231,6 +231,15 @@ class RobotOptions:
             result = result.with_sensors([WrenchSensor.parse(text) for text in texts(self.wrench)])
         return result.with_values(Configuration(said | _gains(self.gain) | values, "options").given)
 
+    def efforts_of_command(self, parameters: Configuration) -> Configuration:
+        """The ``parameters`` where nothing is simulated. Raises InputError for set-points that would not be read."""
+        if self.command is not None and not parameters.gains:
+            raise InputError(
+                f"--command {self.command} without --gains: here set-points serve as efforts, by the gains of their "
+                "controllers; add --gains KP:KD, or leave --command out to use the reported efforts"
+            )
+        return parameters
+
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingOptions(RobotOptions):

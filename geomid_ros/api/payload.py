@@ -49,7 +49,7 @@ def weigh_payload(
         raise InputError(f"gain_std is {gain_std:g}, expected a number from 0 to 1")
     chosen, model = RobotOptions(urdf=urdf, **options), _estimate(empty)
     known = None if model is None else read_posterior(beside(model))
-    parameters = chosen.configuration(model)
+    parameters = chosen.efforts_of_command(chosen.configuration(model))
     both = bag_paths(empty) if model is None else [], bag_paths(loaded)
     robot = chosen.description([*both[0], *both[1]], model)
     session, (before, after) = read_with_locked(

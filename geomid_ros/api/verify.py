@@ -124,7 +124,7 @@ def read_to_judge(
     """
     recorded = Bags(fitted=bag_paths(bags), hold_out=0.0, topics=options.topics)
     robot = options.description(recorded.fitted, model)
-    parameters = options.configuration(model, effects=texts(effects), candidates=[])
+    parameters = options.efforts_of_command(options.configuration(model, effects=texts(effects), candidates=[]))
     if cutoff is not None and "filter.cutoff" not in parameters.given:
         parameters = parameters.with_values({"filter.cutoff": float(cutoff)})
     session, samples = read_with_locked(

@@ -216,7 +216,7 @@ def not_driving(terms: Sequence[EffectTerm], values: FloatArray) -> FloatArray:
 
 def _order(candidate: Candidate) -> tuple[int, int]:
     """Joint by joint; then the whole robot, payloads, sensors."""
-    kind = ("joint", "joints", "robot", "link", "sensor", "base").index(candidate.effect.place)
+    kind = ("joint", "joints", "robot", "commands", "link", "sensor", "base").index(candidate.effect.place)
     return kind, candidate.joint or 0 if kind == 0 else 0
 
 

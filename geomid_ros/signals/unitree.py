@@ -82,7 +82,7 @@ class UnitreeMessages:
         """
         origins, raw = list[int](), list[Raw]()
         for place, (topic, time, kind, data) in enumerate(messages):
-            found = {names[topic][0]: data}
+            found = dict.fromkeys(names[topic], data)
             if kind in _SIZES:
                 try:
                     found = self.translated(kind, time, data)

@@ -98,3 +98,26 @@ def test_bad_gains(without_efforts: Path, gains: str, said: str) -> None:
 def test_an_absent_topic_is_named(without_efforts: Path) -> None:
     with pytest.raises(InputError, match="--command"):
         geomid_ros.identify(without_efforts, URDF, command="/other", gains=GAINS)
+
+
+@pytest.fixture(scope="module")
+def model(without_efforts: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("model")
+    geomid_ros.identify(without_efforts, URDF, command=TOPIC, gains=GAINS, candidates=()).save(folder)
+    return folder / "estimate.json"
+
+
+def test_a_gap_is_judged_beside_the_delay_of_commands(without_efforts: Path, model: Path) -> None:
+    """On the recording that a model is from nothing is found beside it, as far as it goes."""
+    found = geomid_ros.find_gap(without_efforts, URDF, model=model, command=TOPIC, gains=GAINS)
+    (note,) = (note for note in found.session.notes if note.startswith("commands act"))
+    assert float(note.split()[2]) == pytest.approx(1e-6 * (DELAY - PERIOD / 2), abs=1.5)
+    assert not found.findings
+
+
+def test_set_points_that_would_not_be_read_are_refused(without_efforts: Path, model: Path) -> None:
+    said = "--command /desired without --gains: .* leave --command out"
+    with pytest.raises(InputError, match=said):
+        geomid_ros.weigh_payload(BAG, without_efforts, URDF, command=TOPIC)
+    with pytest.raises(InputError, match=said):
+        geomid_ros.verify(model, without_efforts, URDF, command=TOPIC)
