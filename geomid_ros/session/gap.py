@@ -23,8 +23,7 @@ from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import HELD_OUT, Bags, Progress, divided, read_samples, silent
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import check_measured
-from geomid_ros.signals.limits import ACCELEROMETER_BIAS
-from geomid_ros.signals.messages import IMU, JOINT_STATES, Accepted, message_type, parse
+from geomid_ros.signals.messages import JOINT_STATES, Accepted, message_type, parse
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.signals.unitree import LOW_STATE
@@ -124,14 +123,12 @@ def find(session: Session, recordings: Recordings, progress: Progress) -> GapRes
 
 
 def known_of(session: Session) -> LinksInformation | None:
-    """What the session's model says of its links; of a robot with an IMU all masses may be off by a common share: in
-    either recording an error of the acceleration along gravity is taken for it."""
+    """What the session's model says of its links; all masses may be off by a common share."""
     known, prior = session.loaded.information(session.model), session.prior
-    if known is None or prior is None or session.base_topic != IMU:
+    if known is None or prior is None or not session.share_of_mass:
         return known
     masses = prior[: len(session.model.nominal_inertias)].reshape(-1, 10) * ([1.0] * 4 + [0.0] * 6)  # gravity's
-    share = np.sqrt(2.0) * ACCELEROMETER_BIAS / np.linalg.norm(session.model.robot.gravity)
-    return known.loosened(share * masses.ravel())
+    return known.loosened(session.share_of_mass * masses.ravel())
 
 
 def standing_of(session: Session) -> StandingRemainder | None:

@@ -166,6 +166,10 @@ def _payload(link: str, found: Estimate, gain: float, shifted: Sequence[Estimate
     moment_std = np.sqrt(np.diag(posterior.parameter_covariance)[moments])
     said, bodies = numbers(body.parameters), [numbers(other.links[-1].parameters) for other in shifted]
     deviations = _with_shifts(np.append(std, moment_std), np.array(bodies).reshape(-1, len(said)) - said)
+    if link == session.robot.tree.root:  # elsewhere its moments tell a payload from the whole robot's mass
+        robot = sum(other.mass for other in found.links[:-1])
+        heavier = body.parameters + np.append(session.share_of_mass * robot, np.zeros(9))
+        deviations = np.hypot(deviations, numbers(heavier) - said)
     known = identified(body.parameters, deviations, body.std_prior)
     return WeighedPayload(
         link=link,

@@ -53,6 +53,7 @@ from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recording_facts import Recorded, faulty_streams, peculiarities
 from geomid_ros.session.solidity import impossible_links
 from geomid_ros.signals.ledger import Account, Ledger
+from geomid_ros.signals.limits import ACCELEROMETER_BIAS
 from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, Accepted, Recent, message_type
 from geomid_ros.signals.pipeline import SignalPipeline, ignore
 from geomid_ros.signals.settings import SignalSettings
@@ -444,6 +445,13 @@ class Session:
     def base_topic(self) -> str:
         """On which a floating base's motion comes, as the pipeline calls it."""
         return IMU if self.configuration["imu.frame"] else ODOM
+
+    @property
+    def share_of_mass(self) -> float:
+        """By which the total mass differs between two recordings, a standard deviation: what accelerometers show
+        otherwise along gravity is taken for it. Zero without one."""
+        gravity = float(np.linalg.norm(self.robot.gravity))
+        return np.sqrt(2.0) * ACCELEROMETER_BIAS / gravity if self.base_topic == IMU else 0.0
 
     @property
     def _imu_mount(self) -> ImuMount | None:

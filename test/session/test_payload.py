@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -62,6 +63,20 @@ def recording_of_the_last_joint(seed: int) -> Samples:
 def weighed(seed: int, gain: float = 0.0, true_gain: float = 1.0) -> WeighedPayload:
     link = session().model.body_names[-1]
     return weigh(session(), [recording(seed, False, true_gain)], [recording(seed, True, true_gain)], link, gain)
+
+
+def test_on_the_trunk_it_is_known_no_better_than_the_robots_mass(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which differs between two recordings as accelerometers do along gravity; the first moment does not."""
+    recordings = [recording(1, False)], [recording(1, True)]
+    own, share = session(), 0.02
+    link = own.model.body_names[-1]
+    monkeypatch.setattr(Session, "share_of_mass", share)
+    known = weigh(own, *recordings, link)
+    own.robot.tree = replace(own.robot.tree, root=link)
+    found = weigh(own, *recordings, link)
+    robot = sum(body.parameters[0] for body in own.robot.bodies)
+    assert np.sqrt(found.std[0] ** 2 - known.std[0] ** 2) == pytest.approx(share * robot, rel=0.2)
+    np.testing.assert_array_equal(found.moment_std, known.moment_std)
 
 
 def test_a_planted_payload_is_found_within_its_deviations() -> None:

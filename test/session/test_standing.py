@@ -11,8 +11,6 @@ from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.files.models import posterior as files
 from geomid_ros.gap.evidence.features import Basis, StandingRemainder
 from geomid_ros.session.gap import known_of, standing_of
-from geomid_ros.signals.limits import ACCELEROMETER_BIAS
-from geomid_ros.signals.messages import IMU, ODOM
 
 NOTHING = np.zeros((0, 0))
 KEPT = StandingRemainder(
@@ -78,17 +76,15 @@ def test_of_a_robot_with_an_imu_the_total_mass_is_known_no_better_than_gravity()
     own: Any = SimpleNamespace(
         loaded=SimpleNamespace(information=lambda _: known),
         prior=np.append(inertias, 7.0),
-        model=SimpleNamespace(
-            nominal_inertias=np.zeros(20), robot=SimpleNamespace(gravity=np.array([0.0, 0.0, -9.81]))
-        ),
-        base_topic=IMU,
+        model=SimpleNamespace(nominal_inertias=np.zeros(20)),
+        share_of_mass=0.01,
     )
     found = known_of(own)
     assert found is not None
     before, after = (np.linalg.inv(each.rows.T @ each.rows) for each in (known, found))
-    moved = np.where(np.arange(20) % 10 < 4, inertias, 0.0) * np.sqrt(2.0) * ACCELEROMETER_BIAS / 9.81
+    moved = np.where(np.arange(20) % 10 < 4, inertias, 0.0) * 0.01
     np.testing.assert_allclose(after, before + np.outer(moved, moved), rtol=1e-9, atol=1e-12)
     best = [np.linalg.solve(each.rows, -each.residuals) for each in (known, found)]
     np.testing.assert_allclose(*best, rtol=1e-9)
-    own.base_topic = ODOM
+    own.share_of_mass = 0.0
     assert known_of(own) is known
