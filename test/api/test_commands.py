@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from files.recordings import BAGS, TYPES, Recorded, recorded, write_bag
+from signals.unitree import low_cmd, low_state, write_unitree_bag
 
 import geomid_ros
 from geomid_ros.errors import InputError
@@ -121,3 +122,29 @@ def test_set_points_that_would_not_be_read_are_refused(without_efforts: Path, mo
         geomid_ros.weigh_payload(BAG, without_efforts, URDF, command=TOPIC)
     with pytest.raises(InputError, match=said):
         geomid_ros.verify(model, without_efforts, URDF, command=TOPIC)
+
+
+def unitree() -> Iterator[tuple[str, int, bytes]]:
+    """The same messages as a Unitree robot sends them: every five seconds its controllers have half of the
+    gains, or all of them again, and make the same efforts."""
+    states = (item for item in commanded(1.0) if item.topic == "/joint_states")
+    for place, item in enumerate(states):
+        order = [list(item.message.name).index(joint) for joint in JOINTS]
+        fields = item.message.position, item.message.velocity, item.message.effort
+        position, velocity, effort = (np.array(own)[order] for own in fields)
+        kp, kd = (own / (1.0 + place // 500 % 2) for own in (KP, KD))
+        wanted, none = position + (effort + kd * velocity) / kp, np.zeros(3)
+        yield "/lowstate", item.time, low_state(np.array([position, velocity, effort]).T, none, none)
+        yield "/lowcmd", item.time + 1, low_cmd(np.array([wanted, none, none, kp, kd]).T)
+
+
+def test_commands_of_unitree_have_the_gains_that_come_with_them(tmp_path: Path) -> None:
+    bag, motors = write_unitree_bag(tmp_path / "bag", unitree()), {"motors": list(JOINTS)}
+    measured, found = (
+        geomid_ros.identify(bag, URDF, config=motors, joint_topic="/lowstate", candidates=(), **own)
+        for own in ({}, {"command": "/lowcmd", "gains": GAINS})
+    )
+    np.testing.assert_allclose(masses(found), masses(measured), rtol=0.02)
+    assert found.verdict.word == measured.verdict.word
+    for joint in JOINTS:
+        assert found.rms[joint] < 1.2 * measured.rms[joint]

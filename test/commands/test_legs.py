@@ -15,7 +15,7 @@ import pinocchio as pin
 import pytest
 from files.recordings import Recorded, altered
 from model.robots import urdf
-from signals.unitree import low_state, write_bag
+from signals.unitree import low_state, write_unitree_bag
 
 from benchmarks.legs import CONTACTS, FEET, IMU, misplaced, true_parameters
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
@@ -26,7 +26,6 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Topics, read_samples
 from geomid_ros.session.session import Session
-from geomid_ros.signals.unitree import LOW_STATE
 from geomid_ros.simulation.gaits import WalkOptions
 from geomid_ros.simulation.walking import simulate_walk
 
@@ -145,7 +144,7 @@ def test_the_messages_of_unitree_say_what_those_of_ros_do(folder: Path, tmp_path
     """In the order of Unitree's motors and in single precision; without the order they are refused."""
     motors = Configuration.read(CONFIG / "quadruped.yaml")["motors"]
     joints: dict[int, Any] = {}
-    states: list[tuple[int, bytes]] = []
+    states: list[tuple[str, int, bytes]] = []
     with Bag(folder / "walk") as bag:
         for topic, time, message in islice(bag.messages(["/joint_states", "/imu"]), 3000):
             if topic == "/joint_states":
@@ -155,8 +154,8 @@ def test_the_messages_of_unitree_say_what_those_of_ros_do(folder: Path, tmp_path
                 places = [list(own.name).index(joint) for joint in motors]
                 numbers = np.array([own.position, own.velocity, own.effort])[:, places].T
                 sensed = message.angular_velocity, message.linear_acceleration
-                states.append((time, low_state(numbers, *(np.array([v.x, v.y, v.z]) for v in sensed))))
-    write_bag(tmp_path / "unitree", "/lowstate", LOW_STATE, states)
+                states.append(("/lowstate", time, low_state(numbers, *(np.array([v.x, v.y, v.z]) for v in sensed))))
+    write_unitree_bag(tmp_path / "unitree", states)
     topics = Topics("/lowstate", "", "/lowstate")
     found = samples_of(folder, tmp_path / "unitree", topics)
     expected = samples_of(folder, folder / "walk", Topics("joint_states", "")).select(slice(len(found)))

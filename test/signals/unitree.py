@@ -76,9 +76,11 @@ def low_cmd(motors: Sequence[FloatArray]) -> bytes:
     return bytes(types().serialize_cdr(_filled(LOW_CMD, motor_cmd=commands), LOW_CMD))
 
 
-def write_bag(path: Path, topic: str, kind: str, messages: Iterable[tuple[int, bytes]]) -> None:
-    """Write a bag of one topic, of messages (times [ns] and bytes) of a ``kind``."""
+def write_unitree_bag(path: Path, messages: Iterable[tuple[str, int, bytes]]) -> Path:
+    """Write a bag of LowState on ``/lowstate`` and LowCmd on ``/lowcmd``: topics, times [ns] and bytes."""
     with Writer(path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP) as writer:
-        connection = writer.add_connection(topic, kind, typestore=types())
-        for time, data in messages:
-            writer.write(connection, time, data)
+        kinds = {"/lowstate": LOW_STATE, "/lowcmd": LOW_CMD}
+        connections = {topic: writer.add_connection(topic, kind, typestore=types()) for topic, kind in kinds.items()}
+        for topic, time, data in messages:
+            writer.write(connections[topic], time, data)
+    return path
