@@ -123,16 +123,21 @@ class Design:
         return Design(tuple(channels), dimension, tuple(channel.remainder.usual for channel in channels))
 
     def given(self, variances: Sequence[FloatArray]) -> Design:
-        """The same beside a remainder of these ``variances``, of each channel's blocks: products are taken over, and
-        those that are new go with it."""
-        return replace(self, variances=tuple(variances), _products=self._products.copy())
+        """The same beside a remainder of these ``variances``, of each channel's blocks: products of channels that keep
+        theirs are taken over."""
+        kept = {key: self._products[key] for key in self._keys if key in self._products}
+        return replace(self, variances=tuple(variances), _products=kept)
+
+    @property
+    def _keys(self) -> list[tuple[int, bytes]]:
+        """What the products of each channel are found by."""
+        return [(place, variances.tobytes()) for place, variances in enumerate(self.variances)]
 
     @cached_property
     def _marginalised(self) -> list[Marginal]:
         """Of each channel."""
         found = []
-        for place, (channel, variances) in enumerate(zip(self.channels, self.variances, strict=True)):
-            key = place, variances.tobytes()
+        for key, channel, variances in zip(self._keys, self.channels, self.variances, strict=True):
             if key not in self._products:
                 self._products[key] = channel.remainder.marginalised(channel.products, variances)
             found.append(self._products[key])

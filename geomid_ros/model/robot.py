@@ -295,6 +295,16 @@ class Robot:
         carried = set(self.tree.subtree(frame))
         return [index for index, body in enumerate(self.bodies) if body.name in carried]
 
+    def chain(self, joint: int) -> list[int]:
+        """Places of the other joints that carry a joint, or are carried by it."""
+        above = {own.name: {each.name for each in self.tree.joints_above(own.child)} for own in self.tree.joints}
+        name = self.joint_names[joint]
+        return [
+            place
+            for place, other in enumerate(self.joint_names)
+            if other != name and (other in above[name] or name in above[other])
+        ]
+
     def configuration(self, samples: Samples) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Pinocchio's q ``(N, nq)``, v and a ``(N, nv)`` of samples."""
         q, v, a = self.moved(np.array([samples.position, samples.velocity, samples.acceleration]))

@@ -173,6 +173,16 @@ def test_bodies_that_a_link_carries(name: str, floating: bool) -> None:
         assert set(robot.subtree(link)) == carried
 
 
+@ROBOTS
+def test_joints_of_one_chain_carry_each_other(name: str, floating: bool) -> None:
+    """By pinocchio's own lists of what carries a joint, and of what it carries."""
+    robot, model = Robot(urdf(name), floating_base=floating), pin.buildModelFromXML(urdf(name))
+    own = [model.getJointId(joint) for joint in robot.joint_names]
+    for place, joint in enumerate(own):
+        related = {*model.supports[joint], *model.subtrees[joint]} - {joint}
+        assert robot.chain(place) == [other for other, each in enumerate(own) if each in related]
+
+
 @pytest.mark.parametrize("seed", range(2))
 def test_roll_pitch_and_yaw_are_those_of_the_urdf_reader(seed: int) -> None:
     angles = np.random.default_rng(seed).uniform(-4.0, 4.0, 3).tolist()

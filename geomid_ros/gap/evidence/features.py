@@ -1,4 +1,5 @@
-"""Features of what a model may lack: curves of one variable, waves, drifts and the other joints, for each channel."""
+"""Features of what a model may lack: curves of one variable, waves, drifts and the other joints of its chain, for each
+channel."""
 
 from __future__ import annotations
 
@@ -135,14 +136,15 @@ def _of_joint(records: Records, situation: Situation, joint: int, ends: FloatArr
 def _of_others(model: MeasurementModel, records: Records, situation: Situation, channel: int) -> Iterator[_Block]:
     samples = records.samples
     yield TIME, hats(time_of(records), (-1.0, 1.0), 5), False
-    own = samples.position[:, channel] if model.channels[channel].joint is not None else None
-    for other, name in enumerate(model.robot.joint_names):
-        if own is None or other != channel:
-            q = samples.position[:, other]
-            columns = [samples.velocity[:, other], situation.sign[:, other], np.sin(q), np.cos(q)]
-            if own is not None:
-                columns += [np.sin(q + own), np.cos(q + own), np.sin(q - own), np.cos(q - own)]
-            yield name, np.stack(columns, axis=1), True
+    joint = model.channels[channel].joint
+    others = range(len(model.robot.joints)) if joint is None else model.robot.chain(joint)
+    for other in others:
+        q = samples.position[:, other]
+        columns = [samples.velocity[:, other], situation.sign[:, other], np.sin(q), np.cos(q)]
+        if joint is not None:
+            own = samples.position[:, joint]
+            columns += [np.sin(q + own), np.cos(q + own), np.sin(q - own), np.cos(q - own)]
+        yield model.robot.joint_names[other], np.stack(columns, axis=1), True
 
 
 def _alike(columns: FloatArray) -> FloatArray:

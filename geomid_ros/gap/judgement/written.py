@@ -164,9 +164,8 @@ def _as_unsure(found: NamesFit, free: NamesFit) -> NamesFit:
 
 def _evidence(found: NamesFit, candidate: Candidate) -> float:
     """By how much the score would be worse without it, to second order: its squared deviations from nothing."""
-    places = [found.place(term) for term in candidate.terms]
     values = np.array([found.value(term) for term in candidate.terms])
-    return float(values @ np.linalg.solve(found.covariance[np.ix_(places, places)], values))
+    return float(values @ np.linalg.solve(found.covariance_of(candidate.terms), values))
 
 
 def _with_ordinary(
