@@ -17,7 +17,7 @@ from benchmarks.report import Report
 from benchmarks.simulated_arm import FRESH, MOTIONS, Arm, Run, arm, identified, noise, truth
 from geomid_ros.estimation.estimate import QUANTITIES, Estimate
 from geomid_ros.estimation.paper_estimator import PAPER
-from geomid_ros.geometry.pseudo_inertia import inertia_entries, quantities_of
+from geomid_ros.geometry.pseudo_inertia import quantities_of
 from geomid_ros.types import FloatArray
 
 FIRST_SEED = 1000
@@ -79,9 +79,7 @@ def intervals_of(where: Arm, found: Estimate, true: FloatArray, run: Run) -> lis
     expected = quantities_of(true[:first].reshape(-1, 10))
     intervals = []
     for link, values in zip(found.links, expected, strict=True):
-        errors = (_of_link(link.mass, link.com, link.inertia) - values) / _of_link(
-            link.std_mass, link.std_com, link.std_inertia
-        )
+        errors = (link.quantities - values) / link.std
         told = [quantity not in link.cannot_tell for quantity in QUANTITIES]
         for group, place in _GROUPS.items():
             pairs = zip(told[place], errors[place], strict=True)
@@ -90,10 +88,6 @@ def intervals_of(where: Arm, found: Estimate, true: FloatArray, run: Run) -> lis
         error = (effect.value - float(value)) / effect.std
         intervals.append(Interval(run, effect.name, effect.from_data > EXCITED, error))
     return intervals
-
-
-def _of_link(mass: float, com: FloatArray, inertia: FloatArray) -> FloatArray:
-    return np.concatenate([[mass], com, inertia_entries(inertia)])
 
 
 def coverage(intervals: Iterable[Interval], level: float = LEVEL) -> tuple[float, float, int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, Unpack
 
@@ -14,14 +14,13 @@ from geomid_ros.api.options import PathLike, Paths, RobotKeywords, RobotOptions,
 from geomid_ros.api.verify import doubts_of, identified, read_to_judge
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.comparison import Difference, LinkValues, RobotValues, compared
+from geomid_ros.estimation.comparison import Difference, RobotValues, compared
 from geomid_ros.exports.inertial import Summand, total
 from geomid_ros.exports.model import Model, read_model
 from geomid_ros.files.models.effect_forms import coefficients_of
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.schema import plain
-from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.urdf_tree import read_xml
 from geomid_ros.report.plain_pages import ChannelErrors, ComparisonPage, write_comparison_page
 from geomid_ros.session.recordings import Progress, silent
@@ -214,10 +213,8 @@ def _urdf_values(model: Model, result: _Result) -> RobotValues:
         if not parts:
             raise InputError(f"{model.source}: link '{name}' has no <inertial>, and {result.path} has identified it")
         terms = [Summand(model.bodies[link], model.placement(link, name)) for link in parts]
-        quantities = total(terms, f"{model.source}: link '{name}'").quantities
-        links[name] = LinkValues(
-            parameters=pseudo_inertia.parameters_of(quantities), std=np.zeros(10), merged=body.merged
-        )
+        own = total(terms, f"{model.source}: link '{name}'")
+        links[name] = replace(own, std=np.zeros(10), merged=body.merged)
     return RobotValues(links=links, effects=model.effects)
 
 
@@ -225,7 +222,7 @@ def _check_same_robot(sides: Sequence[_Side], values: Sequence[RobotValues]) -> 
     """Refuse results of different robots: no link in common, or other names and other bodies. Raises InputError."""
     first, second = values
     names = {side.robot for side in sides if isinstance(side, _Result) and side.robot}
-    bodies = [{name: link.merged for name, link in each.links.items()} for each in values]
+    bodies = [{name: {*link.merged} for name, link in each.links.items()} for each in values]
     if not first.links.keys() & second.links.keys() or (len(names) > 1 and bodies[0] != bodies[1]):
         ours, theirs = (side.path if isinstance(side, _Result) else Path(side.source) for side in sides)
         raise _other_robot(_named(theirs, sides[1]), second.links, _named(ours, sides[0]), first.links)
@@ -244,7 +241,7 @@ def _other_robot(source: str, links: Iterable[str], other: str, others: Iterable
 
 def _notes_on(results: Sequence[_Result], *, own_data: bool) -> list[str]:
     """What is worth knowing of the comparison; ``own_data``: of the errors, too, each on its own recording."""
-    exact = [r.path for r in results if not any(np.any(np.isfinite(link.std)) for link in r.values.links.values())]
+    exact = [r.path for r in results if not any(link.has_std for link in r.values.links.values())]
     fitted = [r.path for r in results if own_data and r.file.rms.train and not r.file.rms.held_out]
     return [
         *(f"{path} says no standard deviations: its links count as exact" for path in exact),

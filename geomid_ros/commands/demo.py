@@ -115,13 +115,14 @@ def _table(session: Session, masses: dict[str, float], truth: dict[str, float], 
 def _conclude(
     console: Console, session: Session, file: EstimateFile, truth: dict[str, float], difference: float, out: Path
 ) -> None:
-    tool = max(file.links, key=lambda link: link.from_data)
+    links = file.link_estimates
+    tool = max(links, key=lambda link: link.from_data)
     true_mass = _true_mass(session, tool.name, truth)
-    untold = [link.name for link in file.links if "mass" in (link.cannot_tell or ())]
+    untold = [link.name for link in links if "mass" in link.cannot_tell]
     shares = [1.0 - file.rms.train[channel] / nominal for channel, nominal in file.rms.nominal.items()]
     console.print(
         f"\nIdentified from {file.rows.accepted} rows. The most certain body is {tool.name} with "
-        f"{tool.mass:.4f} ± {tool.std_quantities[0]:.4f} kg (truth {true_mass:.4f}), "
+        f"{tool.mass:.4f} ± {tool.std_mass:.4f} kg (truth {true_mass:.4f}), "
         f"{100 * tool.from_data:.0f} % from data.\n"
         f"Masses not individually identifiable: {', '.join(untold) or 'none'}; these stay near the URDF.\n"
         f"The estimate removes {100 * sum(shares) / len(shares):.0f} % of the URDF's RMS error (mean over channels); "

@@ -16,29 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomid_ros.estimation.changed_links import ChangedLink, LinkEvidence, changed_links
-from geomid_ros.estimation.estimate import QUANTITIES, UNITS, LinksInformation
-from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.estimation.estimate import QUANTITIES, UNITS, LinksInformation, UncertainInertia
 from geomid_ros.model.effects import KnownEffect, Quantity
-from geomid_ros.types import FloatArray
 
 CHANCE = 0.05
 """Probability that any of the numbers is said to differ if none does."""
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class LinkValues:
-    """What a result says of a link.
-
-    Attributes:
-        parameters: ``(10,)`` in pinocchio's order, about the link's origin.
-        std: standard deviations ``(10,)`` of the :data:`~geomid_ros.estimation.estimate.QUANTITIES`; zero of exact
-            numbers, NaN of unknown ones.
-        merged: the links that are fixed to it and counted in.
-    """
-
-    parameters: FloatArray
-    std: FloatArray
-    merged: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -46,7 +28,7 @@ class RobotValues:
     """What a result says of a robot: its ``links`` by name, its ``effects``, and what its data say of all links
     together (None where that is not known)."""
 
-    links: Mapping[str, LinkValues]
+    links: Mapping[str, UncertainInertia]
     effects: tuple[KnownEffect, ...] = ()
     information: LinksInformation | None = None
 
@@ -128,7 +110,7 @@ def compared(first: RobotValues, second: RobotValues, chance: float = CHANCE) ->
         chance: probability that any number is said to differ if none does.
     """
     common = [name for name in first.links if name in second.links]
-    same = [name for name in common if first.links[name].merged == second.links[name].merged]
+    same = [name for name in common if {*first.links[name].merged} == {*second.links[name].merged}]
     differences = [*_links(first, second, same), *_effects(first, second)]
     deviations = [_deviation(difference) for difference in differences]
     evidence = _evidence(first, second, same)
@@ -167,9 +149,8 @@ def _links(first: RobotValues, second: RobotValues, names: list[str]) -> Iterato
             yield Difference(place=name, effect="", parameter=quantity, first=before, second=after)
 
 
-def _quantities(link: LinkValues) -> list[Quantity]:
-    values = pseudo_inertia.quantities_of(link.parameters)
-    return [Quantity(*own) for own in zip(values.tolist(), link.std.tolist(), UNITS, strict=True)]
+def _quantities(link: UncertainInertia) -> list[Quantity]:
+    return [Quantity(*own) for own in zip(link.quantities.tolist(), link.std.tolist(), UNITS, strict=True)]
 
 
 def _effects(first: RobotValues, second: RobotValues) -> Iterator[Difference]:

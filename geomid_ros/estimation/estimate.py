@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from geomid_ros.estimation.posterior import Posterior
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import Quantity
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
-from geomid_ros.types import FloatArray
+from geomid_ros.types import FloatArray, frozen
 
 QUANTITIES = ("mass", "com x", "com y", "com z", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 """Names of a link's ten quantities, in the order of :func:`geomid_ros.geometry.pseudo_inertia.quantities_of`."""
@@ -27,21 +29,78 @@ FINEST = 1e7
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class LinkEstimate:
-    """The body of a moving link.
+class UncertainInertia:
+    """A body in the frame of a link.
+
+    Attributes:
+        parameters: ``(10,)`` in pinocchio's order, about the frame's origin.
+        std: Standard deviations ``(10,)`` of the :data:`QUANTITIES`; zero of exact numbers, NaN of unknown ones.
+        merged: Links that are fixed to it and counted in.
+        cannot_tell: Those of :data:`QUANTITIES` that are not identified, see :mod:`geomid_ros.estimation.identified`;
+            None where that is not known.
+        from_data: Share of the prior's variance that the data removed, 0 to 1; NaN where that is not known.
+    """
+
+    parameters: FloatArray
+    std: FloatArray
+    merged: tuple[str, ...] = ()
+    cannot_tell: tuple[str, ...] | None = None
+    from_data: float = np.nan
+
+    @cached_property
+    def quantities(self) -> FloatArray:
+        """The :data:`QUANTITIES` ``(10,)``."""
+        return frozen(pseudo_inertia.quantities_of(self.parameters))
+
+    @property
+    def mass(self) -> float:
+        """Mass [kg]."""
+        return float(self.quantities[0])
+
+    @property
+    def com(self) -> FloatArray:
+        """Centre of mass ``(3,)`` in the link's frame [m]."""
+        return self.quantities[1:4]
+
+    @property
+    def inertia(self) -> FloatArray:
+        """Inertia ``(3, 3)`` about the centre of mass in the link's axes [kg m^2]."""
+        return pseudo_inertia.rotational_inertia(self.quantities)
+
+    @property
+    def std_mass(self) -> float:
+        """Standard deviation of the mass [kg]."""
+        return float(self.std[0])
+
+    @property
+    def std_com(self) -> FloatArray:
+        """Standard deviations ``(3,)`` of the centre of mass [m]."""
+        return self.std[1:4]
+
+    @property
+    def std_inertia(self) -> FloatArray:
+        """Standard deviations ``(3, 3)`` of the inertia [kg m^2]."""
+        return pseudo_inertia.rotational_inertia(self.std)
+
+    @property
+    def mass_interval(self) -> tuple[float, float]:
+        """The 95 % interval of the mass [kg]."""
+        return interval_of_positive(self.mass, self.std_mass)
+
+    @property
+    def has_std(self) -> bool:
+        """True if any standard deviation is known."""
+        return bool(np.any(np.isfinite(self.std)))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LinkEstimate(UncertainInertia):
+    """The identified body of a moving link.
 
     Attributes:
         name: The moving link.
-        merged: Links that are fixed to it and counted in.
-        mass: [kg].
-        com: Centre of mass ``(3,)`` in the link's frame [m].
-        inertia: ``(3, 3)`` about the centre of mass in the link's axes [kg m^2].
-        std_mass, std_com, std_inertia: Standard deviations of these.
-        parameters: ``(10,)`` in pinocchio's order, about the link's origin.
         distance_from_prior: Geodesic distance.
-        from_data: Share of the prior's variance that the data removed, 0 to 1.
         min_eigenvalue_ratio: Smallest eigenvalue of ``P0^-1/2 P P0^-1/2``.
-        cannot_tell: Those of :data:`QUANTITIES` that are not identified, see :mod:`geomid_ros.estimation.identified`.
         moments: The axes along which the first moment is identified.
         std_prior: Standard deviations ``(13,)`` of quantities and first moments in the prior, or in the usual one where
             that is narrower.
@@ -50,18 +109,9 @@ class LinkEstimate:
     """
 
     name: str
-    merged: tuple[str, ...]
-    mass: float
-    com: FloatArray
-    inertia: FloatArray
-    std_mass: float
-    std_com: FloatArray
-    std_inertia: FloatArray
-    parameters: FloatArray
-    distance_from_prior: float
-    from_data: float
-    min_eigenvalue_ratio: float
     cannot_tell: tuple[str, ...]
+    distance_from_prior: float
+    min_eigenvalue_ratio: float
     moments: tuple[str, ...]
     std_prior: FloatArray
     outlier: bool
@@ -70,11 +120,6 @@ class LinkEstimate:
     def identified(self) -> tuple[str, ...]:
         """Those of :data:`QUANTITIES` that may be used as numbers of this link."""
         return () if self.outlier else tuple(name for name in QUANTITIES if name not in self.cannot_tell)
-
-    @property
-    def mass_interval(self) -> tuple[float, float]:
-        """The 95 % interval of the mass [kg]."""
-        return interval_of_positive(self.mass, self.std_mass)
 
 
 def is_told(value: float, deviation: float) -> bool:

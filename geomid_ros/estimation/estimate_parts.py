@@ -36,18 +36,12 @@ def links(
         of_usual = problem.usual[index] * np.linalg.norm(sensitivity[index], axis=1)
         of_prior = np.minimum(of_prior, of_usual)
         known = identified(parameters[index], std, of_prior)
-        values = pseudo_inertia.quantities_of(parameters[index])
         told.append(
             LinkEstimate(
                 name=name,
                 merged=model.robot.bodies[model.identified[index]].merged,
-                mass=float(values[0]),
-                com=frozen(values[1:4]),
-                inertia=frozen(pseudo_inertia.inertia_matrix(values[4:])),
-                std_mass=float(std[0]),
-                std_com=frozen(std[1:4]),
-                std_inertia=frozen(pseudo_inertia.inertia_matrix(std[4:10])),
                 parameters=frozen(parameters[index]),
+                std=frozen(std[:10]),
                 distance_from_prior=float(distances[index]),
                 from_data=found.from_data(block),
                 min_eigenvalue_ratio=float(ratios[index]),

@@ -1,4 +1,4 @@
-"""An inertia to export: its quantities with their standard deviations, and sums of bodies in one frame."""
+"""An inertia to export, and sums of bodies in one frame."""
 
 from __future__ import annotations
 
@@ -9,37 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimate import UncertainInertia
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.types import FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class UncertainInertia:
-    """``quantities (10,)`` of a body (:func:`~geomid_ros.geometry.pseudo_inertia.quantities_of`) in a frame, and their
-    standard deviations ``std (10,)``, NaN where these are not known."""
-
-    quantities: FloatArray
-    std: FloatArray
-
-    @property
-    def mass(self) -> float:
-        """Mass [kg]."""
-        return float(self.quantities[0])
-
-    @property
-    def com(self) -> FloatArray:
-        """Centre of mass ``(3,)`` [m]."""
-        return self.quantities[1:4]
-
-    @property
-    def inertia(self) -> FloatArray:
-        """Inertia ``(3, 3)`` [kg m^2] about the centre of mass."""
-        return pseudo_inertia.rotational_inertia(self.quantities)
-
-    @property
-    def has_std(self) -> bool:
-        """Whether any standard deviation is known."""
-        return bool(np.any(np.isfinite(self.std)))
 
 
 class Summand(NamedTuple):
@@ -80,7 +52,7 @@ def total(terms: Sequence[Summand], what: str) -> UncertainInertia:
         step[*index] = deviations[*index]
         above, below = (pseudo_inertia.quantities_of(_sum(terms, given + sign * step)) for sign in (1.0, -1.0))
         variance += (0.5 * (above - below)) ** 2
-    return UncertainInertia(pseudo_inertia.quantities_of(parameters), np.sqrt(variance))
+    return UncertainInertia(parameters=parameters, std=np.sqrt(variance))
 
 
 def _sum(terms: Sequence[Summand], quantities: FloatArray) -> FloatArray:

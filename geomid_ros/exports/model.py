@@ -10,11 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.estimation.estimate import QUANTITIES
+from geomid_ros.estimation.estimate import QUANTITIES, UncertainInertia
 from geomid_ros.exports.formats import SAME
-from geomid_ros.exports.inertial import UncertainInertia
 from geomid_ros.files.models.effect_forms import coefficient, effects_of_dynamics, is_body, joint_attributes
-from geomid_ros.files.models.estimate_file import EstimateFile, LinkEntry
+from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.readers import URDF
 from geomid_ros.files.models.urdf import joint_frames, read_urdf, with_inertials
 from geomid_ros.files.models.written_model import written_for
@@ -28,21 +27,6 @@ from geomid_ros.types import FloatArray
 _URDF = "identified.urdf"
 # A payload's parameters in the order of the quantities.
 _PAYLOAD = ("mass", *COM_ENTRIES, *pseudo_inertia.INERTIA_NAMES)
-
-
-@dataclass(frozen=True, eq=False)
-class MassiveLink(UncertainInertia):
-    """A link with a mass, and its inertia in its own frame.
-
-    Attributes:
-        merged: Links that are fixed to it and counted in.
-        unidentified: Quantities that the data do not identify; None where that is not known.
-        from_data: Share that came from the data, NaN where that is not known.
-    """
-
-    merged: tuple[str, ...] = ()
-    unidentified: tuple[str, ...] | None = None
-    from_data: float = np.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +50,7 @@ class Model:
     source: str
     tree: UrdfTree
     placements: Mapping[str, FloatArray]
-    bodies: Mapping[str, MassiveLink]
+    bodies: Mapping[str, UncertainInertia]
     estimated: tuple[str, ...]
     doubt: str
     urdf: str
@@ -113,10 +97,7 @@ def read_model(path: Path, reader: str = "") -> Model:
     friction = _dynamics(text, str(urdf), found)
     if written is not None:
         found = tuple(effect for effect in written.effects if not is_body(effect))
-        bodies |= {
-            name: replace(bodies[name], quantities=pseudo_inertia.quantities_of(own))
-            for name, own in written.inertias.items()
-        }
+        bodies |= {name: replace(bodies[name], parameters=own) for name, own in written.inertias.items()}
         text = with_inertials(text, written.inertias)
     return Model(
         source=source,
@@ -176,19 +157,19 @@ def _placements(urdf: str, tree: UrdfTree, source: str) -> dict[str, FloatArray]
     return placements
 
 
-def _urdf_bodies(tree: UrdfTree) -> dict[str, MassiveLink]:
+def _urdf_bodies(tree: UrdfTree) -> dict[str, UncertainInertia]:
     unknown = np.full(10, np.nan)
-    return {name: MassiveLink(pseudo_inertia.quantities_of(own), unknown) for name, own in tree.inertials.items()}
+    return {name: UncertainInertia(parameters=own, std=unknown) for name, own in tree.inertials.items()}
 
 
-def _estimated_bodies(file: EstimateFile, tree: UrdfTree) -> dict[str, MassiveLink]:
+def _estimated_bodies(file: EstimateFile, tree: UrdfTree) -> dict[str, UncertainInertia]:
     """The URDF's bodies, with a file's estimates of those that were identified."""
     written = written_for(file, URDF)
     _check_same_model(file.inertias if written is None else written.inertias, tree, file.source)
     bodies = _urdf_bodies(tree)
     if any(link.cannot_tell is not None for link in file.links):
-        bodies = {name: replace(body, unidentified=QUANTITIES) for name, body in bodies.items()}
-    bodies |= {link.name: _estimated_body(link, file.inertias[link.name]) for link in file.links}
+        bodies = {name: replace(body, cannot_tell=QUANTITIES) for name, body in bodies.items()}
+    bodies |= file.bodies
     return bodies | _found_payloads(bodies, file.known_effects)
 
 
@@ -202,17 +183,14 @@ def _check_same_model(inertias: Mapping[str, FloatArray], tree: UrdfTree, source
             )
 
 
-def _estimated_body(link: LinkEntry, parameters: FloatArray) -> MassiveLink:
-    quantities = pseudo_inertia.quantities_of(parameters)
-    return MassiveLink(quantities, link.std_quantities, link.merged or (), link.cannot_tell, link.from_data)
-
-
-def _found_payloads(bodies: Mapping[str, MassiveLink], effects: Sequence[KnownEffect]) -> dict[str, MassiveLink]:
+def _found_payloads(
+    bodies: Mapping[str, UncertainInertia], effects: Sequence[KnownEffect]
+) -> dict[str, UncertainInertia]:
     """Payloads that ``geomid gap`` found: links of their own in the URDF, whose standard deviations the file has."""
     found = {}
     for effect in effects:
         name = f"{effect.link}_payload"
         if is_body(effect) and name in bodies:
             std = [effect.parameters[key].std if key in effect.parameters else np.nan for key in _PAYLOAD]
-            found[name] = MassiveLink(bodies[name].quantities, np.array(std))
+            found[name] = UncertainInertia(parameters=bodies[name].parameters, std=np.array(std))
     return found

@@ -101,7 +101,7 @@ def _named(heading: str, names: Sequence[str]) -> list[str]:
 def _carried(model: Model, link: str) -> FloatArray:
     """Parameters ``(10,)`` of a link with the payload that was found on it, which is a link of the URDF."""
     names = [name for name in (link, f"{link}_payload") if name in model.bodies]
-    own = [pseudo_inertia.parameters_of(model.bodies[name].quantities) for name in names]
+    own = [model.bodies[name].parameters for name in names]
     return np.asarray(np.sum(own, axis=0))
 
 

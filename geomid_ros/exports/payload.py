@@ -8,9 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimate import UncertainInertia
 from geomid_ros.exports.formats import SAME
-from geomid_ros.exports.inertial import Export, Summand, UncertainInertia, total
-from geomid_ros.exports.model import MassiveLink, Model
+from geomid_ros.exports.inertial import Export, Summand, total
+from geomid_ros.exports.model import Model
 
 # Gravity is compensated by mass and centre of mass: links of which the data do not identify these may be this share of
 # the mass.
@@ -78,14 +79,14 @@ def each_link(model: Model) -> list[Export]:
     return exports
 
 
-def _link_notes(body: MassiveLink) -> tuple[str, ...]:
+def _link_notes(body: UncertainInertia) -> tuple[str, ...]:
     notes = []
     if body.merged:
         notes.append(f"includes {', '.join(body.merged)}, whose own inertial is removed")
     if math.isfinite(body.from_data):
         notes.append(f"{100.0 * body.from_data:.0f} % from data")
-    if body.unidentified:
-        notes.append(f"hardly identified by the data, mostly as in the prior: {', '.join(body.unidentified)}")
+    if body.cannot_tell:
+        notes.append(f"hardly identified by the data, mostly as in the prior: {', '.join(body.cannot_tell)}")
     return tuple(notes)
 
 
@@ -103,7 +104,7 @@ def _sum_of(model: Model, links: Sequence[str], frame: str) -> Export:
     unidentified = [
         f"hardly identified by the data of {link}, mostly as in the prior: {', '.join(quantities)}"
         for link in massive
-        if (quantities := model.bodies[link].unidentified)
+        if (quantities := model.bodies[link].cannot_tell)
     ]
     notes = (*_joints_at_zero(model, massive, frame), *_exact(model, massive, inertial), *unidentified)
     return Export(f"payload at '{frame}': {parts}", frame, inertial, notes)
@@ -154,9 +155,9 @@ def _check_identified(model: Model, links: Sequence[str]) -> None:
         )
 
 
-def _unidentified_weight(body: MassiveLink) -> list[str]:
+def _unidentified_weight(body: UncertainInertia) -> list[str]:
     """The quantities that gravity acts on and that the data do not identify."""
-    return [name for name in body.unidentified or () if name == "mass" or name.startswith("com")]
+    return [name for name in body.cannot_tell or () if name == "mass" or name.startswith("com")]
 
 
 def _joints_at_zero(model: Model, links: Sequence[str], frame: str) -> list[str]:

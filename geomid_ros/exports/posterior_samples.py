@@ -62,10 +62,7 @@ class DrawnRobots:
             zip(self.posterior.links, parameters[: 10 * len(self.posterior.links)].reshape(-1, 10), strict=True)
         )
         bodies, unknown = self.model.bodies, np.full(10, np.nan)
-        drawn = {
-            name: replace(bodies[name], quantities=pseudo_inertia.quantities_of(own), std=unknown)
-            for name, own in links.items()
-        }
+        drawn = {name: replace(bodies[name], parameters=own, std=unknown) for name, own in links.items()}
         return replace(
             self.model,
             bodies={**bodies, **drawn},
@@ -199,7 +196,7 @@ def _json(robots: DrawnRobots) -> str:
 
 def _entries(robots: DrawnRobots, model: Model) -> dict[str, Any]:
     links = [
-        link_entry(name, merged, pseudo_inertia.parameters_of(model.bodies[name].quantities))
+        link_entry(name, merged, model.bodies[name].parameters)
         for name, merged in zip(robots.posterior.links, robots.posterior.merged, strict=True)
     ]
     return {"links": links, **effects_entries(model.effects)}

@@ -8,10 +8,10 @@ from typing import Any
 
 from geomid_ros.checks.verdict import USABLE
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import QUANTITIES, SURE
+from geomid_ros.estimation.estimate import QUANTITIES, SURE, UncertainInertia
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.exports.formats import CONTROLLERS
-from geomid_ros.exports.inertial import Export, Summand, UncertainInertia, total
+from geomid_ros.exports.inertial import Export, Summand, total
 from geomid_ros.files.models.estimate_file import verdict_entry
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import GAIN
@@ -40,7 +40,7 @@ class Payload:
     @property
     def interval(self) -> tuple[float, float]:
         """The 95 % interval of the mass [kg], with the uncertainty of the efforts' gain."""
-        return self.weighed.interval
+        return self.weighed.mass_interval
 
     @property
     def sentence(self) -> str:
@@ -107,6 +107,5 @@ def weigh_at(
     """
     link = session.robot.carrier(frame) if frame else session.model.body_names[-1]
     weighed = weigh(session, empty, loaded, link, gain)
-    own = UncertainInertia(weighed.quantities, weighed.std)
-    placed = Summand(own, session.robot.fixed_placement(link, frame or link))
+    placed = Summand(weighed, session.robot.fixed_placement(link, frame or link))
     return Payload(frame=frame or link, weighed=weighed, inertial=total([placed], f"the payload at '{frame or link}'"))

@@ -12,14 +12,13 @@ import numpy as np
 from geomid_ros.checks.causes import Finding
 from geomid_ros.checks.verdict import Verdict, recording_verdict
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import QUANTITIES, Estimate, interval_of_positive
+from geomid_ros.estimation.estimate import QUANTITIES, Estimate, UncertainInertia
 from geomid_ros.estimation.estimator import WarmStart, estimate
 from geomid_ros.estimation.identified import identified, numbers
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
 from geomid_ros.estimation.summary import RowSummary
-from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.inference.prior import SPREAD_OF_PAYLOADS, usual_payload
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
@@ -30,18 +29,15 @@ from geomid_ros.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class WeighedPayload:
+class WeighedPayload(UncertainInertia):
     """A payload in the axes of the ``link`` that carries it, about this link's origin.
 
     Attributes:
         link: the moving link.
-        quantities: mass, centre of mass and inertia ``(10,)``, see
-            :func:`~geomid_ros.geometry.pseudo_inertia.quantities_of`.
-        std: their standard deviations ``(10,)``, with the uncertain gain of the efforts in them.
+        std: standard deviations ``(10,)``, with the uncertain gain of the efforts in them.
         moment, moment_std: mass times centre of mass ``(3,)`` [kg m], and their standard deviations: what gravity tells
             of a body whose mass is not told.
         gain: the standard deviation of the gain that was taken.
-        cannot_tell: the quantities that are not identified, see :mod:`geomid_ros.estimation.identified`.
         identified_moments: the axes along which the first moment is.
         rms: what remains on both recordings by channel [N m, N].
         warnings: what makes the result doubtful.
@@ -51,28 +47,16 @@ class WeighedPayload:
     """
 
     link: str
-    quantities: FloatArray
-    std: FloatArray
+    cannot_tell: tuple[str, ...]
     moment: FloatArray
     moment_std: FloatArray
     gain: float
-    cannot_tell: tuple[str, ...]
     identified_moments: tuple[str, ...]
     rms: dict[str, float]
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
     findings: tuple[Finding, ...]
     verdict: Verdict
-
-    @property
-    def mass(self) -> float:
-        """[kg]."""
-        return float(self.quantities[0])
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """The 95 % interval of the mass [kg], along the geodesic: of its logarithm."""
-        return interval_of_positive(self.mass, float(self.std[0]))
 
     @property
     def tells_moment_alone(self) -> bool:
@@ -161,11 +145,10 @@ def _in_columns(posterior: Posterior, columns: IntArray, dimension: int) -> Weig
 def _payload(link: str, found: Estimate, gain: float, shifted: Sequence[Estimate], session: Session) -> WeighedPayload:
     """``shifted``: the estimates with the uncertain gain of each channel."""
     body, posterior = found.links[-1], found.posterior
-    std = np.concatenate([[body.std_mass], body.std_com, pseudo_inertia.inertia_entries(body.std_inertia)])
     moments = posterior.manifold.link(len(found.links) - 1).start + np.arange(1, 4)
     moment_std = np.sqrt(np.diag(posterior.parameter_covariance)[moments])
     said, bodies = numbers(body.parameters), [numbers(other.links[-1].parameters) for other in shifted]
-    deviations = _with_shifts(np.append(std, moment_std), np.array(bodies).reshape(-1, len(said)) - said)
+    deviations = _with_shifts(np.append(body.std, moment_std), np.array(bodies).reshape(-1, len(said)) - said)
     if link == session.robot.tree.root:  # elsewhere its moments tell a payload from the whole robot's mass
         robot = sum(other.mass for other in found.links[:-1])
         heavier = body.parameters + np.append(session.share_of_mass * robot, np.zeros(9))
@@ -173,7 +156,7 @@ def _payload(link: str, found: Estimate, gain: float, shifted: Sequence[Estimate
     known = identified(body.parameters, deviations, body.std_prior)
     return WeighedPayload(
         link=link,
-        quantities=said[:10],
+        parameters=body.parameters,
         std=deviations[:10],
         moment=said[10:],
         moment_std=deviations[10:],

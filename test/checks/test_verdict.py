@@ -42,7 +42,7 @@ def test_the_exit_status() -> None:
 
 def weighing(estimate: Estimate, factor: float) -> Estimate:
     """With links that weigh so many times as much."""
-    links = [replace(k, mass=factor * k.mass, parameters=factor * k.parameters) for k in estimate.links]
+    links = [replace(k, parameters=factor * k.parameters) for k in estimate.links]
     return replace(estimate, links=tuple(links))
 
 

@@ -6,6 +6,7 @@ import ast
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from geomid_ros.exports.descriptions import DescriptionFormat, Whole
 from geomid_ros.exports.inertial import Export
 from geomid_ros.exports.model import read_model
 from geomid_ros.exports.payload import attached, each_link
+from geomid_ros.geometry import pseudo_inertia
 
 from .points import Chain, Link, Points, points
 
@@ -91,7 +93,7 @@ def test_calls_of_the_ur_driver(payload: Export) -> None:
 def test_a_ur_takes_no_larger_inertia(payload: Export) -> None:
     quantities = payload.inertial.quantities.copy()
     quantities[[4, 6, 9]] = 134.0
-    heavy = Export("ship", "tool0", type(payload.inertial)(quantities, payload.inertial.std))
+    heavy = Export("ship", "tool0", replace(payload.inertial, parameters=pseudo_inertia.parameters_of(quantities)))
     with pytest.raises(InputError, match="ship: its inertia is beyond the 133 kg m"):
         formats.ur_commands(heavy)
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.exports.inertial import Export, Summand, UncertainInertia, total
+from geomid_ros.estimation.estimate import UncertainInertia
+from geomid_ros.exports.inertial import Export, Summand, total
 from geomid_ros.exports.model import read_model
 from geomid_ros.exports.payload import attached, chosen, difference, each_link
 from geomid_ros.files.models.written_model import write_model
@@ -144,13 +145,14 @@ def random_term(seed: int) -> Summand:
     placement[:3, :3] = np.linalg.qr(random.normal(size=(3, 3)))[0]
     placement[:3, 3] = random.normal(scale=0.1, size=3)
     std = np.array([2e-3, *[1e-4] * 3, *[2e-6] * 6]) * random.uniform(0.5, 2.0, 10)
-    return Summand(UncertainInertia(pseudo_inertia.quantities_of(own), std), placement)
+    return Summand(UncertainInertia(parameters=own, std=std), placement)
 
 
 def part_taken_away(term: Summand) -> Summand:
     """Of a body, a third of each of its points."""
     third = term.inertial.quantities / np.array([3.0, 1.0, 1.0, 1.0, *[3.0] * 6])
-    return Summand(UncertainInertia(third, 0.7 * term.inertial.std), term.placement, -1.0)
+    own = UncertainInertia(parameters=pseudo_inertia.parameters_of(third), std=0.7 * term.inertial.std)
+    return Summand(own, term.placement, -1.0)
 
 
 def test_standard_deviations_are_those_of_repeated_draws() -> None:

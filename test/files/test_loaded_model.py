@@ -21,7 +21,6 @@ from geomid_ros.files.models.estimate_file import estimate_document
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.models.written_model import write_model
-from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
@@ -162,7 +161,7 @@ def test_an_estimate_from_a_model_is_the_model_again(tmp_path: Path, common: lis
     assert "backlash of joint1: not predicted" in session.loaded.not_predicted
     before, samples = predicted(session)
     links = tuple(
-        replace(link_estimate(name, body.merged), mass=p[0], com=p[1:4] / p[0], inertia=_central(p), parameters=p)
+        replace(link_estimate(name, body.merged), parameters=p)
         for name, body, p in zip(
             session.model.body_names, session.robot.bodies, session.prior[:30].reshape(-1, 10), strict=True
         )
@@ -187,10 +186,6 @@ def test_an_estimate_from_a_model_is_the_model_again(tmp_path: Path, common: lis
 def by_place(session: Session) -> dict[tuple[str, str], float]:
     """The known coefficients, those that are not known as they were estimated."""
     return {(effect.name, effect.joint): effect.value for effect in estimated(session)}
-
-
-def _central(parameters: FloatArray) -> FloatArray:
-    return pseudo_inertia.central_inertia(parameters)
 
 
 def test_a_negative_excess_of_an_older_file_is_predicted_and_no_prior(tmp_path: Path) -> None:

@@ -54,7 +54,8 @@ def channel(name: str, samples: int = 500, error: float = 0.1) -> Series:
 def page_of(*names: str, samples: int = 500, word: str = "usable") -> IdentificationPage:
     """A page whose links and channels have these names."""
     links = [link_estimate(f"link {name}", seed=k) for k, name in enumerate(names)]
-    links[0] = replace(links[0], mass=4.321, std_mass=0.1, cannot_tell=QUANTITIES[1:])
+    heavier = 4.321 / links[0].mass * links[0].parameters
+    links[0] = replace(links[0], parameters=heavier, std=10.0 * links[0].std, cannot_tell=QUANTITIES[1:])
     quantity = Quantity(0.75, 0.01, "N m")
     friction = EffectEstimate(name="coulomb_friction", joint=names[0], parameters={"level": quantity}, from_data=0.25)
     estimate = estimate_of(*links, effects=(friction,))

@@ -14,13 +14,14 @@ import numpy as np
 from geomid_ros.checks.causes import Finding
 from geomid_ros.checks.verdict import NOT_CONVERGED, STATUS, USABLE, Verdict
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.estimation.comparison import LinkValues, RobotValues
+from geomid_ros.estimation.comparison import RobotValues
 from geomid_ros.estimation.estimate import (
     FINEST,
     EffectEstimate,
     Estimate,
     LinkEstimate,
     LinksInformation,
+    UncertainInertia,
     WeighedEstimate,
 )
 from geomid_ros.files.models.effect_forms import coefficient, combined, continued, is_coefficient
@@ -82,11 +83,6 @@ class LinkEntry(InertiaEntry):
     cannot_tell: tuple[str, ...] | None = None
     identified_moments: tuple[str, ...] = ()
     outlier: bool = False
-
-    @property
-    def std_quantities(self) -> FloatArray:
-        """Standard deviations ``(10,)``, NaN where the file says none."""
-        return np.full(10, np.nan) if self.std is None else self.std.quantities
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -268,15 +264,23 @@ class EstimateFile:
         return f"{self.source}: this model's verdict is '{verdict.word}': {reasons}"
 
     @property
-    def values(self) -> RobotValues:
-        """What it says, to be compared with another."""
-        links = {
-            link.name: LinkValues(
-                parameters=self.inertias[link.name], std=link.std_quantities, merged=frozenset(link.merged or ())
+    def bodies(self) -> dict[str, UncertainInertia]:
+        """The links with what the file says of their uncertainty, by name."""
+        return {
+            link.name: UncertainInertia(
+                parameters=self.inertias[link.name],
+                std=np.full(10, np.nan) if link.std is None else link.std.quantities,
+                merged=link.merged or (),
+                cannot_tell=link.cannot_tell,
+                from_data=link.from_data,
             )
             for link in self.links
         }
-        return RobotValues(links=links, effects=tuple(self.known_effects), information=self.known_information)
+
+    @property
+    def values(self) -> RobotValues:
+        """What it says, to be compared with another."""
+        return RobotValues(links=self.bodies, effects=tuple(self.known_effects), information=self.known_information)
 
     @property
     def known_information(self) -> LinksInformation | None:
@@ -352,17 +356,11 @@ def _known(given: CoefficientEntry, own: Mapping[str, Any], source: str) -> Know
 def _link_estimate(link: LinkEntry, parameters: FloatArray, source: str) -> LinkEstimate:
     if link.std is None or link.merged is None or link.cannot_tell is None:
         raise InputError(f"{source}: link '{link.name}' has no std, merged or cannot_tell")
-    quantities = pseudo_inertia.quantities_of(parameters)
     return LinkEstimate(
         name=link.name,
         merged=link.merged,
-        mass=float(quantities[0]),
-        com=quantities[1:4],
-        inertia=pseudo_inertia.rotational_inertia(quantities),
-        std_mass=link.std.mass,
-        std_com=link.std.com,
-        std_inertia=link.std.inertia,
         parameters=parameters,
+        std=link.std.quantities,
         distance_from_prior=link.distance_from_prior,
         from_data=link.from_data,
         min_eigenvalue_ratio=link.min_eigenvalue_ratio,
