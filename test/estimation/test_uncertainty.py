@@ -274,9 +274,7 @@ def coverage(name: str, correlation: float) -> dict[str, float]:
                 inside[effect.name].append(abs(effect.value - true) < 1.96 * effect.std)
         for link, true in zip(found.links, planted[:first].reshape(-1, 10), strict=True):
             expected = pseudo_inertia.quantities_of(true)
-            values = [link.mass, *link.com, *pseudo_inertia.inertia_entries(link.inertia)]
-            stds = [link.std_mass, *link.std_com, *pseudo_inertia.inertia_entries(link.std_inertia)]
-            for quantity, value, std, target in zip(QUANTITIES, values, stds, expected, strict=True):
+            for quantity, value, std, target in zip(QUANTITIES, link.quantities, link.std, expected, strict=True):
                 told = "untold" if quantity in link.cannot_tell else "told"
                 inside[told].append(abs(value - target) < 1.96 * std)
     return {kind: float(np.mean(hits)) for kind, hits in inside.items()}

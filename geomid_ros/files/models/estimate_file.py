@@ -412,8 +412,7 @@ def estimate_document(
         **entry(estimate, "steps", "gamma"),
         "rows": {"accepted": estimate.rows_accepted, "set_aside": estimate.rows_set_aside, "rejected": rejected},
         "links": [
-            {"name": link.name, "merged": [*link.merged]}
-            | plain(InertiaEntry(mass=link.mass, com=link.com, inertia=link.inertia))
+            link_entry(link.name, link.merged, link.parameters)
             | {"std": plain(InertiaEntry(mass=link.std_mass, com=link.std_com, inertia=link.std_inertia))}
             | entry(link, "distance_from_prior", "from_data", "min_eigenvalue_ratio", "cannot_tell")
             | {"identified_moments": [*link.moments], "outlier": link.outlier}
