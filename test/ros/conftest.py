@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import closing
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
+    from .direct import Direct
     from .rig import Rig
     from .stage import Stage
 
@@ -42,3 +44,12 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
 
     with rigged(tmp_path_factory.mktemp("rig")) as rig:
         yield rig
+
+
+@pytest.fixture(scope="session")
+def direct() -> Iterator[Direct]:
+    """The same without ROS."""
+    from .direct import Direct  # noqa: PLC0415 needs ROS
+
+    with closing(Direct()) as direct:
+        yield direct

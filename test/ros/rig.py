@@ -32,6 +32,7 @@ BETWEEN_CASES = 100_000_000_000  # [ns] of the stamps
 GOOD = messages()
 BEFORE, AFTER = GOOD[300:600], GOOD[600:900]
 NOTHING = "no usable rows: nothing was measured, or the robot never moved"
+SOLVE_PERIOD = 0.8  # [s] solving takes most of a node's time: more often than once a case or two it need not
 PATIENCE = 300.0  # [s] for diagnostics, on a busy machine
 FLAT_WRIST = {f"wrench.wrist.{key}": value for key, value in WRIST["wrench"]["wrist"].items()}
 
@@ -126,12 +127,17 @@ class Rig:
 
     def link_says(self, begin: int, link: str, level: bytes, part: str) -> None:
         """Wait for a link's status, of the arrays from ``begin`` on, with this level and ``part`` of a message."""
+        self.wait_for(
+            lambda: any(
+                status and status.level == level and part in status.message
+                for status in (self.stream(array, link) for array in self.arrays[begin:])
+            ),
+            f"'{part}' of {link} in diagnostics of level {level!r}",
+        )
 
-        def find() -> bool:
-            statuses = [self.stream(array, link) for array in self.arrays[begin:]]
-            return any(status and status.level == level and part in status.message for status in statuses)
-
-        self.stage.observer.wait_for(find, f"'{part}' of {link} in diagnostics of level {level!r}", PATIENCE)
+    def wait_for(self, look: Callable[[], Any], what: str) -> Any:
+        """What ``look`` finds, as diagnostics come."""
+        return self.stage.observer.wait_for(look, what, PATIENCE)
 
     def told(self, what: str, begin: int, look: Callable[[dict[str, str], Any], bool]) -> Any:
         """The stream's first status, of the arrays from ``begin`` on, that satisfies ``look``."""
@@ -146,7 +152,7 @@ class Rig:
             return None
 
         try:
-            return self.stage.observer.wait_for(find, what, PATIENCE)
+            return self.wait_for(find, what)
         except AssertionError as error:
             last = [status for array in self.arrays[-3:] if (status := self.stream(array))]
             said = [(status.level, status.message) for status in last]
@@ -190,8 +196,7 @@ class Rig:
 
     def published(self) -> Any:
         """What the node has saved and published, once it has all the rows that the twin has."""
-        rows = self.twin.session.identifier.rows
-        document = self.stage.observer.wait_for(lambda: self._saved(rows), f"an estimate of {rows} rows")
+        document = self._up_to_date()
         masses = [link["mass"] for link in document["links"]]
         self.stage.observer.wait_for(
             lambda: [message.inertia.m for message in self.inertias[-len(masses) :]] == masses, "what was saved"
@@ -201,7 +206,7 @@ class Rig:
     def assert_same_as_twin(self) -> None:
         """The estimate, once all messages have come, is that of a run without the bad ones; it is published."""
         if not self.twin.session.identifier.rows:
-            assert self.stage.observer.trigger(f"/{self.name}/save") == (False, NOTHING)
+            assert self.saved() is None
             return
         links, estimate = self.published()["links"], self.twin.session.identifier.solve()
         for ours, theirs in zip(links, estimate.links, strict=True):
@@ -210,15 +215,25 @@ class Rig:
             for key, value in (("com", theirs.com), ("inertia", theirs.inertia)):
                 assert np.linalg.norm(np.subtract(ours[key], value)) <= SAME * np.linalg.norm(value), key
 
-    def _saved(self, rows: int) -> Any:
-        """What is saved now, if it is of so many rows."""
+    def _up_to_date(self) -> Any:
+        """What is saved, once it has the twin's rows."""
+        rows = self.twin.session.identifier.rows
+
+        def find() -> Any:
+            document = self.saved()
+            saved = document["rows"]["accepted"] if document else 0
+            assert saved <= rows
+            return document if saved == rows else None
+
+        return self.wait_for(find, f"an estimate of {rows} rows")
+
+    def saved(self) -> Any:
+        """What is saved now; None where there are no rows."""
         success, message = self.stage.observer.trigger(f"/{self.name}/save")
-        if not success:
-            assert message == NOTHING, message
-            return None
-        document = json.loads((self.out / "estimate.json").read_text())
-        assert document["rows"]["accepted"] <= rows
-        return document if document["rows"]["accepted"] == rows else None
+        if success:
+            return json.loads((self.out / "estimate.json").read_text())
+        assert message == NOTHING, message
+        return None
 
 
 def assert_balanced(values: dict[str, str], sent: Counter[str]) -> None:
@@ -238,8 +253,7 @@ def rigged(folder: Path, module: str = "geomid_ros.ros.main", fresh: bool = Fals
     """A node of the small arm with its wrist sensor, and its twin."""
     with staged(folder) as stage:
         out = folder / "out"
-        # Solving takes most of a node's time: more often than once a case or two it need not.
-        values = {"robot_description": description("arm3"), "solve_period": 0.8, "output_folder": str(out)}
+        values = {"robot_description": description("arm3"), "solve_period": SOLVE_PERIOD, "output_folder": str(out)}
         node = stage.node({**WRIST, **NO_CHOICE, **values, **parameters}, module=module, fresh=fresh)
         yield Rig(stage, out, node)
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import queue
 import re
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from files.recordings import TYPES
+from files.recordings import TYPES, Recorded
 
 from geomid_ros.live import saving, supervisor, threads
 from geomid_ros.live.status import Status
@@ -23,8 +24,8 @@ from geomid_ros.ros.diagnostics import Complaint, Diagnostics
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.ledger import Account, Ledger
 
-from .observer import MATCHING, plenty
-from .rig import GOOD, WARN, Rig, rigged
+from .direct import Direct
+from .rig import GOOD, WARN, rigged
 from .stage import KINDS, NO_CHOICE, WRIST, Stage, description
 from .test_catalogue_merging import part
 
@@ -141,21 +142,21 @@ def test_108_104_all_messages_refused_is_said_on_the_console(tmp_path: Path) -> 
         rig.assert_same_as_twin()
 
 
-def test_104_a_frame_id_is_printable(rig: Rig) -> None:
-    before, after = rig.begin()
-    rig.feed(before)
-    begin = len(rig.arrays)
+def test_104_a_frame_id_is_printable(direct: Direct) -> None:
+    before, after = direct.begin()
+    direct.feed(before)
+    begin = len(direct.arrays)
     wicked = []
     for item in after[:20]:
         if item.topic == "/wrench":
             message = TYPES.deserialize_cdr(TYPES.serialize_cdr(item.message, item.kind), item.kind)
             message.header.frame_id = WICKED
             wicked.append(type(item)(item.topic, item.kind, item.time, message))
-    rig.send(wicked)
-    rig.says(begin, None, f"frame '{SHOWN}' is not the declared 'wrist_ft'")
-    rig.feed([item for item in after if item.topic == "/joint_states" or item not in after[:20]])
-    assert_printable(rig.arrays)
-    rig.assert_same_as_twin()
+    direct.send(wicked)
+    direct.says(begin, None, f"frame '{SHOWN}' is not the declared 'wrist_ft'")
+    direct.feed([item for item in after if item.topic == "/joint_states" or item not in after[:20]])
+    assert_printable(direct.arrays)
+    direct.assert_same_as_twin()
 
 
 def assert_printable(arrays: list[DiagnosticArray]) -> None:
@@ -170,35 +171,29 @@ def assert_printable(arrays: list[DiagnosticArray]) -> None:
                 assert text.isprintable(), text
 
 
-def test_89_a_part_that_falls_silent_is_named(tmp_path: Path) -> None:
+def test_89_a_part_that_falls_silent_is_named() -> None:
     """Though all that comes is accepted; and it goes on when the part is back."""
-    with rigged(tmp_path, merge_joint_states=True) as rig:
-        create = rig.stage.observer.node.create_publisher
-        right = create(KINDS["/joint_states"], "/joint_states", plenty())
-        rig.stage.observer.wait_for(lambda: right.get_subscription_count() > 0, "the node")
-        rig.stage.observer.spin(MATCHING)
+    with closing(Direct(merge_joint_states=True)) as direct:
 
-        def send(items: list[Any], with_right: bool = True, pause: float = 0.0005) -> None:
+        def send(items: list[Recorded], with_right: bool = True) -> None:
             for item in items:
                 if item.topic != "/joint_states":
-                    rig.send([item], pause)
+                    direct.send([item])
                     continue
-                rig.send([part(item, slice(0, 2))], pause)
+                direct.send([part(item, slice(0, 2))])
                 if with_right:
-                    other = part(item, slice(2, None))
-                    right.publish(bytes(TYPES.serialize_cdr(other.message, other.kind)))
-                    rig.sent["/joint_states"] += 1
+                    direct.send([part(item, slice(2, None))])
 
         send(GOOD[:400])
-        rig.settled()
-        begin = len(rig.arrays)
+        direct.settled()
+        begin = len(direct.arrays)
         send(GOOD[400:1000], with_right=False)
         silent = GOOD[0].message.name[2] if GOOD[0].topic == "/joint_states" else GOOD[1].message.name[2]
-        rig.says(begin, WARN, f"joint_states: no data of '{silent}'")
-        again = len(rig.arrays)
+        direct.says(begin, WARN, f"joint_states: no data of '{silent}'")
+        again = len(direct.arrays)
         send(GOOD[1000:])
-        rig.told("rows", again, lambda _, status: "no data of" not in status.message)
-        rig.settled(again)
+        direct.told("rows", again, lambda _, status: "no data of" not in status.message)
+        direct.settled(again)
 
 
 def test_93_a_mimic_joint_is_not_waited_for(stage: Stage) -> None:

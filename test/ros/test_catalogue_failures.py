@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from files.recordings import Recorded
 
+from .direct import Direct
 from .faulty import VARIABLE
 from .observer import LATE
 from .processes import SOON
@@ -86,23 +87,25 @@ def test_a_solver_that_fails_keeps_the_last_estimate(name: str, faulty: Faulty) 
     rig.assert_same_as_twin()
 
 
-def test_47_standing_still(faulty: Faulty) -> None:
+def test_47_standing_still(direct: Direct) -> None:
     """The arm stops where it is; the first link only ever turns about its vertical axis, and shows nothing else."""
-    rig = faulty.rig
-    before, _, begin, _ = begun(rig)
+    before, _ = direct.begin()
+    direct.feed(before)
+    direct.published()
+    begin = len(direct.arrays)
     last = before[-2:]
     still = [
         later(item.changed(velocity=0.0 * item.message.velocity) if k % 2 == 0 else item, (1 + k // 2) * 10_000_000)
         for k in range(400)
         for item in [next(m for m in last if m.topic == ("/joint_states", "/wrench")[k % 2])]
     ]
-    rig.feed(still[:260])
-    rig.settled(begin)  # 1.3 s: the filter, 0.56 s long on either side, has forgotten the motion
-    rig.feed(still[260:])
-    values = rig.settled(len(rig.arrays))
+    direct.feed(still[:260])
+    direct.settled(begin)  # 1.3 s: the filter, 0.56 s long on either side, has forgotten the motion
+    direct.feed(still[260:])
+    values = direct.settled(len(direct.arrays))
     assert int(values["rows rejected: standing still"]) > 100
-    assert "standing still" not in rig.stream(rig.arrays[-1]).message, "a robot that is known may rest"
-    rig.assert_same_as_twin()
+    assert "standing still" not in direct.stream(direct.arrays[-1]).message, "a robot that is known may rest"
+    direct.assert_same_as_twin()
 
 
 def test_31_what_does_not_fit_into_the_queue_is_dropped(faulty: Faulty) -> None:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 
 import rclpy
 from files.recordings import TYPES, Recorded
 from sensor_msgs.msg import JointState
 
+from .direct import Direct
 from .observer import MATCHING, plenty
-from .rig import AFTER, BEFORE, Twin, rigged
+from .rig import AFTER, BEFORE, rigged
 
 
 def part(item: Recorded, places: slice) -> Recorded:
@@ -41,7 +43,7 @@ def test_16_two_arms_are_put_together(tmp_path: Path) -> None:
         node.destroy_node()
 
 
-def test_88_a_slow_gripper_does_not_slow_down_the_arm(tmp_path: Path) -> None:
+def test_88_a_slow_gripper_does_not_slow_down_the_arm() -> None:
     """The last joint comes twice per second: the others' rows are those at the arm's rate, and it is told."""
     sent = []
     for place, item in enumerate(item for item in BEFORE + AFTER):
@@ -49,13 +51,11 @@ def test_88_a_slow_gripper_does_not_slow_down_the_arm(tmp_path: Path) -> None:
             sent += [part(item, slice(0, -1))] + ([part(item, slice(-1, None))] if place % 100 < 2 else [])
         else:
             sent.append(item)
-    with rigged(tmp_path, merge_joint_states=True) as rig:
-        rig.twin = Twin(merge_joint_states=True)
-        rig.send(sent)
-        rig.twin.feed(sent)
-        values = rig.settled()
+    with closing(Direct(merge_joint_states=True)) as direct:
+        direct.send(sent)
+        direct.twin.feed(sent)
+        values = direct.settled()
         assert values["joint_states accepted"] == values["joint_states received"]
-        rig.says(0, None, "messages per second of")
-        rig.assert_same_as_twin()
-        samples = rig.twin.session.pipeline
-        assert len(samples.unmeasured) == 1
+        direct.says(0, None, "messages per second of")
+        direct.assert_same_as_twin()
+        assert len(direct.twin.session.pipeline.unmeasured) == 1

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from files.recordings import Recorded
 
+from .direct import Direct
 from .rig import ERROR, GOOD, OK, WARN, Rig
 from .spoiling import changed, entry, in_frame, later, stamp_of, stamped, with_force
 
@@ -227,26 +228,26 @@ STREAMS = {
 
 
 @pytest.mark.parametrize("name", STREAMS)
-def test_a_bad_stream_is_named_and_leaves_no_trace(name: str, rig: Rig) -> None:
+def test_a_bad_stream_is_named_and_leaves_no_trace(name: str, direct: Direct) -> None:
     case = STREAMS[name]
-    before, after = rig.begin()
-    rig.feed(before)
-    rig.published()
-    rig.settled(len(rig.arrays))  # the next diagnostics are of what is sent now alone
-    begin = len(rig.arrays)
+    before, after = direct.begin()
+    direct.feed(before)
+    direct.published()
+    direct.settled(len(direct.arrays))  # the next diagnostics are of what is sent now alone
+    begin = len(direct.arrays)
     last = stamp_of(before[-1])
-    rig.send([case.alter(item, place) for place, item in enumerate(after)])
+    direct.send([case.alter(item, place) for place, item in enumerate(after)])
     spared = [
         case.spare(item, place, stamp_of(item) - last) if case.spare else case.alter(item, place)
         for place, item in enumerate(after)
     ]
-    rig.twin.feed(item for item in spared if item)
-    rig.settled(begin)
-    rig.says(begin, case.level, *case.says)
-    assert rig.node.running
-    rig.assert_same_as_twin()
-    rig.feed(rig.shifted(later(item, 2 * SECOND) for item in GOOD[900:1100]))
-    rig.assert_same_as_twin()
+    direct.twin.feed(item for item in spared if item)
+    direct.settled(begin)
+    direct.says(begin, case.level, *case.says)
+    assert direct.node.running
+    direct.assert_same_as_twin()
+    direct.feed(direct.shifted(later(item, 2 * SECOND) for item in GOOD[900:1100]))
+    direct.assert_same_as_twin()
 
 
 MALFORMED = {

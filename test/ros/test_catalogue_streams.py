@@ -12,6 +12,7 @@ from files.recordings import TYPES, Recorded
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 
+from .direct import Direct
 from .in_motion import InMotion, in_time, noisy
 from .observer import MATCHING, plenty
 from .rig import ERROR, GOOD, OK, WARN, Rig
@@ -45,18 +46,18 @@ JUMPS: dict[str, tuple[Callable[[list[Recorded], list[Recorded]], list[Recorded]
 
 
 @pytest.mark.parametrize("name", JUMPS)
-def test_time_that_jumps_begins_a_segment_and_costs_nothing(name: str, rig: Rig) -> None:
+def test_time_that_jumps_begins_a_segment_and_costs_nothing(name: str, direct: Direct) -> None:
     jump, says = JUMPS[name]
-    before, after = rig.begin()
-    rig.feed(before)
-    rig.published()
-    begin, rows = len(rig.arrays), rig.twin.session.identifier.rows
-    rejected = refused(rig)
-    rig.feed(jump(before, after))
-    rig.names_at_once(begin, WARN, *says)
-    assert refused(rig) == rejected, "a jump is no reason to refuse anything"
-    rig.assert_same_as_twin()
-    assert rig.twin.session.identifier.rows > rows, "information is kept, and more comes"
+    before, after = direct.begin()
+    direct.feed(before)
+    direct.published()
+    begin, rows = len(direct.arrays), direct.twin.session.identifier.rows
+    rejected = refused(direct)
+    direct.feed(jump(before, after))
+    direct.names_at_once(begin, WARN, *says)
+    assert refused(direct) == rejected, "a jump is no reason to refuse anything"
+    direct.assert_same_as_twin()
+    assert direct.twin.session.identifier.rows > rows, "information is kept, and more comes"
 
 
 def refused(rig: Rig) -> int:
@@ -64,29 +65,29 @@ def refused(rig: Rig) -> int:
     return sum(int(value) for key, value in values.items() if " rejected: " in key or " dropped: " in key)
 
 
-def test_26_a_clock_stepped_back_a_little_is_waited_out(rig: Rig) -> None:
-    before, after = rig.begin()
-    rig.feed(before)
-    rig.published()
-    begin = len(rig.arrays)
-    rig.send(before[-60:])
-    rig.settled(begin)
-    rig.says(begin, None, "joint_states rejected: stamp not later than the one before")
-    rig.feed(after)
-    rig.assert_same_as_twin()
+def test_26_a_clock_stepped_back_a_little_is_waited_out(direct: Direct) -> None:
+    before, after = direct.begin()
+    direct.feed(before)
+    direct.published()
+    begin = len(direct.arrays)
+    direct.send(before[-60:])
+    direct.settled(begin)
+    direct.says(begin, None, "joint_states rejected: stamp not later than the one before")
+    direct.feed(after)
+    direct.assert_same_as_twin()
 
 
-def test_28_a_paused_simulation(rig: Rig) -> None:
+def test_28_a_paused_simulation(direct: Direct) -> None:
     """The same message again and again."""
-    before, after = rig.begin()
-    rig.feed(before)
-    rig.published()
-    begin = len(rig.arrays)
-    rig.send(before[-2:] * 100)
-    rig.settled(begin)
-    rig.says(begin, None, "joint_states rejected: stamp not later than the one before")
-    rig.feed(after)
-    rig.assert_same_as_twin()
+    before, after = direct.begin()
+    direct.feed(before)
+    direct.published()
+    begin = len(direct.arrays)
+    direct.send(before[-2:] * 100)
+    direct.settled(begin)
+    direct.says(begin, None, "joint_states rejected: stamp not later than the one before")
+    direct.feed(after)
+    direct.assert_same_as_twin()
 
 
 def test_32_a_burst_is_taken(rig: Rig) -> None:
@@ -113,19 +114,19 @@ def of_one_robot(duration: float, begin: float, swing: Sequence[float]) -> list[
     )
 
 
-def test_48_a_motion_of_one_joint_leaves_links_untold_and_names_them(rig: Rig) -> None:
+def test_48_a_motion_of_one_joint_leaves_links_untold_and_names_them(direct: Direct) -> None:
     """The last joint alone shows nothing of the link before it; the motion of all joints does."""
-    rig.begin()
+    direct.begin()
     alone = of_one_robot(4.0, 0.0, [0.0, 0.0, 0.8])
-    rig.feed(alone)
-    rig.assert_same_as_twin()  # the last estimate is of all rows, from scratch
-    begin = len(rig.arrays)
-    rig.link_says(begin, "link2", OK, "identifiable only in combination")
-    rig.link_says(begin, "link3", OK, "mass")
-    rig.feed(of_one_robot(4.0, 6.0, [0.8, 0.8, 0.8]))
-    rig.assert_same_as_twin()
-    begin = len(rig.arrays)
-    rig.link_says(begin, "link2", OK, "mass")
+    direct.feed(alone)
+    direct.assert_same_as_twin()  # the last estimate is of all rows, from scratch
+    begin = len(direct.arrays)
+    direct.link_says(begin, "link2", OK, "identifiable only in combination")
+    direct.link_says(begin, "link3", OK, "mass")
+    direct.feed(of_one_robot(4.0, 6.0, [0.8, 0.8, 0.8]))
+    direct.assert_same_as_twin()
+    begin = len(direct.arrays)
+    direct.link_says(begin, "link2", OK, "mass")
 
 
 LARGEST = 100.0  # [N m] more than the arm ever needs
@@ -144,11 +145,11 @@ def cut_off(messages: list[Recorded]) -> list[Recorded]:
     return [cut(item) if item.topic == "/joint_states" else item for item in messages]
 
 
-def test_41_a_saturated_effort_costs_the_messages_that_have_it_for_long(rig: Rig) -> None:
-    before, after = rig.begin()
-    rig.feed(before)
-    rig.published()
-    begin, since, last = len(rig.arrays), 0, stamp_of(before[-1])
+def test_41_a_saturated_effort_costs_the_messages_that_have_it_for_long(direct: Direct) -> None:
+    before, after = direct.begin()
+    direct.feed(before)
+    direct.published()
+    begin, since, last = len(direct.arrays), 0, stamp_of(before[-1])
     spared: list[Recorded] = []
     messages = cut_off(after)
     for item in messages:
@@ -162,13 +163,13 @@ def test_41_a_saturated_effort_costs_the_messages_that_have_it_for_long(rig: Rig
                 last = stamp_of(item)
         spared.append(item)
     assert 10 < len(messages) - len(spared) < 100
-    rig.send(messages)
-    rig.twin.feed(spared)
-    rig.settled(begin)
-    rig.says(begin, None, "joint_states rejected: effort of 'joint2' saturated")  # an error where only such came
-    rig.assert_same_as_twin()
-    rig.feed(rig.shifted(later(item, 2 * SECOND) for item in GOOD[900:1100]))
-    rig.assert_same_as_twin()
+    direct.send(messages)
+    direct.twin.feed(spared)
+    direct.settled(begin)
+    direct.says(begin, None, "joint_states rejected: effort of 'joint2' saturated")  # an error where only such came
+    direct.assert_same_as_twin()
+    direct.feed(direct.shifted(later(item, 2 * SECOND) for item in GOOD[900:1100]))
+    direct.assert_same_as_twin()
 
 
 TWO = "joint_states has 2 publishers"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -12,7 +11,8 @@ from files.recordings import Recorded
 
 from geomid_ros.model.samples import Samples
 
-from .rig import ERROR, GOOD, Rig, Twin
+from .direct import Direct
+from .rig import ERROR, GOOD, Twin
 from .spoiling import later, stamp_of
 
 SECOND = 1_000_000_000
@@ -52,25 +52,25 @@ def silenced(samples: Samples, since: int = 0) -> Samples:
 
 
 @pytest.mark.parametrize("name", SPOKEN)
-def test_a_sensor_that_is_declared_wrongly_is_named(name: str, rig: Rig) -> None:
+def test_a_sensor_that_is_declared_wrongly_is_named(name: str, direct: Direct) -> None:
     """The estimate is that of a run in which it said nothing; after ~/reset it may speak again."""
     change, says = SPOKEN[name]
-    before, after = rig.begin()
-    begin = len(rig.arrays)
+    before, after = direct.begin()
+    begin = len(direct.arrays)
     wrong = [with_wrench(item, change) for item in before + after]
-    rig.send(wrong)
-    moving, *_ = rig.twin.session.identifier.add(silenced(rig.twin.samples(wrong)))
-    rig.says(begin, ERROR, "/wrench: ", says, "Its rows are left out, including earlier ones, until ~/reset")
-    rig.settled(begin)
-    rig.assert_same_as_twin()
+    direct.send(wrong)
+    moving, *_ = direct.twin.session.identifier.add(silenced(direct.twin.samples(wrong)))
+    direct.says(begin, ERROR, "/wrench: ", says, "Its rows are left out, including earlier ones, until ~/reset")
+    direct.settled(begin)
+    direct.assert_same_as_twin()
     left_out = {"rows rejected: wrench doubtful: /wrench": str(AXES * len(moving))}
-    rig.told("all its rows left out", begin, lambda values, _: left_out.items() <= values.items())
-    before, after = rig.begin()
-    begin = len(rig.arrays)
-    rig.feed(before + after)
-    rig.settled(begin)
-    rig.assert_same_as_twin()
-    assert says not in rig.stream(rig.arrays[-1]).message
+    direct.told("all its rows left out", begin, lambda values, _: left_out.items() <= values.items())
+    before, after = direct.begin()
+    begin = len(direct.arrays)
+    direct.feed(before + after)
+    direct.settled(begin)
+    direct.assert_same_as_twin()
+    assert says not in direct.stream(direct.arrays[-1]).message
 
 
 def biased(item: Recorded, bias: float) -> Recorded:
@@ -84,28 +84,27 @@ CHANGES: dict[str, Callable[[float], float]] = {
 
 
 @pytest.mark.parametrize("name", CHANGES)
-def test_a_sensor_that_changes_is_named(name: str, rig: Rig) -> None:
+def test_a_sensor_that_changes_is_named(name: str, direct: Direct) -> None:
     """Once it is known what is normal: two rounds of the motion. The estimate is that of a run in which it said nothing
     since; and where the change is sudden, that is all that is bad."""
     bias = CHANGES[name]
-    rig.begin()
-    rounds = [rig.shifted(later(item, k * 9 * SECOND) for item in GOOD) for k in range(3)]
-    begin, origin = len(rig.arrays), stamp_of(rounds[2][0])
+    direct.begin()
+    rounds = [direct.shifted(later(item, k * 9 * SECOND) for item in GOOD) for k in range(3)]
+    begin, origin = len(direct.arrays), stamp_of(rounds[2][0])
     bad = [biased(item, bias(1e-9 * (stamp_of(item) - origin))) for item in rounds[2]]
     messages = rounds[0] + rounds[1] + bad
     for part in range(0, len(messages), PART):
-        rig.send(messages[part : part + PART])
-        rig.settled()
-    rig.says(begin, ERROR, "gap at wrench/fz", "the sensor was tared", "Rows of /wrench are left out until")
-    assert rig.stage.observer.trigger(f"/{rig.name}/save")[0], "what waits is judged by now"
-    rows = json.loads((rig.out / "estimate.json").read_text())["rows"]
+        direct.send(messages[part : part + PART])
+        direct.settled()
+    direct.says(begin, ERROR, "gap at wrench/fz", "the sensor was tared", "Rows of /wrench are left out until")
+    rows = direct.saved()["rows"]  # what waits is judged by now
     left_out = rows["rejected"]["wrench changed: /wrench"]
-    samples = rig.twin.samples(messages)
-    made = len(samples) * len(rig.twin.session.model.channels)
+    samples = direct.twin.samples(messages)
+    made = len(samples) * len(direct.twin.session.model.channels)
     assert rows["accepted"] + sum(rows["rejected"].values()) == made, "all messages have come"
     since = Twin().session.identifier.add(samples)[0][-left_out // AXES]
-    rig.twin.session.identifier.add(silenced(samples, since))
-    rig.assert_same_as_twin()
+    direct.twin.session.identifier.add(silenced(samples, since))
+    direct.assert_same_as_twin()
     spared = Twin().samples(rounds[0] + rounds[1] + rounds[2])
     touched = samples.stamps[np.any(np.abs(samples.wrenches - spared.wrenches) > 1e-9, axis=(1, 2))]
     assert touched[0] > origin - SECOND
