@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from files.recordings import Recorded, altered
+from files.recordings import Recorded, recorded, write_bag
 from model.robots import urdf
 from signals.unitree import low_state, write_unitree_bag
 
@@ -48,13 +49,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@cache
+def beginning(walk: Path) -> list[Recorded]:
+    """Six seconds of the recording."""
+    return [item for item in recorded(walk) if item.time < 1_700_000_006_000_000_000]
+
+
 def spoiled(folder: Path, out: Path, change: Callable[[Recorded], Recorded | None]) -> tuple[str | Path, ...]:
     """The beginning of the recording with changed messages, as arguments."""
-
-    def early(item: Recorded) -> Recorded | None:
-        return change(item) if item.time < 1_700_000_006_000_000_000 else None
-
-    return "identify", altered(folder / "walk", out / "spoiled", early), "--urdf", folder / "go2.urdf"
+    messages = filter(None, map(change, beginning(folder / "walk")))
+    return "identify", write_bag(out / "spoiled", messages), "--urdf", folder / "go2.urdf"
 
 
 def test_masses_are_found(folder: Path, tmp_path: Path) -> None:
@@ -180,11 +184,17 @@ def scaled(key: str, factor: float) -> Callable[[Recorded], Recorded]:
     return change
 
 
+@cache
+def trunk_held() -> pin.Model:
+    """The legs' joints alone."""
+    return pin.buildModelFromXML(urdf("go2.urdf"))
+
+
 def hanging(item: Recorded) -> Recorded:
     """Messages with the efforts that hold legs which do not touch the ground."""
     if item.topic != "/joint_states":
         return item
-    model = pin.buildModelFromXML(urdf("go2.urdf"))
+    model = trunk_held()
     return item.changed(effort=pin.computeGeneralizedGravity(model, model.createData(), item.message.position))
 
 
