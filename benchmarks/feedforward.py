@@ -107,15 +107,15 @@ def described(robot: str, folder: Path) -> str:
     return str(folder / Path(path).name)
 
 
-def errors(robot_name: str, seed: int, realistic: bool, folder: Path) -> dict[str, float]:
-    """The hand's errors by the kind of feed-forward [mm]."""
+def errors(robot_name: str, seed: int, realistic: bool, folder: Path, seconds: float = 30.0) -> dict[str, float]:
+    """The hand's errors by the kind of feed-forward [mm], in a third of the ``seconds`` that are recorded before."""
     options = SimulationOptions(
-        robot=described(robot_name, folder), seed=seed, duration=30.0, rate=200.0, realistic=realistic
+        robot=described(robot_name, folder), seed=seed, duration=seconds, rate=200.0, realistic=realistic
     )
     bag = folder / f"{Path(robot_name).stem}_{seed}"
     simulate(bag, options)
     estimate = geomid_ros.identify(bag).save(bag.with_name(f"{bag.name}_estimate"), report=False)[0]
-    other = replace(options, motion_seed=seed + _OTHER_MOTION, duration=10.0)
+    other = replace(options, motion_seed=seed + _OTHER_MOTION, duration=seconds / 3.0)
     robot = build_realistic(other) if realistic else build_robot(other)
     loop = closed_loop(robot, other)
     times = np.arange(0.0, other.duration + 0.5 * _POINTS, _POINTS)
