@@ -6,7 +6,6 @@ import json
 import re
 import subprocess
 import sys
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from files.recordings import BAGS, QUICK, Recorded, altered, recorded
+from test_new_effect import with_wrench
 
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.files.models.urdf import read_urdf
@@ -254,18 +254,8 @@ def test_an_offset_of_the_sensor_is_found_by_default(run: tuple[str, Path, str],
     planted = dict(zip(("fx", "fy", "fz", "tx", "ty", "tz"), (3.0, -2.0, 16.0, 0.4, -0.3, 0.2), strict=True))
 
     def off(item: Recorded) -> Recorded:
-        if item.topic != "/wrench":
-            return item
-        wrench = item.message.wrench
-        parts = {"force": ("fx", "fy", "fz"), "torque": ("tx", "ty", "tz")}
-        sums = {
-            part: replace(
-                vector := getattr(wrench, part),
-                **{axis[1]: getattr(vector, axis[1]) + planted[axis] for axis in axes},
-            )
-            for part, axes in parts.items()
-        }
-        return item.changed(wrench=replace(wrench, **sums))
+        added = np.array([*planted.values()])
+        return item.changed(wrench=with_wrench(item.message.wrench, added)) if item.topic == "/wrench" else item
 
     bag = altered(BAGS / "arm3", tmp_path / "bag", off)
     done("identify", bag, "--urdf", BAGS / "arm3.urdf", *WRIST, "--out", tmp_path / "out")

@@ -19,6 +19,7 @@ class Fault:
 
 _message = "test_catalogue_messages.py::test_a_bad_message_is_named_and_leaves_no_trace[{}]".format
 _stream = "test_catalogue_messages.py::test_a_bad_stream_is_named_and_leaves_no_trace[{}]".format
+_again = "test_catalogue_streams.py::test_what_comes_again_is_waited_out[{}]".format
 _jump = "test_catalogue_streams.py::test_time_that_jumps_begins_a_segment_and_costs_nothing[{}]".format
 _second = "test_catalogue_streams.py::test_a_second_publisher_is_named_and_believed_no_more_than_the_first[{}]".format
 _declared = "test_catalogue_wrench.py::test_a_sensor_that_is_declared_wrongly_is_named[{}]".format
@@ -76,9 +77,9 @@ CATALOGUE = (
     Fault(23, "older than a second", "R W, once the next message confirms it", (_message("23-older-than-a-second"),)),
     Fault(24, "simulation reset", "S W, after ten messages, which are used", (_jump("24-simulation-reset"),)),
     Fault(25, "bag in a loop", "S W, after ten messages, which are used", (_jump("25-bag-loop"),)),
-    Fault(26, "clock stepped back by less than `filter.max_gap`", "S if the motion shows it (76), else R W until it has caught up; by more: S", (f"{_STREAMS}26_a_clock_stepped_back_a_little_is_waited_out",)),
+    Fault(26, "clock stepped back by less than `filter.max_gap`", "S if the motion shows it (76), else R W until it has caught up; by more: S", (_again("26-clock-back-a-little"),)),
     Fault(27, "a gap forward", "S W", (_jump("27-gap-forward"),)),
-    Fault(28, "paused simulation", "R W", (f"{_STREAMS}28_a_paused_simulation",)),
+    Fault(28, "paused simulation", "R W", (_again("28-paused-simulation"),)),
     Fault(29, "simulated time without `/clock`", "W; data are used with their own stamps", (f"{_GRAPH}29_simulated_time_without_a_clock",)),
     Fault(30, "messages lost on the way", "counted, W", (f"{_GRAPH}30_messages_that_are_lost_on_the_way_are_counted",)),
     Fault(31, "queue overflow", "W; messages are dropped while 10,000 messages or 50 MB wait", (f"{_FAILURES}31_what_does_not_fit_into_the_queue_is_dropped",)),

@@ -65,25 +65,19 @@ def refused(rig: Rig) -> int:
     return sum(int(value) for key, value in values.items() if " rejected: " in key or " dropped: " in key)
 
 
-def test_26_a_clock_stepped_back_a_little_is_waited_out(direct: Direct) -> None:
+REPEATED: dict[str, Callable[[list[Recorded]], list[Recorded]]] = {
+    "26-clock-back-a-little": lambda before: before[-60:],
+    "28-paused-simulation": lambda before: before[-2:] * 100,
+}
+
+
+@pytest.mark.parametrize("name", REPEATED)
+def test_what_comes_again_is_waited_out(name: str, direct: Direct) -> None:
     before, after = direct.begin()
     direct.feed(before)
     direct.published()
     begin = len(direct.arrays)
-    direct.send(before[-60:])
-    direct.settled(begin)
-    direct.says(begin, None, "joint_states rejected: stamp not later than the one before")
-    direct.feed(after)
-    direct.assert_same_as_twin()
-
-
-def test_28_a_paused_simulation(direct: Direct) -> None:
-    """The same message again and again."""
-    before, after = direct.begin()
-    direct.feed(before)
-    direct.published()
-    begin = len(direct.arrays)
-    direct.send(before[-2:] * 100)
+    direct.send(REPEATED[name](before))
     direct.settled(begin)
     direct.says(begin, None, "joint_states rejected: stamp not later than the one before")
     direct.feed(after)
