@@ -36,7 +36,7 @@ Messages: TypeAlias = Iterator[tuple[float, Received]]
 
 @dataclass(frozen=True)
 class Change:
-    """The robot changes ``at`` a time [s], evenly within ``ramp`` [s].
+    """The robot changes ``at`` a time [s], evenly within ``ramp`` [s], and is what it was from ``until`` [s] on.
 
     Friction of the ``joint``, all of it, grows by the share ``grows``; or the ``payload`` comes.
     """
@@ -46,6 +46,7 @@ class Change:
     joint: str = ""
     grows: float = 0.0
     payload: Hidden | None = None
+    until: float = np.inf
 
 
 @dataclass(eq=False)
@@ -105,6 +106,8 @@ def _after(loop: RealisticLoop, options: SimulationOptions, change: Change) -> R
 
 def _share(change: Change) -> Callable[[float], float]:
     def share(time: float) -> float:
+        if time >= change.until:
+            return 0.0
         return min(max((time - change.at) / max(change.ramp, 1e-9), 0.0), 1.0)
 
     return share

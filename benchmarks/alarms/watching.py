@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 from geomid_ros.live.inbox import Received
 from geomid_ros.live.worker import Worker
-from geomid_ros.monitoring.change_detection import BLOCK, ChannelGap
+from geomid_ros.monitoring.change_detection import PART, ChannelGap
+from geomid_ros.monitoring.payload_watch import Carried
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 
@@ -22,20 +23,22 @@ _PAUSE = 2e-4  # [s]
 
 @dataclass(frozen=True)
 class Watched:
-    """The monitored channels at a ``time`` since the beginning of the recording [s]."""
+    """The monitored channels, and the payload, at a ``time`` since the beginning of the recording [s]."""
 
     time: float
     gaps: tuple[ChannelGap, ...]
+    carried: Carried | None
 
 
 def watched(urdf: str, messages: Iterable[tuple[float, Received]], solve_period: float = _NEVER) -> Iterator[Watched]:
-    """What the node's status shows of gaps, ten times a second."""
+    """What the node's status shows of gaps and payloads, ten times a second."""
     worker = Worker(Session(urdf, Configuration(), "robot.urdf"), solve_period, lambda *_: None, lambda *_: None)
     with closing(worker):
         for end, batch in _batches(messages):
             worker.take(batch)
             _wait(worker)
-            yield Watched(end, worker.status(active=True).gaps)
+            status = worker.status(active=True)
+            yield Watched(end, status.gaps, status.carried)
 
 
 def _batches(messages: Iterable[tuple[float, Received]]) -> Iterator[tuple[float, list[Received]]]:
@@ -53,9 +56,9 @@ def _batches(messages: Iterable[tuple[float, Received]]) -> Iterator[tuple[float
 def _wait(worker: Worker) -> None:
     """Until all is taken, and all rows are judged."""
     begin, session = time.monotonic(), worker.session
-    while (
-        worker.status(active=True).queue > session.pipeline.held
-        or session.identifier.instants - worker.solver.detector.judged >= BLOCK
+    detector = worker.solver.detector
+    while worker.status(active=True).queue > session.pipeline.held or (
+        session.identifier.instants - detector.followed >= PART
     ):
         if time.monotonic() - begin > _PATIENCE:
             raise RuntimeError(f"not judged within {_PATIENCE:g} s: {worker.status(active=True).failures}")

@@ -19,6 +19,7 @@ from geomid_ros.live.gap_search import FoundGap
 from geomid_ros.live.saving import Checkpoints, CheckpointStatus
 from geomid_ros.live.status import Status
 from geomid_ros.monitoring.change_detection import ChannelGap
+from geomid_ros.monitoring.payload_watch import Carried
 from geomid_ros.ros.diagnostics import Diagnostics
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
@@ -61,6 +62,13 @@ _MEANINGS = {
         "unexplained JOINT": "remaining residual, and what it depends on",
         "CHANNEL before": "gap without the findings, in units of the noise floor",
         "CHANNEL after": "gap with the findings",
+    },
+    "payload": {
+        "link": "link that carries it; the status is there while something is carried that was picked up",
+        "mass": "its mass [kg]",
+        "mass from": "lower end of the 95 % interval of the mass, the uncertain effort gain included [kg]",
+        "mass to": "upper end",
+        "com x": "centre of mass in the link's frame [m]; `com y`, `com z`",
     },
     "checkpoints": {
         "beginning": "checkpoint that the node resumed from, or why it did not",
@@ -107,6 +115,7 @@ def _everything() -> Status:
         accounts={"TOPIC": Account(1, once, once, Counter({"REMARK": 1}), 1)},
         gaps=(ChannelGap("CHANNEL", 1.0, None),),
         estimate=_estimate(),
+        carried=Carried("LINK", slice(10), np.ones(10), np.eye(10), 0, 0),
     )
 
 

@@ -40,6 +40,8 @@ _MEANINGS = {
     "~/gap": "findings of `~/find_gap`, as `gap.json`, with `compared_with` while a gap is open; "
     "only `error` if it failed",
     "~/payload": "result of `~/payload/loaded`, as printed by `geomid payload --json`; only `error` if it failed",
+    "~/payload/inertia": "payload that was picked up, in the frame of the link `frame_id`; all zeros after it was put "
+    "down",
     "/diagnostics": "at 1 Hz: the stream and every link, see below; the stream status warns if a gap opens",
     "~/start": "start using data",
     "~/stop": "stop using data; rows and estimate are kept",

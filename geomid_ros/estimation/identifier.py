@@ -134,12 +134,16 @@ class Identifier:
         with self._lock:
             self._begin_anew()
 
-    def add(self, samples: Samples, without: slice = slice(0)) -> tuple[IntArray, Rows, BoolArray]:
+    def add(
+        self, samples: Samples, without: slice = slice(0), carried: FloatArray | None = None
+    ) -> tuple[IntArray, Rows, BoolArray]:
         """Take samples, in the order of time.
 
         Args:
             samples: what was measured.
             without: parameters of a body that the robot did not carry then.
+            carried: parameters ``(D,)`` of what it carried beside; what that adds to the targets is taken off those
+                that are learned from, not those that are returned.
 
         Returns:
             Stamps ``(N,)`` and rows of those samples that are not standing still, and which of their channels
@@ -153,6 +157,7 @@ class Identifier:
         of_motion = self._regimes(samples)
         measured = usable(rows.coefficients, rows.targets)
         counts, targets = np.count_nonzero(measured, axis=1), np.where(measured, rows.targets, np.nan)
+        targets -= 0.0 if carried is None else rows.coefficients @ carried
         speeds = np.max(np.abs(np.concatenate([samples.velocity, samples.base_velocity], axis=1)), axis=1)
         poses = np.concatenate([samples.position, samples.base_pose], axis=1)
         with self._lock:

@@ -19,11 +19,14 @@ from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.live.pace import NEW_SHARE, Pace
 from geomid_ros.live.threads import Activity, start_daemon
 from geomid_ros.monitoring.change_detection import (
+    ALARM,
     ChangeDetector,
     changed_sensors,
     robot_may_have_changed,
     sensor_channels,
 )
+from geomid_ros.monitoring.payload_watch import Carried
+from geomid_ros.session.payload import payload_watch
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import count_reason
 
@@ -42,18 +45,27 @@ class Solver:
     what it was, unless old rows are forgotten anyway.
     """
 
-    def __init__(self, session: Session, period: float, on_estimate: Callable[[Session, Estimate], None]) -> None:
+    def __init__(
+        self,
+        session: Session,
+        period: float,
+        on_estimate: Callable[[Session, Estimate], None],
+        on_payload: Callable[[Carried | None], None],
+    ) -> None:
         """
         Args:
             session: has the rows.
             period: [s] between solves, at least; nothing is solved while no rows come.
             on_estimate: ``on_estimate(session, estimate)`` is called in the thread for each new estimate.
+            on_payload: ``on_payload(carried)`` is called in the thread when what is carried changes.
         """
         self._session = session
         self._period = period
         self._forgets = bool(np.isfinite(session.configuration.buffer.forgetting_time))
         self._sensors = sensor_channels(session.model)
         self._on_estimate = on_estimate
+        self._on_payload = on_payload
+        self._told: Carried | None = None  # as on_payload was told last
         self._lock = threading.Lock()  # held, briefly, for all that follows
         self.estimate: Estimate | None = None  # the last one
         self._earlier: deque[tuple[int, Estimate]] = deque(maxlen=_EARLIER)  # the last ones, by the instants they know
@@ -117,6 +129,12 @@ class Solver:
         self._session.warm = None
         self._solved_rows = 0
 
+    @property
+    def carried(self) -> Carried | None:
+        """A payload that was picked up."""
+        payload = self.detector.payload
+        return None if payload is None else payload.carried
+
     def estimate_before(self, instant: int) -> Estimate | None:
         """The last estimate that knows nothing of the instant of this number and later ones; None if it is too long
         ago."""
@@ -135,7 +153,8 @@ class Solver:
         model = self._session.model
         usual = [*range(len(model.nominal_inertias)), *model.usual_shapes.values()]
         channels = [replace(c, columns=np.intersect1d(c.columns, usual)) for c in model.channels]
-        return ChangeDetector(channels, self._session.configuration.buffer.forgetting_time)
+        payload = payload_watch(self._session, channels, ALARM)
+        return ChangeDetector(channels, self._session.configuration.buffer.forgetting_time, payload)
 
     def _solve_repeatedly(self) -> None:
         next_solve = time.monotonic()
@@ -195,8 +214,14 @@ class Solver:
         try:
             while detector.judge():
                 self._leave_out_changed_sensors(detector)
+            self._tell_payload(detector)
         except Exception as error:  # noqa: BLE001 the thread must outlive it; the diagnostics report it
             self._fail(error)
+
+    def _tell_payload(self, detector: ChangeDetector) -> None:
+        if detector is self.detector and (carried := self.carried) is not self._told:
+            self._told = carried
+            self._on_payload(carried)
 
     def _leave_out_changed_sensors(self, detector: ChangeDetector) -> None:
         """Leave out the rows of sensors that have changed; accept for good those that are known to be sound."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.monitoring.change_detection import ChannelGap
+from geomid_ros.monitoring.payload_watch import Carried
 from geomid_ros.signals.ledger import Account
 
 
@@ -21,6 +22,7 @@ class Status:
     - ``receipt_to_row`` [s]: for each of the last instants, the time from the callback of the message that completed it
       until its rows were added. The lag of the filter is not part of it.
     - ``joints``: their number; ``unmeasured``: those without efforts.
+    - ``carried``: a payload that was picked up.
     - ``gaps``: of the monitored channels; ``changed_sensors``: topics of wrench sensors whose rows are left out, as
       they are no longer what they were.
     """
@@ -43,6 +45,7 @@ class Status:
     gaps: tuple[ChannelGap, ...] = ()
     estimate: Estimate | None = None
     changed_sensors: tuple[str, ...] = ()
+    carried: Carried | None = None
 
     def account(self, topic: str) -> Account:
         """What became of a topic's messages."""

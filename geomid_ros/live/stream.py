@@ -9,6 +9,7 @@ import numpy as np
 
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.model.dynamics import InverseDynamics
+from geomid_ros.monitoring.payload_watch import Carried, carrying
 from geomid_ros.session.session import Session
 from geomid_ros.signals.decoding import Decoder
 from geomid_ros.signals.joint_messages import JointReader
@@ -29,7 +30,8 @@ class Predicted:
 
 
 class Stream:
-    """Predicts messages by the latest estimate. One thread calls :meth:`use`, another everything else.
+    """Predicts messages by the latest estimate, and what is carried. One thread calls :meth:`use` and :meth:`carry`,
+    another everything else.
 
     Accelerations are differences of velocities behind a low-pass of first order, at half the rate of the samples.
     """
@@ -37,6 +39,8 @@ class Stream:
     def __init__(self) -> None:
         self._decoder = Decoder()
         self._model: _Model | None = None
+        self._used: tuple[Session, Estimate] | None = None
+        self._carried: Carried | None = None
         self._last = (0, np.zeros((3, 0)))  # stamp and motion of the last message
 
     @property
@@ -46,13 +50,20 @@ class Stream:
 
     def use(self, session: Session, estimate: Estimate) -> None:
         """Predict by an ``estimate`` from now on."""
+        self._used = session, estimate
         model = session.model
         known = model.layout.efforts and not session.robot.floating_base and not model.external
-        self._model = _Model.of(session, estimate) if known else None
+        self._model = _Model.of(session, carrying(estimate, self._carried)) if known else None
+
+    def carry(self, carried: Carried | None) -> None:
+        """Add a payload from now on, or none."""
+        self._carried = carried
+        if self._used is not None:
+            self.use(*self._used)
 
     def forget(self) -> None:
         """Predict nothing until there is another estimate."""
-        self._model = None
+        self._model = self._used = self._carried = None
 
     def predict(self, messages: Sequence[bytes]) -> Iterator[Predicted]:
         """Predictions of joint messages (CDR), without those that cannot be used."""

@@ -15,7 +15,7 @@ from geomid_ros.estimation.identifier import EstimationTask
 from geomid_ros.files.models.readers import URDF
 from geomid_ros.live.saving import Checkpoints, CheckpointStatus
 from geomid_ros.live.solving_process import SolvingProcess
-from geomid_ros.live.worker import PATIENCE, OnEstimate, OnSamples, Worker
+from geomid_ros.live.worker import PATIENCE, OnEstimate, OnPayload, OnSamples, Worker
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import locked_note, with_locked
 from geomid_ros.session.session import Session
@@ -46,6 +46,7 @@ class Supervisor:
         *,
         on_samples: OnSamples,
         on_estimate: OnEstimate,
+        on_payload: OnPayload,
         solving: SolvingProcess | None,
     ) -> None:
         """
@@ -54,7 +55,7 @@ class Supervisor:
             ledger: is told what becomes of every message, whichever worker takes it.
             log: is told of sessions that begin.
             on_samples: see :class:`Worker`.
-            on_estimate: see :class:`Worker`.
+            on_estimate, on_payload: see :class:`Worker`.
             solving: the process that solves; None for this one.
         """
         self._configuration = configuration
@@ -62,6 +63,7 @@ class Supervisor:
         self._log = log
         self._on_samples = on_samples
         self._on_estimate = on_estimate
+        self._on_payload = on_payload
         self._solving = solving
         self._restarts: deque[float] = deque()  # when [s] those were that count
         self._hung = ""
@@ -104,7 +106,8 @@ class Supervisor:
         if self.worker is not None:
             self.worker.close()
         self._restore(session)
-        self.worker = Worker(session, self._configuration["solve_period"], self._on_samples, self._on_estimate)
+        period = self._configuration["solve_period"]
+        self.worker = Worker(session, period, self._on_samples, self._on_estimate, self._on_payload)
         self._log.info(f"identifying {len(session.model.body_names)} links from {len(session.model.channels)} channels")
         session.settled += [locked_note(absent)] if absent else []
         for warning in (*session.warnings(), *session.settled):

@@ -19,6 +19,7 @@ from geomid_ros.live.status import Status
 from geomid_ros.live.threads import Activity, start_daemon
 from geomid_ros.model.measurement import Rows
 from geomid_ros.model.samples import Samples
+from geomid_ros.monitoring.payload_watch import Carried, carrying
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import WrenchGuard
 from geomid_ros.signals.decoding import Decoder
@@ -32,12 +33,20 @@ LONG = 1.0  # [s] nothing that a thread does takes longer, except solving if ``s
 
 OnSamples: TypeAlias = Callable[[Session, Samples, Estimate], None]
 OnEstimate: TypeAlias = Callable[[Session, Estimate], None]
+OnPayload: TypeAlias = Callable[[Carried | None], None]
 
 
 class Worker:
     """Owns a session while it is live: its inbox, its intake thread and its solver."""
 
-    def __init__(self, session: Session, solve_period: float, on_samples: OnSamples, on_estimate: OnEstimate) -> None:
+    def __init__(
+        self,
+        session: Session,
+        solve_period: float,
+        on_samples: OnSamples,
+        on_estimate: OnEstimate,
+        on_payload: OnPayload = lambda _: None,
+    ) -> None:
         """
         Args:
             session: in which nothing has happened yet, or that was restored.
@@ -45,10 +54,11 @@ class Worker:
             on_samples: ``on_samples(session, samples, estimate)`` is called in the intake thread for new samples, once
                 there is an estimate.
             on_estimate: ``on_estimate(session, estimate)`` is called in the solver's thread for each new estimate.
+            on_payload: ``on_payload(carried)`` is called in the solver's thread when what is carried changes.
         """
         self.session = session
         self.ledger = session.pipeline.ledger
-        self.solver = Solver(session, solve_period, on_estimate)
+        self.solver = Solver(session, solve_period, on_estimate, on_payload)
         self.activity = Activity()  # of the intake
         self._decoder = Decoder()
         self._on_samples = on_samples
@@ -93,7 +103,7 @@ class Worker:
 
         Before and after it are two robots, and no one effect explains both.
         """
-        begin = max((gap.since + _TRANSITION for gap in self.solver.detector.gaps if gap.since is not None), default=0)
+        begin = max((since + _TRANSITION for since, _ in self.solver.detector.changes), default=0)
         return [late for each in self.session.recent.entries() if len(late := each.since(begin))]
 
     def messages(self) -> list[Accepted]:
@@ -103,7 +113,7 @@ class Worker:
     def messages_before_gap(self) -> list[Accepted]:
         """The messages that the session remembers of the time before the first gap opened that is open; all of them
         if none is."""
-        opened = [gap.since for gap in self.solver.detector.gaps if gap.since is not None]
+        opened = [since for since, _ in self.solver.detector.changes]
         entries = self.session.recent.entries()
         return [early for each in entries if len(early := each.before(min(opened)))] if opened else entries
 
@@ -111,7 +121,7 @@ class Worker:
     def estimate_before_gap(self) -> Estimate | None:
         """What was identified before the first gap opened that is open; None if there is none, or it is too long
         ago."""
-        opened = [gap.first for gap in self.solver.detector.gaps if gap.since is not None]
+        opened = [first for _, first in self.solver.detector.changes]
         return self.solver.estimate_before(min(opened)) if opened else None
 
     @property
@@ -146,6 +156,7 @@ class Worker:
             joints=len(self.session.robot.joint_names),
             unmeasured=pipeline.unmeasured if self.session.model.layout.efforts else (),
             gaps=self.solver.detector.gaps,
+            carried=self.solver.carried,
             estimate=self.solver.estimate,
             changed_sensors=self.solver.changed_sensors,
         )
@@ -207,10 +218,11 @@ class Worker:
             self._add(samples, messages[0].time)
 
     def _add(self, samples: Samples, received: float) -> None:
-        estimate, identifier = self.solver.estimate, self.session.identifier
+        estimate, carried, identifier = self.solver.estimate, self.solver.carried, self.session.identifier
         before = identifier.counts.made
+        load = None if carried is None else carried.added(np.zeros(self.session.model.dimension))
         try:
-            stamps, new, unsettled = identifier.add(samples)
+            stamps, new, unsettled = identifier.add(samples, carried=load)
         except Exception as error:  # noqa: BLE001 as above
             lost = before + len(samples) * len(self.session.model.channels) - identifier.counts.made
             self._rows_lost = self._rows_lost + Counter({type(error).__name__: lost})
@@ -226,7 +238,7 @@ class Worker:
         if self.solver.detector.add(identifier.instants - len(stamps), stamps, rows):
             self.solver.watch()
         if estimate is not None:
-            self._report_prediction(samples, estimate)
+            self._report_prediction(samples, carrying(estimate, carried))
 
     def _report_prediction(self, samples: Samples, estimate: Estimate) -> None:
         try:

@@ -28,10 +28,13 @@ from geomid_ros.estimation.identifier import LONGEST_STEP
 from geomid_ros.geometry import definite
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.measurement import MeasurementModel, Rows
+from geomid_ros.monitoring.payload_watch import Noise, PayloadWatch
 from geomid_ros.types import FloatArray, IntArray
 
 BLOCK = 40
 """Rows that are judged together: five periods of the filter's cutoff, where the messages are frequent enough."""
+PART = BLOCK // 4
+"""Rows after which a payload is looked for."""
 LATE = 2 * BLOCK
 """Rows before a suspect block that may be bad, too: a change in the last rows of a block does not show there, and
 hardly in the next where an offset may explain it."""
@@ -43,8 +46,9 @@ _MOST_BLOCKS = 60
 _REMEMBERED = 20  # stretches of so many blocks, a minute or so each; and suspect blocks
 _RISE = 2.25  # times the floor: the gap that the test looks for; and times the usual leverage: another motion
 _FEWEST_BAD = 3  # blocks that an alarm takes, and its end: a push or a bump is no gap
-_ALARM = -float(np.log(FALSE_ALARMS))
-_SUSPICION = _ALARM / _FEWEST_BAD  # the most evidence of one block
+ALARM = -float(np.log(FALSE_ALARMS))
+"""The evidence that opens or closes a gap."""
+_SUSPICION = ALARM / _FEWEST_BAD  # the most evidence of one block
 _LEAST = 1e-4  # of what is measured, or of what a motion shows: below, rounding and the filter's ripple count
 
 
@@ -65,23 +69,35 @@ class ChannelGap:
 class ChangeDetector:
     """Learns from the first rows what is normal, and from then on tells which channels have changed.
 
+    What a payload explains is no gap. While one is carried, gaps are not looked for: a load shows what the model lacks
+    under loads.
+
     One thread may call :meth:`add` while another calls everything else.
     """
 
-    def __init__(self, channels: Sequence[Channel], forgetting_time: float = np.inf) -> None:
+    def __init__(
+        self, channels: Sequence[Channel], forgetting_time: float = np.inf, payload: PayloadWatch | None = None
+    ) -> None:
         """
         Args:
             channels: of the model, in the order of its rows.
             forgetting_time: [s] in which what is normal is forgotten, but not before it is known.
+            payload: looks for a payload in the same rows.
         """
+        self.payload = payload
+        self._forgetting_time = forgetting_time
         self._channels = [_Cusum(channel, forgetting_time) for channel in channels]
         instant = 8 * len(channels) * max((int(np.max(c.columns, initial=0)) + 2 for c in channels), default=1)
         most = max(BLOCK, _MOST_WAITING // instant)
         self._waiting: deque[tuple[int, int, FloatArray, FloatArray]] = deque(maxlen=most)
+        self._parts: list[_Block] = []  # of the next block, as a payload is to be known soon
+        self._disturbed = False  # whether a payload came or went in it
         self.gaps: tuple[ChannelGap, ...] = ()
         """The monitored channels as of the last block."""
         self.judged = 0
         """The number of the first instant that is not judged yet."""
+        self.followed = 0
+        """The same of the payload."""
 
     def add(self, first: int, stamps: IntArray, rows: Rows) -> bool:
         """Take the rows of a moving robot, in the order of time. Of those that nobody judges the last are kept. Returns
@@ -95,20 +111,50 @@ class ChangeDetector:
         """
         numbers = range(first, first + len(stamps))
         self._waiting.extend(zip(numbers, stamps.tolist(), rows.coefficients, rows.targets, strict=True))
-        return len(self._waiting) >= BLOCK
+        return len(self._waiting) >= PART
 
     def judge(self) -> bool:
-        """Judge the next whole block of rows. Returns whether there was one."""
-        if len(self._waiting) < BLOCK:
-            return False
-        block = (self._waiting.popleft() for _ in range(BLOCK))
-        numbers, stamps, coefficients, targets = zip(*block, strict=True)
-        rows = Rows(np.array(coefficients), np.array(targets))
-        for index, channel in enumerate(self._channels):
-            channel.judge(numbers[0], np.array(stamps), rows.coefficients[:, index], rows.targets[:, index])
+        """Judge rows up to the end of the next block. Returns whether there were enough of them."""
+        while len(self._waiting) >= PART:
+            self._parts.append(self._next())
+            self._judge_payload(self._parts[-1])
+            self.followed = self._parts[-1].first + PART
+            if len(self._parts) * PART == BLOCK:
+                self._judge_channels()
+                return True
+        return False
+
+    def _next(self) -> _Block:
+        part = (self._waiting.popleft() for _ in range(PART))
+        numbers, stamps, coefficients, targets = zip(*part, strict=True)
+        return _Block(numbers[0], np.array(stamps), Rows(np.array(coefficients), np.array(targets)))
+
+    def _judge_payload(self, part: _Block) -> None:
+        if self.payload is None:
+            return
+        share = float(np.exp(-1e-9 * float(part.stamps[-1] - part.stamps[0]) / self._forgetting_time))
+        noise = [channel.noise for channel in self._channels]
+        if self.payload.judge(*part, noise, share):
+            self._disturbed = True
+            for channel in self._channels:
+                channel.clear_suspicion()
+
+    def _judge_channels(self) -> None:
+        first, stamps, rows = _Block.joined(self._parts)
+        self._parts.clear()
+        disturbed, self._disturbed = self._disturbed, False
+        if not disturbed and (self.payload is None or self.payload.carried is None):
+            for index, channel in enumerate(self._channels):
+                channel.judge(first, stamps, rows.coefficients[:, index], rows.targets[:, index])
         self.gaps = tuple(channel.gap for channel in self._channels if channel.ready)
-        self.judged = numbers[-1] + 1
-        return True
+        self.judged = self.followed
+
+    @property
+    def changes(self) -> list[tuple[int, int]]:
+        """Stamps [ns] and numbers of the instants since which gaps are open, or a payload is carried."""
+        changes = [(gap.since, gap.first) for gap in self.gaps if gap.since is not None]
+        carried = None if self.payload is None else self.payload.carried
+        return changes if carried is None else [*changes, (carried.since, carried.first)]
 
     def normal(self, channels: Sequence[int]) -> int:
         """The number of the instant before which these channels are known not to have changed.
@@ -119,6 +165,21 @@ class ChangeDetector:
         suspect = [self._channels[index].first_suspect for index in channels]
         begin = min([self.judged, *(first for first in suspect if first is not None)])
         return max(begin - LATE, self.judged - _REMEMBERED * BLOCK)
+
+
+class _Block(NamedTuple):
+    """Rows, their ``stamps``, and the number of the ``first`` instant."""
+
+    first: int
+    stamps: IntArray
+    rows: Rows
+
+    @staticmethod
+    def joined(parts: Sequence[_Block]) -> _Block:
+        """The rows of all ``parts``."""
+        columns = zip(*(vars(part.rows).values() for part in parts), strict=True)
+        stamps = np.concatenate([part.stamps for part in parts])
+        return _Block(parts[0].first, stamps, Rows(*map(np.concatenate, columns)))
 
 
 class _Normal(NamedTuple):
@@ -168,6 +229,18 @@ class _Cusum:
     def first_suspect(self) -> int | None:
         """The number of the first instant that is in a gap, or may be; None if there is none."""
         return self._first if self._open or self._evidence > 0.0 else None
+
+    @property
+    def noise(self) -> Noise:
+        """What is normal, as noise."""
+        level, shape = self._normal if self.ready else _Normal(0.0, 0.0)
+        return Noise(level, 2.0 * shape / BLOCK) if level > 0.0 else Noise()
+
+    def clear_suspicion(self) -> None:
+        """Close a gap, and forget rows that are not known to be normal: something else explains them."""
+        self._open, self._evidence = False, 0.0
+        self._suspect.clear()
+        self._ratios.clear()
 
     @property
     def _moves_otherwise(self) -> bool:
@@ -244,7 +317,7 @@ class _Cusum:
         if not self._open and self._evidence == 0.0:
             self._first, self._since = first, stamp
         self._evidence = max(0.0, self._evidence + min(-rise if self._open else rise, _SUSPICION))
-        if self._evidence >= _ALARM:
+        if self._evidence >= ALARM:
             self._open, self._evidence = not self._open, 0.0
 
     @property

@@ -13,12 +13,14 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geomid_ros.errors import one_line
 from geomid_ros.estimation.estimate import QUANTITIES, Estimate, LinkEstimate
 from geomid_ros.estimation.identifier import STANDING_STILL
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.live.background_search import SearchStatus
 from geomid_ros.live.gap_search import FoundGap
 from geomid_ros.live.saving import CheckpointStatus
 from geomid_ros.live.status import Status
 from geomid_ros.model.channels import is_of
 from geomid_ros.monitoring.change_detection import ChannelGap
+from geomid_ros.monitoring.payload_watch import Carried
 from geomid_ros.report.gap_words import not_explained
 from geomid_ros.signals.ledger import Account, meaning_of
 from geomid_ros.signals.messages import JOINT_STATES
@@ -85,6 +87,8 @@ class Diagnostics:
         array = DiagnosticArray(status=[status_message(f"{self._node}: stream", level, message, _stream(status))])
         if search is not None:
             array.status.append(_search(f"{self._node}: gap finding", search))
+        if status.carried is not None:
+            array.status.append(_payload(f"{self._node}: payload", status.carried))
         if checkpoints is not None:
             array.status.append(_checkpoints(f"{self._node}: checkpoints", checkpoints))
         if status.estimate is not None:
@@ -223,6 +227,16 @@ def _search(name: str, search: SearchStatus[FoundGap]) -> DiagnosticStatus:
         values |= {f"{channel} before": float(before), f"{channel} after": float(after)}
     level = DiagnosticStatus.OK if result.verdict == "no gap" else DiagnosticStatus.WARN
     return status_message(name, level, search.sentence, values)
+
+
+def _payload(name: str, carried: Carried) -> DiagnosticStatus:
+    low, high = carried.interval
+    mass, *centre = pseudo_inertia.quantities_of(carried.parameters)[:4].tolist()
+    values: dict[str, object] = {"link": carried.link, "mass": mass, "mass from": low, "mass to": high}
+    values |= {f"com {axis}": value for axis, value in zip("xyz", centre, strict=True)}
+    since = f"since {_time(carried.since)}"
+    sentence = f"{mass:.2f} kg, from {low:.2f} to {high:.2f} kg (95 %), at '{carried.link}' {since}"
+    return status_message(name, DiagnosticStatus.OK, sentence, values)
 
 
 def _checkpoints(name: str, checkpoints: CheckpointStatus) -> DiagnosticStatus:

@@ -32,6 +32,7 @@ from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.live.status import Status
 from geomid_ros.live.supervisor import Supervisor
 from geomid_ros.live.worker import Worker
+from geomid_ros.monitoring.payload_watch import Carried
 from geomid_ros.ros.console import Console, News
 from geomid_ros.ros.dashboard_process import DashboardProcess
 from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, Diagnostics
@@ -92,6 +93,7 @@ class GeomidNode(Node):
             self._console,
             on_samples=self._outputs.prediction,
             on_estimate=self._on_estimate,
+            on_payload=self._on_payload,
             solving=solving,
         )
         self._inputs = Inputs(self, self._ledger)
@@ -151,6 +153,10 @@ class GeomidNode(Node):
     def _on_estimate(self, session: Session, estimate: Estimate) -> None:
         self._streaming.use(session, estimate)
         self._outputs.estimate(session, estimate)
+
+    def _on_payload(self, carried: Carried | None) -> None:
+        self._streaming.carry(carried)
+        self._outputs.carried(carried)
 
     def _take(self, messages: list[Received]) -> str:
         """Take messages, or say why not."""

@@ -23,6 +23,7 @@ from geomid_ros.live.gap_search import FoundGap
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.se3 import quaternion
+from geomid_ros.monitoring.payload_watch import Carried
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -45,6 +46,8 @@ class Outputs:
         self._identified = node.create_publisher(String, "~/robot_description", latched())
         self._ellipsoids = node.create_publisher(MarkerArray, "~/markers", latched())
         self._findings = node.create_publisher(String, "~/gap", latched())
+        self._carried = node.create_publisher(InertiaStamped, "~/payload/inertia", latched())
+        self._link = ""  # that carried something last
         self._payloads = node.create_publisher(String, "~/payload", latched())
 
     def prediction(self, session: Session, samples: Samples, estimate: Estimate) -> None:
@@ -69,6 +72,14 @@ class Outputs:
         """Publish the result of a search for a gap."""
         self._findings.publish(String(data=json.dumps({"format": FORMAT, **status.document}, indent=2)))
         self._node.get_logger().info(status.sentence)
+
+    def carried(self, carried: Carried | None) -> None:
+        """Publish what the robot has picked up; all zeros after it was put down."""
+        self._link = carried.link if carried is not None else self._link
+        stamp = self._node.get_clock().now().nanoseconds
+        message = InertiaStamped() if carried is None else inertia_message(carried.link, carried.parameters, stamp)
+        message.header.frame_id, message.header.stamp = self._link, ros_time(stamp)
+        self._carried.publish(message)
 
     def payload(self, status: SearchStatus[Payload]) -> None:
         """Publish a payload that was weighed, or why it was not."""

@@ -14,6 +14,7 @@ from sensor_msgs.msg import JointState
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.live.inbox import Received
 from geomid_ros.live.stream import Predicted, Stream
+from geomid_ros.monitoring.payload_watch import Carried
 from geomid_ros.ros.inputs import Inputs
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import JOINT_STATES
@@ -39,6 +40,10 @@ class Streaming:
     def use(self, session: Session, estimate: Estimate) -> None:
         """Predict by an estimate from now on, in any thread."""
         self._stream.use(session, estimate)
+
+    def carry(self, carried: Carried | None) -> None:
+        """Add a payload to the robot from now on, or none, in any thread."""
+        self._stream.carry(carried)
 
     def forget(self) -> None:
         """Predict nothing until there is another estimate."""

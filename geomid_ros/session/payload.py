@@ -19,10 +19,13 @@ from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
 from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.geometry.symmetric import SIZE
 from geomid_ros.inference.prior import SPREAD_OF_PAYLOADS, usual_payload
+from geomid_ros.model.channels import Channel
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.weighed_masses import WeighedRows
+from geomid_ros.monitoring.payload_watch import PayloadWatch
 from geomid_ros.session.configuration import GAIN, Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray, IntArray
@@ -71,6 +74,31 @@ def payload_session(urdf: str, configuration: Configuration, source: str) -> Ses
         InputError: the description and the configuration do not fit together.
     """
     return Session(urdf, configuration.with_values({"candidates": []}), source)
+
+
+def payload_watch(session: Session, channels: Sequence[Channel], surprise: float) -> PayloadWatch | None:
+    """A watch for a payload at the flange, in rows of these ``channels``; None if nothing is known to carry one.
+
+    ``surprise``: see :class:`PayloadWatch`.
+    """
+    model, configuration = session.model, session.configuration
+    frame = configuration["payload.frame"]
+    link = session.robot.carrier(frame) if frame else model.body_names[-1]
+    if session.robot.floating_base or link not in model.body_names:
+        return None
+    index = model.body_names.index(link)
+    usual = usual_payload(model.nominal_inertias.reshape(-1, SIZE), index)
+    columns = slice(SIZE * index, SIZE * (index + 1))
+    return PayloadWatch(
+        channels,
+        link,
+        columns,
+        len(model.nominal_inertias),
+        usual=usual,
+        spread=SPREAD_OF_PAYLOADS,
+        gain=configuration["payload.gain"],
+        surprise=surprise,
+    )
 
 
 def weigh(

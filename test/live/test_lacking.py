@@ -18,8 +18,9 @@ from geomid_ros.live import saving as module
 from geomid_ros.live.gap_search import look_for_gap
 from geomid_ros.live.saving import Saving
 from geomid_ros.live.worker import Worker
+from geomid_ros.model.channels import Channel
 from geomid_ros.model.robot import Robot
-from geomid_ros.monitoring.change_detection import ChannelGap
+from geomid_ros.monitoring.change_detection import ChangeDetector, ChannelGap
 from geomid_ros.session import gap
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import lacking_in_messages
@@ -147,8 +148,7 @@ def test_messages_before_a_gap(opened: tuple[int | None, int | None], count: int
     """That opened first; all of them without one."""
     recent = Recent(1.0)
     recent(Accepted(JOINT_STATES, 10 * np.arange(1, 101), np.zeros((100, 9))))
-    gaps = tuple(ChannelGap(f"joint{place}", 3.0, since) for place, since in enumerate(opened))
-    own: Any = SimpleNamespace(
-        session=SimpleNamespace(recent=recent), solver=SimpleNamespace(detector=SimpleNamespace(gaps=gaps))
-    )
+    detector = ChangeDetector([Channel(name="joint", unit="N m", columns=np.arange(1))])
+    detector.gaps = tuple(ChannelGap(f"joint{place}", 3.0, since) for place, since in enumerate(opened))
+    own: Any = SimpleNamespace(session=SimpleNamespace(recent=recent), solver=SimpleNamespace(detector=detector))
     assert [len(each) for each in Worker.messages_before_gap(own)] == [count]

@@ -1,0 +1,142 @@
+"""A payload is noticed, weighed and taken back by change points; what no payload explains is none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from estimation.arms import Truth, efforts, motion, samples, shipped, truth
+
+from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.inference.prior import SPREAD_OF_PAYLOADS, usual_payload
+from geomid_ros.model.effects import DEFAULT_EFFECTS, identified_effect
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import Robot
+from geomid_ros.model.samples import Samples
+from geomid_ros.monitoring.change_detection import ALARM, ChangeDetector, ChannelGap
+from geomid_ros.monitoring.payload_watch import Carried, PayloadWatch
+
+RATE = 50.0  # [Hz]
+BEFORE, AFTER, END = 50.0, 65.0, 80.0  # [s]
+NOISE = 0.02  # [N m]
+CENTRE = np.array([0.03, -0.02, 0.08])  # [m]
+MASS = 1.5  # [kg]
+BALL = pseudo_inertia.parameters_of(np.array([MASS, *CENTRE, 4e-3, 0.0, 4e-3, 0.0, 0.0, 4e-3]))
+
+
+@dataclass(frozen=True)
+class State:
+    """What the watch says at a ``time`` [s]."""
+
+    time: float
+    carried: Carried | None
+    gaps: tuple[ChannelGap, ...]
+
+    @property
+    def open(self) -> bool:
+        """True if a channel has a gap."""
+        return any(gap.since is not None for gap in self.gaps)
+
+
+class Arm:
+    """A small arm of which some parameters are others between two instants."""
+
+    def __init__(self, seed: int = 1) -> None:
+        self.rng = np.random.default_rng(seed)
+        self.robot = Robot(shipped("arm3"))
+        self.model = MeasurementModel(self.robot, [identified_effect(name) for name in DEFAULT_EFFECTS])
+        self.moving = motion(self.rng, len(self.robot.joints), END, RATE)
+        self.truth = truth(self.rng, self.robot)
+
+    @property
+    def loaded(self) -> Truth:
+        """The arm with a payload."""
+        links = self.truth.links.copy()
+        links[-1] += BALL
+        return replace(self.truth, links=links)
+
+    def measured(self, changed: Truth, noise: float = NOISE) -> Samples:
+        times = np.arange(len(self.moving)) / RATE
+        felt = efforts(self.robot, self.truth, self.moving)
+        between = (times >= BEFORE) & (times < AFTER)
+        felt[between] = efforts(self.robot, changed, self.moving)[between]
+        return samples(self.moving, felt + noise * self.rng.normal(size=felt.shape), RATE)
+
+    def watched(self, measured: Samples) -> list[State]:
+        """Five times a second."""
+        rows, step = self.model.rows(measured), 10
+        links = self.model.nominal_inertias.reshape(-1, 10)
+        last = len(links) - 1
+        columns = slice(10 * last, 10 * last + 10)
+        watch = PayloadWatch(
+            self.model.channels,
+            "tool",
+            columns,
+            links.size,
+            usual=usual_payload(links, last),
+            gain=0.0,
+            spread=SPREAD_OF_PAYLOADS,
+            surprise=ALARM,
+        )
+        detector = ChangeDetector(self.model.channels, payload=watch)
+        states = []
+        for begin in range(0, len(measured), step):
+            part = slice(begin, begin + step)
+            detector.add(begin, measured.stamps[part], replace(rows, **{k: v[part] for k, v in vars(rows).items()}))
+            while detector.judge():
+                pass
+            states.append(State(1e-9 * float(measured.stamps[part][-1]), watch.carried, detector.gaps))
+        return states
+
+
+@pytest.mark.parametrize("seed", range(1, 4))
+def test_a_payload_is_picked_up_weighed_and_put_down(seed: int) -> None:
+    arm = Arm(seed)
+    states = arm.watched(arm.measured(arm.loaded))
+    carrying = [state for state in states if state.carried is not None]
+    times = [state.time for state in carrying]
+    assert BEFORE < times[0] < BEFORE + 2.0
+    assert AFTER < times[-1] + 0.2 < AFTER + 1.0
+    assert np.ptp(np.diff(times)) < 0.1  # and never lost meanwhile
+    settled = next(state.carried for state in carrying if state.time > times[0] + 3.0)
+    assert settled is not None
+    assert settled.mass == pytest.approx(MASS, rel=0.05)
+    assert settled.interval[0] < MASS < settled.interval[1]
+    assert settled.parameters[1:4] / settled.mass == pytest.approx(CENTRE, abs=0.01)
+    assert abs(1e-9 * settled.since - BEFORE) < 1.0
+    assert not any(state.open for state in states)
+
+
+@pytest.mark.parametrize("noise", [NOISE, 10.0 * NOISE])
+def test_without_a_payload_there_is_none(noise: float) -> None:
+    arm = Arm()
+    assert all(state.carried is None and not state.open for state in arm.watched(arm.measured(arm.truth, noise)))
+
+
+@pytest.mark.parametrize("joint", range(3))
+def test_friction_of_a_joint_is_no_payload(joint: int) -> None:
+    """It opens a gap instead."""
+    arm = Arm()
+    effects = {name: value.copy() for name, value in arm.truth.effects.items()}
+    effects["coulomb_friction"][joint] *= 3.0
+    states = arm.watched(arm.measured(replace(arm.truth, effects=effects)))
+    assert all(state.carried is None for state in states)
+    assert any(state.open for state in states)
+
+
+def test_what_is_carried_is_not_learned_from() -> None:
+    """The estimate is that of the bare arm, by the very same rows."""
+    arm = Arm()
+    bare, with_load = arm.measured(arm.truth, 0.0), arm.measured(arm.loaded, 0.0)
+    load = np.zeros(arm.model.dimension)
+    load[10 * (len(arm.robot.bodies) - 1) :][:10] = BALL
+    between = slice(round(BEFORE * RATE), round(AFTER * RATE))
+    found = []
+    for measured, carried in ((bare, None), (with_load, load)):
+        identifier = Identifier(arm.model)
+        _, rows, _ = identifier.add(measured.select(between), carried=carried)
+        assert rows.targets == pytest.approx(arm.model.rows(measured.select(between)).targets, nan_ok=True)
+        found.append(identifier.solve().parameters)
+    assert found[0] == pytest.approx(found[1], rel=1e-3, abs=1e-3)
