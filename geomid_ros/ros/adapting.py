@@ -25,7 +25,7 @@ from geomid_ros.ros.outputs import inertia_message, ros_time
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
-_GAP = "/geomid/gap"  # of the identification node
+_GAP = "geomid/gap"  # of the identification node in the same namespace
 
 
 class Adapting:
@@ -58,7 +58,7 @@ class Adapting:
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         latest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         node.create_subscription(JointState, "joint_states", self._on_state, latest)
-        node.create_subscription(String, _GAP, self._on_gap, 10)
+        self._gap = node.create_subscription(String, _GAP, self._on_gap, 10).topic_name
         node.create_service(Trigger, "~/reset", self._reset)
         node.create_timer(LASTING / 4.0, self._send)
         node.create_timer(1.0, self._report)
@@ -137,11 +137,11 @@ class Adapting:
         try:
             names = [str(finding["effect"]) for finding in json.loads(message.data)["findings"]]
         except (ValueError, TypeError, KeyError, RecursionError):
-            self._node.get_logger().warning(f"a message on {_GAP} is left out: it has no findings")
+            self._node.get_logger().warning(f"a message on {self._gap} is left out: it has no findings")
             return
         others = [name for name in names if name not in EFFECTS or EFFECTS[name].place != "link"]
         if others:
-            self._correction.latch.close(one_line(f"{_GAP} found {others[0].replace('_', ' ')}"))
+            self._correction.latch.close(one_line(f"{self._gap} found {others[0].replace('_', ' ')}"))
             self._report()
 
     def _report(self) -> None:

@@ -11,9 +11,11 @@ from files.recordings import BAGS, TYPES
 
 import geomid_ros
 from geomid_ros.api.identify import Identification
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.live.stream import Stream
 from geomid_ros.model.dynamics import InverseDynamics
 from geomid_ros.model.samples import samples_of
+from geomid_ros.monitoring.payload_watch import Carried
 from geomid_ros.types import FloatArray
 
 JOINTS = ("joint1", "joint2", "joint3")
@@ -93,6 +95,24 @@ def test_efforts_are_in_the_unit_of_the_messages(identification: Identification)
     streams[1].use(plain, estimate)
     with_gains, without = (next(s.predict(messages())).efforts for s in streams)
     np.testing.assert_allclose(with_gains * [*GAINS.values()], without, atol=1e-9)
+
+
+def test_what_is_carried_is_predicted_until_it_is_put_down(identification: Identification) -> None:
+    """At once, whether an estimate comes before it or after it."""
+    session, estimate = identification.session, identification.estimate
+    stream, sent = Stream(), messages()
+    columns = slice(len(session.model.nominal_inertias) - 10, len(session.model.nominal_inertias))
+    body = pseudo_inertia.parameters_of(np.array([1.5, 0.0, 0.0, 0.1, 1e-2, 0.0, 1e-2, 0.0, 0.0, 1e-2]))
+    heavier = estimate.parameters.copy()
+    heavier[columns] += body
+    carried = Carried("tool", columns, body, np.eye(10), 0, 0)
+    stream.carry(carried)
+    stream.use(session, estimate)
+    for parameters in (heavier, estimate.parameters):
+        found = list(stream.predict(sent))
+        expected = session.model.predicted_efforts(samples_of(found[0].motion), parameters)
+        np.testing.assert_allclose(found[0].efforts, expected, atol=1e-6)
+        stream.carry(None)
 
 
 @pytest.mark.parametrize("velocities", [True, False])
