@@ -313,7 +313,7 @@ def test_rows_are_counted_once_though_taking_them_fails(quiet: Watched, monkeypa
     """Some of those that were being taken are there, and some are not."""
     healthy = quiet.session.identifier.add
 
-    def take_all_but_the_last(samples: Any) -> None:
+    def take_all_but_the_last(samples: Any, **_: Any) -> None:
         if len(samples) > 1:
             healthy(samples.select(slice(len(samples) - 1)))
         raise ZeroDivisionError
