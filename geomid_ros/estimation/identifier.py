@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -312,6 +312,11 @@ class Identifier:
     def solve(self, warm: WarmStart | None = None) -> Estimate:
         """The estimate from all rows so far; without ``warm`` it depends on nothing else."""
         return self._solve(self._task, self.snapshot(), warm)
+
+    def use(self, settings: EstimatorSettings) -> None:
+        """Solve by these settings from now on. Raises InputError for a weighed mass that does not fit the model."""
+        weighed_rows(self.model, settings.known)
+        self._task = replace(self._task, settings=settings)
 
     def solve_with(self, solve: Solve) -> None:
         """Solve by ``solve`` instead of :meth:`EstimationTask.solve`, in another process for example."""

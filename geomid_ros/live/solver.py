@@ -26,6 +26,7 @@ from geomid_ros.monitoring.change_detection import (
     sensor_channels,
 )
 from geomid_ros.monitoring.payload_watch import Carried
+from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.payload import payload_watch
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import count_reason
@@ -60,7 +61,7 @@ class Solver:
             on_payload: ``on_payload(carried)`` is called in the thread when what is carried changes.
         """
         self._session = session
-        self._period = period
+        self.period = period  # [s] between solves
         self._forgets = bool(np.isfinite(session.configuration.buffer.forgetting_time))
         self._sensors = sensor_channels(session.model)
         self._on_estimate = on_estimate
@@ -109,6 +110,14 @@ class Solver:
         with self._lock:
             self._session.identifier.reset()
             self._begin_anew()
+
+    def use(self, configuration: Configuration) -> None:
+        """Solve all rows anew by another configuration; a solve that runs is thrown away. Raises InputError, and
+        changes nothing, if it does not fit."""
+        with self._lock:
+            self._session.use(configuration)
+            self.period = configuration["solve_period"]
+            self._solve_afresh()
 
     def begin_anew(self) -> None:
         """Forget what was learned, or is being solved, from rows some of which were taken back."""
@@ -162,7 +171,7 @@ class Solver:
             try:
                 request = self._requests.get(timeout=max(0.0, next_solve - time.monotonic()))
             except queue.Empty:
-                next_solve = time.monotonic() + self._period
+                next_solve = time.monotonic() + self.period
                 self._solve_for_new_rows()
                 continue
             if request is None:

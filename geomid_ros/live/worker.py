@@ -62,7 +62,6 @@ class Worker:
         self.activity = Activity()  # of the intake
         self._decoder = Decoder()
         self._on_samples = on_samples
-        self._longest_solve = max(LONG, solve_period)
         self._lock = threading.Lock()  # held, briefly, for the three that follow
         self._failures: Counter[str] = Counter()
         self._rows_lost: Counter[str] = Counter()  # replaced as a whole
@@ -184,7 +183,7 @@ class Worker:
     @property
     def _solver_is_late(self) -> str:
         what, seconds = self.solver.activity.current
-        limit = self._longest_solve if what == SOLVING else LONG
+        limit = max(LONG, self.solver.period) if what == SOLVING else LONG
         return f"{what} takes {seconds:.0f} s so far, more than {limit:g} s" if seconds > limit else ""
 
     def _take_messages(self) -> None:

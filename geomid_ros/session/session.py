@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -110,7 +110,7 @@ class Session:
             commanded=self._controller is not None,
         )
         self.model = model.with_known_loads(self.loaded.parameters(model))
-        self._settings = self._estimator_settings()
+        self._settings = self._estimator_settings(configuration)
         self.identifier = Identifier(self.model, self._settings, configuration.buffer, self._identified_prior)
         joints = self.robot.joint_names
         named = {s.topic: name for name, s in zip(configuration["wrenches"], configuration.sensors, strict=True)}
@@ -180,24 +180,34 @@ class Session:
         first = len(prior) - len(positive)
         return np.append(prior[:first], np.where(positive & (prior[first:] <= 0.0), np.nan, prior[first:]))
 
-    def _estimator_settings(self) -> EstimatorSettings:
+    def use(self, configuration: Configuration) -> None:
+        """Solve by another configuration of the same rows from now on. Raises InputError, and changes nothing, if it
+        does not fit."""
+        settings = self._estimator_settings(configuration)
+        self.identifier.use(settings)
+        self.configuration, self._settings = configuration, settings
+
+    def _estimator_settings(self, configuration: Configuration) -> EstimatorSettings:
         """With the population that is the prior. Raises InputError where several priors are given, or none fits."""
-        settings = self.configuration.estimator([channel.name for channel in self.model.channels])
-        settings = replace(settings, files={reader: ELEMENTS[reader] for reader in self._readers}, alike=self.alike)
-        if not (path := self.configuration["prior"]):
+        settings = configuration.estimator([channel.name for channel in self.model.channels])
+        files = {reader: ELEMENTS[reader] for reader in self._readers}
+        settings = replace(settings, files=files, alike=self._alike(configuration))
+        if not (path := configuration["prior"]):
             return settings
         for other in ("model", "gamma"):
-            if self.configuration[other]:
-                raise InputError(f"{self.configuration.source}: prior and {other} are both given; choose one")
+            if configuration[other]:
+                raise InputError(f"{configuration.source}: prior and {other} are both given; choose one")
         return replace(settings, population=read_population(Path(path)))
 
-    @cached_property
-    def alike(self) -> tuple[AlikeParts, ...]:
-        """Links that are alike, if the prior is that of the URDF."""
-        configuration = self.configuration
+    def _alike(self, configuration: Configuration) -> tuple[AlikeParts, ...]:
         if configuration.alike and not any(configuration[other] for other in ("model", "prior", "gamma")):
             return alike_parts(self.model.robot, self.model.identified)
         return ()
+
+    @property
+    def alike(self) -> tuple[AlikeParts, ...]:
+        """Links that are alike, if the prior is that of the URDF."""
+        return self._settings.alike
 
     def judge(self) -> None:
         """Judge the recording as a whole, by the samples that :attr:`check` was told of so far."""
