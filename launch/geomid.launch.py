@@ -42,6 +42,11 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "rviz", default_value="false", description="Start RViz with the robot and what is identified of it."
             ),
+            DeclareLaunchArgument(
+                "lifecycle",
+                default_value="none",
+                description="managed: a lifecycle node; autostart: one that configures and activates itself.",
+            ),
             DeclareLaunchArgument("fixed_frame", default_value="base_link", description="The robot's base, for RViz."),
             DeclareLaunchArgument(
                 "params_file",
@@ -52,7 +57,11 @@ def generate_launch_description() -> LaunchDescription:
                 package="geomid_ros",
                 executable="geomid_node",
                 namespace=namespace,
-                parameters=[LaunchConfiguration("params_file"), sim_time],
+                parameters=[
+                    LaunchConfiguration("params_file"),
+                    sim_time,
+                    {"lifecycle": LaunchConfiguration("lifecycle")},
+                ],
                 remappings=[
                     ("joint_states", joint_states),
                     ("odom", LaunchConfiguration("odom")),

@@ -116,7 +116,7 @@ def test_by_default_the_node_alone_is_started(actions: list[Made]) -> None:
     (node,) = Launched(actions).nodes.values()
     assert node["package"] == "geomid_ros"
     assert callable(scripts[node["executable"]].load())
-    assert node["parameters"][1] == {"use_sim_time": "false"}
+    assert node["parameters"][1:] == [{"use_sim_time": "false"}, {"lifecycle": "none"}]
     assert node["remappings"] == [(topic, topic) for topic in (JOINT_STATES, ODOM, IMU, COMMANDS)]
 
 

@@ -38,7 +38,7 @@ def ros_type(parameter: Parameter) -> str:
 
 
 def parameter_row(parameter: Parameter) -> list[str]:
-    """Name, type, default, range, meaning."""
+    """Name, type, default, range, when it may change, meaning."""
     low, high = parameter.minimum, parameter.maximum
     limits = "" if low is None or high is None else f"{low:g} to {high:g}"
     return [
@@ -46,6 +46,7 @@ def parameter_row(parameter: Parameter) -> list[str]:
         ros_type(parameter),
         code(json.dumps(parameter.default)),
         limits,
+        parameter.change,
         parameter.description,
     ]
 
@@ -62,7 +63,9 @@ def tables() -> dict[str, str]:
         "of_every_node": table(
             ("name", "type", "direction"), ([code(e.name), code(e.kind), e.meaning] for e in found.of_every_node)
         ),
-        "parameters": table(("parameter", "type", "default", "range", "meaning"), map(parameter_row, PARAMETERS)),
+        "parameters": table(
+            ("parameter", "type", "default", "range", "may change", "meaning"), map(parameter_row, PARAMETERS)
+        ),
         "diagnostics": table(("status", "key", "meaning"), keys),
     }
 

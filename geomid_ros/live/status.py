@@ -25,6 +25,7 @@ class Status:
     - ``carried``: a payload that was picked up.
     - ``gaps``: of the monitored channels; ``changed_sensors``: topics of wrench sensors whose rows are left out, as
       they are no longer what they were.
+    - ``configured``: false while a managed node is not.
     """
 
     active: bool
@@ -46,6 +47,7 @@ class Status:
     estimate: Estimate | None = None
     changed_sensors: tuple[str, ...] = ()
     carried: Carried | None = None
+    configured: bool = True
 
     def account(self, topic: str) -> Account:
         """What became of a topic's messages."""

@@ -98,8 +98,7 @@ class Supervisor:
         Raises:
             InputError: the description does not fit the parameters.
         """
-        configuration = with_locked(self._configuration, absent) if absent else self._configuration
-        session = Session(urdf, configuration, source, self._ledger, (URDF,))
+        session = Session(urdf, self._with_locked(absent), source, self._ledger, (URDF,))
         if self._solving:
             session.identifier.solve_with(self._solving.remote(EstimationTask.solve))
             session.judge_with(self._solving.remote(JudgementTask.judge))
@@ -113,6 +112,19 @@ class Supervisor:
         for warning in (*session.warnings(), *session.settled):
             self._log.warning(warning)
         self._absent, self._agreed = absent, time.monotonic()
+
+    def _with_locked(self, absent: tuple[str, ...]) -> Configuration:
+        return with_locked(self._configuration, absent) if absent else self._configuration
+
+    def use(self, configuration: Configuration, *, anew: bool) -> None:
+        """Solve by another configuration from now on; ``anew``: from the next :meth:`build` on.
+
+        Raises:
+            InputError: it does not fit.
+        """
+        self._configuration = configuration
+        if self.worker is not None and not anew:
+            self.worker.solver.use(self._with_locked(self._absent))
 
     def _restore(self, session: Session) -> None:
         """With a folder for checkpoints, let a session go on from the one there, and write those to come."""
@@ -195,6 +207,7 @@ class Supervisor:
         self._save_last(self.worker, save, saved, end)
         if self._checkpoints is not None:
             self._checkpoints.close()
+        self.worker = self._checkpoints = None
 
     @staticmethod
     def _save_last(

@@ -29,7 +29,9 @@ from sensor_msgs.msg import Imu, JointState
 
 from geomid_ros.errors import InputError
 from geomid_ros.live.inbox import Received
+from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.ledger import Ledger
+from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM
 
 MOST_AT_ONCE = 1000  # messages of a topic, before others have their turn
 _CLASSES = {kind.__name__: kind for kind in (WrenchStamped, Odometry, Imu, JointState)}
@@ -103,10 +105,31 @@ class Inputs:
         subscription = self._subscribe(kind, name, lambda _: None, qos, _Polled())
         self._inputs.append(_Input(name, subscription, several, kind))
 
+    def listen_as(self, configuration: Configuration) -> None:
+        """Subscribe to the data that a configuration asks for. Raises InputError as :meth:`listen`."""
+        self.listen(JointState, JOINT_STATES, several=configuration["merge_joint_states"])
+        if configuration.gains:
+            self.listen(JointState, COMMANDS)
+        if configuration["imu.frame"]:
+            self.listen(Imu, IMU)
+        elif configuration.floating_base:
+            self.listen(Odometry, ODOM)
+        for sensor in configuration.sensors:
+            self.listen(WrenchStamped, sensor.topic)
+
     def hear(self, kind: type, name: str, callback: Callable[[Any], None], qos: QoSProfile) -> None:
         """Subscribe to anything but data."""
         subscription = self._subscribe(kind, name, callback, qos)
         self._inputs.append(_Input(name, subscription, several=True))
+
+    def close(self) -> None:
+        """Subscribe to data no more."""
+        for entry in self._inputs:
+            if entry.kind:
+                self._node.destroy_subscription(entry.subscription)
+        self._inputs = [entry for entry in self._inputs if not entry.kind]
+        self._numbers.clear()  # what is sent meanwhile is not lost
+        self._policies.clear()
 
     def waiting(self) -> list[Received]:
         """The data that wait on all topics, serialised, as they are decoded many at once, in the order in which they

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import WrenchStamped
-from nav_msgs.msg import Odometry
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
 from rclpy.task import Future
-from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -35,23 +32,24 @@ from geomid_ros.live.worker import Worker
 from geomid_ros.monitoring.payload_watch import Carried
 from geomid_ros.ros.console import Console, News
 from geomid_ros.ros.dashboard_process import DashboardProcess
-from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, Diagnostics
+from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, UNCONFIGURED, Diagnostics
 from geomid_ros.ros.inputs import Inputs, RosTypes
+from geomid_ros.ros.managed import Managed
 from geomid_ros.ros.outputs import Outputs, latched
+from geomid_ros.ros.parameters import changed_names, depends_on_rows, read_parameters
 from geomid_ros.ros.starting import starting_ros
 from geomid_ros.ros.streaming import Streaming
-from geomid_ros.session.configuration import PARAMETERS, Configuration, Parameter, find_parameter
+from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.signals.decoding import read_without_rosbags
 from geomid_ros.signals.ledger import Ledger, count_reason
-from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM
 
 _CHANGED = "the robot description has changed; it is used after ~/reset"
 
 
-class GeomidNode(Node):
+class GeomidNode(Managed, Node):
     """Subscribes to ``joint_states``, ``joint_commands``, wrench topics, ``odom`` or ``imu``, and
-    ``robot_description``; publishes what it finds."""
+    ``robot_description``; publishes what it finds. It is a managed node if ``lifecycle`` says so."""
 
     def __init__(self, solving: SolvingProcess | None = None) -> None:
         """
@@ -63,7 +61,7 @@ class GeomidNode(Node):
         """
         try:
             with starting_ros():
-                super().__init__("geomid", automatically_declare_parameters_from_overrides=True)
+                Node.__init__(self, "geomid", automatically_declare_parameters_from_overrides=True)
         except ValueError as error:
             raise InputError(f'a parameter has no value; an empty list is written as [""] ({error})') from error
         try:
@@ -74,11 +72,17 @@ class GeomidNode(Node):
 
     def _set_up(self, solving: SolvingProcess | None) -> None:
         read_without_rosbags(RosTypes())
-        self._configuration = _read_parameters(self)
+        self._configuration = read_parameters(self)
         self._console = Console(self.get_logger())
         self._news = News()
         self._active: bool = self._configuration["active"]
-        self._outputs = Outputs(self)
+        self._configured = self._subscribed = False
+        lifecycle = self._configuration["lifecycle"]
+        if lifecycle == "none":
+            self._outputs = Outputs(self, self.create_publisher)
+        else:
+            self.manage()
+            self._outputs = Outputs(self, self.create_lifecycle_publisher)
         self._search = BackgroundSearch("no finding", self._outputs.finding)
         self._payload = PayloadSearch(self._outputs.payload)
         self._saving = Saving(self._configuration["output_folder"])
@@ -108,26 +112,20 @@ class GeomidNode(Node):
         self._serve("payload/loaded", partial(self._look, self._payload.take_loaded))
         # In a group of its own: other callbacks of its group, of messages too, would wait for the disk.
         self.create_service(Trigger, "~/save", self._save, callback_group=MutuallyExclusiveCallbackGroup())
-        self._inputs.listen(JointState, JOINT_STATES, several=self._configuration["merge_joint_states"])
-        if self._configuration.gains:
-            self._inputs.listen(JointState, COMMANDS)
-        if self._configuration["imu.frame"]:
-            self._inputs.listen(Imu, IMU)
-        elif self._configuration.floating_base:
-            self._inputs.listen(Odometry, ODOM)
-        for sensor in self._configuration.sensors:
-            self._inputs.listen(WrenchStamped, sensor.topic)
         # On the steady clock: when simulated time stands still the diagnostics must say why.
         self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
         if self._configuration["dashboard"]:
             self._dashboard = DashboardProcess(self.get_fully_qualified_name())
-        # Last, as it starts threads, which a failure after it would leave behind.
-        if self._configuration["robot_description"]:
-            self._build(self._configuration["robot_description"], "parameter robot_description")
-        else:
+        if not self._configuration["robot_description"]:
             self._inputs.hear(String, "robot_description", self._on_description, latched())
         if not self._active:
             self._console.info("waiting for ~/start, as the parameter active is false")
+        self.add_on_set_parameters_callback(self._on_set)
+        if lifecycle == "none":
+            self.activate()
+            self.configure()  # last, as it starts threads, which a failure after it would leave behind
+        elif lifecycle == "autostart":
+            self.start()
 
     @property
     def _worker(self) -> Worker | None:
@@ -161,7 +159,7 @@ class GeomidNode(Node):
     def _take(self, messages: list[Received]) -> str:
         """Take messages, or say why not."""
         if self._worker is None:
-            return NO_DESCRIPTION
+            return self._missing
         if not self._active:
             return STOPPED
         self._worker.take(messages)
@@ -180,8 +178,94 @@ class GeomidNode(Node):
 
         self.create_service(Trigger, f"~/{name}", callback)
 
+    def configure(self) -> None:
+        """Begin to identify the robot of the parameter, or of the topic as soon as it is described there.
+
+        Raises:
+            InputError: the description does not fit the parameters.
+        """
+        if self._configuration["robot_description"]:
+            self._build(self._configuration["robot_description"], "parameter robot_description")
+        elif self._urdf:
+            self._build(self._urdf, "topic robot_description")
+        self._configured = True
+
+    def activate(self) -> None:
+        """Publish the last estimate, and subscribe to the data that the parameters ask for.
+
+        Raises:
+            InputError: a topic cannot have the name that it was given.
+        """
+        self.deactivate()
+        self._inputs.listen_as(self._configuration)
+        self._subscribed = True
+        if self._worker is not None and self._worker.estimate is not None:
+            self._outputs.estimate(self._worker.session, self._worker.estimate)
+
+    def deactivate(self) -> None:
+        """Take what waits, and subscribe to data no more."""
+        self.take_waiting()
+        self._inputs.close()
+        self._subscribed = False
+
+    def clean_up(self) -> None:
+        """End the identifier, within two seconds; the checkpoint and the last estimate are saved."""
+        self._configured = False
+        self._supervisor.close(self._save_last)
+        self._streaming.forget()
+        self._payload.forget()
+        self._report("")
+
+    def _on_set(self, parameters: Sequence[RosParameter]) -> SetParametersResult:
+        """Use other values of parameters, or say why not."""
+        try:
+            self._use(self._configuration.with_values({each.name: each.value for each in parameters}))
+        except GeomidError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _use(self, configuration: Configuration) -> None:
+        before = self._configuration
+        changed = changed_names(before, configuration)
+        if not changed:
+            return
+        fixed = [*filter(depends_on_rows, changed)]
+        if fixed and self._has_rows:
+            raise InputError(f"{fixed[0]} is read-only; it can be set after ~/stop (or deactivate) and ~/reset")
+        try:
+            self._begin_with(configuration, anew=bool(fixed))
+        except GeomidError:
+            self._begin_with(before, anew=bool(fixed))
+            raise
+        for name in changed:
+            self._console.info(f"{name} is now {configuration[name]}, and was {before[name]}")
+
+    def _begin_with(self, configuration: Configuration, *, anew: bool) -> None:
+        self._configuration = configuration
+        self._supervisor.use(configuration, anew=anew)
+        if anew and self._configured:
+            self.configure()
+        if anew and self._subscribed:
+            self.activate()
+
+    @property
+    def _has_rows(self) -> bool:
+        """Whether there are rows, or may be soon."""
+        return self._worker is not None and (self._uses_data or self._worker.session.identifier.counts.made > 0)
+
+    @property
+    def _uses_data(self) -> bool:
+        return self._active and self._subscribed
+
+    @property
+    def _missing(self) -> str:
+        """Why there is no worker."""
+        return NO_DESCRIPTION if self._configured else UNCONFIGURED
+
     def _on_description(self, message: String) -> None:
         self._urdf = message.data
+        if not self._configured:
+            return
         if self._worker is not None:
             changed = message.data != self._worker.session.urdf
             self._report(_CHANGED if changed else "")
@@ -195,6 +279,11 @@ class GeomidNode(Node):
         self._supervisor.build(urdf, source)
         self._urdf = urdf
         self._report("")
+
+    def refuse(self, problem: str) -> None:
+        """Let the log and the diagnostics name what keeps the node from the next state."""
+        self._problem = ""
+        self._report(problem)
 
     def _report(self, problem: str) -> None:
         """Let the log and the diagnostics name a problem with the robot description, or none."""
@@ -219,7 +308,7 @@ class GeomidNode(Node):
         self._diagnostic_arrays.publish(array)
 
     def _status(self) -> Status:
-        status = self._worker.status(self._active) if self._worker is not None else Status(active=self._active)
+        status = self._worker.status(self._uses_data) if self._worker is not None else Status(active=self._uses_data)
         problems = (*self._inputs.problems, self._problem, *self._saving.problems, self._supervisor.problem)
         problems += status.problems
         return replace(
@@ -228,6 +317,7 @@ class GeomidNode(Node):
             warnings=(*self._missing_clock(), *filter(None, (self._supervisor.warning,)), *status.warnings),
             failures=self._failures + status.failures,
             accounts=self._ledger.topics,
+            configured=self._configured,
         )
 
     def _missing_clock(self) -> list[str]:
@@ -235,12 +325,14 @@ class GeomidNode(Node):
         return ["use_sim_time is set, but there are no messages on /clock"] if missing else []
 
     def _set_active(self, active: bool) -> tuple[bool, str]:
+        if active and not self._subscribed:
+            return False, "the lifecycle state is not active"
         self._active = active
         return True, "identifying" if active else "stopped; rows and estimate are kept"
 
     def _reset(self) -> tuple[bool, str]:
         if self._worker is None:
-            return False, NO_DESCRIPTION
+            return False, self._missing
         if self._urdf != self._worker.session.urdf:
             try:
                 self._build(self._urdf, "topic robot_description")
@@ -254,7 +346,7 @@ class GeomidNode(Node):
     def _look(self, act: Callable[[Worker], tuple[bool, str]]) -> tuple[bool, str]:
         """Look at what was measured lately, if anything is remembered."""
         if self._worker is None:
-            return False, NO_DESCRIPTION
+            return False, self._missing
         if self._configuration["gap.memory"] == 0.0:
             return False, "no messages in memory: the parameter gap.memory is 0"
         return act(self._worker)
@@ -271,7 +363,7 @@ class GeomidNode(Node):
 
     async def _save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._worker is None:
-            response.success, response.message = False, NO_DESCRIPTION
+            response.success, response.message = False, self._missing
             return response
         future: Future = Future(executor=self.executor)
         self._saving.begin_when_solved(self._worker, future.set_result)
@@ -284,37 +376,9 @@ class GeomidNode(Node):
             self._dashboard.close()
         self._search.close()
         self._payload.close()
-        self._supervisor.close(self._save_last)
+        self.deactivate()
+        self.clean_up()
 
     def _save_last(self, session: Session, estimate: Estimate, patience: float) -> None:
         if self._configuration["output_folder"]:
             self._console.info(self._saving.save_last(session, estimate, patience))
-
-
-def _read_parameters(node: Node) -> Configuration:
-    """The configuration by a node's parameters, of which it has declared only those that were set.
-
-    Declares every other parameter of the table with its default, and gives all their description and range.
-
-    Raises:
-        InputError: a name is unknown or a value out of range.
-    """
-    given: dict[str, Any] = {name: node.get_parameter(name).value for name in node.get_parameters_by_prefix("")}
-    configuration = Configuration(given, "parameters")
-    for name in configuration.given:
-        node.set_descriptor(name, _descriptor(find_parameter(name)))
-    for parameter in PARAMETERS:
-        if parameter.name not in given and "*" not in parameter.name:
-            node.declare_parameter(parameter.name, parameter.default, _descriptor(parameter))
-    return configuration
-
-
-def _descriptor(parameter: Parameter) -> ParameterDescriptor:
-    descriptor = ParameterDescriptor(
-        description=parameter.description,
-        read_only=True,
-        dynamic_typing=True,  # an integer is accepted where a real number is meant; the table checks types
-    )
-    if parameter.minimum is not None and parameter.maximum is not None:
-        descriptor.floating_point_range = [FloatingPointRange(from_value=parameter.minimum, to_value=parameter.maximum)]
-    return descriptor

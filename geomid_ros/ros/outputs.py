@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -38,17 +39,18 @@ def latched(depth: int = 1) -> QoSProfile:
 class Outputs:
     """Publishes inertias, predicted efforts, the identified URDF, markers and findings, from any thread."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, create: Callable[..., Publisher]) -> None:
+        """``create``: the method of the ``node`` that makes its publishers."""
         self._node = node
-        self._inertias = node.create_publisher(InertiaStamped, "~/inertias", latched(256))
-        self._predictions = node.create_publisher(JointState, "~/predicted_joint_states", 1000)
-        self._deviations = node.create_publisher(JointState, "~/predicted_efforts_std", 1000)
-        self._identified = node.create_publisher(String, "~/robot_description", latched())
-        self._ellipsoids = node.create_publisher(MarkerArray, "~/markers", latched())
-        self._findings = node.create_publisher(String, "~/gap", latched())
-        self._carried = node.create_publisher(InertiaStamped, "~/payload/inertia", latched())
+        self._inertias = create(InertiaStamped, "~/inertias", latched(256))
+        self._predictions = create(JointState, "~/predicted_joint_states", 1000)
+        self._deviations = create(JointState, "~/predicted_efforts_std", 1000)
+        self._identified = create(String, "~/robot_description", latched())
+        self._ellipsoids = create(MarkerArray, "~/markers", latched())
+        self._findings = create(String, "~/gap", latched())
+        self._carried = create(InertiaStamped, "~/payload/inertia", latched())
         self._link = ""  # that carried something last
-        self._payloads = node.create_publisher(String, "~/payload", latched())
+        self._payloads = create(String, "~/payload", latched())
 
     def prediction(self, session: Session, samples: Samples, estimate: Estimate) -> None:
         """Publish the efforts that an estimate predicts for samples, and how sure they are, if anybody subscribes."""

@@ -40,6 +40,7 @@ class Parameter:
         minimum, maximum: the closed range of a number.
         choices: the values of a text; empty for any.
         of_rows: whether rows depend on it: those of before serve as long as all of these are the same.
+        change: when a running node lets it change: never what names files, as others may be on the network.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Parameter:
     maximum: float | None = None
     choices: tuple[str, ...] = ()
     of_rows: bool = True
+    change: str = "without rows"
 
 
 # ROS cannot tell the type of an empty list: one empty string stands for it.
@@ -58,14 +60,17 @@ _ALIKE = ("urdf", "none")
 # Parameters that every node has, by the beginning of their names: not ours to check.
 _OF_ROS = ("use_sim_time", "qos_overrides.", "start_type_description_service")
 _beside_rows = partial(Parameter, of_rows=False)
+AT_START, AT_ANY_TIME = "at the start", "at any time"
+_of_start = partial(_beside_rows, change=AT_START)
+_of_solve = partial(_beside_rows, change=AT_ANY_TIME)
 _KINDS = {bool: "true or false", float: "a number", str: "a text"}
 
 GAIN = 0.03
 """Standard deviation of the efforts' common gain, relative, unless it is known: of torques from motor currents."""
 PARAMETERS = (
-    _beside_rows("robot_description", "", "URDF text; empty: taken from the topic robot_description"),
-    _beside_rows("model", "", "estimate.json of an earlier run to start from instead of the URDF's inertias"),
-    _beside_rows("prior", "", "population.json of the robot's type to start from instead of the URDF's inertias"),
+    _of_start("robot_description", "", "URDF text; empty: taken from the topic robot_description"),
+    _of_start("model", "", "estimate.json of an earlier run to start from instead of the URDF's inertias"),
+    _of_start("prior", "", "population.json of the robot's type to start from instead of the URDF's inertias"),
     _beside_rows(
         "alike",
         "urdf",
@@ -73,7 +78,7 @@ PARAMETERS = (
         choices=_ALIKE,
     ),
     Parameter("links", _NONE, "moving links to identify; empty: all with a mass"),
-    _beside_rows("known", _NONE, "weighed masses, as LINK=MASS:STD, LINK+LINK=MASS:STD or total=MASS:STD [kg]"),
+    _of_solve("known", _NONE, "weighed masses, as LINK=MASS:STD, LINK+LINK=MASS:STD or total=MASS:STD [kg]"),
     Parameter("effects", list(DEFAULT_EFFECTS), "effects identified at every joint and wrench sensor"),
     Parameter("candidates", list(DEFAULT_CANDIDATES), "effects added where the data need them"),
     Parameter("floating_base", False, "the base moves; its pose is read from the topic odom"),
@@ -113,14 +118,12 @@ PARAMETERS = (
     Parameter("filter.cutoff", 5.0, "cutoff of the zero-phase low-pass filter on all signals [Hz]", 0.05, 500.0),
     Parameter("filter.period", 0.0, "period of the time grid [s]; 0: that of the first joint messages", 0.0, 1.0),
     Parameter("filter.max_gap", 0.5, "a longer pause of a topic starts a new segment [s]", 0.001, 60.0),
-    _beside_rows(
+    _of_solve(
         "gamma", 0.0, "weight of the prior relative to the rows; 0: estimated from the data for each link", 0.0, 1e6
     ),
-    _beside_rows(
-        "objective", "residual", "objective: residual (Remark 3 of the paper) or geodesic (its equation (19))"
-    ),
-    _beside_rows("solver", "trust_region", "solver of the geodesic objective: trust_region or cyclic (the paper's)"),
-    _beside_rows(
+    _of_solve("objective", "residual", "objective: residual (Remark 3 of the paper) or geodesic (its equation (19))"),
+    _of_solve("solver", "trust_region", "solver of the geodesic objective: trust_region or cyclic (the paper's)"),
+    _of_solve(
         "sigma.*", 1.0, "standard deviation of a channel's noise [N m, N], if known (else from residuals)", 1e-9, 1e9
     ),
     Parameter(
@@ -134,7 +137,7 @@ PARAMETERS = (
     _beside_rows(
         "still_distance", 1e-2, "at standstill, smallest distance between two poses that are used [rad, m]", 0.0, 10.0
     ),
-    _beside_rows("solve_period", 1.0, "shortest time between estimates [s]", 0.001, 3600.0),
+    _of_solve("solve_period", 1.0, "shortest time between estimates [s]", 0.001, 3600.0),
     _beside_rows(
         "gap.memory", 120.0, "length of the message memory for ~/find_gap and ~/payload [s]; 0: none", 0.0, 3600.0
     ),
@@ -142,13 +145,17 @@ PARAMETERS = (
     _beside_rows(
         "payload.gain", GAIN, "relative standard deviation of the common effort gain; 0: calibrated sensors", 0.0, 0.99
     ),
-    _beside_rows("active", True, "use data from startup; otherwise wait for ~/start"),
-    _beside_rows("checkpoint.folder", "", "folder for checkpoints, used by this node alone; empty: no checkpoints"),
-    _beside_rows(
-        "checkpoint.period", 2.0, "time between checkpoints, about the data that a crash loses [s]", 0.1, 3600.0
+    _of_start("active", True, "use data from startup; otherwise wait for ~/start"),
+    _of_start(
+        "lifecycle",
+        "none",
+        "lifecycle node, which its manager configures and activates (managed), or which does so itself (autostart)",
+        choices=("none", "managed", "autostart"),
     ),
-    _beside_rows("dashboard", False, "show the node on a local page, as geomid dashboard does"),
-    _beside_rows("output_folder", "", "output folder of ~/save and of the shutdown; empty: the working directory"),
+    _of_start("checkpoint.folder", "", "folder for checkpoints, used by this node alone; empty: no checkpoints"),
+    _of_start("checkpoint.period", 2.0, "time between checkpoints, about the data that a crash loses [s]", 0.1, 3600.0),
+    _of_start("dashboard", False, "show the node on a local page, as geomid dashboard does"),
+    _of_start("output_folder", "", "output folder of ~/save and of the shutdown; empty: the working directory"),
 )
 _BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
 

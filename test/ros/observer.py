@@ -120,8 +120,11 @@ class Observer:
             response = self.call(Trigger, service, Trigger.Request())
         return response.success, response.message
 
-    def publish(self, messages: Iterable[Recorded], kinds: dict[str, Any], namespace: str = "") -> None:
-        """Publish recorded messages in quick succession, once everybody is there who is to hear them.
+    def publish(
+        self, messages: Iterable[Recorded], kinds: dict[str, Any], namespace: str = "", *, heard: bool = True
+    ) -> None:
+        """Publish recorded messages in quick succession, once everybody is there who is to hear them; or, unless they
+        are to be ``heard``, nobody.
 
         ``kinds`` are the classes of the topics' messages; topics that it does not have are left out.
         """
@@ -129,7 +132,9 @@ class Observer:
             if namespace + topic not in self._publishers:
                 self._publishers[namespace + topic] = self.node.create_publisher(kind, namespace + topic, plenty())
         chosen = [self._publishers[namespace + topic] for topic in kinds]
-        self.wait_for(lambda: all(p.get_subscription_count() for p in chosen), f"subscribers of {', '.join(kinds)}")
+        self.wait_for(
+            lambda: all(bool(p.get_subscription_count()) == heard for p in chosen), f"subscribers of {', '.join(kinds)}"
+        )
         self.spin(MATCHING)
         pace = self.pace()
         for item in messages:

@@ -49,17 +49,19 @@ def opened_by(observer: Observer, name: str, namespace: str) -> Opened:
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Opened]]:
-    """What nodes have opened: one that uses everything, one with an IMU in place of odometry, and one with the defaults
-    alone."""
+    """What nodes have opened: one that uses everything, one with an IMU in place of odometry, one with the defaults
+    alone, and a managed one."""
     with staged(tmp_path_factory.mktemp("interface")) as stage:
         stage.node(EVERYTHING)
         stage.node(WITH_IMU, "-r", "__ns:=/legged", name="legged/geomid")
         stage.node({}, "-r", "__ns:=/plain", name="plain/geomid")
+        stage.node({"lifecycle": "autostart"}, "-r", "__ns:=/managed", name="managed/geomid")
         stage.observer.spin(SETTLING)
         yield {
             "everything": opened_by(stage.observer, "geomid", "/"),
             "imu": opened_by(stage.observer, "geomid", "/legged"),
             "defaults": opened_by(stage.observer, "geomid", "/plain"),
+            "managed": opened_by(stage.observer, "geomid", "/managed"),
         }
 
 
@@ -156,4 +158,14 @@ class TestPolicy:
                 allowed[how] += [full(str(entry.text)) for entry in group]
         for how, names in allowed.items():
             with_imu = {full(IMU[0])} if how == "subscribe" else set()
-            assert sorted(names) == sorted({name for name, _ in seen["everything"][how]} | with_imu)
+            managed = {name.removeprefix("/managed") for name, _ in seen["managed"][how]}
+            assert sorted(names) == sorted({name for name, _ in seen["everything"][how]} | with_imu | managed)
+
+
+def test_a_managed_node_opens_what_the_page_says_besides(seen: dict[str, Opened]) -> None:
+    page = (ROOT / "docs/pages/use/node.md").read_text(encoding="utf-8")
+    for how, entries in seen["managed"].items():
+        own = {name.removeprefix("/managed/geomid/") for name, _ in entries if name.startswith("/managed/geomid/")}
+        own -= {name.removeprefix("/plain/geomid/") for name, _ in seen["defaults"][how]}
+        assert len(own) == {"subscribe": 0, "publish": 1, "reply": 5}[how]
+        assert all(f"`{name}`" in page for name in own)

@@ -1,24 +1,32 @@
-"""The node's parameters: checked at the start, described, and fixed from then on."""
+"""The node's parameters: checked at the start, described, and changed while it runs as far as they may be."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import rclpy
 from files.recordings import BAGS
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from numpy.typing import NDArray
+from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+from rclpy.parameter import Parameter as RosParameter
 from rclpy.signals import SignalHandlerOptions
+from signals.feeding import completed
 
 from geomid_ros.errors import InputError
 from geomid_ros.ros.node import GeomidNode
-from geomid_ros.session.configuration import PARAMETERS
+from geomid_ros.session.configuration import AT_START, PARAMETERS, Configuration
+from geomid_ros.session.session import Session
 
 from .processes import Process
-from .stage import Stage, description
+from .rig import FLAT_WRIST
+from .stage import KINDS, NO_CHOICE, WRIST, Stage, description, messages
 
+HALF = messages()[:800]
 ARM3 = description("arm3")
 SHIPPED = Path(__file__).parents[2] / "config/geomid.yaml"
 SINGLE = [parameter for parameter in PARAMETERS if "*" not in parameter.name]
@@ -61,7 +69,7 @@ def test_a_node_that_is_refused_is_gone_at_once(stage: Stage, monkeypatch: pytes
         raise InputError("refused")
 
     names = stage.observer.node.get_node_names
-    monkeypatch.setattr("geomid_ros.ros.node._read_parameters", refuse)
+    monkeypatch.setattr("geomid_ros.ros.node.read_parameters", refuse)
     rclpy.init(domain_id=stage.domain, signal_handler_options=SignalHandlerOptions.NO)
     try:
         with pytest.raises(InputError, match="refused") as kept:
@@ -114,7 +122,7 @@ def get(stage: Stage, names: list[str], namespace: str = "") -> list[ParameterVa
 
 
 def test_parameters_are_described(stage: Stage) -> None:
-    """Every one of the table, with its range; integers serve as real numbers; nothing changes later."""
+    """Every one of the table, with its range; integers serve as real numbers."""
     stage.node({"gamma": 1, "joint": {"joint1": {"effort_gain": 2}}, "sigma": {"joint1": 0.5}})
     listed = stage.observer.call(ListParameters, "/geomid/list_parameters", ListParameters.Request()).result.names
     names = [parameter.name for parameter in SINGLE]
@@ -123,7 +131,8 @@ def test_parameters_are_described(stage: Stage) -> None:
     answers = stage.observer.call(DescribeParameters, "/geomid/describe_parameters", request).descriptors
     for parameter, answer in zip(SINGLE, answers, strict=True):
         assert answer.description == parameter.description
-        assert answer.read_only
+        assert answer.read_only == (parameter.change == AT_START)
+        assert parameter.change in answer.additional_constraints
         ranges = [(entry.from_value, entry.to_value) for entry in answer.floating_point_range]
         assert ranges == ([] if parameter.minimum is None else [(parameter.minimum, parameter.maximum)])
     request = DescribeParameters.Request(names=["joint.joint1.effort_gain", "sigma.joint1"])
@@ -131,11 +140,77 @@ def test_parameters_are_described(stage: Stage) -> None:
     assert [bool(answer.description and answer.floating_point_range) for answer in answers] == [True, True]
     (gamma,) = get(stage, ["gamma"])
     assert gamma.integer_value == 1
-    value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=0.5)
-    request = SetParameters.Request(parameters=[Parameter(name="gamma", value=value)])
+
+
+def change(stage: Stage, name: str, value: str | float | bool | list[str]) -> str:
+    """Set a parameter; empty, or why it is refused."""
+    parameter = RosParameter(name, value=value).to_parameter_msg()
+    request = SetParameters.Request(parameters=[parameter])
     (result,) = stage.observer.call(SetParameters, "/geomid/set_parameters", request).results
-    assert not result.successful
-    assert "read-only" in result.reason
+    assert result.successful == (not result.reason)
+    return str(result.reason)
+
+
+def saved_masses(stage: Stage, out: Path) -> NDArray[np.float64]:
+    success, message = stage.observer.trigger("/geomid/save")
+    assert success, message
+    return np.array([link["mass"] for link in json.loads((out / "estimate.json").read_text())["links"]])
+
+
+@pytest.fixture
+def out(stage: Stage, tmp_path: Path) -> Path:
+    """Folder of a node that has taken half of a recording."""
+    folder = tmp_path / "out"
+    stage.node({**WRIST, **NO_CHOICE, "robot_description": ARM3, "output_folder": str(folder), "gamma": 0.01})
+    stage.observer.publish(HALF, KINDS)
+    stage.fed({"joint_states": len(HALF) // 2})
+    return folder
+
+
+def test_the_weight_of_the_prior_changes_while_the_node_runs(stage: Stage, out: Path) -> None:
+    """From the same rows: with much weight the estimate is the URDF, and back it is what it was."""
+    nominal = Session(ARM3, Configuration({"wrenches": ["wrist"], **FLAT_WRIST}), "arm3").model.nominal_inertias[::10]
+    before = saved_masses(stage, out)
+    assert np.max(np.abs(before / nominal - 1.0)) > 0.05
+    assert "expected a number from 0" in change(stage, "gamma", -1) or "range" in change(stage, "gamma", -1.0)
+    assert "nowhere" in change(stage, "known", ["nowhere=1:0.1"])
+    assert change(stage, "gamma", 1e6) == ""
+    np.testing.assert_allclose(saved_masses(stage, out), nominal, rtol=1e-2)
+    assert "gamma is now 1000000.0, and was 0.01" in stage.processes[0].output
+    assert change(stage, "gamma", 0.01) == ""
+    np.testing.assert_allclose(saved_masses(stage, out), before, rtol=1e-6)
+
+
+def test_what_rows_depend_on_changes_after_stop_and_reset(stage: Stage, out: Path) -> None:
+    """Until then, and for what never changes, the reason says that it is read-only. What does not fit the robot changes
+    nothing."""
+    for name, value in (("filter.cutoff", 2.0), ("effort_gain", 2.0), ("floating_base", True)):
+        reason = change(stage, name, value)
+        assert "read-only" in reason
+        assert "~/reset" in reason
+    assert "read-only" in change(stage, "dashboard", value=True)
+    assert stage.observer.trigger("/geomid/stop")[0]
+    assert "read-only" in change(stage, "effort_gain", 2.0), "there are rows"
+    assert stage.observer.trigger("/geomid/reset")[0]
+    stage.observer.diagnostics(lambda values, _: values["rows made"] == "0", "no rows")
+    assert "unknown link 'hand'" in change(stage, "wrench.wrist.frame", "hand")
+    assert get(stage, ["wrench.wrist.frame"])[0].string_value == "wrist_ft"
+    assert change(stage, "effort_gain", 2.0) == ""
+    assert stage.observer.trigger("/geomid/start")[0]
+    stage.observer.publish(HALF, KINDS)
+    stage.fed({"joint_states": len(HALF)})
+    success, message = stage.observer.trigger("/geomid/save")
+    assert success, message
+    configuration = Configuration(
+        {"effort_gain": 2.0, "gamma": 0.01, "candidates": [], "wrenches": ["wrist"], **FLAT_WRIST}
+    )
+    twin = Session(ARM3, configuration, "arm3")
+    for samples in completed(twin.pipeline, (item.parsed for item in HALF)):
+        twin.identifier.add(samples)
+    document = json.loads((out / "estimate.json").read_text())
+    assert document["rows"]["accepted"] == twin.identifier.rows
+    masses = [link["mass"] for link in document["links"]]
+    np.testing.assert_allclose(masses, [link.mass for link in twin.identifier.solve().links], rtol=1e-6)
 
 
 def test_the_shipped_file(stage: Stage) -> None:
