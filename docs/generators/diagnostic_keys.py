@@ -120,17 +120,12 @@ def _everything() -> Status:
 
 
 def _estimate() -> Estimate:
-    zeros, one = np.zeros(3), np.ones(1)
+    one = np.ones(1)
     link = LinkEstimate(
         name="LINK",
         merged=(),
-        mass=1.0,
-        com=zeros,
-        inertia=np.eye(3),
-        std_mass=0.0,
-        std_com=zeros,
-        std_inertia=np.eye(3),
         parameters=np.ones(10),
+        std=np.zeros(10),
         distance_from_prior=0.0,
         from_data=0.0,
         min_eigenvalue_ratio=1.0,
