@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -74,11 +74,11 @@ class CoupledPrior(ABC):
 
     def problem_at(self, point: Point, weights: Mapping[str, float]) -> Problem:
         """The problem with the prior's rows, linearised at a point of its manifold, for these weights of the blocks."""
-        tangent, root, known = self.tangent(point), self.root(weights), self.problem.known
+        tangent, root = self.tangent(point), self.root(weights)
         rows = np.zeros((len(root), self.problem.model.dimension))
         rows[:, self.columns] = np.linalg.solve(self._derivative(tangent).T, root.T).T
         targets = rows @ point.parameters - root @ tangent
-        return replace(self.problem, known=known.plus(WeighedRows(rows, targets)))
+        return self.problem.beside(WeighedRows(rows, targets))
 
     def _derivative(self, tangent: FloatArray) -> FloatArray:
         return self.manifold.exp_derivative(self.mean, tangent)

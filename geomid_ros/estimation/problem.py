@@ -55,10 +55,10 @@ class Problem:
     independent: float
     given_spreads: FloatArray | None = None
 
-    def beside(self, rows: FloatArray) -> Problem:
-        """The problem with rows ``(r, D)`` more that are known to be zero, with standard deviation 1."""
-        other = replace(self, known=self.known.plus(WeighedRows(rows, np.zeros(len(rows)))))
-        vars(other).update({name: vars(self)[name] for name in _OF_ROWS if name in vars(self)})
+    def beside(self, known: WeighedRows) -> Problem:
+        """The problem with more known rows; what else follows from its own rows is computed once for both."""
+        other = replace(self, known=self.known.plus(known))
+        vars(other).update({name: getattr(self, name) for name in _OF_ROWS})
         return other
 
     @cached_property
