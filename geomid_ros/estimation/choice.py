@@ -84,8 +84,7 @@ def _shaped(fit: _Fit, joints: Collection[int]) -> _Fit:
     for mechanism in rows.always:
         if not set(joints).intersection(joints_of(mechanism[1])):
             continue
-        shapes = [column for column in rows.columns if rows.mechanism(column) == mechanism]
-        fit = _best_shape(fit, sorted(shapes, key=lambda column: [*vars(rows.coefficient(column).effect).values()]))
+        fit = _best_shape(fit, rows.shapes[mechanism])
     return rows.fit(fit.every, fit)
 
 
@@ -171,6 +170,16 @@ class _Rows:
     def always(self) -> list[Mechanism]:
         """What is never left out."""
         return [self.mechanism(column) for column in self.standing if column >= self.first]
+
+    @cached_property
+    def shapes(self) -> dict[Mechanism, list[int]]:
+        """The columns of what there is once, in the order of its constant."""
+        found: dict[Mechanism, list[int]] = {}
+        for column in self.columns:
+            found.setdefault(self.mechanism(column), []).append(column)
+        for own in found.values():
+            own.sort(key=lambda column: [*vars(self.coefficient(column).effect).values()])
+        return found
 
     @cached_property
     def optional(self) -> list[int]:

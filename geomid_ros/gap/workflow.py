@@ -219,8 +219,7 @@ def _check(model: MeasurementModel, records: Records) -> None:
             f"too short: {len(records.samples) if records.dense else 0} independent instants at the filter's cutoff, "
             f"at least {_FEWEST_ROWS} are needed; record half a minute of motion"
         )
-    targets = model.rows(records.samples).targets
-    if not np.any(np.isfinite(targets)):
+    if not any(np.any(np.isfinite(model.rows(piece).targets)) for piece in records.samples.in_pieces()):
         names = ", ".join(channel.name for channel in model.channels)
         raise InputError(f"no effort or wrench is measured: at least one of these channels is needed: {names}")
     if np.all(records.samples.column(REST) > 0.5):

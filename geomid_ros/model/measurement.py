@@ -220,6 +220,7 @@ class MeasurementModel:
         """How many of the effects' coefficients are positive; they come first."""
         self.dimension = 10 * len(self.identified) + len(self.coefficients)
         """D, the number of parameters."""
+        self._reach = [self._reached(c.place) for c in self.coefficients]
         self.channels = (*self._joint_channels(), *self._wrench_channels(), *self._base_channels())
 
     @property
@@ -256,7 +257,7 @@ class MeasurementModel:
         """The parameters that a channel depends on: those of these bodies, and of the effects that reach it."""
         columns = [10 * place + k for place, body in enumerate(self.identified) if body in bodies for k in range(10)]
         first = 10 * len(self.identified)
-        columns += [first + k for k, c in enumerate(self.coefficients) if channel in self._reached(c.place)]
+        columns += [first + k for k, reached in enumerate(self._reach) if channel in reached]
         return np.array(columns, dtype=np.int64)
 
     def _joint_channels(self) -> list[Channel]:

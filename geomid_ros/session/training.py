@@ -27,8 +27,9 @@ class Training:
 
     def add(self, samples: Samples) -> None:
         """Give it samples."""
-        _, rows, _ = self._session.identifier.add(samples)
-        self._guard.take(rows)
+        for piece in samples.in_pieces():
+            _, rows, _ = self._session.identifier.add(piece)
+            self._guard.take(rows)
 
     def end(self) -> None:
         """Let the session's findings name the sensors that are not as declared."""
