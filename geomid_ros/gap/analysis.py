@@ -11,7 +11,7 @@ import numpy as np
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.candidates import CLEARLY, Candidate, EffectTerm, NamesFit, NamesPrior, NamesSearch
 from geomid_ros.gap.evidence.features import StandingRemainder
-from geomid_ros.gap.evidence.linearised_problem import Columns, LinearisedProblem, total_model
+from geomid_ros.gap.evidence.linearised_problem import Columns, LinearisedProblem, mean_of, total_model
 from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
 from geomid_ros.gap.evidence.record import Records, TotalModel
 from geomid_ros.gap.result import SURE
@@ -76,28 +76,24 @@ def analyse(
 
 def standing_remainder(model: MeasurementModel, records: Records, prior: NamesPrior) -> StandingRemainder:
     """What the model that the ``prior`` describes lacks on records, its parameters as they are: at channels that have
-    fewer rows than features, that is not known."""
+    fewer rows than features in some noise, that is not known."""
     given = unfitted(prior)
     noise = (Autoregression.white(),) * len(model.channels)
     problem = LinearisedProblem(model, records, total_model(model, given))
-    columns = problem.columns((), prior.terms)
+    residual = problem.residual(problem.columns((), prior.terms), given)
+    told, near = problem.features, None
     for _ in range(_WHITENINGS):
-        design = given.settled(problem.design(columns, noise))
-        left = problem.residual(columns, given) - problem.remainder(design, given)
+        told = problem.told(told)
+        near, lacks = problem.lacks(residual, told, noise, near)
+        left = residual - mean_of(told, lacks)
         noise = _noise(left, problem.valid, records)
         problem = problem.with_floor(_typical_size(left, problem.valid))
-    lacks = given.remainders(design)
-    sizes = [len(lack.coefficients) for lack in lacks]
-    told = [size if rows > size else 0 for size, rows in zip(sizes, design.counts, strict=True)]
     return StandingRemainder(
         joints=tuple(model.robot.joint_names),
         channels=tuple(channel.name for channel in model.channels),
         basis=problem.basis,
-        means=tuple(lack.coefficients[:size] for lack, size in zip(lacks, told, strict=True)),
-        triangles=tuple(
-            np.asarray(np.linalg.qr(lack.triangle[:size, :size], mode="r"))
-            for lack, size in zip(lacks, told, strict=True)
-        ),
+        means=tuple(lack.coefficients for lack in lacks),
+        triangles=tuple(np.asarray(np.linalg.qr(lack.triangle, mode="r")) for lack in lacks),
     )
 
 

@@ -199,13 +199,16 @@ class Design:
         parameters: FloatArray,
         named: FloatArray,
         among: Collection[int] | None = None,
+        near: Sequence[FloatArray] | None = None,
     ) -> Design:
         """Beside the remainder that is most likely for these ``parameters (D,)`` of the columns of :meth:`gather`, and
-        what is ``named (C,)`` in each channel, see :meth:`Remainder.settled`; of all channels unless ``among`` some."""
+        what is ``named (C,)`` in each channel, see :meth:`Remainder.settled`; of all channels unless ``among`` some.
+        Where each channel's variances are ``near`` those given, the search begins there alone."""
         among, variances = range(len(self.channels)) if among is None else list(among), list(self.variances)
         left = self._residuals(bodies, terms, parameters, among)
         for place, own in zip(among, left, strict=True):
-            variances[place] = self.channels[place].remainder.settled(*own, float(named[place]))
+            begun = None if near is None else near[place]
+            variances[place] = self.channels[place].remainder.settled(*own, float(named[place]), begun)
         return self.given(variances)
 
     def remainders(self, bodies: Sequence[int], terms: Sequence[Any], parameters: FloatArray) -> list[Lack]:

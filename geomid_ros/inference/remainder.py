@@ -88,9 +88,9 @@ class Remainder:
         relative = variances / USUAL
         return volume + float(np.sum(np.log(relative) + 1.0 / relative - 1.0))
 
-    def settled(self, vector: FloatArray, square: float, named: float) -> FloatArray:
+    def settled(self, vector: FloatArray, square: float, named: float, near: FloatArray | None = None) -> FloatArray:
         """The variances ``(blocks,)`` that are most likely for a residual ``vector`` of the columns ``(K,)`` with this
-        sum of squares, by MacKay's fixed point from several starts.
+        sum of squares, by MacKay's fixed point from several starts, or from those ``near`` it ``(blocks,)``.
 
         Beside other recordings what is lacking does not change but as much as usual, and by a share of what is
         ``named``, a mean square in units of the noise's variance: no name acts exactly as its columns say.
@@ -100,7 +100,8 @@ class Remainder:
         if not len(self.block) or not square > 0.0:
             return self.usual
         residual = self.crossed @ vector
-        found = [self._from(*start, residual, square) for start in self._starts]
+        starts = self._starts if near is None else [(near, self.whitener(near))]
+        found = [self._from(*start, residual, square) for start in starts]
         return min(found, key=lambda own: own[0])[1]
 
     @cached_property

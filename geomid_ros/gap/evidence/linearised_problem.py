@@ -12,7 +12,7 @@ from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesFit
 from geomid_ros.gap.evidence.features import Basis, Features, StandingRemainder, features
 from geomid_ros.gap.evidence.noise import Autoregression, runs_of
 from geomid_ros.gap.evidence.record import Records, TotalModel
-from geomid_ros.inference.design import ChannelRows, Design
+from geomid_ros.inference.design import ChannelRows, Design, Lack
 from geomid_ros.model.effects import Effect, MotionEffect, Place, SensorEffect, Situation, SituationEffect, joints_of
 from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.types import BoolArray, FloatArray
@@ -79,7 +79,9 @@ class LinearisedProblem:
         for effect, place, coefficients in self.total.absorbed:
             column = effect.columns(self.situation, place) @ coefficients
             targets += column if effect.scales_measurement else column * self._scales
-        return Rows(rows.coefficients * self._scales[:, None], targets)
+        coefficients = rows.coefficients
+        coefficients *= self._scales[:, None]
+        return Rows(coefficients, targets)
 
     @cached_property
     def valid(self) -> BoolArray:
@@ -134,6 +136,26 @@ class LinearisedProblem:
         """Whitened rows."""
         return design_of(self.rows, self.valid, columns, self.features, noise, self.records)
 
+    def told(self, features: Sequence[Features]) -> list[Features]:
+        """The ``features``, none of a channel that has no more rows than these."""
+        nothing = Features(np.zeros((len(self.valid), 0)), np.zeros(0, dtype=np.intp), ())
+        pairs = zip(features, np.sum(self.valid, axis=0), strict=True)
+        return [own if rows > len(own.block) else nothing for own, rows in pairs]
+
+    def lacks(
+        self,
+        residual: FloatArray,
+        features: Sequence[Features],
+        noise: Sequence[Autoregression],
+        near: Sequence[FloatArray] | None,
+    ) -> tuple[Sequence[FloatArray], list[Lack]]:
+        """The variances of the most likely remainder of a ``residual (N, C)``, see :meth:`Design.settled`, and what it
+        is."""
+        rows = Rows(np.zeros((*residual.shape, 0)), residual)
+        design, nothing = design_of(rows, self.valid, {}, features, noise, self.records), np.zeros(0)
+        design = design.settled((), (), nothing, np.zeros(len(noise)), near=near)
+        return design.variances, design.remainders((), (), nothing)
+
     def design_alone(self, columns: Columns) -> Design:
         """Rows as they are: beside no remainder, in white noise."""
         channels = len(self.model.channels)
@@ -163,8 +185,7 @@ class LinearisedProblem:
 
     def remainder(self, design: Design, found: NamesFit) -> FloatArray:
         """The mean of what the model lacks ``(N, C)``, of the whitened rows of a ``design``."""
-        lacks = zip(self.features, found.remainders(design), strict=True)
-        return np.stack([own.known + own.columns @ lack.coefficients for own, lack in lacks], axis=1)
+        return mean_of(self.features, found.remainders(design))
 
     def variance(self, columns: Columns, found: NamesFit) -> FloatArray:
         """Of the prediction ``(N, C)``, from the uncertainty of what was fitted."""
@@ -192,6 +213,12 @@ def term_columns(
             found[term] = model.columns_of(records.samples, term.effect, term.place, term.index)
     model.eliminate_ground(records.samples, found.values())
     return found
+
+
+def mean_of(features: Sequence[Features], lacks: Sequence[Lack]) -> FloatArray:
+    """The mean of what a model lacks ``(N, C)``."""
+    pairs = zip(features, lacks, strict=True)
+    return np.stack([own.known + own.columns @ lack.coefficients for own, lack in pairs], axis=1)
 
 
 def design_of(
