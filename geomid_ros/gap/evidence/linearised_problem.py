@@ -148,13 +148,18 @@ class LinearisedProblem:
         features: Sequence[Features],
         noise: Sequence[Autoregression],
         near: Sequence[FloatArray] | None,
-    ) -> tuple[Sequence[FloatArray], list[Lack]]:
-        """The variances of the most likely remainder of a ``residual (N, C)``, see :meth:`Design.settled`, and what it
-        is."""
-        rows = Rows(np.zeros((*residual.shape, 0)), residual)
-        design, nothing = design_of(rows, self.valid, {}, features, noise, self.records), np.zeros(0)
-        design = design.settled((), (), nothing, np.zeros(len(noise)), near=near)
-        return design.variances, design.remainders((), (), nothing)
+    ) -> tuple[list[FloatArray], list[Lack]]:
+        """Of each channel the variances of the most likely remainder of a ``residual (N, C)``, see
+        :meth:`Design.settled`, and what it is."""
+        variances, lacks, nothing = list[FloatArray](), list[Lack](), np.zeros(0)
+        for channel in range(len(noise)):  # one by one, as each takes much memory
+            own = slice(channel, channel + 1)
+            rows = Rows(np.zeros((len(residual), 1, 0)), residual[:, own])
+            design = design_of(rows, self.valid[:, own], {}, features[own], noise[own], self.records)
+            design = design.settled((), (), nothing, np.zeros(1), near=None if near is None else near[own])
+            variances += design.variances
+            lacks += design.remainders((), (), nothing)
+        return variances, lacks
 
     def design_alone(self, columns: Columns) -> Design:
         """Rows as they are: beside no remainder, in white noise."""
