@@ -70,6 +70,17 @@ def test_its_covariance_says_how_far_it_is_off() -> None:
         assert np.all(np.abs(mean) < 4.0 * np.linalg.norm(triangle, axis=0))
 
 
+def test_of_channels_with_fewer_rows_than_features_nothing_is_known() -> None:
+    own = recorded(1)
+    few = own.effort.copy()
+    few[len(own) // 8 :, JOINT] = np.nan
+    records = Records.make([replace(own, effort=few)], planted.CUTOFF)
+    found = standing_remainder(MODEL, records, planted.prior(LINKS))
+    known = standing()
+    for channel, (mean, triangle) in enumerate(zip(found.means, found.triangles, strict=True)):
+        assert len(mean) == len(triangle) == (0 if channel == JOINT else len(known.means[channel]))
+
+
 def named(known: StandingRemainder | None, recording: Sequence[Samples]) -> dict[tuple[str, str], float]:
     found = find_gap(MODEL, recording, (), nominal=LINKS.ravel(), standing=known)
     return {(finding.effect, finding.joint): finding.loss for finding in found.findings}
