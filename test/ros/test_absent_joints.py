@@ -51,6 +51,7 @@ def node() -> Iterator[tuple[Supervisor, list[str]]]:
         log,
         on_samples=lambda *_: None,
         on_estimate=lambda *_: None,
+        on_payload=lambda *_: None,
         solving=None,
     )
     supervisor.build(with_gripper(), "test")

@@ -256,7 +256,15 @@ def test_92_hangs_are_forgotten_after_an_hour(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(Activity, "current", ("solving", 1e6))
     ignored: Any = None
     solving: Any = Hanging()
-    watched = Supervisor(Configuration({}), Ledger(), Lines(), on_samples=ignored, on_estimate=ignored, solving=solving)
+    watched = Supervisor(
+        Configuration({}),
+        Ledger(),
+        Lines(),
+        on_samples=ignored,
+        on_estimate=ignored,
+        on_payload=ignored,
+        solving=solving,
+    )
     idle, solver = SimpleNamespace(current=("", 0.0)), SimpleNamespace(activity=Activity())
     worker: Any = SimpleNamespace(activity=idle, solver=solver)
     watched.worker = worker
@@ -289,7 +297,15 @@ def test_92_what_goes_on_after_a_hang_has_its_own_time(monkeypatch: pytest.Monke
     monkeypatch.setattr(supervisor, "time", threads.time)
     ignored: Any = None
     solving: Any = Hanging()
-    watched = Supervisor(Configuration({}), Ledger(), Lines(), on_samples=ignored, on_estimate=ignored, solving=solving)
+    watched = Supervisor(
+        Configuration({}),
+        Ledger(),
+        Lines(),
+        on_samples=ignored,
+        on_estimate=ignored,
+        on_payload=ignored,
+        solving=solving,
+    )
     solver = SimpleNamespace(activity=Activity())
     worker: Any = SimpleNamespace(activity=Activity(), solver=solver)
     watched.worker = worker

@@ -106,7 +106,13 @@ def test_recordings_are_judged_there_and_alike(solving: SolvingProcess, monkeypa
     (expected,) = alone.findings
     assert "effort_gain: 1.0" in expected.sentence
     supervisor = Supervisor(
-        Configuration(faulty), Ledger(), logging.getLogger(), on_samples=ignored, on_estimate=ignored, solving=solving
+        Configuration(faulty),
+        Ledger(),
+        logging.getLogger(),
+        on_samples=ignored,
+        on_estimate=ignored,
+        on_payload=ignored,
+        solving=solving,
     )
     supervisor.build(read_urdf(BAGS / "arm3.urdf"), "arm3.urdf")
     assert supervisor.worker is not None
