@@ -72,10 +72,11 @@ class Fit:
         problem = self.problem
         rough = _rough(problem, self.sigmas, self.spreads)
         found = rough.evaluate(self.point)
-        _, volume = np.linalg.slogdet(problem.independent * (found.information + np.diag(rough.prior_weights)))
+        prior = problem.independent * rough.prior_weights
+        _, volume = np.linalg.slogdet(problem.independent * found.information + np.diag(prior))
         likelihood = 2.0 * problem.independent * (found.value + float(problem.counts @ np.log(self.sigmas)))
-        widths = 2.0 * float(np.sum(np.log(self.assumed_spreads)))
-        return likelihood + float(volume) + widths + cost_of_spreads(self.spreads, problem.usual)
+        widths = float(np.sum(np.log(prior)))
+        return likelihood + float(volume) - widths + cost_of_spreads(self.spreads, problem.usual)
 
 
 def fit(

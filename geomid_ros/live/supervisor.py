@@ -104,6 +104,7 @@ class Supervisor:
             session.judge_with(self._solving.remote(JudgementTask.judge))
         if self.worker is not None:
             self.worker.close()
+            self._on_payload(None)
         self._restore(session)
         period = self._configuration["solve_period"]
         self.worker = Worker(session, period, self._on_samples, self._on_estimate, self._on_payload)

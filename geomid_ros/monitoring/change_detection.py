@@ -136,8 +136,9 @@ class ChangeDetector:
         noise = [channel.noise for channel in self._channels]
         if self.payload.judge(*part, noise, share):
             self._disturbed = True
+            began = part.first if self.payload.carried is None else self.payload.carried.first
             for channel in self._channels:
-                channel.clear_suspicion()
+                channel.clear_suspicion(began - LATE)
 
     def _judge_channels(self) -> None:
         first, stamps, rows = _Block.joined(self._parts)
@@ -236,9 +237,10 @@ class _Cusum:
         level, shape = self._normal if self.ready else _Normal(0.0, 0.0)
         return Noise(level, 2.0 * shape / BLOCK) if level > 0.0 else Noise()
 
-    def clear_suspicion(self) -> None:
-        """Close a gap, and forget rows that are not known to be normal: something else explains them."""
-        self._open, self._evidence = False, 0.0
+    def clear_suspicion(self, began: int) -> None:
+        """Close a gap that opened at the instant of number ``began`` or later, and forget rows that are not known to be
+        normal: something else explains them."""
+        self._open, self._evidence = self._open and self._first < began, 0.0
         self._suspect.clear()
         self._ratios.clear()
 

@@ -206,6 +206,7 @@ class PayloadWatch:
         self._recent: deque[tuple[_Block, FloatArray | None]] = deque()  # with the body that was known before
         self._loaded: _Block | None = None  # the sum since the body is carried
         self._noise: Sequence[Noise] = ()
+        self._share = 1.0  # of what was learned, by what came since without a body
         self.carried: Carried | None = None
         """The body; None if there is none."""
 
@@ -221,6 +222,7 @@ class PayloadWatch:
         """
         if self.carried is None:
             self._noise = noise
+            self._share *= share
         pairs = [
             baseline.products(rows.coefficients[:, index], rows.targets[:, index])
             for index, baseline in enumerate(self._baselines)
@@ -234,11 +236,12 @@ class PayloadWatch:
         if len(self._recent) == 2 * _WINDOW:
             oldest = _sum([self._recent.popleft()[0] for _ in range(_WINDOW)])
             if self._loaded is None:
-                self._learn(oldest, share)
+                self._learn(oldest)
         return changed
 
-    def _learn(self, block: _Block, share: float) -> None:
+    def _learn(self, block: _Block) -> None:
         """Take rows of the robot without a body, and shift the errors of those that are still recent."""
+        share, self._share = self._share, 1.0
         for place, baseline in enumerate(self._baselines):
             step = np.append(baseline.learn(block.products[place], share), -1.0)
             for later, _ in self._recent:
@@ -292,7 +295,7 @@ class PayloadWatch:
         before = [block for block, _ in self._recent if block.first < tail.first]
         self._recent = deque((b, fit.point.parameters) for b, _ in self._recent if b.first >= tail.first)
         if before[:-1]:  # the last one may have felt it
-            self._learn(_sum(before[:-1]), 1.0)
+            self._learn(_sum(before[:-1]))
         self._note(_sum([block for block, _ in self._recent]), fit)
 
     def _follow(self, loaded: _Block, body: FloatArray) -> None:

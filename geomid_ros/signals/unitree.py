@@ -55,11 +55,11 @@ class UnitreeMessages:
     @cached_property
     def _gains(self) -> FloatArray:
         """kp and kd ``(2, motors)``, NaN where there are none. Raises InputError for motors that no robot has."""
-        missing = [joint for joint in self.joints if joint not in self.motors]
-        if missing or len(self.motors) > _MOTORS:
+        wrong = [joint for joint in self.joints if self.motors.count(joint) != 1]
+        if wrong or len(self.motors) > _MOTORS:
             raise InputError(
                 f"{self.source}: motors: expected up to {_MOTORS} joints in the order of {LOW_STATE}, with "
-                f"'{(missing or self.joints)[0]}' among them, as in config/quadruped.yaml; there are: "
+                f"'{(wrong or self.joints)[0]}' once among them, as in config/quadruped.yaml; there are: "
                 f"{', '.join(self.motors) or 'none'}"
             )
         gains = np.full((2, len(self.motors)), np.nan)
@@ -86,7 +86,7 @@ class UnitreeMessages:
             if kind in _SIZES:
                 try:
                     found = self.translated(kind, time, data)
-                except ValueError as error:
+                except (ValueError, struct.error) as error:  # a time that no stamp can be
                     refuse(place, str(error))
             own = [(name, found[name]) for name in names[topic] if name in found]
             origins += [place] * len(own)

@@ -16,7 +16,7 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import ALARM, ChangeDetector, ChannelGap
-from geomid_ros.monitoring.payload_watch import Carried, PayloadWatch
+from geomid_ros.monitoring.payload_watch import Carried, Noise, PayloadWatch
 
 RATE = 50.0  # [Hz]
 BEFORE, AFTER, END = 50.0, 65.0, 80.0  # [s]
@@ -124,6 +124,45 @@ def test_friction_of_a_joint_is_no_payload(joint: int) -> None:
     states = arm.watched(arm.measured(replace(arm.truth, effects=effects)))
     assert all(state.carried is None for state in states)
     assert any(state.open for state in states)
+
+
+def test_a_gap_that_was_open_before_stays_open_since_then() -> None:
+    arm, joint, since = Arm(), 1, 25.0
+    effects = {name: value.copy() for name, value in arm.truth.effects.items()}
+    effects["coulomb_friction"][joint] *= 3.0
+    rough = replace(arm.truth, effects=effects)
+    times = np.arange(len(arm.moving)) / RATE
+    measured = arm.measured(replace(arm.loaded, effects=effects))
+    alone = (times >= since) & ((times < BEFORE) | (times >= AFTER))
+    more = efforts(arm.robot, rough, arm.moving) - efforts(arm.robot, arm.truth, arm.moving)
+    states = arm.watched(replace(measured, effort=measured.effort + more * alone[:, None]))
+    assert any(state.carried is not None for state in states)
+    opened = [state.gaps[joint].since for state in states if state.time > since + 5.0]
+    assert None not in opened
+    np.testing.assert_allclose(1e-9 * np.array(opened, dtype=float), since, atol=2.0)
+
+
+def test_what_was_learned_of_the_robot_is_forgotten_as_time_goes_by() -> None:
+    arm = Arm()
+    measured, share = arm.measured(arm.truth), 0.9
+    rows = arm.model.rows(measured)
+    last = len(arm.robot.bodies) - 1
+    watch = PayloadWatch(
+        arm.model.channels,
+        "tool",
+        slice(10 * last, 10 * last + 10),
+        10 * last + 10,
+        usual=usual_payload(arm.model.nominal_inertias.reshape(-1, 10), last),
+        gain=0.0,
+        spread=SPREAD_OF_PAYLOADS,
+        surprise=ALARM,
+    )
+    same = replace(rows, **{name: values[:10] for name, values in vars(rows).items()})
+    learned = []
+    for block in range(60):
+        watch.judge(10 * block, measured.stamps[:10], same, [Noise()] * 3, share)
+        learned.append(watch._baselines[0].information.copy())
+    np.testing.assert_allclose(learned[59], (1.0 + share**20) * learned[39], rtol=1e-9)
 
 
 def test_what_is_carried_is_not_learned_from() -> None:

@@ -61,13 +61,22 @@ def test_a_command_before_any_state_is_left_out() -> None:
     assert messages().translated(LOW_CMD, TIME, low_cmd([np.zeros(5)])) == {}
 
 
-@pytest.mark.parametrize("motors", [[], ["knee"], [*JOINTS, *map(str, range(20))]])
+@pytest.mark.parametrize("motors", [[], ["knee"], [*JOINTS, *JOINTS], [*JOINTS, *map(str, range(20))]])
 def test_motors_that_no_robot_has_are_refused(motors: list[str]) -> None:
     own = UnitreeMessages(motors, JOINTS, None, "go2.yaml")
-    with pytest.raises(InputError, match=r"go2\.yaml: motors: expected .* 'a much longer hip' among them"):
+    with pytest.raises(InputError, match=r"go2\.yaml: motors: expected .* 'a much longer hip' once among them"):
         own.translated(LOW_STATE, TIME, low_state(STATE, GYROSCOPE, ACCELEROMETER))
 
 
 def test_bytes_of_another_form_are_refused() -> None:
     with pytest.raises(ValueError, match="1179 bytes, expected 1180"):
         messages().translated(LOW_STATE, TIME, low_state(STATE, GYROSCOPE, ACCELEROMETER)[:-1])
+
+
+def test_a_time_that_no_stamp_can_be_costs_the_message() -> None:
+    data = low_state(STATE, GYROSCOPE, ACCELEROMETER)
+    refused: list[int] = []
+    batch = [("/lowstate", time, LOW_STATE, data) for time in (TIME, 2**63)]
+    origins, raw = messages().read(batch, {"/lowstate": [JOINT_STATES]}, lambda place, _: refused.append(place))
+    assert (refused, origins[0]) == ([1], 0)
+    assert read(JOINT_STATES, raw[0][1]).stamp == TIME
