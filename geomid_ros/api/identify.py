@@ -16,8 +16,9 @@ import numpy as np
 from geomid_ros.api.options import PathLike, Paths, RecordingKeywords, RecordingOptions, Texts, entries
 from geomid_ros.checks.verdict import DOUBTFUL, Verdict
 from geomid_ros.errors import GeomidError, unknown_name
-from geomid_ros.estimation.estimate import SURE, EffectEstimate, Estimate, LinkEstimate
+from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
 from geomid_ros.estimation.suggested_motions import suggested_motions
+from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.exports.handover import HandedOver, JudgedFile
 from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.effect_forms import unsaid

@@ -17,7 +17,7 @@ from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.evidence import LEAST_SIGMA, Evidence
 from geomid_ros.checks.instants import FEWEST
 from geomid_ros.checks.subject import Subject
-from geomid_ros.estimation.estimate import SURE
+from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.inference.probability import shares
 from geomid_ros.types import FloatArray, IntArray
 

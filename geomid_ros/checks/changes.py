@@ -20,7 +20,7 @@ from geomid_ros.checks.flexible import Gain, by_channel
 from geomid_ros.checks.instants import FEWEST, elapsed
 from geomid_ros.checks.rows import payload_factor
 from geomid_ros.checks.subject import STRETCHES, Subject
-from geomid_ros.estimation.estimate import SURE
+from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.types import BoolArray, FloatArray
 
 _PLACES = np.linspace(0.0, 1.0, STRETCHES, endpoint=False)[1:]  # from which on something may be another

@@ -13,7 +13,8 @@ from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.evidence import LEAST_SIGMA
 from geomid_ros.checks.instants import FEWEST
 from geomid_ros.checks.subject import Subject
-from geomid_ros.estimation.estimate import SURE, EffectEstimate, is_told
+from geomid_ros.estimation.estimate import EffectEstimate, is_told
+from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.controller import Controller
 from geomid_ros.model.effects import effect_class

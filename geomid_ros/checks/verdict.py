@@ -10,8 +10,9 @@ import numpy as np
 from geomid_ros.checks.candidates import REASON
 from geomid_ros.checks.causes import Finding
 from geomid_ros.checks.unexplained import WORSE
-from geomid_ros.estimation.estimate import SURE, Estimate
+from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.inference.design import BLOCKS
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples

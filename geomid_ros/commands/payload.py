@@ -51,7 +51,7 @@ def payload(empty: Path, loaded: Path, controller: str | None, as_json: bool, **
 
 def _show(found: Payload, controller: str | None) -> None:
     """Print the payload, first why it should not be used, and the commands that set it."""
-    from geomid_ros.estimation.estimate import QUANTITIES, UNITS
+    from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UNITS
 
     console = results_console()
     print_verdict(console, found.weighed.verdict, found.weighed.warnings, found.weighed.notes)

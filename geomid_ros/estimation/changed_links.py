@@ -16,7 +16,8 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.estimation.estimate import SURE, LinksInformation
+from geomid_ros.estimation.estimate import LinksInformation
+from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.geometry.pseudo_inertia import SIZE
 from geomid_ros.model.effects import Quantity

@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomid_ros.estimation.changed_links import ChangedLink, LinkEvidence, changed_links
-from geomid_ros.estimation.estimate import QUANTITIES, UNITS, LinksInformation, UncertainInertia
+from geomid_ros.estimation.estimate import LinksInformation
+from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UNITS, UncertainInertia
 from geomid_ros.model.effects import KnownEffect, Quantity
 
 CHANCE = 0.05

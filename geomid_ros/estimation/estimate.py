@@ -4,93 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 
 from geomid_ros.estimation.posterior import Posterior
-from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UncertainInertia
 from geomid_ros.model.effects import Quantity
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
-from geomid_ros.types import FloatArray, frozen
+from geomid_ros.types import FloatArray
 
-QUANTITIES = ("mass", "com x", "com y", "com z", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
-"""Names of a link's ten quantities, in the order of :func:`geomid_ros.geometry.pseudo_inertia.quantities_of`."""
-UNITS = ("kg", *("m", "m", "m"), *("kg m^2", "kg m^2", "kg m^2"), *("kg m^2", "kg m^2", "kg m^2"))
-"""Units of these."""
 TOLD = 3.0
 """Standard deviations from nothing at which a quantity, or an effect, is told."""
-SURE = 1.96
-"""Standard deviations to either side that hold 95 %."""
-_LARGEST_LOG = 50.0  # of a factor: nothing is known then
 FINEST = 1e7
 """Inverse of the smallest relative error of an inertia that data are believed to resolve."""
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class UncertainInertia:
-    """A body in the frame of a link.
-
-    Attributes:
-        parameters: ``(10,)`` in pinocchio's order, about the frame's origin.
-        std: Standard deviations ``(10,)`` of the :data:`QUANTITIES`; zero of exact numbers, NaN of unknown ones.
-        merged: Links that are fixed to it and counted in.
-        cannot_tell: Those of :data:`QUANTITIES` that are not identified, see :mod:`geomid_ros.estimation.identified`;
-            None where that is not known.
-        from_data: Share of the prior's variance that the data removed, 0 to 1; NaN where that is not known.
-    """
-
-    parameters: FloatArray
-    std: FloatArray
-    merged: tuple[str, ...] = ()
-    cannot_tell: tuple[str, ...] | None = None
-    from_data: float = np.nan
-
-    @cached_property
-    def quantities(self) -> FloatArray:
-        """The :data:`QUANTITIES` ``(10,)``."""
-        return frozen(pseudo_inertia.quantities_of(self.parameters))
-
-    @property
-    def mass(self) -> float:
-        """Mass [kg]."""
-        return float(self.quantities[0])
-
-    @property
-    def com(self) -> FloatArray:
-        """Centre of mass ``(3,)`` in the link's frame [m]."""
-        return self.quantities[1:4]
-
-    @property
-    def inertia(self) -> FloatArray:
-        """Inertia ``(3, 3)`` about the centre of mass in the link's axes [kg m^2]."""
-        return pseudo_inertia.rotational_inertia(self.quantities)
-
-    @property
-    def std_mass(self) -> float:
-        """Standard deviation of the mass [kg]."""
-        return float(self.std[0])
-
-    @property
-    def std_com(self) -> FloatArray:
-        """Standard deviations ``(3,)`` of the centre of mass [m]."""
-        return self.std[1:4]
-
-    @property
-    def std_inertia(self) -> FloatArray:
-        """Standard deviations ``(3, 3)`` of the inertia [kg m^2]."""
-        return pseudo_inertia.rotational_inertia(self.std)
-
-    @property
-    def mass_interval(self) -> tuple[float, float]:
-        """The 95 % interval of the mass [kg]."""
-        return interval_of_positive(self.mass, self.std_mass)
-
-    @property
-    def has_std(self) -> bool:
-        """True if any standard deviation is known."""
-        return bool(np.any(np.isfinite(self.std)))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -125,12 +52,6 @@ class LinkEstimate(UncertainInertia):
 def is_told(value: float, deviation: float) -> bool:
     """Whether a quantity is known to a third of itself."""
     return bool(abs(value) > TOLD * deviation)
-
-
-def interval_of_positive(value: float, deviation: float) -> tuple[float, float]:
-    """The 95 % interval of a positive quantity along the geodesic: of its logarithm, so that it stays positive."""
-    factor = float(np.exp(min(SURE * deviation / value, _LARGEST_LOG))) if np.isfinite(deviation) else 1.0
-    return value / factor, value * factor
 
 
 @dataclass(frozen=True, kw_only=True)

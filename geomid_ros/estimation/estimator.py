@@ -14,7 +14,7 @@ from geomid_ros.estimation import estimate_parts, uncertainty
 from geomid_ros.estimation.alike_prior import AlikePrior
 from geomid_ros.estimation.choice import Choice, choose
 from geomid_ros.estimation.coupled_prior import CoupledPrior, fit_beside
-from geomid_ros.estimation.estimate import SURE, Estimate
+from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.file_fits import fit_files
 from geomid_ros.estimation.fit import INDEPENDENT, Fit, fit
 from geomid_ros.estimation.identified import WITHIN
@@ -27,6 +27,7 @@ from geomid_ros.estimation.problem import Problem, subproblem
 from geomid_ros.estimation.solvers import SOLVERS
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.tolerances import ROUNDING, SETTLED
+from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.alike_parts import AlikeParts
 from geomid_ros.model.measurement import MeasurementModel

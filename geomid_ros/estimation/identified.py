@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomid_ros.estimation.estimate import SURE
+from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.types import BoolArray, FloatArray
 

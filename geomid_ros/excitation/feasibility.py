@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import SURE
+from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.excitation.knowledge import Belief
 from geomid_ros.excitation.limits import MotionLimits
 from geomid_ros.excitation.motion import ExcitingMotion

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import UncertainInertia
+from geomid_ros.estimation.uncertain_inertia import UncertainInertia
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.types import FloatArray
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.estimation.estimate import QUANTITIES, UncertainInertia
+from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UncertainInertia
 from geomid_ros.exports.formats import SAME
 from geomid_ros.files.models.effect_forms import coefficient, effects_of_dynamics, is_body, joint_attributes
 from geomid_ros.files.models.estimate_file import EstimateFile

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import UncertainInertia
+from geomid_ros.estimation.uncertain_inertia import UncertainInertia
 from geomid_ros.exports.formats import SAME
 from geomid_ros.exports.inertial import Export, Summand, total
 from geomid_ros.exports.model import Model

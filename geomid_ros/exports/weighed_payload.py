@@ -8,8 +8,8 @@ from typing import Any
 
 from geomid_ros.checks.verdict import USABLE
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import QUANTITIES, SURE, UncertainInertia
 from geomid_ros.estimation.posterior import Posterior
+from geomid_ros.estimation.uncertain_inertia import QUANTITIES, SURE, UncertainInertia
 from geomid_ros.exports.formats import CONTROLLERS
 from geomid_ros.exports.inertial import Export, Summand, total
 from geomid_ros.files.models.estimate_file import verdict_entry

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-from geomid_ros.estimation.estimate import interval_of_positive
+from geomid_ros.estimation.uncertain_inertia import interval_of_positive
 from geomid_ros.report.identification_words import cannot_tell
 
 State: TypeAlias = dict[str, Any]

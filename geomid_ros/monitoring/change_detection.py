@@ -23,8 +23,8 @@ from typing import NamedTuple
 import numpy as np
 
 from geomid_ros.estimation.channel_summary import triangular, usable
-from geomid_ros.estimation.estimate import SURE
 from geomid_ros.estimation.identifier import LONGEST_STEP
+from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.geometry import definite
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.measurement import MeasurementModel, Rows

@@ -23,8 +23,9 @@ from typing import NamedTuple
 import numpy as np
 
 from geomid_ros.estimation.channel_summary import usable
-from geomid_ros.estimation.estimate import Estimate, interval_of_positive
+from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.tolerances import LARGEST_STEP, ROUNDING, ROUNDS, SETTLED
+from geomid_ros.estimation.uncertain_inertia import interval_of_positive
 from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.geometry.symmetric import SIZE

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from geomid_ros.estimation.estimate import QUANTITIES
+from geomid_ros.estimation.uncertain_inertia import QUANTITIES
 from geomid_ros.excitation.learning import Expected
 from geomid_ros.files.disk import make_folder, write_json
 from geomid_ros.files.schema import FORMAT

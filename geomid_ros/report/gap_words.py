@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from geomid_ros.estimation.estimate import SURE
+from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.gap.judgement.held_out import REACHED
 from geomid_ros.gap.result import Confidence, Finding, GapResult, Ranked, Rival, Unexplained
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class

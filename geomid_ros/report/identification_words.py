@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 
 from geomid_ros.checks.verdict import USABLE
-from geomid_ros.estimation.estimate import QUANTITIES, LinkEstimate
+from geomid_ros.estimation.estimate import LinkEstimate
+from geomid_ros.estimation.uncertain_inertia import QUANTITIES
 from geomid_ros.files.models.estimate_file import EstimateFile
 
 WEAK = 0.5

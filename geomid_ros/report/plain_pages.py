@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from geomid_ros.estimation.comparison import Compared, Difference
-from geomid_ros.estimation.estimate import SURE
+from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.model.effects import Quantity
 from geomid_ros.report import gap_words
 from geomid_ros.report.page import write_page

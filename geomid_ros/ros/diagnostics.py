@@ -11,8 +11,9 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from geomid_ros.errors import one_line
-from geomid_ros.estimation.estimate import QUANTITIES, Estimate, LinkEstimate
+from geomid_ros.estimation.estimate import Estimate, LinkEstimate
 from geomid_ros.estimation.identifier import STANDING_STILL
+from geomid_ros.estimation.uncertain_inertia import QUANTITIES
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.live.background_search import SearchStatus
 from geomid_ros.live.gap_search import FoundGap

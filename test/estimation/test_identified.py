@@ -7,10 +7,11 @@ import pytest
 from files.estimates import link_estimate
 
 from estimation.arms import arm
-from geomid_ros.estimation.estimate import QUANTITIES, Estimate, interval_of_positive
+from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, estimate
 from geomid_ros.estimation.identified import identified, numbers, sizes
 from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.estimation.uncertain_inertia import QUANTITIES, interval_of_positive
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.weighed_masses import WeighedMass
 

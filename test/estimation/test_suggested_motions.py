@@ -9,8 +9,9 @@ import pytest
 from files.estimates import estimate_of, link_estimate
 from files.recordings import BAGS
 
-from geomid_ros.estimation.estimate import QUANTITIES, Estimate, LinksInformation
+from geomid_ros.estimation.estimate import Estimate, LinksInformation
 from geomid_ros.estimation.suggested_motions import FAST, POSES, TILTED, suggested_motions
+from geomid_ros.estimation.uncertain_inertia import QUANTITIES
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot

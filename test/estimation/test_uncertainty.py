@@ -10,9 +10,10 @@ import pytest
 from geometry import bodies
 from scipy.signal import lfilter
 
-from geomid_ros.estimation.estimate import QUANTITIES, Estimate, effort_deviations
+from geomid_ros.estimation.estimate import Estimate, effort_deviations
 from geomid_ros.estimation.estimator import EstimatorSettings, estimate, least_inflation
 from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.estimation.uncertain_inertia import QUANTITIES
 from geomid_ros.estimation.uncertainty import (
     Fold,
     ParameterGroup,

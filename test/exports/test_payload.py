@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import UncertainInertia
+from geomid_ros.estimation.uncertain_inertia import UncertainInertia
 from geomid_ros.exports.inertial import Export, Summand, total
 from geomid_ros.exports.model import read_model
 from geomid_ros.exports.payload import attached, chosen, difference, each_link

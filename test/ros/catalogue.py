@@ -119,7 +119,7 @@ CATALOGUE = (
     Fault(65, "disk read-only", "E; estimating goes on", (_disk("65-read-only"),)),
     Fault(66, "folder unwritable", "E; estimating goes on", (_disk("66-unwritable"), "test_services.py::test_saving_where_nothing_can_be_written_is_answered")),
     Fault(67, "disk slow", "E; estimating goes on", (f"{_FAILURES}67_a_slow_disk_keeps_nobody_waiting",)),
-    Fault(68, "a service call in the wrong state (the node has no lifecycle)", "the response says what is missing", ("test_services.py::test_services_without_a_robot_say_what_is_missing",)),
+    Fault(68, "a service call in the wrong state", "the response says what is missing", ("test_services.py::test_services_without_a_robot_say_what_is_missing",)),
     Fault(69, "exception in a service", "the response contains it, E", (f"{_FAILURES}69_an_exception_in_a_service_is_answered",)),
     Fault(70, "unknown or ill-typed parameter", "X naming it at startup; refused later", ("test_parameters.py::test_what_cannot_be_used_is_refused_with_one_message", "test_parameters.py::test_parameters_are_described")),
     Fault(71, "a driver that wraps positions at a whole turn", "unwrapped, W", (_both("71-wraps"),)),

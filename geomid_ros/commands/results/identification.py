@@ -13,7 +13,8 @@ from rich.table import Table
 from geomid_ros.api.identify import Identification
 from geomid_ros.checks.verdict import USABLE
 from geomid_ros.commands.terminal import lines, number_columns, plain_table, print_verdict, results_console, say
-from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, LinkEstimate, WeighedEstimate
+from geomid_ros.estimation.estimate import EffectEstimate, LinkEstimate, WeighedEstimate
+from geomid_ros.estimation.uncertain_inertia import QUANTITIES
 from geomid_ros.files.models.effect_forms import is_coefficient
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.model.effects import EFFECTS, KnownEffect

@@ -21,9 +21,9 @@ from geomid_ros.estimation.estimate import (
     Estimate,
     LinkEstimate,
     LinksInformation,
-    UncertainInertia,
     WeighedEstimate,
 )
+from geomid_ros.estimation.uncertain_inertia import UncertainInertia
 from geomid_ros.files.models.effect_forms import coefficient, combined, continued, is_coefficient
 from geomid_ros.files.models.sidecar import check_effect, coefficient_entry
 from geomid_ros.files.schema import (

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from geomid_ros.estimation.estimate import QUANTITIES
+from geomid_ros.estimation.uncertain_inertia import QUANTITIES
 from geomid_ros.files.disk import write_text
 from geomid_ros.files.models.estimate_file import InertiaEntry
 from geomid_ros.files.schema import structured

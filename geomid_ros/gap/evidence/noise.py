@@ -10,7 +10,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from geomid_ros.estimation.estimate import SURE
+from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples

@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
-from geomid_ros.estimation.estimate import SURE
+from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.estimation.uncertainty import physical_sensitivity
 from geomid_ros.gap.candidates import Candidate, NamesFit, NamesPrior
 from geomid_ros.gap.result import Confidence
