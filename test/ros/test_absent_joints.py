@@ -51,7 +51,7 @@ def node() -> Iterator[tuple[Supervisor, list[str]]]:
         log,
         on_samples=lambda *_: None,
         on_estimate=lambda *_: None,
-        on_payload=lambda *_: None,
+        on_payload=lambda carried: said.append(f"carries {carried}"),
         solving=None,
     )
     supervisor.build(with_gripper(), "test")
@@ -90,6 +90,7 @@ def test_they_are_locked_when_all_had_the_time_to_be_heard(node: tuple[Superviso
     supervisor.lock_absent_joints()
     assert joints(supervisor) == ARM
     assert any(f"no message names '{FINGER}': locked at zero" in line for line in said)
+    assert said.count("carries None") == 1, "what the robot before carried is taken back"
     assert supervisor.worker is not None
     (note,) = supervisor.worker.session.notes
     assert note in said, "what is saved has it, too"
