@@ -16,7 +16,7 @@ from geomid_ros.estimation.choice import Choice, choose
 from geomid_ros.estimation.coupled_prior import CoupledPrior, fit_beside
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.file_fits import fit_files
-from geomid_ros.estimation.fit import INDEPENDENT, Fit, fit
+from geomid_ros.estimation.fit import INDEPENDENT, Fit, fit, likelier
 from geomid_ros.estimation.identified import WITHIN
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.estimation.paper_estimator import OBJECTIVES
@@ -26,7 +26,7 @@ from geomid_ros.estimation.posterior import effect_columns
 from geomid_ros.estimation.problem import Problem, subproblem
 from geomid_ros.estimation.solvers import SOLVERS
 from geomid_ros.estimation.summary import RowSummary
-from geomid_ros.estimation.tolerances import ROUNDING, SETTLED
+from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.alike_parts import AlikeParts
@@ -149,7 +149,7 @@ def estimate(
         if begun is not None:
             solve = partial(solve, start=problem.manifold.point(begun.parameters[columns]), spreads=begun.spreads)
         elif other is not None and other.parameters is not None:
-            solve = _of_two(solve, _place(problem, other.parameters[columns]), other.spreads)
+            solve = likelier(solve, problem.place(other.parameters[columns]), other.spreads)
         return _beside(_coupled(settings, problem), problem, solve)
 
     kept = None if warm is None else _kept(model, warm)
@@ -183,24 +183,6 @@ def _beside(prior: CoupledPrior | None, problem: Problem, solve: Callable[..., F
         return solve(problem), ()
     found, weights = fit_beside(prior, solve)
     return found, prior.unlike(weights)
-
-
-def _of_two(solve: Callable[..., Fit], other: Point, spreads: FloatArray | None) -> Callable[..., Fit]:
-    """A solver that begins a second time, at another point with other ``spreads (links,)``, where it is given none: of
-    two minima it takes the more likely one."""
-
-    def best(problem: Problem, start: Point | None = None, **more: FloatArray) -> Fit:
-        if start is not None:
-            return solve(problem, start, **more)
-        first, second = solve(problem), solve(problem, other, spreads)
-        return second if second.score < first.score - SETTLED else first
-
-    return best
-
-
-def _place(problem: Problem, parameters: FloatArray) -> Point:
-    """The point of ``parameters (D,)``, those of the prior where they are left out: what is positive cannot be zero."""
-    return problem.manifold.point(np.where(parameters == 0.0, problem.prior, parameters))
 
 
 def _kept(model: MeasurementModel, warm: WarmStart) -> IntArray:

@@ -8,6 +8,7 @@ likelihood in Laplace's approximation.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,7 +19,7 @@ from geomid_ros.estimation.objective import ProductsObjective, ResidualObjective
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.solvers import Extrapolation, Solution, trust_region
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
-from geomid_ros.estimation.tolerances import LEAST_GRADIENT
+from geomid_ros.estimation.tolerances import LEAST_GRADIENT, SETTLED
 from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.types import FloatArray
@@ -114,6 +115,19 @@ def fit(
         gamma=gamma,
         spent=spent,
     )
+
+
+def likelier(solve: Callable[..., Fit], other: Point, spreads: FloatArray | None) -> Callable[..., Fit]:
+    """A solver, such as :func:`fit`, that begins a second time, at another point with other ``spreads (links,)``, where
+    it is given none: of two minima it takes the more likely one."""
+
+    def best(problem: Problem, start: Point | None = None, **more: FloatArray) -> Fit:
+        if start is not None:
+            return solve(problem, start, **more)
+        first, second = solve(problem), solve(problem, other, spreads)
+        return second if second.score < first.score - SETTLED else first
+
+    return best
 
 
 def settle(

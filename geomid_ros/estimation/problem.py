@@ -169,6 +169,11 @@ class Problem:
         given = np.resize(self.sigmas, len(sigmas))
         return np.where(np.isfinite(given), given, sigmas)
 
+    def place(self, parameters: FloatArray) -> Point:
+        """The point of ``parameters (D,)``, those of the prior where they are left out: what is positive cannot be
+        zero."""
+        return self.manifold.point(np.where(parameters == 0.0, self.prior, parameters))
+
     @property
     def first_noise(self) -> FloatArray:
         """Where the search for the noise begins."""

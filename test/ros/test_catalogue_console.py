@@ -249,22 +249,21 @@ class Hanging:
         return self.solves
 
 
+def watching(solving: Any) -> Supervisor:
+    """A supervisor whose worker's results nobody hears."""
+    deaf: Any = None
+    return Supervisor(
+        Configuration({}), Ledger(), Lines(), on_samples=deaf, on_estimate=deaf, on_payload=deaf, solving=solving
+    )
+
+
 def test_92_hangs_are_forgotten_after_an_hour(monkeypatch: pytest.MonkeyPatch) -> None:
     """One slow solve in two hours is restarted for ever; four in a row are left alone, until an hour has passed."""
     now = [10_000.0]
     monkeypatch.setattr(supervisor, "time", SimpleNamespace(monotonic=lambda: now[0]))
     monkeypatch.setattr(Activity, "current", ("solving", 1e6))
-    ignored: Any = None
     solving: Any = Hanging()
-    watched = Supervisor(
-        Configuration({}),
-        Ledger(),
-        Lines(),
-        on_samples=ignored,
-        on_estimate=ignored,
-        on_payload=ignored,
-        solving=solving,
-    )
+    watched = watching(solving)
     idle, solver = SimpleNamespace(current=("", 0.0)), SimpleNamespace(activity=Activity())
     worker: Any = SimpleNamespace(activity=idle, solver=solver)
     watched.worker = worker
@@ -295,17 +294,8 @@ def test_92_what_goes_on_after_a_hang_has_its_own_time(monkeypatch: pytest.Monke
     now = [0.0]
     monkeypatch.setattr(threads, "time", SimpleNamespace(monotonic=lambda: now[0]))
     monkeypatch.setattr(supervisor, "time", threads.time)
-    ignored: Any = None
     solving: Any = Hanging()
-    watched = Supervisor(
-        Configuration({}),
-        Ledger(),
-        Lines(),
-        on_samples=ignored,
-        on_estimate=ignored,
-        on_payload=ignored,
-        solving=solving,
-    )
+    watched = watching(solving)
     solver = SimpleNamespace(activity=Activity())
     worker: Any = SimpleNamespace(activity=Activity(), solver=solver)
     watched.worker = worker
