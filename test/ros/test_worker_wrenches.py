@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
@@ -119,6 +120,13 @@ class Working:
             while self.worker._inbox.unfinished:  # what has no room is dropped
                 time.sleep(2e-3)
                 self.status()
+
+    def judge(self) -> None:
+        """All rows so far, in the thread that judges: another one would judge beside it."""
+        self.worker.solver.watch()
+        judged = threading.Event()
+        self.worker.solver._requests.put(judged.set)
+        assert judged.wait(PATIENCE)
 
     def status(self) -> Status:
         status = self.worker.status(active=True)
@@ -282,7 +290,7 @@ def test_what_was_solved_for_before_a_change_was_noticed_chooses_nothing(working
     working.feed(before)
     assert working.session.warm is not None
     working.take(after)
-    working.worker.solver._detect_changes()
+    working.judge()
     assert working.worker.solver.changed_sensors == ("/wrist",)
     assert working.worker.solver._warm_start() is None
     assert working.worker.estimate is not None, "there is none better yet"
