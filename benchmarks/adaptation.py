@@ -35,9 +35,8 @@ from benchmarks.feedforward import described, hand_error
 from geomid_ros.api.feedforward import robot_to_move
 from geomid_ros.api.options import RobotOptions
 from geomid_ros.api.verify import identified
-from geomid_ros.control.correction import Correction
-from geomid_ros.control.guard import Reading
-from geomid_ros.control.motor_efforts import MotorEfforts
+from geomid_ros.control.correction import Correction, Reading
+from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.simulation.description import LinkInertia

@@ -10,8 +10,7 @@ import numpy as np
 
 from geomid_ros.api.options import PathLike, RobotKeywords, RobotOptions, beside
 from geomid_ros.api.verify import identified
-from geomid_ros.control.feedforward import interpolation_errors, with_efforts
-from geomid_ros.control.motor_efforts import MotorEfforts
+from geomid_ros.control.feedforward import MotorEfforts, interpolation_errors, with_efforts
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.files.models.estimate_file import EstimateFile

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from geomid_ros.checks.evidence import SPREAD
-from geomid_ros.geometry.manifold import ParameterManifold
+from geomid_ros.geometry.manifold import ONE_BODY, ParameterManifold
 from geomid_ros.inference.prior import SPREAD_OF_PAYLOADS, usual_payload
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import SIGN, Samples
@@ -63,6 +63,5 @@ def prior_factor(robot: Robot) -> FloatArray:
 def payload_factor(bodies: FloatArray, carrier: int) -> FloatArray:
     """A factor ``(10, 10)`` of the covariance of what the link ``carrier`` may carry: robots carry what their URDF does
     not say."""
-    manifold = ParameterManifold(1, 0, np.zeros(0))
-    blocks, _ = manifold.jacobian(manifold.point(usual_payload(bodies, carrier)))
+    blocks, _ = ONE_BODY.jacobian(ONE_BODY.point(usual_payload(bodies, carrier)))
     return np.asarray(SPREAD_OF_PAYLOADS * blocks[0])

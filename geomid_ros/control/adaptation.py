@@ -19,12 +19,10 @@ import numpy as np
 
 from geomid_ros.estimation.tolerances import LARGEST_STEP
 from geomid_ros.geometry import definite, spd, symmetric
-from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.geometry.manifold import ONE_BODY, Point
 from geomid_ros.geometry.pseudo_inertia import to_parameters
 from geomid_ros.types import FloatArray
 
-BODY = ParameterManifold(1, 0, np.zeros(0))
-"""The possible inertias of one body."""
 MARGIN = 0.5
 """Gain times delay: an integrator behind a delay has 61 degrees of phase left, and is unstable at pi / 2."""
 SHORTEST = 0.01
@@ -41,7 +39,7 @@ def share_of(step: float, delay: float) -> float:
 def needed(point: Point, rows: FloatArray, residuals: FloatArray) -> FloatArray:
     """Shortest tangent vector ``(10,)`` that explains ``residuals (joints,)`` by ``rows (joints, 10)``, both in units
     of the residuals' noise."""
-    whitened = BODY.whiten(point, rows)
+    whitened = ONE_BODY.whiten(point, rows)
     weights = definite.solved_anyway(whitened @ whitened.T + np.eye(len(rows)), residuals)
     return np.asarray(weights @ whitened)
 
@@ -61,11 +59,11 @@ class Adaptation:
             identified: inertia ``(10,)`` of the body by the model.
             heaviest: payload [kg].
         """
-        self._identified = BODY.point(identified)
+        self._identified = ONE_BODY.point(identified)
         corners = FARTHEST * np.concatenate([np.eye(3), -np.eye(3)])
         ends = np.append(corners, np.ones((6, 1)), axis=1)
         loads = to_parameters(heaviest * ends[:, :, None] * ends[:, None, :])
-        self._bound = max(divergence(BODY.point(identified + load), self._identified) for load in loads)
+        self._bound = max(divergence(ONE_BODY.point(identified + load), self._identified) for load in loads)
         self._spread = np.mean(loads, axis=0)
         self.point = self._identified
 
@@ -77,7 +75,7 @@ class Adaptation:
     def step(self, tangent: FloatArray) -> None:
         """Go along a ``tangent (10,)``, no farther than rows are nearly linear, unless it leads beyond the bound."""
         length = float(np.linalg.norm(tangent))
-        end = BODY.exp(self.point, tangent * min(1.0, LARGEST_STEP / length) if length else tangent)
+        end = ONE_BODY.exp(self.point, tangent * min(1.0, LARGEST_STEP / length) if length else tangent)
         reached = divergence(end, self._identified)
         if reached < self._bound or reached < divergence(self.point, self._identified):
             self.point = end
@@ -88,6 +86,6 @@ class Adaptation:
         The shortest change that explains them is sought in the metric of the body with the heaviest payload, spread as
         far as it may lie. It must not take away more than this whole: a contact that pulls sideways or upwards does.
         """
-        spread = BODY.point(self.point.parameters + self._spread)
+        spread = ONE_BODY.point(self.point.parameters + self._spread)
         change = symmetric.to_matrix(needed(spread, rows, residuals))
         return bool(np.linalg.eigvalsh(change)[0] > -1.0)

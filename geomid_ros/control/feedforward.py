@@ -1,4 +1,4 @@
-"""Feed-forward efforts for a trajectory.
+"""Feed-forward efforts: of a motion by an identified model, and for a trajectory.
 
 A joint_trajectory_controller interpolates positions by polynomials and efforts linearly (ros2_controllers adds them to
 its feedback since 4.22). Points are added where linear interpolation of the efforts is too coarse. They lie on the same
@@ -7,22 +7,99 @@ polynomials, so the motion does not change.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
 
+from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.model.dynamics import InverseDynamics
+from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray
 
 EffortsOf: TypeAlias = Callable[[FloatArray], FloatArray]
 """Inverse dynamics: efforts ``(N, joints)`` [N m, N] at positions, velocities and accelerations ``(3, N, joints)``."""
 SHORTEST = 1e-3
 """Shortest time between two points [s]: the cycle time of usual controllers."""
-_PROBED = 10.0 * SHORTEST  # [s] at least so often the interpolation is checked
-_INSIDE = (0.25, 0.5, 0.75)  # and there between two points
+_PROBED = 10.0 * SHORTEST  # [s] at least so often the interpolation is checked, and between any two points
+
+
+class MotorEfforts:
+    """Motor efforts for a motion of ``joints``, in the unit of the robot's messages.
+
+    Offsets of effort sensors are left out: they move nothing. Gains of effort sensors are part of the unit. Dry
+    friction follows the commanded velocity and is zero at rest.
+    """
+
+    def __init__(
+        self,
+        model: MeasurementModel,
+        parameters: FloatArray,
+        gains: FloatArray,
+        joints: Sequence[str],
+        source: str,
+    ) -> None:
+        """
+        Args:
+            model: of the robot.
+            parameters: of the model ``(D,)``.
+            gains: factors ``(all joints,)`` from the messages' efforts to N m (or N).
+            joints: in the order of the motion.
+            source: of the motion, for messages.
+
+        Raises:
+            InputError: the joints are not those of the robot, or not all efforts can be predicted.
+        """
+        robot = model.robot
+        if robot.floating_base:
+            raise InputError("the base floats: what its legs have to do depends on their contacts")
+        if not model.layout.efforts:
+            raise InputError("efforts cannot be predicted: an external wrench sensor does not measure all six axes")
+        for joint in joints:
+            if joint not in robot.joint_names:
+                raise InputError(f"{source}: {unknown_name('joint', joint, robot.joint_names)}")
+        if missing := [joint for joint in robot.joint_names if joint not in joints]:
+            names = ",".join(missing)
+            raise InputError(f"{source}: says nothing of {names}; if they stand at zero, --lock {names}")
+        self._robot = robot
+        self._order = np.array([robot.joint_names.index(joint) for joint in joints])
+        self._gains = gains[self._order]
+        of_sensors = np.array([c.effect.of_sensor for c in model.coefficients], dtype=bool)
+        own = parameters.copy()
+        own[len(model.nominal_inertias) :][of_sensors] = 0.0
+        self._dynamics = InverseDynamics(model, own)
+        self.limits = robot.effort_limits[self._order] / np.abs(self._gains)
+        """Effort limits of the URDF ``(joints,)`` in that unit, infinite where it has none."""
+
+    def __call__(self, motion: FloatArray) -> FloatArray:
+        """Efforts ``(N, joints)`` of positions, velocities and accelerations ``(3, N, joints)``."""
+        own = np.empty_like(motion)
+        own[:, :, self._order] = motion
+        return np.asarray(self._dynamics(own)[:, self._order] / self._gains)
+
+    def of_body(self, name: str) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
+        """The function that makes regressors ``(joints, 10)`` of these efforts by the inertia of a body, from motions
+        ``(3, joints)``; and that inertia ``(10,)``.
+
+        Raises:
+            InputError: there is no such body, or no effort depends on it.
+        """
+        robot, own = self._robot, np.empty((3, 1, len(self._order)))
+        if name not in robot.body_names:
+            raise unknown_name("link", name, robot.body_names)
+        body = robot.body_names.index(name)
+        if robot.bodies[body].joint == 0:
+            raise InputError(f"link '{name}' does not move: no effort depends on its inertia")
+
+        def rows(motion: FloatArray) -> FloatArray:
+            own[:, 0, self._order] = motion
+            q, v, a = robot.moved(own)
+            return np.asarray(robot.body_effort_rows(q[0], v[0], a[0], body)[self._order] / self._gains[:, None])
+
+        return rows, self._dynamics.inertias[body]
 
 
 def with_efforts(trajectory: Trajectory, efforts_of: EffortsOf, tolerance: float) -> Trajectory:
@@ -56,8 +133,7 @@ def sampled(trajectory: Trajectory, efforts_of: EffortsOf, times: FloatArray) ->
 def interpolation_errors(found: Trajectory, efforts_of: EffortsOf) -> FloatArray:
     """Largest error of linearly interpolated efforts between two points ``(N - 1, joints)`` [N m, N]."""
     times, steps = found.times, np.diff(found.times)
-    probes = [np.arange(times[0], times[-1], _PROBED), *(times[:-1] + share * steps for share in _INSIDE)]
-    at = np.concatenate(probes)
+    at = np.concatenate([np.arange(times[0], times[-1], _PROBED), times[:-1] + 0.5 * steps])
     between = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(steps) - 1)
     share = ((at - times[between]) / steps[between])[:, None]
     linear = (1.0 - share) * found.efforts[between] + share * found.efforts[between + 1]

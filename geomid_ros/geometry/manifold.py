@@ -225,3 +225,7 @@ class ParameterManifold:
         start = self.inertial.stop
         whitened[:, start:] = rows[:, start:] * diagonal
         return whitened
+
+
+ONE_BODY = ParameterManifold(1, 0, np.zeros(0))
+"""The possible inertias of one body."""

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from geomid_ros.geometry import pseudo_inertia, symmetric
-from geomid_ros.geometry.manifold import ParameterManifold
+from geomid_ros.geometry.manifold import ONE_BODY
 from geomid_ros.model.robot import Body, Robot
 from geomid_ros.types import FloatArray, frozen
 
@@ -96,9 +96,8 @@ def _are_alike(model: pin.Model, first: Body, second: Body, mirror: FloatArray) 
     signs = np.append(mirror, 1.0)
     matrices = pseudo_inertia.from_parameters(np.array([first.parameters, second.parameters]))
     matrices[0] *= np.outer(signs, signs)
-    manifold = ParameterManifold(1, 0, np.zeros(0))
-    points = (manifold.point(pseudo_inertia.to_parameters(matrix)) for matrix in matrices)
-    if manifold.distance(*points) > OWN_SPREAD:
+    points = (ONE_BODY.point(pseudo_inertia.to_parameters(matrix)) for matrix in matrices)
+    if ONE_BODY.distance(*points) > OWN_SPREAD:
         return False
     carried = [[p.translation for p in _carried(model, body.joint)] for body in (first, second)]
     if len(carried[0]) != len(carried[1]):

@@ -27,13 +27,12 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.tolerances import LARGEST_STEP, ROUNDING, ROUNDS, SETTLED
 from geomid_ros.estimation.uncertain_inertia import interval_of_positive
 from geomid_ros.geometry import definite
-from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.geometry.manifold import ONE_BODY, Point
 from geomid_ros.geometry.symmetric import SIZE
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.measurement import Rows
 from geomid_ros.types import FloatArray, IntArray, frozen
 
-_BODY = ParameterManifold(1, 0, np.zeros(0))
 _WINDOW = 20  # blocks since which a change is looked for
 _LACKING = 0.1  # of what a body adds to efforts: what the model lacks under loads
 _SOON = 2  # blocks after which a large change shows
@@ -201,7 +200,7 @@ class PayloadWatch:
         self._gain = gain
         self._baselines = [_Baseline(channel, columns, links) for channel in channels]
         self._felt = [len(baseline.body) == SIZE for baseline in self._baselines]
-        self._prior = _BODY.point(usual)
+        self._prior = ONE_BODY.point(usual)
         self._precision = 1.0 / spread**2
         self._surprise = surprise
         self._recent: deque[tuple[_Block, FloatArray | None]] = deque()  # with the body that was known before
@@ -301,7 +300,7 @@ class PayloadWatch:
 
     def _follow(self, loaded: _Block, body: FloatArray) -> None:
         told = self._told(loaded)
-        self._note(loaded, _body(told, self._prior, self._precision, _BODY.point(body)))
+        self._note(loaded, _body(told, self._prior, self._precision, ONE_BODY.point(body)))
 
     def _note(self, loaded: _Block, fit: _Fit) -> None:
         self._loaded = loaded
@@ -340,7 +339,7 @@ def _body(told: _Told, prior: Point, precision: float, point: Point) -> _Fit:
     """The likeliest body by Gauss-Newton steps on the manifold from a ``point``, with Laplace's approximation of its
     evidence."""
     for _ in range(ROUNDS):
-        away, curvature = _BODY.log_and_hessian(point, prior)
+        away, curvature = ONE_BODY.log_and_hessian(point, prior)
         jacobian = point.links_jacobian[0]
         hessian = jacobian.T @ told.information @ jacobian
         slope = jacobian.T @ (told.slope - told.information @ point.parameters) + precision * away
@@ -348,8 +347,8 @@ def _body(told: _Told, prior: Point, precision: float, point: Point) -> _Fit:
         length = float(np.linalg.norm(step))
         if length < SETTLED:
             break
-        point = _BODY.exp(point, step * min(1.0, LARGEST_STEP / length))
-    away, curvature = _BODY.log_and_hessian(point, prior)
+        point = ONE_BODY.exp(point, step * min(1.0, LARGEST_STEP / length))
+    away, curvature = ONE_BODY.log_and_hessian(point, prior)
     jacobian = point.links_jacobian[0]
     whole = jacobian.T @ told.information @ jacobian + precision * np.eye(SIZE)
     occam = 0.5 * float(np.linalg.slogdet(whole / precision)[1])

@@ -14,9 +14,8 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from geomid_ros.api.verify import identified
-from geomid_ros.control.correction import Correction
-from geomid_ros.control.guard import LASTING, Reading
-from geomid_ros.control.motor_efforts import MotorEfforts
+from geomid_ros.control.correction import LASTING, Correction, Reading
+from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.errors import one_line
 from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.model.effects import EFFECTS

@@ -18,12 +18,12 @@ from benchmarks.adaptation import LATE, SLOW, Robot
 from geomid_ros.api.feedforward import robot_to_move
 from geomid_ros.api.options import RobotOptions
 from geomid_ros.api.verify import identified
-from geomid_ros.control.adaptation import BODY, MARGIN, Adaptation, divergence, needed, share_of
-from geomid_ros.control.correction import FASTEST, LARGEST_SHARE, Correction
-from geomid_ros.control.guard import LASTING, LATER, Latch, Reading
-from geomid_ros.control.motor_efforts import MotorEfforts
+from geomid_ros.control.adaptation import MARGIN, Adaptation, divergence, needed, share_of
+from geomid_ros.control.correction import FASTEST, LARGEST_SHARE, LASTING, LATER, Correction, Latch, Reading
+from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.errors import InputError
 from geomid_ros.geometry import pseudo_inertia, spd
+from geomid_ros.geometry.manifold import ONE_BODY
 from geomid_ros.types import FloatArray
 
 URDF = BAGS / "arm7.urdf"
@@ -47,9 +47,9 @@ def carried(mass: float, centre: FloatArray) -> FloatArray:
 def test_the_step_is_the_shortest_that_explains_residuals_within_their_noise(seed: int) -> None:
     """It minimises ``|A x - r|^2 + |x|^2``, by least squares of both at once."""
     rng = np.random.default_rng(seed)
-    point, rows, residuals = BODY.point(body(rng)), rng.normal(size=(7, 10)), rng.normal(size=7)
+    point, rows, residuals = ONE_BODY.point(body(rng)), rng.normal(size=(7, 10)), rng.normal(size=7)
     steps = 1e-6 * np.eye(10)
-    ends = [(BODY.exp(point, step).parameters, BODY.exp(point, -step).parameters) for step in steps]
+    ends = [(ONE_BODY.exp(point, step).parameters, ONE_BODY.exp(point, -step).parameters) for step in steps]
     jacobian = np.array([(after - before) / 2e-6 for after, before in ends]).T
     both = np.vstack([rows @ jacobian, np.eye(10)])
     expected = np.linalg.lstsq(both, np.append(residuals, np.zeros(10)), rcond=None)[0]
@@ -67,9 +67,9 @@ def test_it_depends_neither_on_frames_nor_on_units(seed: int) -> None:
         return pseudo_inertia.to_parameters(spd.congruence(change, pseudo))
 
     transform = moved(pseudo_inertia.from_parameters(np.eye(10))).T
-    other = BODY.point(transform @ parameters)
-    first = BODY.exp(BODY.point(parameters), needed(BODY.point(parameters), rows, residuals))
-    second = BODY.exp(other, needed(other, rows @ np.linalg.inv(transform), residuals))
+    other = ONE_BODY.point(transform @ parameters)
+    first = ONE_BODY.exp(ONE_BODY.point(parameters), needed(ONE_BODY.point(parameters), rows, residuals))
+    second = ONE_BODY.exp(other, needed(other, rows @ np.linalg.inv(transform), residuals))
     np.testing.assert_allclose(second.parameters, moved(first.pseudo_inertias[0]), rtol=1e-6, atol=1e-6)
 
 
@@ -81,7 +81,7 @@ def test_the_body_stays_possible_and_within_the_bound_whatever_comes() -> None:
         adaptation.step(size * needed(adaptation.point, rng.normal(size=(7, 10)), rng.normal(size=7)))
         assert np.linalg.eigvalsh(adaptation.point.pseudo_inertias[0])[0] > 0.0
         largest = max(largest, divergence(adaptation.point, start))
-    inside = max(divergence(BODY.point(start.parameters + carried(mass, end)), start) for mass, end in LOADS)
+    inside = max(divergence(ONE_BODY.point(start.parameters + carried(mass, end)), start) for mass, end in LOADS)
     for _ in range(5000):
         adaptation.step(np.full(10, 0.01))
     assert inside < divergence(adaptation.point, start) < 100.0 * inside
@@ -168,7 +168,7 @@ def test_corrections_are_small_and_slow(arm: Arm) -> None:
     """However much is missing."""
     correction = arm.correction()
     arm.learn(correction, 0.0, 2.0)
-    correction.adaptation.point = BODY.point(1e3 * correction.adaptation.point.parameters)
+    correction.adaptation.point = ONE_BODY.point(1e3 * correction.adaptation.point.parameters)
     times = np.arange(2.0, 4.0, PERIOD)
     sent = np.array([correction(time, arm.commanded(time)) for time in times[times < 2.0 + LASTING]])
     limits = arm.efforts.limits

@@ -15,8 +15,7 @@ from files.recordings import BAGS
 import geomid_ros
 from benchmarks.feedforward import errors
 from geomid_ros.api.verify import identified
-from geomid_ros.control.feedforward import SHORTEST, with_efforts
-from geomid_ros.control.motor_efforts import MotorEfforts
+from geomid_ros.control.feedforward import SHORTEST, MotorEfforts, with_efforts
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.types import FloatArray
