@@ -8,9 +8,10 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
-_MOST_WAITING = 10_000  # messages
-_MOST_BYTES = 50_000_000  # of them
-_MOST_AT_ONCE = 1000  # messages
+from geomid_ros.signals.limits import MOST_BYTES, MOST_WAITING
+
+MOST_AT_ONCE = 1000
+"""Messages that are taken together, before anything else has its turn."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,8 @@ class Inbox:
     def put_messages(self, messages: Sequence[Received]) -> Sequence[Received]:
         """Put messages in. Returns those, the last ones, that have no room, as too many wait there."""
         taken: list[Received] = []
-        for message in messages[: max(0, _MOST_WAITING - self._put + self._got)]:
-            if self._put_bytes - self._got_bytes > _MOST_BYTES:
+        for message in messages[: max(0, MOST_WAITING - self._put + self._got)]:
+            if self._put_bytes - self._got_bytes > MOST_BYTES:
                 break
             self._put_bytes += len(message.data)
             taken.append(message)
@@ -86,7 +87,7 @@ class Inbox:
                 messages += task
                 self._got += len(task)
                 self._got_bytes += sum(len(message.data) for message in task)
-                if task and len(messages) < _MOST_AT_ONCE:
+                if task and len(messages) < MOST_AT_ONCE:
                     continue
             if messages:
                 yield messages

@@ -28,7 +28,8 @@ from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.geometry import definite
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.measurement import MeasurementModel, Rows
-from geomid_ros.monitoring.payload_watch import Noise, PayloadWatch
+from geomid_ros.monitoring.payload_watch import REMEMBERED, Noise, PayloadWatch
+from geomid_ros.signals.limits import MOST_BYTES
 from geomid_ros.types import FloatArray, IntArray
 
 BLOCK = 40
@@ -40,10 +41,8 @@ LATE = 2 * BLOCK
 hardly in the next where an offset may explain it."""
 FALSE_ALARMS = 1e-7
 """The largest share of all blocks that open a gap of a channel whose noise is what it was."""
-_MOST_WAITING = 50_000_000  # bytes
 _FEWEST = 10  # rows for each parameter, which are not independent, and then blocks, before there is a floor
-_MOST_BLOCKS = 60
-_REMEMBERED = 20  # stretches of so many blocks, a minute or so each; and suspect blocks
+_MOST_BLOCKS = 60  # of a stretch: a minute or so
 _RISE = 2.25  # times the floor: the gap that the test looks for; and times the usual leverage: another motion
 _FEWEST_BAD = 3  # blocks that an alarm takes, and its end: a push or a bump is no gap
 ALARM = -float(np.log(FALSE_ALARMS))
@@ -88,16 +87,14 @@ class ChangeDetector:
         self._forgetting_time = forgetting_time
         self._channels = [_Cusum(channel, forgetting_time) for channel in channels]
         instant = 8 * len(channels) * max((int(np.max(c.columns, initial=0)) + 2 for c in channels), default=1)
-        most = max(BLOCK, _MOST_WAITING // instant)
+        most = max(BLOCK, MOST_BYTES // instant)
         self._waiting: deque[tuple[int, int, FloatArray, FloatArray]] = deque(maxlen=most)
         self._parts: list[_Block] = []  # of the next block, as a payload is to be known soon
         self._disturbed = False  # whether a payload came or went in it
         self.gaps: tuple[ChannelGap, ...] = ()
         """The monitored channels as of the last block."""
         self.judged = 0
-        """The number of the first instant that is not judged yet."""
-        self.followed = 0
-        """The same of the payload."""
+        """The number of the first instant in which no payload was looked for yet."""
 
     def add(self, first: int, stamps: IntArray, rows: Rows) -> bool:
         """Take the rows of a moving robot, in the order of time. Of those that nobody judges the last are kept. Returns
@@ -118,7 +115,7 @@ class ChangeDetector:
         while len(self._waiting) >= PART:
             self._parts.append(self._next())
             self._judge_payload(self._parts[-1])
-            self.followed = self._parts[-1].first + PART
+            self.judged = self._parts[-1].first + PART
             if len(self._parts) * PART == BLOCK:
                 self._judge_channels()
                 return True
@@ -148,7 +145,6 @@ class ChangeDetector:
             for index, channel in enumerate(self._channels):
                 channel.judge(first, stamps, rows.coefficients[:, index], rows.targets[:, index])
         self.gaps = tuple(channel.gap for channel in self._channels if channel.ready)
-        self.judged = self.followed
 
     @property
     def changes(self) -> list[tuple[int, int]]:
@@ -164,8 +160,9 @@ class ChangeDetector:
         forgotten after some blocks, so the instant is never further back than that.
         """
         suspect = [self._channels[index].first_suspect for index in channels]
-        begin = min([self.judged, *(first for first in suspect if first is not None)])
-        return max(begin - LATE, self.judged - _REMEMBERED * BLOCK)
+        judged = self._parts[0].first if self._parts else self.judged
+        begin = min([judged, *(first for first in suspect if first is not None)])
+        return max(begin - LATE, judged - REMEMBERED * BLOCK)
 
 
 class _Block(NamedTuple):
@@ -207,8 +204,8 @@ class _Cusum:
         self._last_stamp: int | None = None
         self._energies: deque[float] = deque(maxlen=_MOST_BLOCKS)
         self._learned = 0  # energies of the stretch
-        self._earlier: deque[_Normal] = deque(maxlen=_REMEMBERED)  # stretches
-        self._suspect: deque[tuple[float, FloatArray, bool]] = deque(maxlen=_REMEMBERED)  # whether energies are usual
+        self._earlier: deque[_Normal] = deque(maxlen=REMEMBERED)  # stretches
+        self._suspect: deque[tuple[float, FloatArray, bool]] = deque(maxlen=REMEMBERED)  # whether energies are usual
         self._ratios: deque[float] = deque(maxlen=_FEWEST_BAD)
         self._unlike: deque[bool] = deque(maxlen=_FEWEST)  # whether blocks were of another motion
         self._evidence = 0.0  # for an opening, or, when it is open, for its end
@@ -261,7 +258,7 @@ class _Cusum:
         self._unlike.append(self.ready and self._leverage(rows[:, :-1]) > _RISE)
         self._factor, self._rows = np.sqrt(share) * self._factor, share * self._rows
         if share < 1.0:
-            self._earlier = deque((_Normal(share * each.level, each.shape) for each in self._earlier), _REMEMBERED)
+            self._earlier = deque((_Normal(share * each.level, each.shape) for each in self._earlier), REMEMBERED)
         joined = triangular(np.concatenate([self._factor, rows]))
         energy = max(_unexplained(joined) - _unexplained(self._factor), 0.0) / len(rows)
         if self.ready and not self._unlike[-1] and not self._moves_otherwise:

@@ -33,10 +33,10 @@ from geomid_ros.model.channels import Channel
 from geomid_ros.model.measurement import Rows
 from geomid_ros.types import FloatArray, IntArray, frozen
 
-_WINDOW = 20  # blocks since which a change is looked for
+REMEMBERED = 20
+"""Blocks since which a change is looked for; suspect blocks, and stretches of usual ones, that are kept."""
 _LACKING = 0.1  # of what a body adds to efforts: what the model lacks under loads
-_SOON = 2  # blocks after which a large change shows
-_SELDOM = 4  # blocks between looks for a small one
+_SOON = 2  # blocks after which a large change shows; a small one in the whole window
 
 
 class Noise(NamedTuple):
@@ -233,8 +233,8 @@ class PayloadWatch:
         changed = self._take() if self._loaded is None else self._drop()
         if self._loaded is not None and self.carried is not None and not changed:
             self._follow(self._loaded + block, self.carried.parameters)
-        if len(self._recent) == 2 * _WINDOW:
-            oldest = _sum([self._recent.popleft()[0] for _ in range(_WINDOW)])
+        if len(self._recent) == 2 * REMEMBERED:
+            oldest = _sum([self._recent.popleft()[0] for _ in range(REMEMBERED)])
             if self._loaded is None:
                 self._learn(oldest)
         return changed
@@ -271,14 +271,13 @@ class PayloadWatch:
 
     def _tails(self) -> list[_Block]:
         """Sums of the last block, the last two and so on, the whole window last."""
-        last = [block for block, _ in self._recent][: -_WINDOW - 1 : -1]
+        last = [block for block, _ in self._recent][: -REMEMBERED - 1 : -1]
         return list(accumulate(last, lambda later, earlier: earlier + later))
 
     def _take(self) -> bool:
         """Take up a body where the last rows show one."""
         tails = self._tails()
-        looked = tails[_SOON - 1 :: _WINDOW - _SOON] if len(self._recent) % _SELDOM == 0 else tails[_SOON - 1 : _SOON]
-        if not any(self._may_carry(tail) for tail in looked):
+        if not any(self._may_carry(tail) for tail in tails[_SOON - 1 :: REMEMBERED - _SOON]):
             return False
         fits = [(fit.gain - told.unknown, tail, fit) for tail in tails for told, fit in [self._fitted(tail)]]
         excess, tail, fit = max(fits, key=lambda each: each[0])

@@ -28,12 +28,11 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import Imu, JointState
 
 from geomid_ros.errors import InputError
-from geomid_ros.live.inbox import Received
+from geomid_ros.live.inbox import MOST_AT_ONCE, Received
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM
 
-MOST_AT_ONCE = 1000  # messages of a topic, before others have their turn
 _CLASSES = {kind.__name__: kind for kind in (WrenchStamped, Odometry, Imu, JointState)}
 
 

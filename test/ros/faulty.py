@@ -110,7 +110,7 @@ def waiting(healthy: Any, *arguments: Any) -> Any:
 
 def standing_still(healthy: Any, owner: Any, messages: list[Any]) -> Any:
     """The same, and fewer messages than usual can wait meanwhile."""
-    with patch.object(inbox, "_MOST_WAITING", MOST_WAITING):
+    with patch.object(inbox, "MOST_WAITING", MOST_WAITING):
         return waiting(healthy, owner, messages)
 
 
@@ -174,7 +174,7 @@ def run() -> None:
     plant(Worker, "recent_messages", {"service fails": fail})
     plant(os, "fsync", {"disk full": full, "disk read-only": read_only, "disk slow": slowly, "everything hangs": hang})
     plant(Session, "save", {"saving fails": fail})
-    inbox._MOST_AT_ONCE = AT_ONCE
+    inbox.MOST_AT_ONCE = AT_ONCE
     watch = Watch()
     supervisor.Supervisor.restart_what_hangs = lambda self: watch(self)  # noqa: PLW0108 an object is no method
     main.main()

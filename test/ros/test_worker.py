@@ -349,12 +349,12 @@ def standing_still(watched: Watched) -> Iterator[None]:
 
 def test_what_waits_is_bounded_by_number_and_bytes(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
     """What was taken out has room again."""
-    monkeypatch.setattr(inbox, "_MOST_WAITING", 30)
+    monkeypatch.setattr(inbox, "MOST_WAITING", 30)
     for _ in range(2):
         with standing_still(quiet):
             quiet.feed(0, 40)
         quiet.final()
-    monkeypatch.setattr(inbox, "_MOST_BYTES", 19 * len(JOINTS[0][1]))
+    monkeypatch.setattr(inbox, "MOST_BYTES", 19 * len(JOINTS[0][1]))
     for _ in range(2):
         with standing_still(quiet):
             quiet.feed(0, 40)

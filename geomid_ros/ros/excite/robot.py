@@ -20,8 +20,8 @@ from std_msgs.msg import String
 
 from geomid_ros.errors import GeomidError
 from geomid_ros.excitation.running.watch import JointState
+from geomid_ros.live.inbox import MOST_AT_ONCE
 from geomid_ros.ros.excite.recorder import Recorder
-from geomid_ros.ros.inputs import MOST_AT_ONCE
 from geomid_ros.ros.outputs import latched
 from geomid_ros.signals.messages import JOINT_STATES, parse
 
