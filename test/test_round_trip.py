@@ -65,5 +65,7 @@ def test_the_node_goes_on_from_it(trip: RoundTrip) -> None:
         assert {n: q.value for n, q in one.parameters.items()} == pytest.approx(
             {n: q.value for n, q in other.parameters.items()}, rel=1e-6, abs=1e-9
         )
-    result = find_in_messages(gap_session(urdf, configuration, "robot_description"), session.recent.entries(), silent)
+    result = find_in_messages(
+        gap_session(urdf, configuration, "robot_description"), session.recent.entries(), None, silent
+    )
     assert not result.findings

@@ -373,7 +373,7 @@ def _gaps() -> Iterator[Case]:
         recordings = Recordings(cutoff=cutoff, train=[train], held_out=[test])
 
         def run(urdf: str = urdf, recordings: Recordings = recordings) -> Figures:
-            result = find(gap_session(urdf, Configuration(), "a robot"), recordings, lambda *_: None)
+            result = find(gap_session(urdf, Configuration(), "a robot"), recordings, None, lambda *_: None)
             named = sorted((f.effect, f.joint or f.link or "", f.confidence) for f in result.findings)
             return {"gap": float(np.nansum(result.gap.after)), "verdict": str(result.verdict), "named": str(named)}
 

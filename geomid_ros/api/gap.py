@@ -27,7 +27,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.report.gap_page import GapPage, SimulatedAgain, simulated_again, write_gap_page
 from geomid_ros.report.gap_words import verdict_sentence
 from geomid_ros.report.series import elapsed
-from geomid_ros.session.gap import GapReader, find, gap_session
+from geomid_ros.session.gap import GapReader, find, gap_session, standing_of
 from geomid_ros.session.recordings import Bags, Progress, read_with_locked, silent
 from geomid_ros.session.session import Session
 from geomid_ros.session.written_simulation import nominal_inertias, simulate_again, without_findings, write_found
@@ -220,7 +220,7 @@ def find_gap(
     sharp = of_bags.sharp()
     commands = of_bags.sharp(chosen.command) if chosen.command else []
     try:
-        result = find(session, recordings, progress)
+        result = find(session, recordings, standing_of(session), progress)
     except InputError as error:
         raise InputError(f"{', '.join(map(str, recorded.fitted))}: {error}") from error
     progress("simulating again", 0.0)

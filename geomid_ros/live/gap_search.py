@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from geomid_ros.checks.causes import Finding
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.models.estimate_file import causes_entry
 from geomid_ros.files.models.gap_file import gap_document
-from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.gap.result import GapResult
 from geomid_ros.report.gap_words import verdict_sentence
 from geomid_ros.session.recordings import Progress
@@ -68,17 +65,19 @@ def look_for_gap(
         InputError: too little was measured.
     """
     # A third of a node's start, which few ever need.
-    from geomid_ros.session.gap import find_in_messages, gap_session, lacking_in_messages  # noqa: PLC0415
+    from geomid_ros.session.gap import (  # noqa: PLC0415
+        find_in_messages,
+        gap_session,
+        identified_session,
+        lacking_in_messages,
+        standing_of,
+    )
 
-    configuration, compared = session.configuration, ""
-    with TemporaryDirectory(prefix="geomid_") as folder:
-        if before is not None:
-            model, *_ = session.save(Path(folder), before)
-            remainder = lacking_in_messages(session, model, earlier, progress)
-            write_posterior(model.with_name(POSTERIOR), before.posterior, remainder)
-            configuration = configuration.with_values({"model": str(model), "prior": ""})
-            compared = f"{COMPARED}, of {before.rows_accepted} rows"
-        own = gap_session(session.urdf, configuration, "robot_description")
-        result = find_in_messages(own, messages, progress)
-    notes = [*session.notes, *own.settled] if before is None else session.notes
-    return FoundGap(result, own.findings, own.warnings(), notes, compared)
+    if before is None:
+        own = gap_session(session.urdf, session.configuration, "robot_description")
+        result = find_in_messages(own, messages, standing_of(own), progress)
+        return FoundGap(result, own.findings, own.warnings(), [*session.notes, *own.settled])
+    own = identified_session(session, before)
+    result = find_in_messages(own, messages, lacking_in_messages(own, earlier, progress), progress)
+    compared = f"{COMPARED}, of {before.rows_accepted} rows"
+    return FoundGap(result, own.findings, own.warnings(), session.notes, compared)

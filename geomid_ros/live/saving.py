@@ -17,7 +17,6 @@ from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.checkpoints import Checkpoint, CheckpointFolder, Restored
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
-from geomid_ros.files.models.written_model import ESTIMATE
 from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.live.threads import Activity, start_daemon, start_later
 from geomid_ros.live.worker import LONG, Worker
@@ -206,11 +205,11 @@ class Saving:
 
     def _save_lacking(self, worker: Worker, estimate: Estimate) -> None:
         """Add to what was saved what the estimate lacks in what is remembered, unless another was saved meanwhile."""
-        from geomid_ros.session.gap import lacking_in_messages  # noqa: PLC0415 a third of a node's start
+        from geomid_ros.session.gap import identified_session, lacking_in_messages  # noqa: PLC0415 a third of the start
 
         try:
             messages = worker.messages()  # an estimate is from all of them, whether a gap is open or not
-            remainder = lacking_in_messages(worker.session, self._folder / ESTIMATE, messages)
+            remainder = lacking_in_messages(identified_session(worker.session, estimate), messages)
             with self._one_at_a_time:
                 if remainder is not None and self._saved is estimate:
                     self._lacking = estimate, remainder

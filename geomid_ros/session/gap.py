@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import LinksInformation
+from geomid_ros.estimation.estimate import Estimate, LinksInformation
 from geomid_ros.files.bags.bag import Bag
+from geomid_ros.files.models.estimate_file import EstimateFile
+from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.posterior import POSTERIOR, read_remainder
 from geomid_ros.gap.candidates import library_columns
 from geomid_ros.gap.evidence.features import StandingRemainder
@@ -71,6 +73,17 @@ def gap_session(urdf: str, configuration: Configuration, source: str) -> Session
     return Session(urdf, configuration.with_values({"effects": [], "candidates": []}), source)
 
 
+def identified_session(session: Session, estimate: Estimate) -> Session:
+    """As :func:`gap_session`, but the model is what a session has identified so far.
+
+    Raises:
+        InputError: it cannot be a model.
+    """
+    known = LoadedModel.of(EstimateFile.of(session.document(estimate), "the estimate so far"))
+    values = {"effects": [], "candidates": [], "model": "", "prior": ""}
+    return Session(session.urdf, session.configuration.with_values(values), "robot_description", loaded=known)
+
+
 def rate(stamps: Sequence[int]) -> float:
     """Messages per second, from the first ones' stamps [ns]; infinite if they do not tell."""
     period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
@@ -94,8 +107,9 @@ def _filtered_at(session: Session, cutoff: float) -> SignalSettings:
     return replace(session.configuration.signals(session.robot.joint_names), cutoff=cutoff)
 
 
-def find(session: Session, recordings: Recordings, progress: Progress) -> GapResult:
-    """Run :func:`~geomid_ros.gap.workflow.find_gap` with the session's model and what is known of it.
+def find(session: Session, recordings: Recordings, standing: StandingRemainder | None, progress: Progress) -> GapResult:
+    """Run :func:`~geomid_ros.gap.workflow.find_gap` with the session's model, what is known of it, and what it lacked
+    where it was identified: ``standing``.
 
     Raises:
         InputError: the recordings are too short, without motion or without anything measured, or the robot stands on
@@ -116,7 +130,7 @@ def find(session: Session, recordings: Recordings, progress: Progress) -> GapRes
         deviations=session.loaded.deviations(session.model),
         known=known_of(session),
         beside=session.loaded.beside_coefficients,
-        standing=standing_of(session),
+        standing=standing,
         simulated=recordings.simulated,
         progress=progress,
     )
@@ -177,8 +191,10 @@ def _known_or(parameters: FloatArray, nominal: FloatArray) -> FloatArray:
     return np.where(np.isnan(parameters), nominal, parameters)
 
 
-def find_in_messages(session: Session, messages: Sequence[Accepted], progress: Progress) -> GapResult:
-    """Run the workflow on messages that another pipeline has accepted; the last part of them is judged on.
+def find_in_messages(
+    session: Session, messages: Sequence[Accepted], standing: StandingRemainder | None, progress: Progress
+) -> GapResult:
+    """As :func:`find`, on messages that another pipeline has accepted; the last part of them is judged on.
 
     Raises:
         InputError: too little was measured.
@@ -187,23 +203,17 @@ def find_in_messages(session: Session, messages: Sequence[Accepted], progress: P
     session.check.add(samples)
     session.judge()
     ((train, held_out),) = divided([samples], HELD_OUT)
-    return find(session, Recordings(cutoff=cutoff, train=[train], held_out=[held_out]), progress)
+    return find(session, Recordings(cutoff=cutoff, train=[train], held_out=[held_out]), standing, progress)
 
 
 def lacking_in_messages(
-    session: Session, model: Path, messages: Sequence[Accepted], progress: Progress = silent
+    session: Session, messages: Sequence[Accepted], progress: Progress = silent
 ) -> StandingRemainder | None:
-    """What an estimate that a session has saved as ``model``, an ``estimate.json``, lacks in messages that it is from;
-    None if they tell too little.
-
-    Raises:
-        InputError: the files cannot be read.
-    """
-    configuration = session.configuration.with_values({"model": str(model), "prior": ""})
-    saved = gap_session(session.urdf, configuration, "robot_description")
+    """What the model of an :func:`identified_session` lacks in messages that it is from; None if they tell too
+    little."""
     try:
-        cutoff, samples = _samples_of(saved, messages, progress)
-        return lacking(saved.model, [samples], cutoff, saved.prior, saved.loaded.beside_coefficients)
+        cutoff, samples = _samples_of(session, messages, progress)
+        return lacking(session.model, [samples], cutoff, session.prior, session.loaded.beside_coefficients)
     except (InputError, np.linalg.LinAlgError):  # what was found is worth having without it
         return None
 

@@ -74,6 +74,8 @@ class Session:
         source: str,
         ledger: Ledger | None = None,
         readers: Collection[str] = (),
+        *,
+        loaded: LoadedModel | None = None,
     ) -> None:
         """Build the model that description and configuration ask for.
 
@@ -83,6 +85,7 @@ class Session:
             source: where the description is from, for messages.
             ledger: told what becomes of every message.
             readers: who will read the files of results, of :data:`~geomid_ros.files.models.effect_forms.ELEMENTS`.
+            loaded: the model to start from; that of the configuration unless given.
 
         Raises:
             InputError: these do not fit together.
@@ -91,7 +94,7 @@ class Session:
         self._source = source
         self.configuration = configuration
         self._readers = readers
-        self.loaded = LoadedModel.read(configuration["model"])
+        self.loaded = loaded or LoadedModel.read(configuration["model"])
         sensors = self.loaded.sensors(configuration.sensors)
         self._sensors = sensors
         self.robot = self.read_robot(urdf, source)
@@ -194,13 +197,13 @@ class Session:
         settings = replace(settings, files=files, alike=self._alike(configuration))
         if not (path := configuration["prior"]):
             return settings
-        for other in ("model", "gamma"):
-            if configuration[other]:
+        for other, given in (("model", self.loaded.source), ("gamma", configuration["gamma"])):
+            if given:
                 raise InputError(f"{configuration.source}: prior and {other} are both given; choose one")
         return replace(settings, population=read_population(Path(path)))
 
     def _alike(self, configuration: Configuration) -> tuple[AlikeParts, ...]:
-        if configuration.alike and not any(configuration[other] for other in ("model", "prior", "gamma")):
+        if configuration.alike and not (self.loaded.source or configuration["prior"] or configuration["gamma"]):
             return alike_parts(self.model.robot, self.model.identified)
         return ()
 

@@ -12,7 +12,6 @@ from estimation.arms import efforts, motion, shipped, truth
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.posterior import POSTERIOR, read_posterior, read_remainder
-from geomid_ros.files.models.written_model import ESTIMATE
 from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.live import saving as module
 from geomid_ros.live.gap_search import look_for_gap
@@ -23,7 +22,7 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.monitoring.change_detection import ChangeDetector, ChannelGap
 from geomid_ros.session import gap
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.gap import lacking_in_messages
+from geomid_ros.session.gap import identified_session, lacking_in_messages
 from geomid_ros.session.recordings import silent
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import JOINT_STATES, Accepted, Recent
@@ -120,7 +119,8 @@ def test_it_is_of_all_messages_that_the_estimate_is_from_whether_a_gap_is_open_o
     early = [whole.before(int(whole.stamps[len(whole) // 2]))]
     worker: Any = SimpleNamespace(session=arm.session, messages=lambda: arm.messages, messages_before_gap=lambda: early)
     saving.begin(worker, arm.estimate, lambda _: None)
-    expected, other = (lacking_in_messages(arm.session, tmp_path / ESTIMATE, each) for each in (arm.messages, early))
+    saved = identified_session(arm.session, arm.estimate)
+    expected, other = (lacking_in_messages(saved, each) for each in (arm.messages, early))
     remainder = read_remainder(tmp_path / POSTERIOR)
     assert expected is not None
     assert other is not None

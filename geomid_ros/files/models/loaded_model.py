@@ -57,11 +57,13 @@ class LoadedModel:
     def read(path: str) -> LoadedModel:
         """Read an ``estimate.json``; nothing is known if there is no ``path``. Raises InputError naming the file and
         what is wrong in it."""
-        if not path:
-            return LoadedModel()
-        file = EstimateFile.read(Path(path))
+        return LoadedModel.of(EstimateFile.read(Path(path))) if path else LoadedModel()
+
+    @staticmethod
+    def of(file: EstimateFile) -> LoadedModel:
+        """What such a file says. Raises InputError naming what is wrong in it."""
         known = file.known_information
-        return LoadedModel(path, file.inertias, tuple(file.known_effects), known, file.merged, file.doubt)
+        return LoadedModel(file.source, file.inertias, tuple(file.known_effects), known, file.merged, file.doubt)
 
     def refitted(
         self, model: MeasurementModel, coefficients: FloatArray, beside: Sequence[KnownEffect] = ()
