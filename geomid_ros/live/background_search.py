@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Generic, Protocol, TypeVar
 
 from geomid_ros.errors import InputError
@@ -55,14 +56,14 @@ class BackgroundSearch(Generic[R]):
         """
         Args:
             failure: what is said of a search that found nothing, before the reason.
-            on_end: ``on_end(status)`` is called in the search's thread when a search ends, unless it was closed before.
+            on_end: ``on_end(status)`` is called in the search's thread when a search ends by itself.
         """
         self._failure = failure
         self._on_end = on_end
         self.status: SearchStatus[R] | None = None  # of the present or the last search
         self._thread: threading.Thread | None = None
+        self._ended = threading.Event()  # the present search, from outside
         self._lock = threading.Lock()  # held while on_end is called
-        self._closed = False
 
     @property
     def running(self) -> bool:
@@ -71,19 +72,21 @@ class BackgroundSearch(Generic[R]):
 
     def start(self, look: Callable[[Progress], R]) -> None:
         """Begin a search: ``look(progress)``, in a thread."""
-        self._progress("beginning", 0.0)
-        self._thread = start_daemon("search", self._run, look)
+        self._ended = threading.Event()
+        self._progress(self._ended, "beginning", 0.0)
+        self._thread = start_daemon("search", self._run, look, self._ended)
 
     def close(self) -> None:
-        """End, without calling ``on_end``."""
+        """End the present search, without calling ``on_end``, and forget the last one."""
         with self._lock:
-            self._closed = True
+            self._ended.set()
+            self.status = None
         if self._thread is not None:
             self._thread.join(_PATIENCE)
 
-    def _run(self, look: Callable[[Progress], R]) -> None:
+    def _run(self, look: Callable[[Progress], R], ended: threading.Event) -> None:
         try:
-            result = look(self._progress)
+            result = look(partial(self._progress, ended))
             status = SearchStatus(result.sentence, result=result)
         except _EndedError:
             return
@@ -92,11 +95,12 @@ class BackgroundSearch(Generic[R]):
         except Exception as error:  # noqa: BLE001 the caller must have an answer
             status = SearchStatus(f"{self._failure}: {type(error).__name__}: {error}")
         with self._lock:
-            if not self._closed:
+            if not ended.is_set():
                 self.status = status
                 self._on_end(status)
 
-    def _progress(self, stage: str, share: float) -> None:
-        if self._closed:
-            raise _EndedError
-        self.status = SearchStatus(f"running: {stage}, {100.0 * share:.0f} %", stage)
+    def _progress(self, ended: threading.Event, stage: str, share: float) -> None:
+        with self._lock:
+            if ended.is_set():
+                raise _EndedError
+            self.status = SearchStatus(f"running: {stage}, {100.0 * share:.0f} %", stage)

@@ -30,7 +30,8 @@ class PayloadSearch:
         self._empty = ()
 
     def close(self) -> None:
-        """End, without an answer."""
+        """The same, and end the search without an answer."""
+        self.forget()
         self._search.close()
 
     def take_empty(self, worker: Worker) -> tuple[bool, str]:

@@ -17,6 +17,7 @@ from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.live.pace import NEW_SHARE, Pace
+from geomid_ros.live.status import Listener
 from geomid_ros.live.threads import Activity, start_daemon
 from geomid_ros.monitoring.change_detection import (
     ALARM,
@@ -46,27 +47,19 @@ class Solver:
     what it was, unless old rows are forgotten anyway.
     """
 
-    def __init__(
-        self,
-        session: Session,
-        period: float,
-        on_estimate: Callable[[Session, Estimate], None],
-        on_payload: Callable[[Carried | None], None],
-    ) -> None:
+    def __init__(self, session: Session, period: float, listener: Listener) -> None:
         """
         Args:
             session: has the rows.
             period: [s] between solves, at least; nothing is solved while no rows come.
-            on_estimate: ``on_estimate(session, estimate)`` is called in the thread for each new estimate.
-            on_payload: ``on_payload(carried)`` is called in the thread when what is carried changes.
+            listener: is told of estimates and payloads in the thread.
         """
         self._session = session
         self.period = period  # [s] between solves
         self._forgets = bool(np.isfinite(session.configuration.buffer.forgetting_time))
         self._sensors = sensor_channels(session.model)
-        self._on_estimate = on_estimate
-        self._on_payload = on_payload
-        self._told: Carried | None = None  # as on_payload was told last
+        self._listener = listener
+        self._told: Carried | None = None  # as the listener was told last
         self._lock = threading.Lock()  # held, briefly, for all that follows
         self.estimate: Estimate | None = None  # the last one
         self._earlier: deque[tuple[int, Estimate]] = deque(maxlen=_EARLIER)  # the last ones, by the instants they know
@@ -230,7 +223,7 @@ class Solver:
     def _tell_payload(self, detector: ChangeDetector) -> None:
         if detector is self.detector and (carried := self.carried) is not self._told:
             self._told = carried
-            self._on_payload(carried)
+            self._listener.carried(carried)
 
     def _leave_out_changed_sensors(self, detector: ChangeDetector) -> None:
         """Leave out the rows of sensors that have changed; accept for good those that are known to be sound."""
@@ -281,7 +274,7 @@ class Solver:
             estimate = self._finite(self._session.identifier.solve(warm))
             if self._keep(estimate, rows, epoch, warm):
                 self._earlier.append((instants, estimate))
-                self._on_estimate(self._session, estimate)
+                self._listener.estimate(self._session, estimate)
         except Exception as error:  # noqa: BLE001 the last estimate stays; the diagnostics report it
             if not isinstance(error, GeomidError):
                 self._fail(error)

@@ -1,4 +1,4 @@
-"""What a live session tells the diagnostics."""
+"""What a live session tells: its state to the diagnostics, and what it finds to a listener."""
 
 from __future__ import annotations
 
@@ -6,9 +6,24 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 
 from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import ChannelGap
 from geomid_ros.monitoring.payload_watch import Carried
+from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import Account
+
+
+class Listener:
+    """Is told what a live session finds, in the thread that finds it. This one ignores it."""
+
+    def prediction(self, session: Session, samples: Samples, estimate: Estimate) -> None:
+        """New samples, and the estimate to predict them by, with what is carried."""
+
+    def estimate(self, session: Session, estimate: Estimate) -> None:
+        """A new estimate."""
+
+    def carried(self, carried: Carried | None) -> None:
+        """What is carried from now on; None for nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)

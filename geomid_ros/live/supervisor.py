@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import deque
-from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
@@ -13,16 +11,16 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.identifier import EstimationTask
 from geomid_ros.files.models.readers import URDF
-from geomid_ros.live.saving import Checkpoints, CheckpointStatus
+from geomid_ros.live.saving import Checkpoints, CheckpointStatus, Saving
 from geomid_ros.live.solving_process import SolvingProcess
-from geomid_ros.live.worker import PATIENCE, OnEstimate, OnPayload, OnSamples, Worker
+from geomid_ros.live.status import Listener
+from geomid_ros.live.worker import PATIENCE, Worker
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import locked_note, with_locked
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import Ledger
 
-MOST_RESTARTS = 3
-FORGOTTEN = 3600.0  # [s] after which a restart does not count any more
+MOST_RESTARTS = 3  # of the intake: a thread that is replaced cannot be ended
 HANGING = 120.0  # [s] nothing takes so long on a busy machine, not even the first solve of a humanoid
 _PUBLISHERS_START = 3.0  # [s] within which all joints are heard that are published
 
@@ -43,10 +41,7 @@ class Supervisor:
         configuration: Configuration,
         ledger: Ledger,
         log: Log,
-        *,
-        on_samples: OnSamples,
-        on_estimate: OnEstimate,
-        on_payload: OnPayload,
+        listener: Listener,
         solving: SolvingProcess | None,
     ) -> None:
         """
@@ -54,28 +49,28 @@ class Supervisor:
             configuration: of every session.
             ledger: is told what becomes of every message, whichever worker takes it.
             log: is told of sessions that begin.
-            on_samples: see :class:`Worker`.
-            on_estimate, on_payload: see :class:`Worker`.
+            listener: is told what every worker finds.
             solving: the process that solves; None for this one.
         """
         self._configuration = configuration
         self._ledger = ledger
         self._log = log
-        self._on_samples = on_samples
-        self._on_estimate = on_estimate
-        self._on_payload = on_payload
+        self._listener = listener
         self._solving = solving
-        self._restarts: deque[float] = deque()  # when [s] those were that count
+        self.saving = Saving(configuration["output_folder"])
+        """Writes estimates of the workers."""
+        self._restarts = 0  # of the intake
         self._hung = ""
+        self._solves = 0  # of the worker, when that was noticed
         self._absent: tuple[str, ...] = ()  # joints that are locked as nobody publishes them
         self._agreed = 0.0  # when [s] these were last those that nobody publishes
         self._checkpoints: Checkpoints | None = None
         self.worker: Worker | None = None  # the present one
 
     @property
-    def problem(self) -> str:
-        """Threads that hang or hung; empty if all is well."""
-        return self._hung
+    def problems(self) -> tuple[str, ...]:
+        """What hangs, or hung and has made no estimate since; and what is wrong with saving."""
+        return (self._hung, *self.saving.problems)
 
     @property
     def warning(self) -> str:
@@ -104,10 +99,9 @@ class Supervisor:
             session.judge_with(self._solving.remote(JudgementTask.judge))
         if self.worker is not None:
             self.worker.close()
-            self._on_payload(None)
+            self._listener.carried(None)
         self._restore(session)
-        period = self._configuration["solve_period"]
-        self.worker = Worker(session, period, self._on_samples, self._on_estimate, self._on_payload)
+        self.worker = Worker(session, self._configuration["solve_period"], self._listener)
         self._log.info(f"identifying {len(session.model.body_names)} links from {len(session.model.channels)} channels")
         session.settled += [locked_note(absent)] if absent else []
         for warning in (*session.warnings(), *session.settled):
@@ -145,8 +139,7 @@ class Supervisor:
 
     def reset(self) -> None:
         """Forget all rows, and that threads hung."""
-        self._restarts.clear()
-        self._hung = ""
+        self._restarts, self._hung = 0, ""
         if self.worker is not None:
             self.worker.reset()
 
@@ -168,53 +161,47 @@ class Supervisor:
 
     def restart_what_hangs(self) -> None:
         """End the solving process if a solve hangs; if the intake does, replace the worker, whose rows are lost."""
-        if self.worker is None:
+        worker = self.worker
+        if worker is None:
             return
-        while self._restarts and time.monotonic() - self._restarts[0] > FORGOTTEN:
-            self._restarts.popleft()
-            self._hung = self._hung if self._restarts else ""
-        intake = self.worker.activity.current[1] > HANGING
-        solver = self.worker.solver.activity.current[1] > HANGING
-        if not solver and not intake:
-            self._hung = self._hung if self._restarts else ""
-            return
-        what = "message processing" if intake else "the solver"
-        if len(self._restarts) == MOST_RESTARTS:
-            self._hung = f"{what} hangs again after {MOST_RESTARTS} restarts; no restart for an hour"
-            return
-        if not intake and not (self._solving and self._solving.give_up()):
-            self._hung = f"{what} hangs, and not in a solve; restart the node"
-            return
-        self._restarts.append(time.monotonic())
-        self._hung = f"{what} hung and was restarted, {len(self._restarts)} of at most {MOST_RESTARTS} times"
-        if intake:
-            self.build(self.worker.session.urdf, "robot_description", self._absent)
-        else:
-            self.worker.solver.activity.count_anew()
+        if worker.activity.current[1] > HANGING:
+            self._hung, self._solves = self._restart_intake(worker), 0
+        elif worker.solver.activity.current[1] > HANGING:
+            self._hung, self._solves = self._restart_solver(worker), worker.solver.solves
+        elif worker.solver.solves > self._solves:
+            self._hung = ""
 
-    def close(self, save: Callable[[Session, Estimate, float], None]) -> None:
-        """End the threads, after saving the last estimate.
+    def _restart_intake(self, worker: Worker) -> str:
+        """Replace the worker, unless that was done too often already; what was done, in a sentence."""
+        if self._restarts == MOST_RESTARTS:
+            return f"message processing hangs again after {MOST_RESTARTS} restarts; no restart until ~/reset"
+        self._restarts += 1
+        self.build(worker.session.urdf, "robot_description", self._absent)
+        return f"message processing hung and was restarted, {self._restarts} of at most {MOST_RESTARTS} times"
 
-        Args:
-            save: ``save(session, estimate, patience)`` is called with the last estimate and the seconds that it may
-                take: at once, as nobody may have the time to wait for a solver at work, and again if that has found
-                another.
-        """
+    def _restart_solver(self, worker: Worker) -> str:
+        """End the process that solves, if it does; what was done, in a sentence."""
+        if not (self._solving and self._solving.give_up()):
+            return "the solver hangs, and not in a solve; restart the node"
+        worker.solver.activity.count_anew()
+        return "the solver hung and was restarted"
+
+    def close(self) -> None:
+        """End the threads, and save the last estimate if there is a folder for it: at once, as nobody may have the time
+        to wait for a solver at work, and again if that has found another."""
         if self.worker is None:
             return
         end = time.monotonic() + PATIENCE
-        saved = self._save_last(self.worker, save, None, end)
+        saved = self._save_last(self.worker, None, end)
         self.worker.close(max(0.0, end - time.monotonic()))
-        self._save_last(self.worker, save, saved, end)
+        self._save_last(self.worker, saved, end)
         if self._checkpoints is not None:
             self._checkpoints.close()
         self.worker = self._checkpoints = None
 
-    @staticmethod
-    def _save_last(
-        worker: Worker, save: Callable[[Session, Estimate, float], None], saved: Estimate | None, end: float
-    ) -> Estimate | None:
+    def _save_last(self, worker: Worker, saved: Estimate | None, end: float) -> Estimate | None:
+        """Save the last estimate, unless that was ``saved``, until ``end`` [s]."""
         estimate = worker.estimate
-        if estimate is not None and estimate is not saved:
-            save(worker.session, estimate, max(0.0, end - time.monotonic()))
+        if self._configuration["output_folder"] and estimate is not None and estimate is not saved:
+            self._log.info(self.saving.save_last(worker.session, estimate, max(0.0, end - time.monotonic())))
         return estimate

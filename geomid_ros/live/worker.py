@@ -5,9 +5,8 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from typing import TypeAlias
 
 import numpy as np
 
@@ -15,11 +14,11 @@ from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.live.inbox import Inbox, Received, Request
 from geomid_ros.live.solver import SOLVING, Done, Solver
-from geomid_ros.live.status import Status
+from geomid_ros.live.status import Listener, Status
 from geomid_ros.live.threads import Activity, start_daemon
 from geomid_ros.model.measurement import Rows
 from geomid_ros.model.samples import Samples
-from geomid_ros.monitoring.payload_watch import Carried, carrying
+from geomid_ros.monitoring.payload_watch import carrying
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import WrenchGuard
 from geomid_ros.signals.decoding import Decoder
@@ -31,37 +30,23 @@ _TRANSITION = 2_000_000_000  # [ns] from the beginning of a gap until all rows s
 _LATENCIES = 10_000  # last instants of which the latency is known
 LONG = 1.0  # [s] nothing that a thread does takes longer, except solving if ``solve_period`` is longer
 
-OnSamples: TypeAlias = Callable[[Session, Samples, Estimate], None]
-OnEstimate: TypeAlias = Callable[[Session, Estimate], None]
-OnPayload: TypeAlias = Callable[[Carried | None], None]
-
 
 class Worker:
     """Owns a session while it is live: its inbox, its intake thread and its solver."""
 
-    def __init__(
-        self,
-        session: Session,
-        solve_period: float,
-        on_samples: OnSamples,
-        on_estimate: OnEstimate,
-        on_payload: OnPayload = lambda _: None,
-    ) -> None:
+    def __init__(self, session: Session, solve_period: float, listener: Listener) -> None:
         """
         Args:
             session: in which nothing has happened yet, or that was restored.
             solve_period: [s] between estimates.
-            on_samples: ``on_samples(session, samples, estimate)`` is called in the intake thread for new samples, once
-                there is an estimate.
-            on_estimate: ``on_estimate(session, estimate)`` is called in the solver's thread for each new estimate.
-            on_payload: ``on_payload(carried)`` is called in the solver's thread when what is carried changes.
+            listener: is told of samples in the intake's thread, once there is an estimate, of all else in the solver's.
         """
         self.session = session
         self.ledger = session.pipeline.ledger
-        self.solver = Solver(session, solve_period, on_estimate, on_payload)
+        self.solver = Solver(session, solve_period, listener)
         self.activity = Activity()  # of the intake
         self._decoder = Decoder()
-        self._on_samples = on_samples
+        self._listener = listener
         self._lock = threading.Lock()  # held, briefly, for the three that follow
         self._failures: Counter[str] = Counter()
         self._rows_lost: Counter[str] = Counter()  # replaced as a whole
@@ -241,7 +226,7 @@ class Worker:
 
     def _report_prediction(self, samples: Samples, estimate: Estimate) -> None:
         try:
-            self._on_samples(self.session, samples, estimate)
+            self._listener.prediction(self.session, samples, estimate)
         except Exception as error:  # noqa: BLE001 as above
             self._fail("a prediction could not be published", error)
 

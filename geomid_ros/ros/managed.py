@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 
@@ -19,6 +21,17 @@ class Managed(LifecycleNodeMixin):
     def manage(self) -> None:
         """Offer the services of a managed node. Without, this class does nothing."""
         LifecycleNodeMixin.__init__(self)
+        service = self._service_change_state
+        service.callback = partial(self._answered, service.callback)
+
+    def _answered(self, change: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
+        """Answer that a transition fails that the state does not have: rclpy raises an error, and answers nothing."""
+        try:
+            return change(request, response)
+        except RuntimeError as error:  # rclpy's own are such
+            self.fail("a transition failed", error)
+            response.success = False
+            return response
 
     @abstractmethod
     def configure(self) -> None:

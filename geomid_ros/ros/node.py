@@ -19,17 +19,14 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from geomid_ros.errors import GeomidError, InputError
-from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.live.background_search import BackgroundSearch
 from geomid_ros.live.gap_search import look_for_gap
 from geomid_ros.live.inbox import Received
 from geomid_ros.live.payload_search import NO_DATA, PayloadSearch
-from geomid_ros.live.saving import Saving
 from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.live.status import Status
 from geomid_ros.live.supervisor import Supervisor
 from geomid_ros.live.worker import Worker
-from geomid_ros.monitoring.payload_watch import Carried
 from geomid_ros.ros.console import Console, News
 from geomid_ros.ros.dashboard_process import DashboardProcess
 from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, UNCONFIGURED, Diagnostics
@@ -40,7 +37,6 @@ from geomid_ros.ros.parameters import changed_names, depends_on_rows, read_param
 from geomid_ros.ros.starting import starting_ros
 from geomid_ros.ros.streaming import Streaming
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.session import Session
 from geomid_ros.signals.decoding import read_without_rosbags
 from geomid_ros.signals.ledger import Ledger, count_reason
 
@@ -78,30 +74,20 @@ class GeomidNode(Managed, Node):
         self._active: bool = self._configuration["active"]
         self._configured = self._subscribed = False
         lifecycle = self._configuration["lifecycle"]
-        if lifecycle == "none":
-            self._outputs = Outputs(self, self.create_publisher)
-        else:
+        if lifecycle != "none":
             self.manage()
-            self._outputs = Outputs(self, self.create_lifecycle_publisher)
+        create = self.create_publisher if lifecycle == "none" else self.create_lifecycle_publisher
+        self._ledger = Ledger()
+        self._inputs = Inputs(self, self._ledger)
+        self._streaming = Streaming(self, self._inputs)
+        self._outputs = Outputs(self, create, self._streaming)
         self._search = BackgroundSearch("no finding", self._outputs.finding)
         self._payload = PayloadSearch(self._outputs.payload)
-        self._saving = Saving(self._configuration["output_folder"])
         self._dashboard: DashboardProcess | None = None
         self._urdf = ""  # the latest description, not necessarily the worker's
         self._problem = ""  # with the robot description
         self._failures: Counter[str] = Counter()
-        self._ledger = Ledger()
-        self._supervisor = Supervisor(
-            self._configuration,
-            self._ledger,
-            self._console,
-            on_samples=self._outputs.prediction,
-            on_estimate=self._on_estimate,
-            on_payload=self._on_payload,
-            solving=solving,
-        )
-        self._inputs = Inputs(self, self._ledger)
-        self._streaming = Streaming(self, self._inputs)
+        self._supervisor = Supervisor(self._configuration, self._ledger, self._console, self._outputs, solving)
         self._diagnostics = Diagnostics(self.get_fully_qualified_name().lstrip("/"))
         self._diagnostic_arrays = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._serve("start", partial(self._set_active, active=True))
@@ -147,14 +133,6 @@ class GeomidNode(Managed, Node):
     def wait(self, seconds: float) -> None:
         """Let time pass, and predict messages that come meanwhile."""
         self._streaming.wait(seconds)
-
-    def _on_estimate(self, session: Session, estimate: Estimate) -> None:
-        self._streaming.use(session, estimate)
-        self._outputs.estimate(session, estimate)
-
-    def _on_payload(self, carried: Carried | None) -> None:
-        self._streaming.carry(carried)
-        self._outputs.carried(carried)
 
     def _take(self, messages: list[Received]) -> str:
         """Take messages, or say why not."""
@@ -211,9 +189,10 @@ class GeomidNode(Managed, Node):
     def clean_up(self) -> None:
         """End the identifier, within two seconds; the checkpoint and the last estimate are saved."""
         self._configured = False
-        self._supervisor.close(self._save_last)
+        self._search.close()
+        self._payload.close()
+        self._supervisor.close()
         self._streaming.forget()
-        self._payload.forget()
         self._report("")
 
     def _on_set(self, parameters: Sequence[RosParameter]) -> SetParametersResult:
@@ -309,8 +288,7 @@ class GeomidNode(Managed, Node):
 
     def _status(self) -> Status:
         status = self._worker.status(self._uses_data) if self._worker is not None else Status(active=self._uses_data)
-        problems = (*self._inputs.problems, self._problem, *self._saving.problems, self._supervisor.problem)
-        problems += status.problems
+        problems = (*self._inputs.problems, self._problem, *self._supervisor.problems, *status.problems)
         return replace(
             status,
             problems=tuple(filter(None, problems)),
@@ -366,7 +344,7 @@ class GeomidNode(Managed, Node):
             response.success, response.message = False, self._missing
             return response
         future: Future = Future(executor=self.executor)
-        self._saving.begin_when_solved(self._worker, future.set_result)
+        self._supervisor.saving.begin_when_solved(self._worker, future.set_result)
         response.success, response.message = await future
         return response
 
@@ -374,11 +352,5 @@ class GeomidNode(Managed, Node):
         """End the threads within two seconds, and save the last estimate in the output folder, if there is one."""
         if self._dashboard is not None:
             self._dashboard.close()
-        self._search.close()
-        self._payload.close()
         self.deactivate()
         self.clean_up()
-
-    def _save_last(self, session: Session, estimate: Estimate, patience: float) -> None:
-        if self._configuration["output_folder"]:
-            self._console.info(self._saving.save_last(session, estimate, patience))

@@ -21,10 +21,12 @@ from geomid_ros.files.schema import FORMAT
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.live.background_search import SearchStatus
 from geomid_ros.live.gap_search import FoundGap
+from geomid_ros.live.status import Listener
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.se3 import quaternion
 from geomid_ros.monitoring.payload_watch import Carried
+from geomid_ros.ros.streaming import Streaming
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -36,12 +38,18 @@ def latched(depth: int = 1) -> QoSProfile:
     return QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
 
 
-class Outputs:
+class Outputs(Listener):
     """Publishes inertias, predicted efforts, the identified URDF, markers and findings, from any thread."""
 
-    def __init__(self, node: Node, create: Callable[..., Publisher]) -> None:
-        """``create``: the method of the ``node`` that makes its publishers."""
+    def __init__(self, node: Node, create: Callable[..., Publisher], streaming: Streaming) -> None:
+        """
+        Args:
+            node: whose results are published.
+            create: its method that makes publishers.
+            streaming: predicts by each new estimate.
+        """
         self._node = node
+        self._streaming = streaming
         self._inertias = create(InertiaStamped, "~/inertias", latched(256))
         self._predictions = create(JointState, "~/predicted_joint_states", 1000)
         self._deviations = create(JointState, "~/predicted_efforts_std", 1000)
@@ -62,7 +70,8 @@ class Outputs:
             _publish_efforts(self._deviations, session.robot, samples, deviations)
 
     def estimate(self, session: Session, estimate: Estimate) -> None:
-        """Publish an estimate."""
+        """Publish an estimate, and predict by it."""
+        self._streaming.use(session, estimate)
         stamp = self._node.get_clock().now().nanoseconds
         for link in estimate.links:
             self._inertias.publish(inertia_message(link.name, link.parameters, stamp))
@@ -76,7 +85,8 @@ class Outputs:
         self._node.get_logger().info(status.sentence)
 
     def carried(self, carried: Carried | None) -> None:
-        """Publish what the robot has picked up; all zeros after it was put down."""
+        """Publish what the robot has picked up, and predict with it; all zeros after it was put down."""
+        self._streaming.carry(carried)
         self._link = carried.link if carried is not None else self._link
         stamp = self._node.get_clock().now().nanoseconds
         message = InertiaStamped() if carried is None else inertia_message(carried.link, carried.parameters, stamp)

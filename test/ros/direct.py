@@ -14,6 +14,7 @@ from files.recordings import Recorded
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.live.inbox import Received
+from geomid_ros.live.status import Listener
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros.diagnostics import Diagnostics
 
@@ -31,7 +32,7 @@ class Direct(Rig):
         self.arrays = []
         self._cases = self.told_at = 0
         self._diagnostics = Diagnostics(self.name)
-        self.worker = Worker(self.session, SOLVE_PERIOD, lambda *_: None, lambda *_: None)
+        self.worker = Worker(self.session, SOLVE_PERIOD, Listener())
 
     def send(self, items: Iterable[Recorded], _: float = 0.0) -> None:
         """Let messages be taken."""

@@ -13,7 +13,9 @@ from commands.test_robot_options import with_gripper
 
 from geomid_ros.live import supervisor as module
 from geomid_ros.live.inbox import Received
+from geomid_ros.live.status import Listener
 from geomid_ros.live.supervisor import Supervisor
+from geomid_ros.monitoring.payload_watch import Carried
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.ledger import Ledger
 
@@ -40,6 +42,16 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     return clock
 
 
+class Carrying(Listener):
+    """Notes what is carried."""
+
+    def __init__(self, said: list[str]) -> None:
+        self._said = said
+
+    def carried(self, carried: Carried | None) -> None:
+        self._said.append(f"carries {carried}")
+
+
 @pytest.fixture
 def node() -> Iterator[tuple[Supervisor, list[str]]]:
     """What a node does without ROS, with a gripper on its arm, and what it logs."""
@@ -49,10 +61,8 @@ def node() -> Iterator[tuple[Supervisor, list[str]]]:
         Configuration({**NO_CHOICE, "solve_period": 3600.0}),
         Ledger(),
         log,
-        on_samples=lambda *_: None,
-        on_estimate=lambda *_: None,
-        on_payload=lambda carried: said.append(f"carries {carried}"),
-        solving=None,
+        Carrying(said),
+        None,
     )
     supervisor.build(with_gripper(), "test")
     yield supervisor, said

@@ -293,7 +293,7 @@ def test_53_an_intake_that_hangs_is_replaced_three_times(faulty: Faulty) -> None
         for attempt, reason in enumerate(
             [
                 *(f"message processing hung and was restarted, {k} of at most 3 times" for k in (1, 2, 3)),
-                "message processing hangs again after 3 restarts; no restart for an hour",
+                "message processing hangs again after 3 restarts; no restart until ~/reset",
             ]
         ):
             rig.send(rig.shifted(later(item, (5 + 3 * attempt) * SECOND) for item in GOOD[300:600]))

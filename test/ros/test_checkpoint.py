@@ -26,6 +26,7 @@ from geomid_ros.files.archive import decoded
 from geomid_ros.files.checkpoints import Checkpoint
 from geomid_ros.live import saving
 from geomid_ros.live.saving import Checkpoints
+from geomid_ros.live.status import Listener
 from geomid_ros.live.worker import Worker
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
@@ -260,4 +261,4 @@ def working(of: Session) -> tuple[Worker, list[WarmStart | None]]:
     starts: list[WarmStart | None] = []
     solve = of.identifier.solve
     of.identifier.solve = lambda warm=None: starts.append(warm) or solve(warm)  # type: ignore[method-assign]
-    return Worker(of, SOON, lambda *_: None, lambda *_: None), starts
+    return Worker(of, SOON, Listener()), starts

@@ -99,9 +99,8 @@ def test_autostart(stage: Stage) -> None:
     assert state(stage) == "active"
     stage.observer.publish(MESSAGES[:FEW], KINDS)
     stage.fed({"joint_states": FEW // 2, "/wrench": FEW // 2})
-    client = stage.observer.node.create_client(ChangeState, "/geomid/change_state")
-    client.call_async(ChangeState.Request(transition=Transition(id=Transition.TRANSITION_CONFIGURE)))  # of no state
-    stage.observer.diagnostics(lambda values, _: any("callback failed" in key for key in values), "the refusal")
+    assert not changed(stage, Transition.TRANSITION_CONFIGURE), "the state has no such transition"
+    stage.observer.diagnostics(lambda values, _: any("transition failed" in key for key in values), "the refusal")
     assert state(stage) == "active"
     process = stage.node(
         {**MANAGED, "lifecycle": "autostart", "robot_description": "<robot"}, "-r", "__ns:=/bad", name="bad/geomid"

@@ -24,6 +24,7 @@ from geomid_ros.estimation.identifier import EstimationTask, Identifier
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live import solving_process as module
 from geomid_ros.live.solving_process import SolvingProcess
+from geomid_ros.live.status import Listener
 from geomid_ros.live.supervisor import Supervisor
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
@@ -61,10 +62,6 @@ def parts(messages: int, of: Session) -> Iterator[Samples]:
     """The samples of so many messages."""
     joints = (item.parsed for item in MESSAGES[: 2 * messages] if item.topic == "/joint_states")
     return completed(of.pipeline, joints)
-
-
-def ignored(*_: object) -> None:
-    """What nobody looks at."""
 
 
 def wait_until(look: Callable[[], bool]) -> None:
@@ -109,10 +106,8 @@ def test_recordings_are_judged_there_and_alike(solving: SolvingProcess, monkeypa
         Configuration(faulty),
         Ledger(),
         logging.getLogger(),
-        on_samples=ignored,
-        on_estimate=ignored,
-        on_payload=ignored,
-        solving=solving,
+        Listener(),
+        solving,
     )
     supervisor.build(read_urdf(BAGS / "arm3.urdf"), "arm3.urdf")
     assert supervisor.worker is not None

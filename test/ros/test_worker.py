@@ -19,7 +19,9 @@ from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live import inbox
 from geomid_ros.live import worker as module
 from geomid_ros.live.inbox import Received
+from geomid_ros.live.status import Listener
 from geomid_ros.live.worker import Worker
+from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import BLOCK
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
@@ -38,7 +40,7 @@ def patience(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "PATIENCE", PATIENCE)
 
 
-class Watched:
+class Watched(Listener):
     """A worker on the small arm, and what it tells."""
 
     def __init__(self, solve_period: float, **parameters: Any) -> None:
@@ -46,12 +48,13 @@ class Watched:
         self.estimates: queue.Queue[Estimate] = queue.Queue()
         self.samples = 0
         self.on_estimate: Any = self.estimates.put
-        self.worker = Worker(
-            self.session, solve_period, self._on_samples, lambda _, estimate: self.on_estimate(estimate)
-        )
+        self.worker = Worker(self.session, solve_period, self)
 
-    def _on_samples(self, _: Session, samples: Any, __: Any) -> None:
+    def prediction(self, session: Session, samples: Samples, estimate: Estimate) -> None:  # noqa: ARG002
         self.samples += len(samples)
+
+    def estimate(self, session: Session, estimate: Estimate) -> None:  # noqa: ARG002
+        self.on_estimate(estimate)
 
     def close(self) -> None:
         self.worker.close()

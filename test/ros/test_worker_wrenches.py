@@ -21,7 +21,7 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live import worker as module
 from geomid_ros.live.inbox import Received
-from geomid_ros.live.status import Status
+from geomid_ros.live.status import Listener, Status
 from geomid_ros.live.worker import Worker
 from geomid_ros.model.samples import Samples
 from geomid_ros.ros.diagnostics import Diagnostics
@@ -99,7 +99,7 @@ class Working:
 
     def __init__(self, period: float = 3600.0, **values: Any) -> None:
         self.session = session(**values)
-        self.worker = Worker(self.session, period, lambda *_: None, lambda *_: None)
+        self.worker = Worker(self.session, period, Listener())
 
     def close(self) -> None:
         self.worker.close()
