@@ -19,7 +19,7 @@ def dashboard(node: str, port: int | None) -> None:
     network. It is read-only and needs no network. Ctrl+C ends it.
     """
     try:
-        from geomid_ros.ros.dashboard_listener import run_dashboard
+        from geomid_ros.ros.dashboard import run_dashboard
     except ImportError as error:
-        raise InputError(f"the dashboard needs ROS 2 and Tornado, which cannot be imported ({error})") from error
+        raise InputError(f"the dashboard needs ROS 2, which cannot be imported ({error})") from error
     run_dashboard(node, port, lambda said: click.echo(printable(said)))

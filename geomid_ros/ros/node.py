@@ -28,7 +28,7 @@ from geomid_ros.live.status import Status
 from geomid_ros.live.supervisor import Supervisor
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros.console import Console, News
-from geomid_ros.ros.dashboard_process import DashboardProcess
+from geomid_ros.ros.dashboard import DashboardProcess
 from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, UNCONFIGURED, Diagnostics
 from geomid_ros.ros.inputs import Inputs, RosTypes
 from geomid_ros.ros.managed import Managed

@@ -50,4 +50,4 @@ def test_the_node_names_it() -> None:
 @pytest.mark.skipif(find_spec("rclpy") is None, reason="ROS is not installed")
 def test_the_dashboard_names_it() -> None:
     said = said_without("tornado", "geomid_ros.commands.root", "dashboard")
-    assert said == "Error: the dashboard needs ROS 2 and Tornado, which cannot be imported (No module named 'tornado')"
+    assert said == "Error: tornado is not installed: pip install tornado"

@@ -18,8 +18,7 @@ from geomid_ros.excitation.running.watch import JointState, RobotLimits, Watch, 
 from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.model.robot import Robot
 from geomid_ros.ros.excite.controller import Controller, find_controller
-from geomid_ros.ros.excite.recorder import Recorder
-from geomid_ros.ros.excite.robot import HeardRobot
+from geomid_ros.ros.excite.robot import HeardRobot, Recorder
 from geomid_ros.ros.starting import running_node
 from geomid_ros.session.collision_scene import NOT_LOOKED, Surroundings, not_watched, without_touching
 from geomid_ros.types import FloatArray

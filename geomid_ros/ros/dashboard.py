@@ -1,4 +1,4 @@
-"""The dashboard's ears: a node that hears diagnostics and says nothing."""
+"""The dashboard: a node that hears diagnostics and says nothing, and a process for it beside the node that it shows."""
 
 from __future__ import annotations
 
@@ -6,17 +6,24 @@ import asyncio
 import signal
 import threading
 from collections.abc import Callable
+from importlib.util import find_spec
+from multiprocessing import get_context
+from typing import TYPE_CHECKING
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
-from geomid_ros.live.dashboard_server import Board, serve
+from geomid_ros.errors import InputError
 from geomid_ros.live.dashboard_state import Diagnosis, state_of
-from geomid_ros.live.threads import start_daemon
+from geomid_ros.live.threads import end_with_parent, start_daemon
 from geomid_ros.ros.starting import running_node
 
+if TYPE_CHECKING:
+    from geomid_ros.live.dashboard_server import Board
+
 _PAUSE = 0.2  # [s] after which its end is noticed at the latest
+_PATIENCE = 0.5  # [s] for the end of its process
 
 
 def run_dashboard(node: str, port: int | None, say: Callable[[str], None]) -> None:
@@ -36,6 +43,8 @@ def run_dashboard(node: str, port: int | None, say: Callable[[str], None]) -> No
 
 
 async def _run(node: str, port: int | None, say: Callable[[str], None], listener: Node) -> None:
+    from geomid_ros.live.dashboard_server import serve  # noqa: PLC0415 its library is not in the node's process
+
     loop, stop = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stop.set)
@@ -73,3 +82,27 @@ def _diagnoses(message: DiagnosticArray) -> list[Diagnosis]:
         )
         for status in message.status
     ]
+
+
+class DashboardProcess:
+    """Shows a node on a local page, see :func:`run_dashboard`."""
+
+    def __init__(self, node: str) -> None:
+        """Start it for the node of this full name. Raises InputError where the library that it needs is missing."""
+        if find_spec("tornado") is None:
+            raise InputError("the parameter dashboard needs Tornado, which is not installed (pip install tornado)")
+        self._process = get_context("spawn").Process(target=_run_beside, args=(node,), daemon=True)
+        masked = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])  # in the process, too: Ctrl+C is the node's
+        self._process.start()
+        signal.pthread_sigmask(signal.SIG_SETMASK, masked)
+
+    def close(self) -> None:
+        """End it."""
+        self._process.terminate()
+        self._process.join(_PATIENCE)
+        self._process.kill()
+
+
+def _run_beside(node: str) -> None:
+    end_with_parent()
+    run_dashboard(node, None, lambda said: print(said, flush=True))
