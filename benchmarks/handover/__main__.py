@@ -133,7 +133,7 @@ def _floating(found: Identification, test: Samples) -> dict[str, dict[str, float
 
 def _wrenches(found: Identification, urdf: str, test: Samples) -> float:
     session = Session(urdf, found.session.configuration, "written file")
-    return float(np.nansum(session.rms([test], session.nominal_parameters)))
+    return float(np.nansum(session.rms([test], session.model.nominal_parameters)))
 
 
 def _loops(case: Case, found: Identification, folder: Path) -> dict[str, float]:

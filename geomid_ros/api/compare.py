@@ -296,4 +296,4 @@ def _judged_on(
 def _with_effects(session: Session, model: Model) -> FloatArray:
     """The URDF's parameters ``(D,)``, with the friction that it says."""
     own = coefficients_of(session.model, model.effects)
-    return np.concatenate([session.nominal_parameters[: -len(own) or None], own])
+    return np.concatenate([session.model.nominal_parameters[: -len(own) or None], own])

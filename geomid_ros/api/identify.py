@@ -129,7 +129,7 @@ class Identification:
         """RMS of the URDF's residual, by channel [N m, N], with its inertias and no effects."""
         if not self.held_out:
             return self._by_channel(self.estimate.rms_nominal)
-        return self._by_channel(self.session.rms(self.held_out, self.session.nominal_parameters))
+        return self._by_channel(self.session.rms(self.held_out, self.session.model.nominal_parameters))
 
     @cached_property
     def held_out_rms(self) -> FloatArray | None:

@@ -143,13 +143,13 @@ def doubts_of(session: Session) -> list[str]:
 
 def identified(session: Session) -> FloatArray:
     """Parameters ``(D,)`` of the model that a session began with; the URDF's where it has none."""
-    nominal, prior = session.nominal_parameters, session.prior
+    nominal, prior = session.model.nominal_parameters, session.prior
     return nominal if prior is None else np.where(np.isnan(prior), nominal, prior)
 
 
 def _values(session: Session, samples: Sequence[Samples], file: EstimateFile) -> dict[str, Values]:
     """The numbers of every quantity that may be required."""
-    nominal, found = session.nominal_parameters, identified(session)
+    nominal, found = session.model.nominal_parameters, identified(session)
     channels = [channel.name for channel in session.model.channels]
     floors = file.floor or file.rms.train
     left = rms_of_model(session, samples), session.rms(samples, nominal)

@@ -10,7 +10,7 @@ from geomid_ros.live.background_search import BackgroundSearch, SearchStatus
 from geomid_ros.live.worker import Worker
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.payload import payload_session
-from geomid_ros.session.recordings import Progress
+from geomid_ros.session.recordings import Progress, samples_of_messages
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import JOINT_STATES, Accepted
 
@@ -69,11 +69,8 @@ class PayloadSearch:
 def _weigh(session: Session, empty: Sequence[Accepted], loaded: Sequence[Accepted], progress: Progress) -> Payload:
     samples: list[Samples] = []
     for what, messages in (("without", empty), ("with", loaded)):
-        pipeline = session.new_pipeline()
-        for index, message in enumerate(messages):
-            progress(f"reading the motion {what} the payload", index / len(messages))
-            pipeline.push_accepted(message)
-        found = pipeline.collect()
+        stage = f"reading the motion {what} the payload"
+        found = samples_of_messages(session.new_pipeline(), messages, stage, progress)
         if found is None:
             raise InputError(f"too little motion {what} the payload: move all joints for half a minute")
         session.judge_apart()

@@ -50,7 +50,7 @@ def series_of(session: Session, estimate: Estimate, batches: Sequence[Samples]) 
     """The channels that were measured in some samples, which are in the order of time."""
     stamps = np.concatenate([samples.stamps for samples in batches])
     times = (stamps - stamps[0]) * 1e-9
-    both = np.column_stack([session.nominal_parameters, estimate.parameters])
+    both = np.column_stack([session.model.nominal_parameters, estimate.parameters])
     pairs = zip(*(session.model.predict(samples, both) for samples in batches), strict=True)
     measured, predicted = map(np.concatenate, pairs)
     return [

@@ -301,16 +301,6 @@ class Configuration:
             raise InputError(f"{self.source}: {key}{error}") from error
 
     @property
-    def alike(self) -> bool:
-        """Whether links that are alike in the URDF err mostly alike."""
-        return bool(self["alike"] == "urdf")
-
-    @property
-    def links(self) -> list[str] | None:
-        """The links to identify, None for all."""
-        return self["links"] or None
-
-    @property
     def gravity(self) -> FloatArray:
         """Gravity ``(3,)`` in the base frame."""
         if len(self["gravity"]) != 3:

@@ -22,7 +22,7 @@ from geomid_ros.gap.workflow import CUTOFF, GapSettings, find_gap, lacking, left
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.resimulate import CUTOFF as SHARP_CUTOFF
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.recordings import HELD_OUT, Bags, Progress, divided, read_samples, silent
+from geomid_ros.session.recordings import HELD_OUT, Bags, Progress, divided, read_samples, samples_of_messages, silent
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import check_measured
 from geomid_ros.signals.messages import JOINT_STATES, Accepted, message_type, parse
@@ -180,15 +180,12 @@ def rms_of_model(session: Session, samples: Sequence[Samples]) -> FloatArray:
     """RMS residual of each channel ``(channels,)`` over samples, in batches, by the session's model with all of its
     effects, elastic gears and play included."""
     parameters, beside = session.prior, session.loaded.beside_coefficients
-    if parameters is None or not beside:
-        nominal = session.nominal_parameters
-        return session.rms(samples, nominal if parameters is None else _known_or(parameters, nominal))
+    if parameters is None:
+        return session.rms(samples, session.model.nominal_parameters)
+    if not beside:
+        return session.rms(samples, np.where(np.isnan(parameters), session.model.nominal_parameters, parameters))
     cutoff = float(session.configuration["filter.cutoff"])
     return left_by_model(session.model, [Samples.concatenate(list(samples))], cutoff, parameters, beside)
-
-
-def _known_or(parameters: FloatArray, nominal: FloatArray) -> FloatArray:
-    return np.where(np.isnan(parameters), nominal, parameters)
 
 
 def find_in_messages(
@@ -222,11 +219,7 @@ def _samples_of(session: Session, messages: Sequence[Accepted], progress: Progre
     """The cutoff [Hz] and the samples of messages that another pipeline has accepted."""
     joint_stamps = [stamp for each in messages if each.topic == JOINT_STATES for stamp in each.stamps.tolist()]
     cutoff = gap_cutoff(session, rate(joint_stamps[:MESSAGES_FOR_RATE]))
-    pipeline = gap_pipeline(session, cutoff)
-    for index, message in enumerate(messages):
-        progress("reading", index / len(messages))
-        pipeline.push_accepted(message)
-    samples = pipeline.collect()
+    samples = samples_of_messages(gap_pipeline(session, cutoff), messages, "reading", progress)
     if samples is None:
         raise InputError(
             f"too short: no usable samples in {sum(map(len, messages))} messages, which are fewer than the filter's "
@@ -261,7 +254,9 @@ class GapReader:
         cutoff = gap_cutoff(self.session, self._rate([*fitted, *validate, *simulated]))
         whole = [self._whole(path, cutoff) for path in fitted]
         twins = [self._whole(path, cutoff) for path in simulated]
-        self._judge(whole)
+        for samples in whole:
+            self.session.check.add(samples)
+        self.session.judge()
         for pair in zip(simulated, twins, fitted, whole, strict=False):
             _check_twin(self.session, *pair)
         parts = [part for samples in whole for part in divided([samples], self.bags.share)]
@@ -284,11 +279,6 @@ class GapReader:
         cutoff = gap_cutoff(self.session, self._rate(self.bags.fitted))
         parts = [divided([self._whole(path, cutoff)], self.bags.share)[0] for path in self.bags.fitted]
         return cutoff, [early for early, _ in parts]
-
-    def _judge(self, recordings: Sequence[Samples]) -> None:
-        for samples in recordings:
-            self.session.check.add(samples)
-        self.session.judge()
 
     def sharp(self, topic: str = "") -> list[Samples]:
         """Read what is judged on, one element per bag, with as high a cutoff as its rate allows.

@@ -19,7 +19,7 @@ from geomid_ros.session.session import Session
 from geomid_ros.session.training import TrainingData
 from geomid_ros.signals.decoding import Decoder
 from geomid_ros.signals.ledger import meaning_of
-from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, message_type
+from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, Accepted, message_type
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.unitree import KINDS
 
@@ -257,6 +257,16 @@ def read_samples(
         yield samples
     if ready == 0:
         raise NoSamplesError(_why_no_samples(bag, session, pipeline), session.lockable)
+
+
+def samples_of_messages(
+    pipeline: SignalPipeline, messages: Sequence[Accepted], stage: str, progress: Progress
+) -> Samples | None:
+    """The samples of messages that another pipeline has accepted; None if they are too few."""
+    for index, message in enumerate(messages):
+        progress(stage, index / len(messages))
+        pipeline.push_accepted(message)
+    return pipeline.collect()
 
 
 def _resolved_topics(bag: Bag, session: Session, topics: Topics) -> dict[str, list[str]]:

@@ -105,7 +105,7 @@ class Session:
             self.robot,
             effects,
             sensors,
-            configuration.links,
+            configuration["links"] or None,
             local,
             candidates=configuration.candidates,
             behind_gear=configuration.behind_gear(self.robot.joint_names),
@@ -203,7 +203,8 @@ class Session:
         return replace(settings, population=read_population(Path(path)))
 
     def _alike(self, configuration: Configuration) -> tuple[AlikeParts, ...]:
-        if configuration.alike and not (self.loaded.source or configuration["prior"] or configuration["gamma"]):
+        known = self.loaded.source or configuration["prior"] or configuration["gamma"]
+        if configuration["alike"] == "urdf" and not known:
             return alike_parts(self.model.robot, self.model.identified)
         return ()
 
@@ -404,11 +405,6 @@ class Session:
         }
         urdf = hashlib.sha256(self.urdf.encode(errors="replace")).hexdigest()
         return {"robot_description": urdf, **self.configuration.of_rows, "model": corrections}
-
-    @property
-    def nominal_parameters(self) -> FloatArray:
-        """The URDF's parameters ``(D,)``: its inertias and no effects."""
-        return self.model.nominal_parameters
 
     @property
     def effort_gains(self) -> FloatArray:

@@ -125,13 +125,8 @@ class WrenchGuard:
         """Begin with the next rows."""
         self._session = session
         self._sensors = sensor_channels(session.model)
-        self._check = FirstForces(session.model, session.nominal_parameters)
+        self._check = FirstForces(session.model, session.model.nominal_parameters)
         self._keep_revocable()
-
-    @property
-    def ended(self) -> bool:
-        """Whether the sensors have been judged."""
-        return self._check.ended
 
     @property
     def sentences(self) -> dict[str, str]:
@@ -144,7 +139,7 @@ class WrenchGuard:
         Returns:
             Whether any were.
         """
-        if self.ended:
+        if self._check.ended:
             return False
         self._check.add(rows)
         for topic in self._check.problems:
@@ -166,5 +161,5 @@ class WrenchGuard:
         model = self._session.model
         forgets = np.isfinite(self._session.configuration.buffer.forgetting_time)
         instant = 8 * (model.dimension + 1) * len(model.channels)
-        doubted = model.mounted and not (forgets and self.ended)
+        doubted = model.mounted and not (forgets and self._check.ended)
         self._session.identifier.hold(MOST_BYTES // instant if doubted else 0)

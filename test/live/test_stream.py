@@ -89,7 +89,7 @@ def test_efforts_are_in_the_unit_of_the_messages(identification: Identification)
     options = {"gain": GAINS, "candidates": []}
     other = geomid_ros.identify(BAGS / "arm3", BAGS / "arm3.urdf", **options).session
     streams = Stream(), Stream()
-    estimate = replace(identification.estimate, parameters=other.nominal_parameters)
+    estimate = replace(identification.estimate, parameters=other.model.nominal_parameters)
     streams[0].use(other, estimate)
     plain = geomid_ros.identify(BAGS / "arm3", BAGS / "arm3.urdf", candidates=[]).session
     streams[1].use(plain, estimate)

@@ -93,7 +93,7 @@ def test_the_table_is_sound() -> None:
 def test_defaults() -> None:
     configuration = Configuration()
     assert [effect.name for effect in configuration.effects] == list(DEFAULT_EFFECTS)
-    assert configuration.links is None
+    assert configuration["links"] == []
     assert configuration.sensors == []
     np.testing.assert_array_equal(configuration.gravity, [0.0, 0.0, -9.81])
     assert configuration.estimator([]).gamma is None

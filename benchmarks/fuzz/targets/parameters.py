@@ -97,7 +97,7 @@ class ParametersTarget:
         configuration = Configuration.read(self._path)
         again = Configuration(configuration.given)
         require(repr(again.given) == repr(configuration.given), "what was checked is not accepted again")
-        _ = configuration.links, configuration.sensors, configuration.effects, configuration.buffer
+        _ = configuration.sensors, configuration.effects, configuration.buffer
         configuration.signals(_JOINTS)
         configuration.estimator(_JOINTS)
 

@@ -133,7 +133,7 @@ class UrdfTarget:
 
     def _use(self, text: str, configuration: Configuration) -> None:
         session = Session(text, configuration, "fuzz.urdf")
-        parameters = session.nominal_parameters
+        parameters = session.model.nominal_parameters
         require(np.all(np.isfinite(parameters)), "parameters that are no numbers")
         bodies = session.robot.bodies
         inertias = {body.name: body.parameters for body in bodies if body.name in session.model.body_names}
@@ -145,7 +145,7 @@ class UrdfTarget:
         again = Session(written, configuration, "written.urdf")
         require(again.model.body_names == session.model.body_names, "other bodies when written back")
         scale = np.maximum(1.0, np.abs(parameters))
-        np.testing.assert_allclose(again.nominal_parameters / scale, parameters / scale, atol=1e-5)
+        np.testing.assert_allclose(again.model.nominal_parameters / scale, parameters / scale, atol=1e-5)
         friction = Quantity(0.5, 0.1, "N m s/rad")
         effects = [coefficient("viscous_friction", joint, friction) for joint in session.robot.joint_names]
         Session(with_effects(written, effects), configuration, "effects.urdf")
