@@ -25,7 +25,6 @@ from geomid_ros.session.session import Session
 _PATIENCE = 0.4  # [s] for the last checkpoint
 _LATE = 4.0  # [s] for an estimate from all data; then the last one is saved
 _LATEST = 4.8  # [s] for an answer
-_SHORTEST_PAUSE = 0.1  # share of the period, between checkpoints that take long
 
 FOLLOWS = "and follows"
 """In an answer: what was saved is not of all data yet."""
@@ -69,7 +68,7 @@ class Checkpoints:
         self._rows = 0  # in the last checkpoint
         self._written = 0
         self._seconds = 0.0  # that the last checkpoint took
-        self._begin: float | None = None  # of the checkpoint that is being written
+        self._activity = Activity()  # of the thread
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None
         try:
@@ -120,15 +119,14 @@ class Checkpoints:
 
     @property
     def _slowness(self) -> str:
-        begin = self._begin
-        seconds = self._seconds if begin is None else max(self._seconds, time.monotonic() - begin)
+        seconds = max(self._seconds, self._activity.current[1])
         if seconds <= self._period:
             return ""
         return f"the disk is slow: a checkpoint takes {seconds:.1f} s, more than checkpoint.period"
 
     def _write_repeatedly(self, folder: CheckpointFolder) -> None:
         with closing(folder):
-            while not self._ending.wait(max(self._period - self._seconds, _SHORTEST_PAUSE * self._period)):
+            while not self._ending.wait(self._period):
                 if self._has_new_rows:
                     self._write(folder)
             if self._has_new_rows or self._session.pipeline.ledger.topics:
@@ -139,17 +137,18 @@ class Checkpoints:
         return self._session.identifier.rows != self._rows
 
     def _write(self, folder: CheckpointFolder) -> None:
-        self._begin = begin = time.monotonic()
+        begin = time.monotonic()
         try:
-            checkpoint = self._session.checkpoint()
-            folder.write(checkpoint)
+            with self._activity.doing("writing"):
+                checkpoint = self._session.checkpoint()
+                folder.write(checkpoint)
         except Exception as error:  # noqa: BLE001 the thread must outlive a broken disk; the status reports it
             self._problem = str(error)
         else:
             self._problem = ""
             self._written += 1
             self._rows = checkpoint.memory.summary.rows
-        self._seconds, self._begin = time.monotonic() - begin, None
+        self._seconds = time.monotonic() - begin
 
 
 class _OneAnswer:

@@ -19,7 +19,6 @@ from geomid_ros.live.threads import end_with_parent
 _NICE = 5  # the process that takes messages comes first
 _TRIES = 2  # of a solve whose process ends: not all that end a process are the solve's fault
 _LONGEST_PAUSE = 60.0  # [s] between processes that end without a result; so long is an end worth telling
-_PROTOCOL = 5  # of pickle; it leaves read-only arrays read-only
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)  # to the whole group are the parent's to answer
 
 Task = TypeVar("Task")
@@ -136,7 +135,7 @@ class SolvingProcess:
     ) -> Answer | Exception:
         kind = type(task)
         new = task if task is not self._tasks.get(kind) else None
-        self._connection.send_bytes(pickle.dumps((method, kind, new, arguments, named), _PROTOCOL))
+        self._connection.send_bytes(pickle.dumps((method, kind, new, arguments, named), pickle.HIGHEST_PROTOCOL))
         answer: Answer | Exception = pickle.loads(self._connection.recv_bytes())  # noqa: S301 it is ours
         self._tasks[kind] = task
         return answer
@@ -161,4 +160,4 @@ def _serve(connection: Connection[Any, Any]) -> None:
             answer = method(tasks[kind], *arguments, **named)
         except Exception as error:  # noqa: BLE001 the parent raises it
             answer = error
-        connection.send_bytes(pickle.dumps(answer, _PROTOCOL))
+        connection.send_bytes(pickle.dumps(answer, pickle.HIGHEST_PROTOCOL))

@@ -24,7 +24,7 @@ from signals.feeding import completed
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.files.archive import decoded
 from geomid_ros.files.checkpoints import Checkpoint
-from geomid_ros.live import saving
+from geomid_ros.live import saving, threads
 from geomid_ros.live.saving import Checkpoints
 from geomid_ros.live.status import Listener
 from geomid_ros.live.worker import Worker
@@ -173,7 +173,8 @@ def rows_safe(checkpoints: Checkpoints) -> object:
 def now(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """The time of checkpoints, which stands still: a busy machine makes no disk slow."""
     time_of_day = [0.0]
-    monkeypatch.setattr(saving, "time", SimpleNamespace(monotonic=lambda: time_of_day[0]))
+    for module in (saving, threads):
+        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: time_of_day[0]))
     return time_of_day
 
 
