@@ -17,12 +17,11 @@ from rclpy.node import Node
 from geomid_ros.errors import InputError
 from geomid_ros.live.dashboard_state import Diagnosis, state_of
 from geomid_ros.live.threads import end_with_parent, start_daemon
-from geomid_ros.ros.starting import running_node
+from geomid_ros.ros.starting import PAUSE, running_node
 
 if TYPE_CHECKING:
     from geomid_ros.live.dashboard_server import Board
 
-_PAUSE = 0.2  # [s] after which its end is noticed at the latest
 _PATIENCE = 0.5  # [s] for the end of its process
 
 
@@ -69,7 +68,7 @@ async def _run(node: str, port: int | None, say: Callable[[str], None], listener
 
 def _hear(listener: Node, ending: threading.Event) -> None:
     while not ending.is_set():
-        rclpy.spin_once(listener, timeout_sec=_PAUSE)
+        rclpy.spin_once(listener, timeout_sec=PAUSE)
 
 
 def _diagnoses(message: DiagnosticArray) -> list[Diagnosis]:

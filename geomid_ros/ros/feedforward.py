@@ -6,8 +6,6 @@ import threading
 
 from geomid_ros.ros.main import on_signal, started
 
-_LOOK = 0.1  # [s] between looks for a signal
-
 
 def main() -> None:
     """Run the relay until SIGINT or SIGTERM; exit status 0, or 2 with one message when it cannot start."""
@@ -18,14 +16,14 @@ def _run() -> None:
     import rclpy  # noqa: PLC0415
 
     from geomid_ros.ros.relay import FeedforwardRelay  # noqa: PLC0415
-    from geomid_ros.ros.starting import running_node  # noqa: PLC0415
+    from geomid_ros.ros.starting import PAUSE, running_node  # noqa: PLC0415
 
     stopping = threading.Event()
     on_signal(stopping.set)
     with running_node("geomid_feedforward") as node:
         FeedforwardRelay(node)
         while not stopping.is_set():
-            rclpy.spin_once(node, timeout_sec=_LOOK)
+            rclpy.spin_once(node, timeout_sec=PAUSE)
 
 
 if __name__ == "__main__":

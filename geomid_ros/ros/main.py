@@ -26,9 +26,6 @@ if TYPE_CHECKING:
     from geomid_ros.ros.node import GeomidNode
 
 _SWITCH_INTERVAL = 5e-4  # [s]
-# Everything is looked for: messages cost less when many come at once, and the filter holds rows back for five times as
-# long as this. To let the executor wait for anything else would wake it for every message.
-_PAUSE = 0.1  # [s]
 
 
 def main() -> None:
@@ -78,7 +75,7 @@ def _run_node(solving: SolvingProcess) -> None:
     from rclpy.utilities import ok, try_shutdown  # noqa: PLC0415
 
     from geomid_ros.ros.node import GeomidNode  # noqa: PLC0415
-    from geomid_ros.ros.starting import starting_ros  # noqa: PLC0415
+    from geomid_ros.ros.starting import PAUSE, starting_ros  # noqa: PLC0415
 
     # rclpy's own handlers would invalidate the publishers before the last estimate is out.
     stopping = threading.Event()
@@ -93,7 +90,7 @@ def _run_node(solving: SolvingProcess) -> None:
             while ok() and not stopping.is_set():
                 _guarded(node, node.take_waiting)
                 _guarded(node, partial(executor.spin_once, timeout_sec=0.0))
-                _guarded(node, partial(node.wait, _PAUSE))
+                _guarded(node, partial(node.wait, PAUSE))
             _guarded(node, node.take_waiting)
         finally:
             node.close()

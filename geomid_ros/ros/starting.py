@@ -17,6 +17,14 @@ from geomid_ros.errors import InputError
 MATCHING = 0.5
 """A best-effort subscriber hears a publisher a little later than it is seen itself [s]."""
 
+PATIENCE = 5.0
+"""What is there is heard or found within this time [s]."""
+
+# Everything is looked for: messages cost less when many come at once, and the filter holds rows back for five times as
+# long as this. To let the executor wait for anything else would wake it for every message.
+PAUSE = 0.1
+"""[s] between looks for messages, and for a signal."""
+
 
 @contextmanager
 def starting_ros() -> Iterator[None]:

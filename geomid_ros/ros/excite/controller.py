@@ -13,9 +13,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.trajectory import Trajectory
-from geomid_ros.ros.starting import MATCHING
+from geomid_ros.ros.starting import MATCHING, PATIENCE
 
-_PATIENCE = 3.0  # [s] for a controller to be found
 _KIND = "trajectory_msgs/msg/JointTrajectory"
 
 
@@ -126,7 +125,7 @@ def find_controller(node: Node, controller: str, look: Callable[[], object]) -> 
     """
     ways: list[Controller] = [*_action(node, controller), TopicController(node, controller)]
     found: Controller | None = None
-    end = time.monotonic() + _PATIENCE
+    end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
         look()
         first = next((way for way in ways if way.ready), None)

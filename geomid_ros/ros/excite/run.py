@@ -19,11 +19,10 @@ from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.model.robot import Robot
 from geomid_ros.ros.excite.controller import Controller, find_controller
 from geomid_ros.ros.excite.robot import HeardRobot, Recorder
-from geomid_ros.ros.starting import running_node
+from geomid_ros.ros.starting import PATIENCE, running_node
 from geomid_ros.session.collision_scene import NOT_LOOKED, Surroundings, not_watched, without_touching
 from geomid_ros.types import FloatArray
 
-_PATIENCE = 5.0  # [s] for joint states and a description
 _LISTENING = 0.5  # [s] to learn how often joint states come
 _SILENCE, _PERIODS = 0.04, 3.0  # [s] and periods of the joint states without any
 _SETTLING = 0.5  # [s] after a motion
@@ -109,13 +108,13 @@ class MotionRun:
         self._stopping = stopping_accelerations(order.motion, self._limits.speeds)
 
     def _description(self) -> tuple[str, str]:
-        text = self._robot.wait_for(lambda: self._robot.description or None, _PATIENCE)
+        text = self._robot.wait_for(lambda: self._robot.description or None, PATIENCE)
         if text is None:
             raise InputError("no message on robot_description; give the URDF with --urdf")
         return text, "topic robot_description"
 
     def _heard(self) -> JointState:
-        state = self._robot.wait_for(lambda: self._robot.state, _PATIENCE)
+        state = self._robot.wait_for(lambda: self._robot.state, PATIENCE)
         if state is not None:
             return state
         topic, missing = self._robot.topic, sorted({*self._order.motion.joints} - self._robot.positions.keys())
