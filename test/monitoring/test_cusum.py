@@ -136,9 +136,9 @@ def test_what_is_normal_is_forgotten_by_the_time_that_passes(forgetting: float, 
 
 
 def test_rows_that_nobody_judges_do_not_fill_the_memory() -> None:
-    """The last are kept: fifty megabytes, or a block."""
+    """The last are kept: a hundred megabytes, or a block."""
     wide = ChangeDetector([Channel(name="joint", unit="N m", columns=np.arange(999))])
-    count = 50_000_000 // (8 * 1000)
+    count = 100_000_000 // (8 * 1000)
     rows = Rows(np.zeros((count + 70, 1, 1)), np.zeros((count + 70, 1)))
     wide.add(5, np.arange(count + 70), rows)
     assert len(wide._waiting) == count
