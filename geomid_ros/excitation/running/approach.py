@@ -39,18 +39,12 @@ def way_by(joints: tuple[str, ...], postures: Sequence[FloatArray], speed_limits
 
 
 def _way_to(joints: tuple[str, ...], here: FloatArray, there: FloatArray, speed_limits: FloatArray) -> Trajectory:
-    distance = there - here
     slow = np.minimum(_SHARE * speed_limits, _FASTEST)
-    duration = max(_SHORTEST_WAY, float(np.max(_PEAK * np.abs(distance) / slow)))
+    duration = max(_SHORTEST_WAY, float(np.max(_PEAK * np.abs(there - here) / slow)))
     times = np.linspace(0.0, duration, round(duration * _POINTS) + 1)
-    u = (times / duration)[:, None]
-    return Trajectory(
-        joints,
-        times,
-        here + distance * u**3 * (10.0 + u * (6.0 * u - 15.0)),
-        distance * 30.0 * (u * (1.0 - u)) ** 2 / duration,
-        distance * 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / duration**2,
-    )
+    rest = np.zeros((2, len(joints)))
+    ends = Trajectory(joints, times[[0, -1]], np.array([here, there]), rest, rest)
+    return Trajectory(joints, times, *ends.states(times)[:3])
 
 
 def stopping_accelerations(motion: Trajectory, speed_limits: FloatArray) -> FloatArray:
