@@ -163,9 +163,10 @@ class Feasibility:
 
     def _effort_shares(self, states: FloatArray) -> FloatArray:
         """Shares of the effort limits ``(N, J)`` that are used at ``states (3, N, J)``."""
-        rows = self.knowledge.rows(states)[:, : len(self.names)]
-        spread = np.sqrt(np.maximum(np.einsum("njd,de,nje->nj", rows, self.knowledge.posterior.covariance, rows), 0.0))
-        return np.asarray((np.abs(self.knowledge.efforts(states)) + SURE * spread) / self.limits.effort)
+        rows = self.knowledge.rows_of_parameters(states)[:, : len(self.names)]
+        efforts = rows @ self.knowledge.posterior.parameters
+        deviations = self.knowledge.deviations_of(rows @ self.knowledge.posterior.jacobian)
+        return np.asarray((np.abs(efforts) + SURE * deviations) / self.limits.effort)
 
     def largest_scale(self, motion: ExcitingMotion) -> FloatArray:
         """The factors ``(J,)`` that bring each joint of a motion to the first of its limits of position, speed,

@@ -68,6 +68,11 @@ class Belief:
         """The efforts ``(N, J)`` to expect at ``states (3, N, J)``."""
         return np.asarray((self.rows_of_parameters(states) @ self.posterior.parameters)[:, : states.shape[2]])
 
+    def deviations_of(self, rows: FloatArray) -> FloatArray:
+        """Standard deviations ``(N, C)`` of what ``rows (N, C, D)`` by the tangent coordinates predict."""
+        variances = np.sum((rows @ self.posterior.covariance) * rows, axis=2)
+        return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
+
     def information(self, motion: ExcitingMotion) -> FloatArray:
         """What a motion tells of the tangent coordinates ``(D, D)``."""
         count = int(np.ceil(ROWS_PER_SECOND * motion.form.period))

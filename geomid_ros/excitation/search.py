@@ -197,8 +197,7 @@ class Search:
         """What efforts cost, and the derivatives ``(N, J)`` by them; their uncertainty counts as it is."""
         knowledge, limit = self.feasibility.knowledge, self.feasibility.limits.effort
         rows = rows[:, : len(limit)]
-        spread = np.sqrt(np.maximum(np.sum((rows @ knowledge.posterior.covariance) * rows, axis=2), 0.0))
-        left = np.maximum(limit - SURE * spread, 0.05 * limit)
+        left = np.maximum(limit - SURE * knowledge.deviations_of(rows), 0.05 * limit)
         return _hinge(rows @ self._whitened_parameters / left, 1.0 / left)
 
     def _of_distances(self, states: FloatArray) -> tuple[float, FloatArray]:
