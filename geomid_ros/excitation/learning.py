@@ -98,13 +98,9 @@ class Learning:
         """The comparison in words."""
         said = [f"{self.before.error:.3g} before, {self.designed.error:.3g} after this motion"]
         gain = 1.0 - self.designed.error / self.random.error
-        if gain > _WORTH:
-            said.append(f"a random feasible motion of the same length leaves {self.random.error:.3g}: {gain:.0%} saved")
-        else:
-            said.append(
-                f"a random feasible motion of the same length leaves {self.random.error:.3g}: the design saves nothing "
-                "here; its benefit is that the motion is checked"
-            )
+        nothing = "the design saves nothing here; its benefit is that the motion is checked"
+        saved = f"{gain:.0%} saved" if gain > _WORTH else nothing
+        said.append(f"a random feasible motion of the same length leaves {self.random.error:.3g}: {saved}")
         longer = self.random_twice.error / self.designed.error
         better = "recording longer helps more than the design" if longer < 1.0 else "the design is worth more than that"
         said.append(f"a random motion twice as long leaves {self.random_twice.error:.3g}: {better}")
