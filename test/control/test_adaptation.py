@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,8 +13,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from excitation.motions import lively
-from files.recordings import BAGS
+from files.recordings import BAGS, QUICK
 
+import geomid_ros
 from benchmarks.adaptation import LATE, SLOW, Robot
 from geomid_ros.api.feedforward import robot_to_move
 from geomid_ros.api.options import RobotOptions
@@ -24,10 +26,11 @@ from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.errors import InputError
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ONE_BODY
+from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.types import FloatArray
 
 URDF = BAGS / "arm7.urdf"
-PERIOD, DELAY = 0.01, 0.01  # [s]
+PERIOD, DELAY, GRID = 0.01, 0.01, 0.002  # [s]
 HEAVIEST = 3.0  # [kg]
 Change: TypeAlias = Callable[[Reading], Reading]
 LOADS = [(mass, 0.2 * axis) for mass in (1.0, 2.9) for axis in (*np.eye(3), *-np.eye(3))]
@@ -118,13 +121,21 @@ class Arm:
         frame = loaded.frames[loaded.getFrameId(self.body)]
         loaded.appendBodyToJoint(frame.parentJoint, LOAD, frame.placement)
         self._places = [loaded.joints[loaded.getJointId(joint)].idx_v for joint in self.joints]
-        self.motion = lively(self.joints, 20.0, 0.6)
+        motion, times = lively(self.joints, 20.0, 0.6), GRID * np.arange(round(20.0 / GRID) + 1)
+        self._commanded = np.array([motion.rows(times, order) for order in range(3)])
+        self._learned = self.correction()
+        self.learn(self._learned, 0.0, BEGIN)
+
+    def learned(self) -> Correction:
+        """One that has carried the load until BEGIN."""
+        assert self._learned.latch.reason == ""
+        return copy.deepcopy(self._learned, {id(self.efforts): self.efforts})
 
     def correction(self, body: str = "") -> Correction:
         return Correction(self.efforts, self.joints, body or self.body, HEAVIEST)
 
     def commanded(self, time: float) -> FloatArray:
-        return np.array([self.motion.rows(np.array([time]), order)[0] for order in range(3)])
+        return self._commanded[:, round(time / GRID)]
 
     def reading(self, time: float, loaded: bool, wrench: FloatArray | None = None) -> Reading:
         """What is measured; under a ``wrench (6,)`` of the last link's frame on its surroundings."""
@@ -150,11 +161,11 @@ def arm() -> Arm:
 
 
 def test_a_planted_payload_is_found_and_its_efforts_are_added(arm: Arm) -> None:
-    correction = arm.correction()
-    arm.learn(correction, 0.0, 8.0)
+    correction = arm.learned()
+    arm.learn(correction, BEGIN, 6.0)
     assert correction.latch.reason == ""
     missing = []
-    for time in np.arange(8.0, 12.0, PERIOD):
+    for time in np.arange(6.0, 8.0, PERIOD):
         loads = arm.reading(time, loaded=True).effort - arm.reading(time, loaded=False).effort
         missing.append([loads, loads - correction(time, arm.commanded(time))])
         correction.learn(time, arm.reading(time, loaded=True), arm.commanded(time))
@@ -166,11 +177,10 @@ def test_a_planted_payload_is_found_and_its_efforts_are_added(arm: Arm) -> None:
 
 def test_corrections_are_small_and_slow(arm: Arm) -> None:
     """However much is missing."""
-    correction = arm.correction()
-    arm.learn(correction, 0.0, 2.0)
+    correction = arm.learned()
     correction.adaptation.point = ONE_BODY.point(1e3 * correction.adaptation.point.parameters)
-    times = np.arange(2.0, 4.0, PERIOD)
-    sent = np.array([correction(time, arm.commanded(time)) for time in times[times < 2.0 + LASTING]])
+    times = np.arange(BEGIN, BEGIN + LASTING, PERIOD)
+    sent = np.array([correction(time, arm.commanded(time)) for time in times])
     limits = arm.efforts.limits
     assert np.max(np.abs(sent) / limits) == pytest.approx(LARGEST_SHARE)
     assert np.max(np.abs(np.diff(sent, axis=0)) / limits) <= FASTEST * PERIOD * (1.0 + 1e-9)
@@ -224,9 +234,7 @@ FAULTS: dict[str, tuple[Change, str]] = {
 def test_what_goes_wrong_switches_it_off(case: str, arm: Arm) -> None:
     """Nothing is learned from it, and the correction ends soon and gradually."""
     change, said = FAULTS[case]
-    correction = arm.correction()
-    arm.learn(correction, 0.0, BEGIN, change)
-    assert correction.latch.reason == ""
+    correction = arm.learned()
     before = correction.adaptation.point
     arm.learn(correction, BEGIN, BEGIN + 0.2, change)
     assert re.search(said, correction.latch.reason)
@@ -247,8 +255,7 @@ def test_what_is_seldom_wrong_is_forgotten() -> None:
 @pytest.mark.parametrize("quiet", [False, True])
 def test_a_clock_that_goes_back_ends_it_gradually(quiet: bool, arm: Arm) -> None:
     """Whether joint states come or not."""
-    correction = arm.correction()
-    arm.learn(correction, 0.0, BEGIN)
+    correction = arm.learned()
     sent = [correction(BEGIN + DELAY, arm.commanded(BEGIN))]
     assert np.any(sent[0])
     for time in np.arange(1.0, 1.0 + LARGEST_SHARE / FASTEST + 2.0 * PERIOD, PERIOD):
@@ -262,9 +269,8 @@ def test_a_clock_that_goes_back_ends_it_gradually(quiet: bool, arm: Arm) -> None
 
 
 def test_a_motion_that_is_no_number_ends_it(arm: Arm) -> None:
-    correction = arm.correction()
-    arm.learn(correction, 0.0, 2.0)
-    for time in (2.0, 2.02, 2.04, 2.06, 2.08, 2.1):
+    correction = arm.learned()
+    for time in BEGIN + np.array([0.0, 0.02, 0.04, 0.06, 0.08, 0.1]):
         sent = correction(time, np.full_like(arm.commanded(time), np.nan))
         assert np.isfinite(sent).all()
     assert "are not finite" in correction.latch.reason
@@ -272,8 +278,7 @@ def test_a_motion_that_is_no_number_ends_it(arm: Arm) -> None:
 
 
 def test_another_correction_goes_on_gradually(arm: Arm) -> None:
-    before, after = arm.correction(), arm.correction()
-    arm.learn(before, 0.0, BEGIN)
+    before, after = arm.learned(), arm.correction()
     sent = [before(BEGIN + DELAY, arm.commanded(BEGIN))]
     after.go_on_from(before)
     sent += [after(BEGIN + DELAY + step * 0.002, arm.commanded(BEGIN)) for step in range(1, 40)]
@@ -290,8 +295,7 @@ def test_a_fast_loop_learns_no_faster_than_one_of_ten_milliseconds() -> None:
 @pytest.mark.parametrize("force", [(40.0, 0.0, 0.0), (0.0, -40.0, 0.0), (0.0, 0.0, -80.0)])
 def test_a_contact_switches_it_off(force: tuple[float, float, float], arm: Arm) -> None:
     """No body pulls sideways for long, nor upwards by more than the heaviest payload and the link weigh."""
-    correction = arm.correction()
-    arm.learn(correction, 0.0, BEGIN)
+    correction = arm.learned()
     wrench = np.append(force, np.zeros(3))
     arm.learn(correction, BEGIN, BEGIN + 0.2, lambda reading: arm.reading(reading.time, loaded=True, wrench=wrench))
     assert "no payload explains the efforts" in correction.latch.reason
@@ -329,6 +333,8 @@ def test_what_cannot_adapt_is_refused(arm: Arm) -> None:
 
 def test_a_simulated_robot_carries_what_no_model_has(tmp_path: Path) -> None:
     """The position controller alone, with the model's efforts, is off by ten times as much."""
+    simulate(tmp_path / "arm3_1", SimulationOptions(robot="arm3", seed=1, duration=12.0, longest_step=QUICK))
+    geomid_ros.identify(tmp_path / "arm3_1").save(tmp_path / "arm3_1_estimate", report=False)
     robot = Robot("arm3", 1, tmp_path)
     model = robot.model()(robot.commanded)
     without = robot.run(model)
