@@ -35,7 +35,7 @@ def test_every_effect_has_its_turn() -> None:
 
 
 def test_the_bench_shares_no_code_with_the_workflow() -> None:
-    for path in BENCH.glob("*.py"):
+    for path in BENCH.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
