@@ -213,15 +213,9 @@ CRAFTED: dict[str, Callable[[dict[str, Any], dict[str, Any]], Any]] = {
     "has format 1": lambda d, _: d.update(format=1),
     "summary.rows is not given": lambda d, _: rows_of(d).pop("rows"),
     r"factors\[0\]\[0\] is .*, expected an array": lambda d, v: v.update(x=v.pop(first(d))),
-    "counts is not given": lambda d, _: rows_of(d).pop("counts"),
-    "rows is -1, expected a count": lambda d, _: rows_of(d).update(rows=-1),
     "instants is 1.5, expected a count": lambda d, _: rows_of(d).update(instants=1.5),
-    "number is True, expected a count": lambda d, _: d.update(number=True),
     "last_stamp is 9223372036854775808, expected a count": lambda d, _: d["memory"].update(last_stamp=2**63),
-    "rows_rejected.x is '7', expected a count": lambda d, _: d["memory"]["rows_rejected"].update(x="7"),
-    "weight is 'x', expected a finite number": lambda d, _: rows_of(d).update(weight="x"),
     r"accounts is \[\], expected an object": lambda d, _: d.update(accounts=[]),
-    "accounts.joint_states is None, expected an object": lambda d, _: d["accounts"].update(joint_states=None),
     "meanings.late is 'x', expected": lambda d, _: d["meanings"].update(late="x"),
     "does not say what": lambda d, _: d.update(meaning=None),
     "another robot": lambda d, _: d["meaning"].update(robot_description="0"),
@@ -241,7 +235,6 @@ CRAFTED: dict[str, Callable[[dict[str, Any], dict[str, Any]], Any]] = {
     "last_pose is .*, expected an array": lambda d, v: v[pose(d)].__setitem__(0, np.nan),
     "pose of shape": lambda d, v: (v.update({pose(d): np.zeros(4)}), d["memory"]["last_pose"].update(shape=[4])),
     "an estimate of 3 parameters": lambda d, _: d["warm"].update(parameters=d["memory"]["last_pose"]),
-    "warm.rows is None": lambda d, _: d["warm"].update(rows=None),
 }
 
 

@@ -11,11 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from geomid_ros.checks.causes import Cause, Finding
+from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import EffectEstimate
-from geomid_ros.files.models.estimate_file import estimate_document
+from geomid_ros.files.models.estimate_file import EstimateFile, estimate_document, verdict_entry
 from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.files.models.written_model import write_model
 from geomid_ros.model.effects import Quantity
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import GRAVITY, Robot
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 
@@ -99,46 +104,23 @@ UNUSABLE: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "no links": (edited(["links"], None), "no 'links'"),
     "no effects": (edited(["effects"], None), "'effects'"),
     "another format": (edited(["format"], 99), "format 99"),
-    "links is a number": (edited(["links"], 3), "links is 3, expected a list"),
-    "a link is a text": (edited(["links", 0], "link"), r"links\[0\] is .link., expected an object with mass"),
     "a link without mass": (edited(["links", 0, "mass"], None), r"links\[0\].mass is not given"),
-    "a mass that is a text": (
-        edited(["links", 0, "mass"], "heavy"),
-        r"links\[0\].mass is 'heavy', expected a finite number",
-    ),
     "a centre in the plane": (
         edited(["links", 0, "com"], [1.0, 2.0]),
         r"links\[0\].com is .*expected finite numbers, 3",
     ),
-    "an inertia without shape": (edited(["links", 0, "inertia"], [1.0, 2.0]), "expected finite numbers, 3 by 3"),
     "information of other links": (edited(["information", "rows"], "AAAAAA=="), "the information on 2 links"),
     "information that is no base64": (edited(["information", "rows"], "?"), "the information on 2 links"),
-    "information without rows": (edited(["information", "rows"], None), "information.rows is not given"),
-    "information without residuals": (edited(["information", "residuals"], None), "information.residuals is not given"),
     "information in another order": (edited(["information", "links"], ["link1", "link3"]), "in another order"),
-    "information without links": (edited(["information", "links"], None), "information.links is not given"),
     "a link twice": (edited(["links", 1, "name"], "link3"), "two links 'link3'"),
-    "a link merged with a number": (edited(["links", 0, "merged"], 3), r"links\[0\].merged is 3, expected a list"),
     "a link merged with another one": (
         edited(["links", 0, "merged"], ["hand"]),
         "'link3' was identified together with",
     ),
-    "information that is a number": (
-        edited(["information"], 3),
-        "information is 3, expected an object with links, rows, residuals",
-    ),
     "information that is not finite": (edited(["information", "residuals"], NOT_FINITE), "more than any measurement"),
     "a negative mass": (edited(["links", 0, "mass"], -1.0), "'link3' belongs to no body"),
-    "a mass that is not a number": (
-        edited(["links", 0, "mass"], float("nan")),
-        "mass is nan, expected a finite number",
-    ),
     "an impossible inertia": (edited(["links", 0, "inertia", 0], [9.0, 0.0, 0.0]), "'link3' belongs to no body"),
-    "effects is a number": (edited(["effects"], 3), "effect"),
-    "an effect without value": (edited(["effects", 0, "value"], None), "effect"),
-    "an effect that is a text": (edited(["effects", 0], "friction"), "effect"),
     "negative friction": (edited(["effects", 0, "value"], -0.1), "must be positive"),
-    "infinite friction": (edited(["effects", 0, "value"], float("inf")), "value is inf, expected a finite number"),
     "another robot": (of_another_robot, "another robot.*leg_link3.*link1, link2, link3"),
 }
 
@@ -165,3 +147,51 @@ def test_what_is_no_json_object_is_refused(text: str, tmp_path: Path) -> None:
 def test_a_missing_estimate_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"nowhere.json: the model cannot be read"):
         session_from(tmp_path / "nowhere.json")
+
+
+ARM = read_urdf(BAGS / "arm3.urdf")
+REVERSED = Finding(cause=Cause(kind="sign", sentence="the efforts are reversed"))
+SHIFTED = Finding(cause=Cause(kind="order", sentence="two joints are exchanged"))
+
+
+def written(folder: Path, *findings: Finding) -> Path:
+    """The model of the small arm from a recording with these findings."""
+    robot = Robot(ARM)
+    inertias = {body.name: body.parameters for body in robot.bodies}
+    write_model(folder, MeasurementModel(robot, ()), ARM, inertias, (), GRAVITY, findings=findings)
+    return folder / "estimate.json"
+
+
+def session(model: Path) -> Session:
+    return Session(ARM, Configuration({"model": str(model)}), "arm3.urdf")
+
+
+def test_a_model_of_a_doubtful_recording_is_told_first_with_all_reasons(tmp_path: Path) -> None:
+    model = written(tmp_path, REVERSED, SHIFTED)
+    entry = json.loads(model.read_text())["verdict"]
+    assert entry == verdict_entry(recording_verdict([REVERSED, SHIFTED]), [REVERSED, SHIFTED])
+    first = session(model).warnings(verdict=recording_verdict((), warnings=["something else"]))[0]
+    assert first == f"{model}: this model's verdict is 'doubtful': {REVERSED.sentence}; {SHIFTED.sentence}"
+
+
+@pytest.mark.parametrize(
+    ("document", "said"),
+    [
+        ({}, ""),
+        ({"converged": True, "reason": "gradient"}, ""),
+        ({"converged": False, "reason": "300 steps"}, "'not converged': 300 steps"),
+        ({"verdict": verdict_entry(recording_verdict((), "300 steps"), ())}, "did not converge: 300 steps"),
+        ({"verdict": verdict_entry(recording_verdict([REVERSED], "300 steps"), ())}, "reversed; the solver did not"),
+        ({"verdict": {"result": "doubtful"}}, "no reason is given"),
+    ],
+)
+def test_what_speaks_against_an_estimate(document: dict[str, Any], said: str) -> None:
+    sentence = EstimateFile.of({"links": [], "effects": [], **document}, "a.json").doubt
+    assert bool(sentence) == bool(said)
+    assert said in sentence
+
+
+@pytest.mark.parametrize("entry", ["doubtful", None, {"result": "fine"}, {"result": "usable", "reasons": "none"}, {}])
+def test_what_is_no_verdict_is_refused(entry: object) -> None:
+    with pytest.raises(InputError, match=r"a\.json: "):
+        assert EstimateFile.of({"links": [], "effects": [], "verdict": entry}, "a.json").doubt

@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -32,24 +31,14 @@ def nested(depth: int) -> str:
 
 
 DESCRIPTIONS: dict[str, tuple[str, str]] = {
-    "large": (ARM3 + "<!-- " + "x" * 5_000_000 + " -->", "larger than 5 MB"),
-    "a DTD": ("<!DOCTYPE robot>" + ARM3.partition("?>")[2], "cannot be read"),
-    "an entity": (f"<!DOCTYPE robot [<!ENTITY a 'x'>]>{ARM3.partition('?>')[2]}", "cannot be read"),
-    "a file": ("<!DOCTYPE robot [<!ENTITY a SYSTEM 'file:///etc/passwd'>]><robot name='&a;'/>", "cannot be read"),
-    "deep": (nested(64), "nested more than 64 deep"),
-    "very deep": (nested(100_000), "nested more than 64 deep"),
-    "not a number": (ARM3.replace('<mass value="3"/>', '<mass value="nan"/>'), 'value="nan".*finite'),
     "underscores": (ARM3.replace('<mass value="3"/>', '<mass value="1_0"/>'), 'value="1_0".*finite'),
     "digits of another script": (ARM3.replace('<mass value="3"/>', '<mass value="\u0663"/>'), "finite"),
     "two inertials": (ARM3.replace("</inertial>", "</inertial><inertial/>", 1), "more than one <inertial>"),
     "many elements": (ARM3.replace("</robot>", "<x/>" * 200_000 + "</robot>"), "more than 200000 elements"),
-    "many links": (ARM3.replace("</robot>", "<link name='x'/>" * 2000 + "</robot>"), "more than the maximum of 1000"),
     "many joints": (
         ARM3.replace("</robot>", "<joint name='x' type='fixed'/>" * 2000 + "</robot>"),
         "more than the maximum of 1000",
     ),
-    "no name": (ARM3.replace('<robot name="arm3"', "<robot"), "no name"),
-    "a limit of words": (ARM3.replace('lower="-2.8"', 'lower="low"'), 'lower="low"'),
 }
 
 
@@ -161,28 +150,11 @@ def model(**fields: Any) -> dict[str, Any]:
     return {"format": 1, "links": [link], "effects": [], "added": [], **fields}
 
 
-ONE = {"effect": "rotor_inertia", "joint": "joint1", "parameters": {}}
 MODELS: dict[str, tuple[dict[str, Any], str]] = {
     "many links": (model(links=model()["links"] * 40_001), "links is .*at most 40000"),
-    "many effects": (model(effects=[{"name": "x"}] * 40_001), "effects is .*at most 40000"),
-    "an effect is a list": (model(effects=[[]]), r"effects\[0\] is \[\], expected an object with name"),
-    "an effect without a name": (model(effects=[{}]), r"effects\[0\].name is not given"),
-    "an effect's name is a list": (
-        model(effects=[{"name": [], "joint": "x", "value": 1}]),
-        r"effects\[0\].name is \[\], expected a text",
-    ),
-    "added is a text": (model(added="x"), "added is 'x', expected a list"),
-    "what is added is a list": (
-        model(added=[{**ONE, "effect": ["x"]}]),
-        r"added\[0\].effect is \['x'\], expected a text",
-    ),
     "a number of 400 digits": (
         model(effects=[{"name": "rotor_inertia", "joint": "x", "value": 10**400}]),
         "value is .*expected a finite number",
-    ),
-    "a mass of 400 digits": (
-        model(links=[{**model()["links"][0], "mass": 10**400}]),
-        "mass is .*expected a finite number",
     ),
     "a huge mass": (model(links=[{**model()["links"][0], "mass": 1e300}]), "mass is .*expected a finite number"),
     "an infinite centre": (
@@ -199,27 +171,6 @@ def test_a_model_beyond_the_limits_is_refused(case: str, tmp_path: Path) -> None
     path.write_text(json.dumps(document))
     with pytest.raises(InputError, match=rf"estimate.json: .*{message}"):
         LoadedModel.read(str(path))
-
-
-SIDECARS: dict[str, Callable[[dict[str, Any]], object]] = {
-    "a number of 400 digits": lambda entry: entry["parameters"]["inertia"].update(value=10**400),
-    "a deviation of 400 digits": lambda entry: entry["parameters"]["inertia"].update(std=10**400),
-    "a list for a name": lambda entry: entry.update(effect=["rotor_inertia"]),
-    "a unit is a list": lambda entry: entry["parameters"]["inertia"].update(unit=[]),
-}
-
-
-@pytest.mark.parametrize("case", SIDECARS)
-def test_a_sidecar_beyond_the_limits_is_refused(case: str, tmp_path: Path) -> None:
-    quantity = {"value": 0.1, "std": None, "unit": "kg m^2"}
-    entry: dict[str, Any] = {"effect": "rotor_inertia", "joint": "joint1", "parameters": {"inertia": quantity}}
-    path = tmp_path / "effects.yaml"
-    path.write_text(json.dumps({"format": 1, "robot": "arm", "effects": [entry]}))
-    assert len(read_sidecar(path).effects) == 1
-    SIDECARS[case](entry)
-    path.write_text(json.dumps({"format": 1, "robot": "arm", "effects": [entry]}))
-    with pytest.raises(InputError, match=r"effects.yaml: effects\[0\]"):
-        read_sidecar(path)
 
 
 def test_an_error_shows_control_characters_as_codes_and_stays_short() -> None:
