@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 import yaml
@@ -13,9 +14,12 @@ from files.recordings import BAGS
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from geomid_ros.commands.excite.learn import learn
+from geomid_ros.commands.excite.run import run
 from geomid_ros.files.trajectories import read_trajectory
 
 from .running import WRIST, done, identify, link, refused
+from .test_help import LIBRARIES, loaded
 
 QUICK = ("--duration", "6", "--repeats", "2")
 
@@ -123,3 +127,21 @@ def test_nothing_is_written_where_nothing_is_worth_it(arm: Path, tmp_path: Path)
     assert "less than 99.9%" in text
     assert not (tmp_path / "out").exists()
     assert "'5 apples' is not a share" in refused("excite", "--urdf", arm, "--until", "5 apples")
+
+
+@pytest.mark.parametrize("command", [run, learn], ids=["run", "learn"])
+def test_help_explains_every_option_and_loads_no_library(command: click.Command) -> None:
+    text = done("excite", str(command.name), "--help")
+    options = [parameter for parameter in command.params if isinstance(parameter, click.Option)]
+    assert len(options) > 5
+    for option in options:
+        assert option.opts[0] in text
+        assert (option.help or "").endswith((".", "]"))
+    assert not loaded(("excite", str(command.name), "--help")) & LIBRARIES
+
+
+def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
+    pytest.importorskip("rclpy")
+    assert "motion.yaml: the trajectory cannot be read" in refused("excite", "run", tmp_path / "motion.yaml")
+    message = refused("excite", "run", tmp_path / "motion.yaml", "--urdf", tmp_path / "robot.urdf")
+    assert "robot.urdf: the robot description cannot be read" in message

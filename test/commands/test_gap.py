@@ -240,10 +240,6 @@ CASES: dict[str, tuple[Callable[[Path], Arguments], str]] = {
         lambda _: (BAGS / "arm3", "--urdf", URDF, "--hold-out", "0"),
         r"nothing to judge on: hold out.*--hold-out.*--validate",
     ),
-    "no description": (
-        lambda f: (altered(BAGS / "arm3", f / "bare", lambda i: i if "description" not in i.topic else None),),
-        r"bare: no robot description is recorded .*--urdf",
-    ),
     "no such topic of commands": (
         lambda _: (BAGS / "arm3", "--urdf", URDF, "--command", "/cmd"),
         r"arm3: has no topic /cmd; --command names another",

@@ -240,7 +240,7 @@ def test_efforts_that_do_not_carry_the_robot_are_doubted(
 ) -> None:
     """Of another unit, or with another sign."""
     arguments = spoiled(folder, tmp_path, scaled("effort", factor))
-    result = geomid(*arguments, *LEGS, "--hold-out", "0", "--json", "--out", tmp_path / "out")
+    result = geomid(*arguments, *LEGS, "--alike", "none", "--hold-out", "0", "--json", "--out", tmp_path / "out")
     reasons = json.loads(result.stdout)["verdict"]["reasons"]
     assert f"the feet carry {share}" in reasons[0]
 

@@ -1,16 +1,24 @@
-"""What the package ships is found beside the sources and where ROS or pip installed it."""
+"""What a command finds around it: shipped files, libraries, folders to write to. What is missing is named."""
 
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
+import click
 import pytest
+from files.recordings import BAGS
 
 import geomid_ros
 from geomid_ros.commands.demo import shared_file
+from geomid_ros.commands.options import Output
+from geomid_ros.commands.root import COMMANDS, root
 from geomid_ros.errors import InputError
+
+from .running import refused
 
 ROOT = Path(__file__).parents[2]
 
@@ -45,3 +53,90 @@ def test_what_is_nowhere_is_answered_with_where_it_was_looked_for(installed: Pat
     with pytest.raises(InputError, match=r"bags/arm8 is not installed; looked in .*other/share/geomid_ros, .*prefix"):
         shared_file("bags/arm8")
     assert installed.exists()
+
+
+SCRIPT = """
+import sys
+from importlib import import_module
+
+class Refusal:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] == {library!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+
+sys.meta_path.insert(0, Refusal())
+sys.argv = {arguments!r}
+import_module({module!r}).main()
+"""
+
+
+def said_without(library: str, module: str, *arguments: str) -> str:
+    """The one line that a program says; fails unless it ends with status 2."""
+    script = SCRIPT.format(library=library, arguments=[module, *arguments], module=module)
+    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=300)
+    assert result.returncode == 2, result.stderr
+    (line,) = result.stderr.splitlines()
+    return line
+
+
+@pytest.mark.parametrize(
+    ("library", "package"), [("rosbags", "rosbags"), ("backports", "backports.zstd"), ("pinocchio", "pin")]
+)
+def test_a_command_names_it(library: str, package: str) -> None:
+    arguments = ("identify", str(BAGS / "arm3"), "--urdf", str(BAGS / "arm3.urdf"))
+    said = said_without(library, "geomid_ros.commands.root", *arguments)
+    assert said == f"Error: {library} is not installed: pip install {package}"
+
+
+def test_the_node_names_it() -> None:
+    said = said_without("rclpy", "geomid_ros.ros.main")
+    assert said.startswith("geomid_node: rclpy is not installed: pip install 'ros-jazzy-rclpy[fastrtps]' ")
+
+
+@pytest.mark.skipif(find_spec("rclpy") is None, reason="ROS is not installed")
+def test_the_dashboard_names_it() -> None:
+    said = said_without("tornado", "geomid_ros.commands.root", "dashboard")
+    assert said == "Error: tornado is not installed: pip install tornado"
+
+
+NOWHERE = "nowhere"  # no bag, URDF or model: work on it would be refused with its name
+COMMAND_LINES = (
+    ("identify", NOWHERE, "--out", "{}"),
+    ("gap", NOWHERE, "--out", "{}"),
+    ("fleet", NOWHERE, "--out", "{}"),
+    ("sample", NOWHERE, "--for", "json", "--out", "{}"),
+    ("excite", "--urdf", NOWHERE, "--out", "{}"),
+    ("excite", "run", NOWHERE, "--execute", "--out", "{}"),
+    ("demo", "--out", "{}"),
+    ("simulate", "{}/bag", "--robot", NOWHERE),
+    ("prior", NOWHERE, "--mass", "3", "--out", "{}/prior.urdf"),
+)
+
+
+@pytest.mark.parametrize("line", COMMAND_LINES, ids=lambda line: " ".join(line[:2]))
+def test_a_folder_that_cannot_be_made_is_told_at_once(line: tuple[str, ...], tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    folder = tmp_path / "file" / "folder"
+    assert f"{folder}: cannot be written (Not a directory)" in refused(*(word.format(folder) for word in line))
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_nothing_is_left_of_the_trial(tmp_path: Path) -> None:
+    found = Output(file_okay=False).convert(str(tmp_path / "new" / "folder"), None, None)
+    assert found == tmp_path / "new" / "folder"
+    assert not any(tmp_path.iterdir())
+
+
+def test_every_out_is_tried() -> None:
+    """Only a design and a run of a motion try it later: the other of them must not be refused for it."""
+    context = click.Context(root)
+    commands = [root.get_command(context, name) for name in COMMANDS]
+    options = [
+        (command.name, option)
+        for command in commands
+        if command is not None
+        for option in command.params
+        if "--out" in option.opts
+    ]
+    assert len(options) >= 6
+    assert all(isinstance(option.type, Output) or name == "excite" for name, option in options)
