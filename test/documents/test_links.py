@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 
+import pytest
 import yaml
 
 from .reading import DOCUMENTS, PAGES, ROOT, anchors, links, text_of
@@ -61,3 +64,52 @@ def test_the_citation_names_this_version() -> None:
     assert f"<version>{citation['version']}</version>" in package
     assert f'<license file="LICENSE">{citation["license"]}</license>' in package
     assert [author["name"] for author in citation["authors"]] == re.findall(r"<maintainer[^>]*>([^<]+)<", package)
+
+
+MODULES = re.findall(r'font-weight="bold"[^>]*>([\w/]+)<', text_of("docs/pages/figures/architecture.svg"))
+
+
+def test_it_is_the_generator_s() -> None:
+    generator = ROOT / "docs/generators/architecture.py"
+    subprocess.run([sys.executable, str(generator), "--check"], check=True)
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_a_message_passes_modules_that_exist(module: str) -> None:
+    assert (ROOT / "geomid_ros" / f"{module}.py").is_file()
+
+
+FOLDERS = "geomid_ros|test|config|launch|security|bags|docs|benchmarks|examples"
+HIDDEN = {"robots"}  # a room's folder of data
+# What the recipe in CONTRIBUTING.md makes.
+PLANNED = {"geomid_ros/model/effects/gear_ripple.py"}
+
+
+def test_files_and_make_targets_that_are_named_exist() -> None:
+    text = "\n".join(map(text_of, DOCUMENTS))
+    files = set(re.findall(rf"`((?:{FOLDERS})/[\w./]*)`", text)) - PLANNED
+    assert len(files) > 20
+    assert not [name for name in files if not (ROOT / name).exists()]
+    targets = set(re.findall(r"(?:`|    )make ([a-z]+)", text))
+    assert len(targets) > 3
+    assert targets <= set(re.findall(r"^([a-z]+):", text_of("Makefile"), re.MULTILINE))
+
+
+def test_the_map_of_the_house_shows_every_room() -> None:
+    """No more and no less, and each floor as it is held by the test of the house."""
+    from test_house import FLOORS  # noqa: PLC0415 it parses the package
+
+    rows = re.findall(r"^\| (below|\d+) \| ([^|]+) \|", text_of("CONTRIBUTING.md"), re.MULTILINE)
+    shown = {
+        room.removesuffix("/").removesuffix(".py"): -1 if floor == "below" else int(floor)
+        for floor, rooms in rows
+        for room in re.findall(r"`([\w./]+)`", rooms)
+    }
+    assert shown == FLOORS
+
+
+def test_folders_within_rooms_are_shown() -> None:
+    rows = re.findall(r"^\| \d+ \| `(\w+)/` \| (.+) \|$", text_of("CONTRIBUTING.md"), re.MULTILINE)
+    for room, what in rows:
+        within = {path.parent.name for path in (ROOT / "geomid_ros" / room).glob("*/__init__.py")}
+        assert set(re.findall(r"`(\w+)/`:", what)) == within - HIDDEN, room

@@ -9,7 +9,6 @@ from scipy.special import chdtri
 from geomid_ros.estimation.changed_links import ChangedLink, LinkEvidence, changed_links
 from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import Quantity
 
 NAMES = ("upper", "lower", "hand")
 LIMIT = float(chdtri(10, 0.05 / len(NAMES)))
@@ -83,16 +82,6 @@ def test_links_that_move_alike_are_rivals() -> None:
     (changed,) = changed_links(NAMES, *(measured(own, rows, random, before) for own in (before, after)), LIMIT, ALIKE)
     assert {changed.link, *changed.rivals} == {"upper", "lower"}
     assert f"or {changed.rivals[0]} has changed instead" in changed.sentence
-
-
-def test_in_words() -> None:
-    changed = ChangedLink("hand", 50.0, Quantity(-0.5, 0.1, "kg"))
-    assert changed.sentence == "hand weighs 0.5 ± 0.2 kg less"
-    moment = {"x": Quantity(0.001, 0.01, "kg m"), "z": Quantity(-0.1, 0.01, "kg m")}
-    unsure = ChangedLink("hand", 50.0, Quantity(-0.1, 0.1, "kg"), moment, ("lower",))
-    assert unsure.sentence == (
-        "hand has changed: first moment z by -0.1 ± 0.02 kg m, mass by -0.1 ± 0.2 kg, or lower has changed instead"
-    )
 
 
 def test_a_body_that_was_moved_has_another_first_moment_and_the_same_mass() -> None:

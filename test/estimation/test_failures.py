@@ -102,12 +102,6 @@ def test_troubles_end_in_a_sound_estimate(trouble: str, objective: str) -> None:
     assert_sound(solved(TROUBLES[trouble](arm("arm3", 0, seconds=4)), objective=objective))
 
 
-@pytest.mark.parametrize("trouble", ["one sample", "outliers in one fold", "constant efforts", "motionless"])
-@pytest.mark.parametrize("effects", [(), ("effort_offset",)], ids=str)
-def test_troubles_with_other_effects(trouble: str, effects: tuple[str, ...]) -> None:
-    assert_sound(solved(TROUBLES[trouble](arm("arm3", 0, seconds=4, effects=effects))))
-
-
 @pytest.mark.parametrize("silent", [(0,), (2,), (0, 1)])
 def test_channels_that_are_never_measured(silent: tuple[int, ...]) -> None:
     case = arm("arm3", 0, seconds=4)

@@ -21,7 +21,7 @@ from geomid_ros.session.excitation import MotionRequest
 from geomid_ros.session.rival_effects import open_questions
 
 from .arm import small_task
-from .test_foretold import WALLS
+from .test_knowledge import WALLS
 
 TASK = small_task()
 

@@ -1,14 +1,26 @@
 """Findings, rivals, what is left without a name, and the words for it."""
 
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from geomid_ros.errors import InputError
 from geomid_ros.gap import candidates as library
+from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.judgement.held_out import located, share, strongest
 from geomid_ros.gap.judgement.naming import sentence, settled_by
+from geomid_ros.gap.result import GapResult, Located
+from geomid_ros.gap.workflow import GapSettings, find_gap
+from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import EFFECTS, Quantity
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import Robot
+from geomid_ros.model.samples import REST, Samples
+from geomid_ros.types import FloatArray
 
 from . import planted
 
@@ -111,3 +123,112 @@ def test_what_settles_payloads_at_two_links_is_a_motion_that_turns_both() -> Non
     assert settled_by(payload, "wrist", [(spring, "base")]) == payload.settled_by
     assert settled_by(spring, "wrist", [(spring, "elbow")]) == spring.settled_by
     assert settled_by(payload, "wrist", []) == payload.settled_by
+
+
+SETTINGS = GapSettings(cutoff=planted.CUTOFF)
+CREEP = 0.02  # [N m/s]
+
+
+def test_uncertainty_of_the_fit_explains_what_noise_does_not() -> None:
+    """Seven seconds teach little of a faster motion: what they leave of it is larger than noise, as much as is said."""
+    squares, expected = [], []
+    for seed in range(5):
+        dynamics = planted.rigid(planted.true_inertias(seed, 0.1))
+        train, unseen = planted.recording(dynamics, seed, 7.0), planted.recording(dynamics, 100 + seed, 20.0, pace=2.0)
+        gap = find_gap(planted.model(), [train], [unseen], SETTINGS).gap
+        squares.append(gap.after**2)
+        expected.append(gap.expected**2)
+    assert np.mean(expected) > 1.1, "else this says nothing"
+    assert np.mean(squares) == pytest.approx(np.mean(expected), rel=0.35)
+
+
+@pytest.fixture(scope="module")
+def drifting() -> GapResult:
+    """An effort that creeps in the unseen recording only, so that nothing can be learnt of it."""
+    dynamics = planted.rigid(planted.true_inertias(3, 0.1))
+    unseen = planted.recording(dynamics, 4, 30.0)
+    creeping = unseen.effort.copy()
+    creeping[:, 1] += CREEP * ((unseen.stamps - unseen.stamps[0]) * 1e-9 - 15.0)
+    unseen = replace(unseen, effort=creeping)
+    return find_gap(planted.model(), [planted.recording(dynamics, 3)], [unseen], SETTINGS)
+
+
+def test_a_gap_that_stays_open_is_told_with_what_it_depends_on(drifting: GapResult) -> None:
+    assert drifting.verdict == "incomplete"
+    assert [(entry.joint, entry.depends_on) for entry in drifting.unexplained] == [
+        (planted.model().robot.joint_names[1], "time")
+    ]
+    assert drifting.unexplained[0].gap == pytest.approx(drifting.moving[1], rel=0.01)
+
+
+def test_and_nothing_is_named_for_it(drifting: GapResult) -> None:
+    assert drifting.findings == ()
+
+
+def test_what_depends_on_nothing_is_not_said_to_depend_on_the_first_in_line() -> None:
+    assert strongest(Located("wrench/fx", 0.0, 0.0, 0.0, 0.0, 0.0)) == "unknown"
+    assert strongest(Located("joint1", 0.1, 0.0, 0.3, 0.2, 0.0)) == "load"
+
+
+SEED, JOINT = 20, 1
+
+
+def coulomb(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+    """An arm with Coulomb friction at one joint."""
+    efforts = planted.rigid(planted.true_inertias(SEED, 0.1))(q, v, a)
+    efforts[:, JOINT] += 0.3 * np.sign(v[:, JOINT])
+    return efforts
+
+
+def unmeasured(samples: Samples, joints: Sequence[int]) -> Samples:
+    effort = samples.effort.copy()
+    effort[:, list(joints)] = np.nan
+    return replace(samples, effort=effort)
+
+
+TRAIN, UNSEEN = planted.recording(coulomb, SEED), planted.recording(coulomb, SEED + 1000, 15.0)
+
+
+@pytest.mark.parametrize("unseen", [unmeasured(UNSEEN, range(3)), UNSEEN.select(slice(0, 8))], ids=["nothing", "short"])
+def test_unseen_data_that_judge_nothing_are_refused(unseen: Samples) -> None:
+    with pytest.raises(InputError, match="nothing to judge on"):
+        find_gap(planted.model(), [TRAIN], [unseen])
+
+
+def test_a_joint_of_which_nothing_is_measured_is_left_out_without_a_word() -> None:
+    rest = [0, 2]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        result = find_gap(planted.model(), [unmeasured(TRAIN, [JOINT])], [unmeasured(UNSEEN, [JOINT])])
+    assert result.verdict == "no gap"
+    assert np.all(np.isfinite(result.gap.after[rest]))
+    assert np.isnan(result.gap.after[JOINT])
+
+
+def test_a_moment_without_an_effort_costs_that_moment_of_delayed_efforts() -> None:
+    effort, missing = TRAIN.effort.copy(), slice(1000, 1010)
+    effort[missing, JOINT] = np.nan
+    records = Records.make([replace(TRAIN, effort=effort)], planted.CUTOFF)
+    whole = Records.make([TRAIN], planted.CUTOFF)
+    lag = 0.004  # [s]
+    found, exact = (each.advanced(lag).dense[0].effort[:, JOINT] for each in (records, whole))
+    known = np.isfinite(found)
+    np.testing.assert_array_equal(np.flatnonzero(~known), [*range(999, 1010), len(TRAIN) - 1])
+    away = known & (np.abs(np.arange(len(TRAIN)) - 1005) > 30)
+    np.testing.assert_allclose(found[away], exact[away], atol=1e-6)
+
+
+def test_what_a_force_plate_measures_counts_while_joints_stand_still() -> None:
+    urdf = (planted.BAGS / "arm3.urdf").read_text(encoding="utf-8")
+    plate = WrenchSensor("/plate", "world", "external")
+    model = MeasurementModel(Robot(urdf, floating_base=True), (), (plate,))
+    effects = TRAIN.effects.copy()
+    entries = TRAIN.entries
+    for column in entries.columns:  # at rest all the time
+        if JOINT in entries.of(column)[1]:
+            effects[:, entries.at(column, JOINT)] = column == REST
+    records = Records.make([replace(TRAIN, effects=effects)], planted.CUTOFF)
+    targets = np.random.default_rng(1).normal(size=(len(records.samples), 6))
+    assert not model.layout.efforts
+    assert np.all(records.usable(model, targets))
+    assert not np.any(records.usable(planted.model(), targets[:, :3])[:, JOINT])

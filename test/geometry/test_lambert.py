@@ -9,7 +9,11 @@ import numpy as np
 import pytest
 from scipy.special import lambertw
 
+from geomid_ros.geometry import compiled
 from geomid_ros.geometry.lambert import lambert_w
+from geomid_ros.types import FloatArray
+
+from . import bodies
 
 EPSILON = float(np.finfo(float).eps)
 BRANCH_POINT = -1.0 / math.e
@@ -69,3 +73,73 @@ def test_it_never_decreases() -> None:
 @pytest.mark.parametrize("z", [BRANCH_POINT - 1e-12, -0.5, -1e300, -math.inf])
 def test_it_is_minus_one_below_its_domain(z: float) -> None:
     assert lambert_w(np.array(z)) == -1.0
+
+
+LANES = 8
+ROUNDING = 1e-14  # relative to the largest eigenvalue
+
+
+def matrices() -> dict[str, FloatArray]:
+    """Symmetric matrices, the awkward ones by name."""
+    rng = np.random.default_rng(0)
+    u = rng.normal(size=4)
+    q = np.linalg.qr(rng.normal(size=(4, 4)))[0]
+    scales = np.diag(10.0 ** np.array([-6.0, -2.0, 2.0, 6.0]))
+    named = {
+        "zero": np.zeros((4, 4)),
+        "identity": np.eye(4),
+        "diagonal": np.diag([3.0, -1.0, 2.0, -7.0]),
+        "ones": np.ones((4, 4)),
+        "rank one": np.outer(u, u),
+        "two pairs": (q * [2.0, 2.0, -1.0, -1.0]) @ q.T,
+        "three equal": (q * [5.0, 5.0, 5.0, 1.0]) @ q.T,
+        "nearly equal": (q * [1.0, 1.0 + 1e-9, 1.0 - 1e-12, 1.0]) @ q.T,
+        "one coupling": np.eye(4) + 1e-9 * np.eye(4)[:, ::-1],
+        "badly scaled": scales @ bodies.spd(rng) @ scales,
+        "tiny": 1e-120 * bodies.symmetric(rng),
+        "huge": 1e120 * bodies.symmetric(rng),
+    }
+    return named | {f"random {k}": bodies.symmetric(rng) for k in range(20)}
+
+
+def decompose_all(stack: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Eigenvalues ``(LANES, 4)`` and vectors ``(LANES, 4, 4)`` of ``stack (LANES, 4, 4)``."""
+    if compiled.native is None:
+        pytest.skip("built without a compiler")
+    values, vectors = np.full((LANES, 4), np.nan), np.full((LANES, 4, 4), np.nan)
+    compiled.native.eigenvectors(stack, values, vectors)
+    return values, vectors
+
+
+def decompose(matrix: FloatArray, lane: int = 3) -> tuple[FloatArray, FloatArray]:
+    """One matrix among others of all sizes."""
+    rng = np.random.default_rng(1)
+    stack = np.array([10.0**k * bodies.symmetric(rng) for k in range(LANES)])
+    stack[lane] = matrix
+    values, vectors = decompose_all(stack)
+    return values[lane], vectors[lane]
+
+
+@pytest.mark.parametrize("name", matrices())
+def test_eigenvalues_are_lapacks(name: str) -> None:
+    matrix = matrices()[name]
+    expected = np.linalg.eigvalsh(matrix)
+    np.testing.assert_allclose(
+        np.sort(decompose(matrix)[0]), expected, rtol=0, atol=ROUNDING * np.max(np.abs(expected))
+    )
+
+
+@pytest.mark.parametrize("name", matrices())
+def test_eigenvectors_are_orthonormal_and_rebuild_the_matrix(name: str) -> None:
+    matrix = matrices()[name]
+    values, vectors = decompose(matrix)
+    np.testing.assert_allclose(vectors.T @ vectors, np.eye(4), rtol=0, atol=ROUNDING)
+    rebuilt = (vectors * values) @ vectors.T
+    np.testing.assert_allclose(rebuilt, matrix, rtol=0, atol=ROUNDING * np.max(np.abs(matrix)))
+
+
+@pytest.mark.parametrize("lane", range(LANES))
+def test_every_lane_gives_the_same(lane: int) -> None:
+    matrix = bodies.symmetric(np.random.default_rng(3))
+    for found, expected in zip(decompose(matrix, lane), decompose(matrix, 0), strict=True):
+        np.testing.assert_array_equal(found, expected)

@@ -15,6 +15,7 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.closed_loop import closed_loop
 from geomid_ros.resimulation.resimulate import Resimulated
+from geomid_ros.resimulation.written_robot import load_mujoco
 from geomid_ros.types import FloatArray
 
 from .recordings import ARM, JOINTS, MODEL, PERIOD, files, motion, noise_example, recording
@@ -118,3 +119,20 @@ def test_what_cannot_be_simulated_says_why(tmp_path: Path) -> None:
     assert (
         "base floats" in closed_loop(floating, ok, ok, [exact], [exact], noise=noise_example(), cutoff=CUTOFF).skipped
     )
+
+
+SPINNING = "<mujoco><worldbody><body><joint/><geom size='.1'/></body></worldbody></mujoco>"
+
+
+def test_a_run_that_diverges_leaves_no_file_and_prints_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    mujoco = load_mujoco()
+    model = mujoco.MjModel.from_xml_string(SPINNING)
+    data = mujoco.MjData(model)
+    data.qvel[0] = 1e12
+    mujoco.mj_step(model, data)
+    assert sum(data.warning.number) == 1
+    assert list(tmp_path.iterdir()) == []
+    assert capfd.readouterr() == ("", "")

@@ -13,7 +13,9 @@ from sensor_msgs.msg import JointState
 
 from .observer import latched
 from .processes import SOON
+from .rig import rigged
 from .stage import NO_CHOICE, WRIST, Stage, description
+from .test_catalogue_messages import MALFORMED
 
 
 def test_busy_nodes_save_their_last_estimate(stage: Stage, tmp_path: Path) -> None:
@@ -77,3 +79,43 @@ def test_a_node_told_to_end_while_it_starts(stage: Stage) -> None:
     stage.observer.spin(0.6)
     assert node.seconds_to_end(signal.SIGTERM) <= SOON
     assert node.status() in (0, -signal.SIGTERM)
+
+
+def test_the_demonstration(stage: Stage) -> None:
+    demo = stage.start("geomid_ros", "demo", "--rate", "6", "--out", stage.folder / "out", fresh=True)
+    stage.spin_while(demo)
+    out = stage.folder / "out"
+    assert {path.name for path in out.iterdir()} == {
+        "estimate.json",
+        "identified.urdf",
+        "posterior.npz",
+        "identification.png",
+    }
+    for path in out.iterdir():
+        assert str(path) in demo.output
+    truth = {link["name"]: link for link in json.loads((BAGS / "arm7.truth.json").read_text())["links"]}
+    found = {link["name"]: link for link in json.loads((out / "estimate.json").read_text())["links"]}
+    assert found["wrist_ft"]["mass"] == pytest.approx(truth["tool"]["mass"], rel=0.01)
+    assert "offline gives the same masses within" in demo.output
+
+
+def test_it_finds_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As its twin, which reads messages with rosbags, also where some of the bytes are no messages."""
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))
+    with rigged(tmp_path, "ros.bare", fresh=True) as rig:
+        before, after = rig.begin()
+        rig.feed(before)
+        begin = len(rig.arrays)
+        for data in MALFORMED.values():
+            for topic, publisher in rig.publishers.items():
+                publisher.publish(data)
+                rig.sent[topic] += 1
+        rig.feed(after)
+        values = rig.settled(begin)
+        for topic, kind in (
+            ("joint_states", "sensor_msgs/msg/JointState"),
+            ("/wrench", "geometry_msgs/msg/WrenchStamped"),
+        ):
+            refused = [key for key in values if key.startswith(f"{topic} rejected: not a valid {kind}")]
+            assert sum(int(values[key]) for key in refused) == len(MALFORMED)
+        rig.assert_same_as_twin()

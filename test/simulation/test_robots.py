@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import pi
 from xml.etree import ElementTree
 
@@ -10,9 +11,12 @@ import pinocchio as pin
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.simulation.description import read_description
+from geomid_ros.simulation.description import LinkInertia, read_description
+from geomid_ros.simulation.inertias import perturbed, pseudo_inertia
+from geomid_ros.simulation.motion import SetPoints, exciting_motion
+from geomid_ros.simulation.options import MOTIONS, SimulationOptions
 from geomid_ros.simulation.robots import robot_description, robot_names
-from geomid_ros.types import FloatArray
+from geomid_ros.types import FloatArray, frozen
 
 ROBOTS = robot_names()
 ONE_JOINT = """<robot name="one"><link name="base"/>
@@ -84,3 +88,67 @@ def test_pinocchio_reads_the_same(robot: str) -> None:
 def test_unusable_urdf_is_refused_with_the_reason(old: str, new: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read_description(ONE_JOINT.replace(old, new))
+
+
+JOINTS = read_description(robot_description("arm7")).joints
+OPTIONS = SimulationOptions(motion_period=3.0)
+TIMES = np.linspace(0.0, 9.0, 9001)
+
+
+def motion(options: SimulationOptions = OPTIONS) -> SetPoints:
+    return exciting_motion(TIMES, JOINTS, options, np.random.default_rng(1))
+
+
+@pytest.mark.parametrize("kind", MOTIONS)
+def test_derivatives(kind: str) -> None:
+    """Between the corners that trapezoids of speed have."""
+    whole, step = motion(replace(OPTIONS, motion=kind)), TIMES[1] - TIMES[0]
+    slope, bend = (np.gradient(values, step, axis=0)[1:-1] for values in (whole.position, whole.velocity))
+    inside = np.abs(whole.acceleration[2:] - whole.acceleration[:-2]) < 1.0
+    assert inside.mean() > 0.95
+    np.testing.assert_allclose(slope, whole.velocity[1:-1], atol=1e-2)
+    off = np.abs(bend[inside] - whole.acceleration[1:-1][inside]) > 1e-2
+    assert off.mean() < (0.01 if kind == "points" else 1e-9)
+
+
+@pytest.mark.parametrize("kind", MOTIONS)
+@pytest.mark.parametrize(("reach", "speed"), [(0.7, 0.6), (0.1, 1.0), (1.0, 0.1)])
+def test_uses_its_share_of_the_limits(reach: float, speed: float, kind: str) -> None:
+    whole = motion(replace(OPTIONS, motion_range=reach, motion_speed=speed, motion=kind))
+    centre, half, top = np.array([(joint.centre, joint.half_range, joint.velocity) for joint in JOINTS]).T
+    used_range = np.abs(whole.position - centre).max(0) / half / reach
+    used_speed = np.abs(whole.velocity).max(0) / top / speed
+    np.testing.assert_allclose(np.maximum(used_range, used_speed), 1.0, rtol=1e-9)
+
+
+LINKS = read_description(robot_description("arm7")).inertias
+
+
+def distance(one: LinkInertia, other: LinkInertia) -> float:
+    """Geodesic distance by generalised eigenvalues, a route that the perturbation does not take."""
+    values = np.linalg.eigvals(np.linalg.solve(pseudo_inertia(one), pseudo_inertia(other)))
+    return float(np.linalg.norm(np.log(values.real)))
+
+
+@pytest.mark.parametrize("size", [0.01, 0.2, 1.0])
+def test_perturbed_bodies_can_exist(size: float) -> None:
+    rng = np.random.default_rng(0)
+    for link in LINKS * 20:
+        body = perturbed(link, size, rng)
+        smallest, middle, largest = np.linalg.eigvalsh(body.inertia)
+        assert body.mass > 0.0
+        assert smallest > 0.0
+        assert largest < smallest + middle
+        assert np.linalg.eigvalsh(pseudo_inertia(body))[0] > 0.0
+
+
+def test_size_is_the_deviation_in_each_of_ten_directions() -> None:
+    rng = np.random.default_rng(0)
+    squares = [distance(link, perturbed(link, 0.2, rng)) ** 2 for link in LINKS * 100]
+    assert np.mean(squares) == pytest.approx(10 * 0.2**2, rel=0.05)
+
+
+def test_impossible_nominal_body_is_refused_by_name() -> None:
+    body = LinkInertia("spoon", 1.0, frozen(np.zeros(3)), frozen(np.diag([1.0, 1.0, 3.0])))
+    with pytest.raises(InputError, match="link 'spoon'"):
+        perturbed(body, 0.2, np.random.default_rng(0))
