@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from commands.running import done, geomid, undrawn
+from commands.running import done, undrawn
 from files.recordings import QUICK
 
-from geomid_ros.checks.verdict import DOUBTFUL, STATUS
 from geomid_ros.simulation import WRIST_FRAME, Hidden, SimulationOptions, simulate
 from geomid_ros.simulation.robots import robot_description
 
@@ -31,7 +30,6 @@ class Hiding:
 
 
 CASES = {
-    "friction": Hiding(replace(ARM3, seed=11), (Hidden("coulomb_friction", "joint2"),)),
     "delay": Hiding(replace(ARM3, seed=12), (Hidden("effort_delay", "", 0.006),)),
     "two at once": Hiding(replace(ARM3, seed=13), (Hidden("spring", "joint3"), Hidden("viscous_friction", "joint1"))),
 }
@@ -71,16 +69,6 @@ def test_it_is_named(case: str, tmp_path: Path) -> None:
 def loaded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Recordings of an arm with a payload."""
     return recorded(PAYLOAD, tmp_path_factory.mktemp("payload"), "two")
-
-
-def test_a_payload_on_an_identified_robot_is_named(loaded: Path, tmp_path: Path) -> None:
-    """The robot was, before anything was hidden in it; without friction its joints are not explained, which is said."""
-    simulate(tmp_path / "before", replace(PAYLOAD.options, motion_seed=99))
-    robot = ["--urdf", loaded / "robot.urdf", *WRIST]
-    result = geomid("identify", tmp_path / "before", *robot, "--effects", "none", "--out", tmp_path / "known")
-    assert result.exit_code == STATUS[DOUBTFUL]
-    model = ("--model", tmp_path / "known/estimate.json")
-    check_named(*found(loaded, tmp_path / "out", loaded / "two", *WRIST, *model))
 
 
 def test_beside_unsure_inertias_a_payload_is_told_as_one_or_as_a_heavier_link(loaded: Path, tmp_path: Path) -> None:

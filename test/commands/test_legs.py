@@ -86,7 +86,17 @@ def test_masses_are_found(folder: Path, tmp_path: Path) -> None:
 
 def test_a_foot_that_no_contact_names_is_found(folder: Path, tmp_path: Path) -> None:
     """By what its leg bears; and legs that are not lifted in what is fitted are told."""
-    arguments = ["identify", folder / "walk", "--urdf", folder / "go2.urdf", *LEGS, "--out", tmp_path]
+    arguments = [
+        "identify",
+        folder / "walk",
+        "--urdf",
+        folder / "go2.urdf",
+        *LEGS,
+        "--alike",
+        "none",
+        "--out",
+        tmp_path,
+    ]
     arguments[arguments.index("--contacts") + 1] = ",".join(CONTACTS[:3])
     assert geomid(*arguments).exit_code == STATUS[DOUBTFUL]
     document = read(tmp_path)

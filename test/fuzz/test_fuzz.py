@@ -16,8 +16,8 @@ from benchmarks.fuzz.targets.messages import MessagesTarget
 from benchmarks.fuzz.worker import MEMORY, SECONDS
 
 ROOT = Path(__file__).parents[2]
-INPUTS = {"messages": 80, "effects": 80}
-USUAL_INPUTS = 250
+INPUTS = {"messages": 40, "effects": 40}
+USUAL_INPUTS = 120
 
 
 @pytest.fixture(autouse=True)

@@ -24,6 +24,7 @@ from .observer import latched
 from .stage import WRIST as WRIST_PARAMETERS
 from .stage import Stage, description, messages, staged
 
+ROBOT = "arm3"
 SAME = 1e-6  # relative: what is identified live and from the bag
 RATE = 1.0  # as a robot sends: the first estimate comes while there are data left to predict
 
@@ -60,12 +61,12 @@ class Live:
         return {pair.key: pair.value for pair in self.diagnostics[-1].status[0].values}
 
 
-@pytest.fixture(scope="module", params=["arm3", "arm7"])
-def live(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Live:
+@pytest.fixture(scope="module")
+def live(tmp_path_factory: pytest.TempPathFactory) -> Live:
     """The shipped bag of a robot, played into a node that knows only the nominal URDF and the wrist's sensor."""
     folder = tmp_path_factory.mktemp("live")
-    command = identify(request.param, *WRIST, "--hold-out", "0", "--json", "--out", folder / "offline")
-    run = Live(request.param, json.loads(done(*command)))
+    command = identify(ROBOT, *WRIST, "--hold-out", "0", "--json", "--out", folder / "offline")
+    run = Live(ROBOT, json.loads(done(*command)))
     with staged(folder) as stage:
         perform(stage, run, folder / "out")
     return run

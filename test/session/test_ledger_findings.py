@@ -250,10 +250,8 @@ CASES = {
     "74-slow-effort-spikes": Case(spoil=slow_spikes, refused=f"effort of 'joint2' {SPIKE_OR_CONTACT}"),
     "75-stamps-ahead": Case(spoil=early, refused=EARLY),
     "76-clock-set-ahead": Case(spoil=clock_set(200_000_000), noted=CLOCK_SET, sigmas=1.0),
-    "76-clock-set-back": Case(spoil=clock_set(-200_000_000), noted=CLOCK_SET, sigmas=1.0),
     "77-bursts": Case(spoil=in_bursts(20, 100_000), noted=IN_BURSTS, doubtful=True, sigmas=1.0),
     "78-an-effort-is-constant": Case(spoil=stuck(-3.7), cause=STUCK, doubtful=True, sigmas=np.inf),
-    "78-an-effort-is-zero": Case(spoil=stuck(0.0), cause=STUCK, doubtful=True, sigmas=np.inf),
     "82-names-exchanged": Case(
         spoil=renamed, cause="the names of joints 'joint2' and 'joint3' are swapped", doubtful=True, sigmas=np.inf
     ),
@@ -261,7 +259,6 @@ CASES = {
     "85-mostly-nan": Case(spoil=mostly_nan, refused="effort of 'joint3' missing or not finite"),
     "85-nan-throughout": Case(spoil=nan_throughout, sigmas=np.inf),
     "85-two-publishers": Case(spoil=two_publishers, refused="the messages' names have the prefix 'left_'"),
-    "87-pairs": Case(spoil=in_bursts(2, 1000), noted=IN_BURSTS, doubtful=True, sigmas=1.0),
     "87-five-per-batch": Case(spoil=in_bursts(5, 1000), noted=IN_BURSTS, doubtful=True, sigmas=1.0),
     "95-infinite-speeds": Case(spoil=infinite_speeds, refused="velocity of 'joint3' not finite"),
 }
