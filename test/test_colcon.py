@@ -46,7 +46,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A workspace in which the files of this tree, as git sees them, have been built."""
     workspace = tmp_path_factory.mktemp("workspace")
     tree.copy(workspace / "src" / "geomid_ros")
-    colcon("build", workspace)
+    run(f"CC={tree.quick_compiler(workspace)} {shlex.quote(sys.executable)} -m colcon build", workspace)
     return workspace
 
 

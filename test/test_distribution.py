@@ -40,7 +40,8 @@ def build(source: Path, to: Path) -> None:
     """Sdist and, from it, the wheel."""
     pytest.importorskip("build", reason="what builds packages is not installed: pip install build")
     options = ("--no-isolation", "--outdir", to)
-    run(sys.executable, "-m", "build", *options, source, cwd=source, SOURCE_DATE_EPOCH=DATE)
+    compiler = tree.quick_compiler(source.parent)
+    run(sys.executable, "-m", "build", *options, source, cwd=source, SOURCE_DATE_EPOCH=DATE, CC=compiler)
 
 
 @pytest.fixture(scope="module")

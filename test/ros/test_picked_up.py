@@ -12,7 +12,7 @@ from geomid_ros.simulation.options import Hidden
 
 from .observer import latched
 from .spoiling import later
-from .stage import description, staged
+from .stage import NO_CHOICE, description, staged
 from .test_payload import MASS, feed, simulated
 
 MINUTE = 60_000_000_000  # [ns]
@@ -24,7 +24,7 @@ def test_a_payload_is_picked_up_and_put_down(tmp_path: Path) -> None:
         simulated(tmp_path / f"{k}", k, *hide) for k, hide in ((1, ()), (2, [Hidden("payload", "tool", MASS)]))
     )
     with staged(tmp_path) as stage:
-        node = stage.node({"robot_description": description("arm3")})
+        node = stage.node({"robot_description": description("arm3"), **NO_CHOICE})
         carried = stage.observer.collect(InertiaStamped, "/geomid/payload/inertia", latched())
         said = stage.observer.collect(DiagnosticArray, "/diagnostics", 10)
         count = 0

@@ -6,9 +6,7 @@ import json
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import InertiaStamped
 
-from .observer import latched
 from .stage import KINDS, NO_CHOICE, WRIST, Stage, description, messages
 
 ARM3 = {**WRIST, **NO_CHOICE, "robot_description": description("arm3"), "solve_period": 0.5}
@@ -67,24 +65,6 @@ def test_reset_forgets(stage: Stage) -> None:
     assert observer.trigger("/geomid/save")[0]
     after = json.loads(written["estimate.json"].read_text())["rows"]["accepted"]
     assert 0 < after < 0.7 * before
-
-
-def test_saving_where_nothing_can_be_written_is_answered(stage: Stage, tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("in the way")
-    node = stage.node({**ARM3, "output_folder": str(tmp_path / "file")})
-    observer = stage.observer
-    inertias = observer.collect(InertiaStamped, "/geomid/inertias", latched())
-    observer.publish(MESSAGES[:HALF], KINDS)
-    stage.fed({"joint_states": EACH, "/wrench": EACH})
-    success, reason = observer.trigger("/geomid/save")
-    assert not success
-    assert str(tmp_path / "file") in reason
-    assert "cannot be written" in reason
-    inertias.clear()
-    observer.publish(MESSAGES[HALF:], KINDS)
-    observer.wait_for(lambda: inertias, "estimates that go on")
-    assert node.end() == 0
-    assert (tmp_path / "file").read_text() == "in the way"
 
 
 def test_services_without_a_robot_say_what_is_missing(stage: Stage) -> None:
