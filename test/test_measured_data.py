@@ -1,6 +1,5 @@
 """Real recordings, where they are at hand: what was promised of the held-out errors."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,7 +14,7 @@ pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured recordi
 TOTALS = {"ur10": 5.8, "airbot": 0.72, "lwr4": 1.7, "tx40": 9.0}
 MOVING_KR300 = 310.0
 # Without those that another one is like: the bench compares them too.
-NAMED = [name for name in CASES if name not in ("airbot_loaded", "rokae", "med7")]
+NAMED = [name for name in CASES if name not in ("airbot_loaded", "rokae", "med7", "go2_air", "wrist")]
 
 
 @pytest.fixture(scope="module", params=NAMED)
@@ -28,14 +27,6 @@ def test_every_link_is_possible_and_some_least_squares_links_are_not(named: tupl
     assert found.possible["geomid"] == len(found.estimate.links)
     assert found.possible["least squares"] < len(found.estimate.links)
     assert min(link.min_eigenvalue_ratio for link in found.estimate.links) > 1e-3, "none flat or point-like"
-
-
-def test_a_robot_on_its_side_of_which_nobody_says_so() -> None:
-    """Its data contradict the model in all that gravity does; the answer is poor, and no traceback."""
-    found = compare(replace(CASES["rokae"], options={}))
-    assert np.all(np.isfinite(found.estimate.parameters))
-    assert found.possible["geomid"] == len(found.estimate.links)
-    assert found.warnings
 
 
 def test_held_out_errors(named: tuple[str, Comparison]) -> None:

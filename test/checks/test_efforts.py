@@ -74,8 +74,8 @@ def robot(request: pytest.FixtureRequest) -> Case:
 
 
 def places(of: Case, count: int) -> range:
-    """Every place of the small arm, every other one of the large."""
-    return range(0, count, 1 if len(of.model.robot.joints) == 3 else 2)
+    """Every place of the small arm, every third of the large."""
+    return range(0, count, 1 if len(of.model.robot.joints) == 3 else 3)
 
 
 @pytest.mark.parametrize("seed", range(3, 5))

@@ -256,7 +256,7 @@ def test_91_a_node_whose_process_is_killed_goes_on(tmp_path: Path) -> None:
         rig.says(0, WARN, "was restarted")
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
 def test_the_process_ends_with_its_node(stage: Stage, number: signal.Signals) -> None:
     node = stage.node({"robot_description": description("arm3")})
     (process,) = children(node.pid)
