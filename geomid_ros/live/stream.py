@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -11,11 +12,14 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.model.dynamics import InverseDynamics
 from geomid_ros.monitoring.payload_watch import Carried, carrying
 from geomid_ros.session.session import Session
+from geomid_ros.signals.arrived import NO_STAMP
 from geomid_ros.signals.decoding import Decoder
 from geomid_ros.signals.joint_messages import JointReader
 from geomid_ros.signals.messages import JOINT_STATES
 from geomid_ros.signals.pipeline import ignore
 from geomid_ros.types import FloatArray, IntArray
+
+_PART = "a message that has a part of the joints (merge_joint_states) does not tell their efforts"
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +46,10 @@ class Stream:
         self._used: tuple[Session, Estimate] | None = None
         self._carried: Carried | None = None
         self._last = (0, np.zeros((3, 0)))  # stamp and motion of the last message
+        self.refused: Counter[str] = Counter()
+        """Messages that could not be predicted, by reason."""
+        self.obstacle = ""
+        """Why no message can be predicted, though there is an estimate."""
 
     @property
     def ready(self) -> bool:
@@ -51,9 +59,8 @@ class Stream:
     def use(self, session: Session, estimate: Estimate) -> None:
         """Predict by an ``estimate`` from now on."""
         self._used = session, estimate
-        model = session.model
-        known = model.layout.efforts and not session.robot.floating_base and not model.external
-        self._model = _Model.of(session, carrying(estimate, self._carried)) if known else None
+        self.obstacle = _obstacle(session)
+        self._model = None if self.obstacle else _Model.of(session, carrying(estimate, self._carried))
 
     def carry(self, carried: Carried | None) -> None:
         """Add a payload from now on, or none."""
@@ -73,6 +80,8 @@ class Stream:
         for block in self._decoder.blocks([(JOINT_STATES, data) for data in messages], ignore):
             numbers, refusals = model.reader.numbers(block)
             good = (refusals == None) & (block.stamps > 0)  # noqa: E711 by element
+            part = model.merges and not {*model.joints} <= {*block.names}
+            self.refused.update(_PART if part else reason or NO_STAMP for reason in refusals[~good].tolist())
             stamps, numbers = block.stamps[good], numbers[good]
             if len(stamps):
                 rows = zip(stamps.tolist(), numbers, strict=True)
@@ -99,17 +108,29 @@ class Stream:
         return motion
 
 
+def _obstacle(session: Session) -> str:
+    """Why efforts do not follow from joint messages alone, if so."""
+    if not session.model.layout.efforts:
+        return "no joint efforts are identified"
+    if session.robot.floating_base:
+        return "efforts depend on how the base moves, of which joint states say nothing"
+    if session.model.external:
+        return "efforts depend on external wrenches, of which joint states say nothing"
+    return ""
+
+
 @dataclass(frozen=True, eq=False)
 class _Model:
     """What a session and its estimate say: inverse ``dynamics``, ``gains (joints,)`` of efforts, which joints are
     ``turning`` without end; the low-pass's ``time_constant`` [s], and its ``memory`` [s], after which it begins
-    anew."""
+    anew; whether a message ``merges`` with others that have other joints."""
 
     joints: tuple[str, ...]
     dynamics: InverseDynamics
     gains: FloatArray
     turning: FloatArray
     reader: JointReader
+    merges: bool
     time_constant: float
     memory: float
 
@@ -124,6 +145,7 @@ class _Model:
             gains=gains,
             turning=turning,
             reader=JointReader(robot.joint_names, gains, turning, settings.max_gap_ns, ignore),
+            merges=session.configuration["merge_joint_states"],
             time_constant=1.0 / (np.pi * settings.samples_per_cutoff_period * settings.cutoff),
             memory=1e-9 * settings.max_gap_ns,
         )

@@ -36,6 +36,8 @@ class Streaming:
         self._publisher = node.create_publisher(JointState, "~/streamed_joint_states", 1000)
         self._stream = Stream()
         self._early: list[Received] = []
+        self._warn = node.get_logger().warning
+        self._said: set[str] = set()
 
     def use(self, session: Session, estimate: Estimate) -> None:
         """Predict by an estimate from now on, in any thread."""
@@ -57,6 +59,8 @@ class Streaming:
     def wait(self, seconds: float) -> None:
         """Let time pass, and predict what comes meanwhile. Raises what a prediction raises; then there are no more."""
         end = time.monotonic() + seconds
+        if self._publisher.get_subscription_count():
+            self._say(self._stream.obstacle)
         while self._stream.ready and self._publisher.get_subscription_count() and time.monotonic() < end:
             time.sleep(_PERIOD)
             self._predict()
@@ -72,6 +76,14 @@ class Streaming:
         except Exception:
             self.forget()
             raise
+        for reason in self._stream.refused:
+            self._say(reason)
+
+    def _say(self, reason: str) -> None:
+        """Why something is not streamed, once."""
+        if reason and reason not in self._said:
+            self._said.add(reason)
+            self._warn(f"{self._publisher.topic_name} lacks messages: {reason}")
 
 
 @cache

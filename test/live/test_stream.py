@@ -140,6 +140,8 @@ def test_what_cannot_be_used_costs_itself(identification: Identification) -> Non
     stream.use(identification.session, identification.estimate)
     torn = [b"", sent[0][:40], *messages(("joint1", "joint2", "elbow"))[:1]]
     assert sum(len(p.stamps) for p in stream.predict([*torn, *sent[:10]])) == 10
+    assert stream.refused.total() == 1
+    assert "joint 'joint3' is missing" in next(iter(stream.refused))
     (late,) = stream.predict(messages(first=1000.0)[:2])
     np.testing.assert_array_equal(late.motion[2, 0], 0.0)
     assert np.max(np.abs(late.motion[2, 1])) > 0.0

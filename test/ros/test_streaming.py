@@ -1,0 +1,89 @@
+"""What is not streamed is said once, to those who subscribe."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from files.recordings import BAGS
+from live.test_stream import identification, messages
+
+import geomid_ros
+from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.live.inbox import Received
+from geomid_ros.ros.streaming import Streaming
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session
+from geomid_ros.signals.messages import JOINT_STATES
+
+__all__ = ["identification"]
+HELD = {
+    "wrenches": ["hand"],
+    "wrench.hand.topic": "/hand",
+    "wrench.hand.frame": "link3",
+    "wrench.hand.role": "external",
+}
+
+
+class Listened:
+    """What a node's ``subscribers`` hear of its stream, and what it logs."""
+
+    def __init__(self, subscribers: int = 1) -> None:
+        self.logged: list[str] = []
+        self.streamed: list[bytes] = []
+        self.waiting: list[Received] = []
+        publisher = SimpleNamespace(
+            topic_name="/geomid/streamed_joint_states",
+            get_subscription_count=lambda: subscribers,
+            publish=self.streamed.append,
+        )
+        node: Any = SimpleNamespace(
+            create_publisher=lambda *_: publisher,
+            get_logger=lambda: SimpleNamespace(warning=self.logged.append),
+        )
+        inputs: Any = SimpleNamespace(waiting=self._take)
+        self.streaming = Streaming(node, inputs)
+
+    def _take(self) -> list[Received]:
+        taken, self.waiting = self.waiting, []
+        return taken
+
+    def hear(self, sent: list[bytes]) -> None:
+        """Let messages come."""
+        self.waiting = [Received(JOINT_STATES, data) for data in sent]
+        self.streaming.wait(0.02)
+
+
+def session(**parameters: Any) -> Session:
+    """Of the arm's URDF."""
+    return Session(read_urdf(BAGS / "arm3.urdf"), Configuration(parameters), "arm3.urdf")
+
+
+@pytest.mark.parametrize(("merge", "why"), [(False, "joint 'joint3' is missing"), (True, "a part of the joints")])
+def test_a_message_that_cannot_be_predicted_is_told_once(
+    merge: bool, why: str, identification: geomid_ros.Identification
+) -> None:
+    listened = Listened()
+    listened.streaming.use(session(merge_joint_states=merge), identification.estimate)
+    part = messages(("joint1", "joint2"))[:3]
+    for _ in range(2):
+        listened.hear([*part, *messages()[:2]])
+    assert len(listened.streamed) == 4
+    (said,) = listened.logged
+    assert said.startswith("/geomid/streamed_joint_states lacks messages: ")
+    assert why in said
+
+
+@pytest.mark.parametrize(("floating", "why"), [(True, "how the base moves"), (False, "external wrenches")])
+@pytest.mark.parametrize("subscribers", [0, 1])
+def test_a_robot_that_cannot_be_predicted_is_told_who_subscribes(
+    floating: bool, why: str, subscribers: int, identification: geomid_ros.Identification
+) -> None:
+    listened = Listened(subscribers)
+    listened.streaming.use(session(floating_base=floating, **HELD), identification.estimate)
+    for _ in range(2):
+        listened.hear(messages()[:2])
+    assert not listened.streamed
+    assert len(listened.logged) == subscribers
+    assert all(why in text for text in listened.logged)
