@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -111,7 +111,8 @@ def fit_beside(prior: CoupledPrior, solve: Callable[..., Fit]) -> tuple[Fit, dic
         solve: fits a problem, as :func:`~geomid_ros.estimation.fit.fit` with its other arguments.
 
     Returns:
-        The fit, of the problem with the prior's rows, and the weights of the prior's blocks.
+        The fit, of the problem with the prior's rows, and the weights of the prior's blocks. A fit that did not settle
+        has ``spent`` its budget.
     """
     found = solve(prior.problem_at(prior.problem.prior_point, prior.trusted))
     weights = prior.weights(found, prior.trusted)
@@ -121,5 +122,5 @@ def fit_beside(prior: CoupledPrior, solve: Callable[..., Fit]) -> tuple[Fit, dic
         weights = prior.weights(found, before)
         change = max(abs(np.log(weights[name] / before[name])) for name in weights)
         if change < SETTLED and np.max(np.abs(prior.tangent(found.point) - prior.tangent(point))) < SETTLED:
-            break
-    return found, weights
+            return found, weights
+    return replace(found, spent=True), weights

@@ -37,8 +37,8 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
 _FAR = 2.0  # times the usual distance
 _SPENT = (
-    "the solver's budget of steps was spent before noise and spreads of the links had settled: masses are those of the "
-    "last step; is the URDF this robot's, in SI units?"
+    "the solver's budget of steps was spent before the spreads of the links had settled: masses are those of the last "
+    "step; is the URDF this robot's, in SI units, and do efforts have the signs of its joints?"
 )
 _OF_WHITE_NOISE = 1.79  # independent rows per period of the filter's cutoff: twice its noise bandwidth in cutoffs
 

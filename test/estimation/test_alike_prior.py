@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from model.robots import urdf
 
+from geomid_ros.estimation import coupled_prior
 from geomid_ros.estimation.alike_prior import AlikePrior
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings
@@ -115,3 +116,10 @@ def test_parts_that_are_alike_are_not_told_as_unlike() -> None:
     assert not [warning for warning in found.warnings if "same part" in warning]
     every = np.array([masses(found)[name] for name in THIGHS])
     assert np.ptp(every) < 0.05
+
+
+@pytest.mark.parametrize(("rounds", "told"), [(1, True), (50, False)])
+def test_a_fit_that_does_not_settle_says_so(rounds: int, told: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(coupled_prior, "ROUNDS", rounds)
+    estimate = identifier(("RL_thigh",), ("FL", "FR", "RL", "RR"), True).solve()
+    assert any("budget of steps" in warning for warning in estimate.warnings) is told

@@ -214,7 +214,7 @@ def test_what_was_solved_for_from_bad_rows_is_forgotten(busy: Working, monkeypat
     items = messages(8.0, wrist=lambda _, value: -value)
     before, after = split(items, 1.5)
     busy.feed(before)
-    assert not busy.worker._wrenches.ended
+    assert not busy.worker._wrenches._check.ended
     wait_until(lambda: busy.session.warm is not None)
     starts: list[Any] = []
     solve = busy.session.identifier.solve
