@@ -180,12 +180,13 @@ def one_below_another(pictures: list[Image.Image]) -> Image.Image:
 def main() -> None:
     """Identify, draw, write the GIF."""
     session = Session(URDF.read_text(encoding="utf-8"), Configuration(WRENCH, "the moving picture"), str(URDF))
-    train, held_out = read_bags(session, Bags(fitted=[BAG]))
+    train = list[Samples]()
+    held_out = read_bags(session, Bags(fitted=[BAG]), train.append)
     fitted = Samples.concatenate(train)
     found = list(moments(session, fitted, held_out))
     frames = session.robot.link_frames(fitted.select(slice(0, 1)))
     view = view_of(np.array([origin for _, origin in frames.values()]))
-    nominal_rms = session.rms(held_out, session.nominal_parameters)
+    nominal_rms = session.rms(held_out, session.model.nominal_parameters)
     truth = true_masses(session)
     pictures = [frame(session, moment, view, nominal_rms, truth) for moment in found]
     palette = one_below_another(pictures[::4]).quantize(192, dither=Image.Dither.NONE)

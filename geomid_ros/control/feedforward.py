@@ -24,7 +24,8 @@ EffortsOf: TypeAlias = Callable[[FloatArray], FloatArray]
 """Inverse dynamics: efforts ``(N, joints)`` [N m, N] at positions, velocities and accelerations ``(3, N, joints)``."""
 SHORTEST = 1e-3
 """Shortest time between two points [s]: the cycle time of usual controllers."""
-_PROBED = 10.0 * SHORTEST  # [s] at least so often the interpolation is checked, and between any two points
+_PROBED = 10.0 * SHORTEST  # [s] at least so often the interpolation is checked
+_INSIDE = (0.25, 0.5, 0.75)  # and there between two points: errors may be antisymmetric about the middle
 
 
 class MotorEfforts:
@@ -133,7 +134,8 @@ def sampled(trajectory: Trajectory, efforts_of: EffortsOf, times: FloatArray) ->
 def interpolation_errors(found: Trajectory, efforts_of: EffortsOf) -> FloatArray:
     """Largest error of linearly interpolated efforts between two points ``(N - 1, joints)`` [N m, N]."""
     times, steps = found.times, np.diff(found.times)
-    at = np.concatenate([np.arange(times[0], times[-1], _PROBED), times[:-1] + 0.5 * steps])
+    probes = [np.arange(times[0], times[-1], _PROBED), *(times[:-1] + share * steps for share in _INSIDE)]
+    at = np.concatenate(probes)
     between = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(steps) - 1)
     share = ((at - times[between]) / steps[between])[:, None]
     linear = (1.0 - share) * found.efforts[between] + share * found.efforts[between + 1]

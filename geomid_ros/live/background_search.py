@@ -67,8 +67,9 @@ class BackgroundSearch(Generic[R]):
 
     @property
     def running(self) -> bool:
-        """Whether a search is going on."""
-        return self.status is not None and self.status.stage != ""
+        """Whether a search is going on; one that was ended does until it notices."""
+        ending = self._ended.is_set() and self._thread is not None and self._thread.is_alive()
+        return ending or (self.status is not None and self.status.stage != "")
 
     def start(self, look: Callable[[Progress], R]) -> None:
         """Begin a search: ``look(progress)``, in a thread."""

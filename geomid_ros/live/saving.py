@@ -25,6 +25,7 @@ from geomid_ros.session.session import Session
 _PATIENCE = 0.4  # [s] for the last checkpoint
 _LATE = 4.0  # [s] for an estimate from all data; then the last one is saved
 _LATEST = 4.8  # [s] for an answer
+_SHORTEST_PAUSE = 0.1  # share of the period, between checkpoints that take long
 
 FOLLOWS = "and follows"
 """In an answer: what was saved is not of all data yet."""
@@ -126,7 +127,7 @@ class Checkpoints:
 
     def _write_repeatedly(self, folder: CheckpointFolder) -> None:
         with closing(folder):
-            while not self._ending.wait(self._period):
+            while not self._ending.wait(max(self._period - self._seconds, _SHORTEST_PAUSE * self._period)):
                 if self._has_new_rows:
                     self._write(folder)
             if self._has_new_rows or self._session.pipeline.ledger.topics:

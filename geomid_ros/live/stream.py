@@ -15,6 +15,7 @@ from geomid_ros.session.session import Session
 from geomid_ros.signals.arrived import NO_STAMP
 from geomid_ros.signals.decoding import Decoder
 from geomid_ros.signals.joint_messages import JointReader
+from geomid_ros.signals.ledger import count_reason
 from geomid_ros.signals.messages import JOINT_STATES
 from geomid_ros.signals.pipeline import ignore
 from geomid_ros.types import FloatArray, IntArray
@@ -71,6 +72,8 @@ class Stream:
     def forget(self) -> None:
         """Predict nothing until there is another estimate."""
         self._model = self._used = self._carried = None
+        self.obstacle = ""
+        self.refused.clear()
 
     def predict(self, messages: Sequence[bytes]) -> Iterator[Predicted]:
         """Predictions of joint messages (CDR), without those that cannot be used."""
@@ -81,7 +84,8 @@ class Stream:
             numbers, refusals = model.reader.numbers(block)
             good = (refusals == None) & (block.stamps > 0)  # noqa: E711 by element
             part = model.merges and not {*model.joints} <= {*block.names}
-            self.refused.update(_PART if part else reason or NO_STAMP for reason in refusals[~good].tolist())
+            for reason in refusals[~good].tolist():
+                count_reason(self.refused, _PART if part else reason or NO_STAMP)
             stamps, numbers = block.stamps[good], numbers[good]
             if len(stamps):
                 rows = zip(stamps.tolist(), numbers, strict=True)

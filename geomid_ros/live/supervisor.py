@@ -60,7 +60,8 @@ class Supervisor:
         self.saving = Saving(configuration["output_folder"])
         """Writes estimates of the workers."""
         self._restarts = 0  # of the intake
-        self._hung = ""
+        self._hanging: tuple[str, ...] = ()  # what hangs and cannot be ended, in sentences
+        self._hung = ""  # what did, until there is an estimate again
         self._solves = 0  # of the worker, when that was noticed
         self._absent: tuple[str, ...] = ()  # joints that are locked as nobody publishes them
         self._agreed = 0.0  # when [s] these were last those that nobody publishes
@@ -70,7 +71,7 @@ class Supervisor:
     @property
     def problems(self) -> tuple[str, ...]:
         """What hangs, or hung and has made no estimate since; and what is wrong with saving."""
-        return (self._hung, *self.saving.problems)
+        return (*self._hanging, self._hung, *self.saving.problems)
 
     @property
     def warning(self) -> str:
@@ -101,7 +102,7 @@ class Supervisor:
             self.worker.close()
             self._listener.carried(None)
         self._restore(session)
-        self.worker = Worker(session, self._configuration["solve_period"], self._listener)
+        self.worker, self._solves = Worker(session, self._configuration["solve_period"], self._listener), 0
         self._log.info(f"identifying {len(session.model.body_names)} links from {len(session.model.channels)} channels")
         session.settled += [locked_note(absent)] if absent else []
         for warning in (*session.warnings(), *session.settled):
@@ -164,27 +165,21 @@ class Supervisor:
         worker = self.worker
         if worker is None:
             return
-        if worker.activity.current[1] > HANGING:
-            self._hung, self._solves = self._restart_intake(worker), 0
-        elif worker.solver.activity.current[1] > HANGING:
-            self._hung, self._solves = self._restart_solver(worker), worker.solver.solves
+        intake, solver = (each.activity.current[1] > HANGING for each in (worker, worker.solver))
+        if intake and self._restarts < MOST_RESTARTS:
+            self._restarts += 1
+            self._hung = f"message processing hung and was restarted, {self._restarts} of at most {MOST_RESTARTS} times"
+            self.build(worker.session.urdf, "robot_description", self._absent)
+            return
+        if solver and self._solving and self._solving.give_up():
+            worker.solver.activity.count_anew()
+            self._hung, self._solves, solver = "the solver hung and was restarted", worker.solver.solves, False
         elif worker.solver.solves > self._solves:
             self._hung = ""
-
-    def _restart_intake(self, worker: Worker) -> str:
-        """Replace the worker, unless that was done too often already; what was done, in a sentence."""
-        if self._restarts == MOST_RESTARTS:
-            return f"message processing hangs again after {MOST_RESTARTS} restarts; no restart until ~/reset"
-        self._restarts += 1
-        self.build(worker.session.urdf, "robot_description", self._absent)
-        return f"message processing hung and was restarted, {self._restarts} of at most {MOST_RESTARTS} times"
-
-    def _restart_solver(self, worker: Worker) -> str:
-        """End the process that solves, if it does; what was done, in a sentence."""
-        if not (self._solving and self._solving.give_up()):
-            return "the solver hangs, and not in a solve; restart the node"
-        worker.solver.activity.count_anew()
-        return "the solver hung and was restarted"
+        self._hanging = (
+            *([f"message processing hangs again after {MOST_RESTARTS} restarts; no restart until ~/reset"] * intake),
+            *(["the solver hangs, and not in a solve; restart the node"] * solver),
+        )
 
     def close(self) -> None:
         """End the threads, and save the last estimate if there is a folder for it: at once, as nobody may have the time
@@ -198,6 +193,7 @@ class Supervisor:
         if self._checkpoints is not None:
             self._checkpoints.close()
         self.worker = self._checkpoints = None
+        self._restarts, self._hung, self._hanging = 0, "", ()
 
     def _save_last(self, worker: Worker, saved: Estimate | None, end: float) -> Estimate | None:
         """Save the last estimate, unless that was ``saved``, until ``end`` [s]."""

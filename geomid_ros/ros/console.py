@@ -12,9 +12,9 @@ from geomid_ros.estimation.uncertain_inertia import QUANTITIES
 from geomid_ros.live.status import Status
 from geomid_ros.live.supervisor import Log
 from geomid_ros.ros.diagnostics import Advised, Complaint
-from geomid_ros.signals.limits import MOST_KINDS
 
 AGAIN = 60.0  # [s] until a sentence is said again
+_MOST_KINDS = 200  # of sentences that are remembered: names in them are from outside
 
 
 class Console:
@@ -67,7 +67,7 @@ class Console:
 
     def _remember(self, kinds: Iterable[str]) -> None:
         self._said |= dict.fromkeys(kinds, time.monotonic())
-        while len(self._said) > MOST_KINDS:
+        while len(self._said) > _MOST_KINDS:
             self._said.pop(min(self._said, key=self._said.__getitem__))
 
 

@@ -79,7 +79,7 @@ class GeomidNode(Managed, Node):
         create = self.create_publisher if lifecycle == "none" else self.create_lifecycle_publisher
         self._ledger = Ledger()
         self._inputs = Inputs(self, self._ledger)
-        self._streaming = Streaming(self, self._inputs)
+        self._streaming = Streaming(self, self._inputs, self._console.warning)
         self._outputs = Outputs(self, create, self._streaming)
         self._search = BackgroundSearch("no finding", self._outputs.finding)
         self._payload = PayloadSearch(self._outputs.payload)
@@ -178,7 +178,7 @@ class GeomidNode(Managed, Node):
         self._inputs.listen_as(self._configuration)
         self._subscribed = True
         if self._worker is not None and self._worker.estimate is not None:
-            self._outputs.estimate(self._worker.session, self._worker.estimate)
+            self._outputs.publish(self._worker.session, self._worker.estimate)
 
     def deactivate(self) -> None:
         """Take what waits, and subscribe to data no more."""

@@ -72,6 +72,10 @@ class Outputs(Listener):
     def estimate(self, session: Session, estimate: Estimate) -> None:
         """Publish an estimate, and predict by it."""
         self._streaming.use(session, estimate)
+        self.publish(session, estimate)
+
+    def publish(self, session: Session, estimate: Estimate) -> None:
+        """Publish an estimate."""
         stamp = self._node.get_clock().now().nanoseconds
         for link in estimate.links:
             self._inertias.publish(inertia_message(link.name, link.parameters, stamp))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 
 import numpy as np
@@ -26,17 +26,18 @@ _PERIOD = 5e-3  # [s] between looks for messages: each costs as much as a messag
 class Streaming:
     """Publishes ``~/streamed_joint_states`` while anybody subscribes, and keeps the messages for the worker."""
 
-    def __init__(self, node: Node, inputs: Inputs) -> None:
+    def __init__(self, node: Node, inputs: Inputs, warn: Callable[[str], None]) -> None:
         """
         Args:
             node: publishes.
             inputs: where messages wait.
+            warn: is told why something is not streamed.
         """
         self._inputs = inputs
         self._publisher = node.create_publisher(JointState, "~/streamed_joint_states", 1000)
         self._stream = Stream()
         self._early: list[Received] = []
-        self._warn = node.get_logger().warning
+        self._warn = warn
         self._said: set[str] = set()
 
     def use(self, session: Session, estimate: Estimate) -> None:
@@ -50,6 +51,7 @@ class Streaming:
     def forget(self) -> None:
         """Predict nothing until there is another estimate."""
         self._stream.forget()
+        self._said.clear()
 
     def waiting(self) -> list[Received]:
         """All messages that nobody has taken yet."""
@@ -76,7 +78,7 @@ class Streaming:
         except Exception:
             self.forget()
             raise
-        for reason in self._stream.refused:
+        for reason in tuple(self._stream.refused):
             self._say(reason)
 
     def _say(self, reason: str) -> None:

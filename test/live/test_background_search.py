@@ -30,6 +30,7 @@ def test_another_can_be_started_after_one_was_ended() -> None:
     assert search.running
     search.close()
     assert search.status is None
+    assert search.running, "it has not noticed yet"
     search.start(lambda _: SimpleNamespace(sentence="found"))
     assert told.get(timeout=PATIENCE).sentence == "found"
     ended.set()

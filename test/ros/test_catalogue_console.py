@@ -14,6 +14,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from files.recordings import TYPES, Recorded
 
+from geomid_ros.errors import InputError
 from geomid_ros.live import saving, supervisor, threads
 from geomid_ros.live.status import Listener, Status
 from geomid_ros.live.supervisor import Supervisor
@@ -275,6 +276,40 @@ def test_92_what_hung_is_told_until_there_is_an_estimate(monkeypatch: pytest.Mon
     solving.solves = False  # it hangs in something else, which nobody can end
     watched.restart_what_hangs()
     assert watched.problems[0] == "the solver hangs, and not in a solve; restart the node"
+    monkeypatch.setattr(Activity, "current", ("", 0.0))  # nor does it for ever
+    watched.restart_what_hangs()
+    assert not any(watched.problems)
+
+
+def test_92_messages_that_nobody_processes_any_more_hide_no_solver_that_hangs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(Activity, "current", ("solving", 1e6))
+    monkeypatch.setattr(supervisor, "MOST_RESTARTS", 0)
+    solving: Any = Hanging()
+    solver = SimpleNamespace(activity=Activity(), solves=7)
+    watched = watching(solving, SimpleNamespace(activity=Activity(), solver=solver))
+    watched.restart_what_hangs()
+    assert solving.restarts == 1
+    again, hung, *_ = watched.problems
+    assert again.startswith("message processing hangs again")
+    assert hung == "the solver hung and was restarted"
+
+
+def test_92_a_hang_is_known_though_nothing_can_begin_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And forgotten with the worker that it was of."""
+    monkeypatch.setattr(Activity, "current", ("taking", 1e6))
+    ended = SimpleNamespace(close=lambda _: None, estimate=None)
+    worker = SimpleNamespace(
+        activity=Activity(), solver=ended, session=SimpleNamespace(urdf="<no robot"), **vars(ended)
+    )
+    ended.activity = Activity()
+    watched = watching(None, worker)
+    with pytest.raises(InputError):
+        watched.restart_what_hangs()
+    assert watched.problems[0] == "message processing hung and was restarted, 1 of at most 3 times"
+    watched.close()
+    assert not any("hung" in problem for problem in watched.problems)
 
 
 def test_92_what_goes_on_after_a_hang_has_its_own_time(monkeypatch: pytest.MonkeyPatch) -> None:

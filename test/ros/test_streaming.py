@@ -40,10 +40,9 @@ class Listened:
         )
         node: Any = SimpleNamespace(
             create_publisher=lambda *_: publisher,
-            get_logger=lambda: SimpleNamespace(warning=self.logged.append),
         )
         inputs: Any = SimpleNamespace(waiting=self._take)
-        self.streaming = Streaming(node, inputs)
+        self.streaming = Streaming(node, inputs, self.logged.append)
 
     def _take(self) -> list[Received]:
         taken, self.waiting = self.waiting, []
