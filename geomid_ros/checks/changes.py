@@ -15,10 +15,9 @@ import numpy as np
 
 from geomid_ros.checks.candidates import REASON, STEP, TILT, Candidate, Judged
 from geomid_ros.checks.causes import BIT_BY_BIT, Cause
-from geomid_ros.checks.evidence import HALF, SPREAD
+from geomid_ros.checks.evidence import HALF, SPREAD, payload_factor
 from geomid_ros.checks.flexible import Gain, by_channel
 from geomid_ros.checks.instants import FEWEST, elapsed
-from geomid_ros.checks.rows import payload_factor
 from geomid_ros.checks.subject import STRETCHES, Subject
 from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.types import BoolArray, FloatArray

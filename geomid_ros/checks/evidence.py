@@ -13,6 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.geometry import definite
+from geomid_ros.geometry.manifold import ONE_BODY, ParameterManifold
+from geomid_ros.inference.prior import SPREAD_OF_PAYLOADS, usual_payload
+from geomid_ros.model.robot import Robot
 from geomid_ros.types import BoolArray, FloatArray
 
 LEAST_SIGMA = 0.1
@@ -159,3 +162,27 @@ def _solved(
             break
         held = changed
     return np.where(bounded, np.maximum(mean, 0.0), mean), among, before
+
+
+def prior_factor(robot: Robot) -> FloatArray:
+    """A factor ``(D, D)`` of the covariance of what the URDF may be wrong by: every link's shape and mass, and a
+    payload at each end of a chain."""
+    bodies = np.array([body.parameters for body in robot.bodies])
+    manifold = ParameterManifold(len(bodies), 0, np.zeros(0))
+    blocks, _ = manifold.jacobian(manifold.point(bodies.ravel()))
+    factor = np.zeros((bodies.size, bodies.size))
+    for index, body in enumerate(robot.bodies):
+        covariance = (SPREAD * blocks[index]) @ (SPREAD * blocks[index]).T
+        if len(robot.subtree(body.name)) == 1:
+            payload = payload_factor(bodies, index)
+            covariance += payload @ payload.T
+        values, vectors = np.linalg.eigh(covariance)
+        factor[10 * index : 10 * index + 10, 10 * index : 10 * index + 10] = vectors * np.sqrt(np.maximum(values, 0.0))
+    return factor
+
+
+def payload_factor(bodies: FloatArray, carrier: int) -> FloatArray:
+    """A factor ``(10, 10)`` of the covariance of what the link ``carrier`` may carry: robots carry what their URDF does
+    not say."""
+    blocks, _ = ONE_BODY.jacobian(ONE_BODY.point(usual_payload(bodies, carrier)))
+    return np.asarray(SPREAD_OF_PAYLOADS * blocks[0])

@@ -7,13 +7,12 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.checks.evidence import FOLLOWS, HALF, LEAST_SIGMA, Evidence, evidence
+from geomid_ros.checks.evidence import FOLLOWS, HALF, LEAST_SIGMA, Evidence, evidence, prior_factor
 from geomid_ros.checks.flexible import FlexibleFit
 from geomid_ros.checks.instants import FEWEST, Kept
-from geomid_ros.checks.rows import effort_rows, friction_columns, gravity_rows, prior_factor
 from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import STILL, Samples
+from geomid_ros.model.samples import SIGN, STILL, Samples
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 STRETCHES = 20
@@ -167,13 +166,19 @@ class Subject:
     @cached_property
     def regressor(self) -> FloatArray:
         """Rows ``(N, C, D)`` of the efforts over the links' parameters."""
-        return effort_rows(self.robot, self.samples, self.robot.gravity)[:, self.joints]
+        return self._rows(self.robot, *self.robot.configuration(self.samples))
 
     @cached_property
     def gravity_rows(self) -> tuple[FloatArray, FloatArray]:
         """Those without gravity ``(N, C, D)``, and per unit of gravity along each axis ``(3, N, C, D)``."""
-        still, by_gravity = gravity_rows(self.robot, self.samples)
-        return still[:, self.joints], by_gravity[:, :, self.joints]
+        positions, *motion = self.robot.configuration(self.samples)
+        at_rest = [np.zeros_like(rates) for rates in motion]
+        by_gravity = [self._rows(self.robot.with_gravity(axis), positions, *at_rest) for axis in np.eye(3)]
+        return self._rows(self.robot.with_gravity(np.zeros(3)), positions, *motion), np.array(by_gravity)
+
+    def _rows(self, robot: Robot, *motion: FloatArray) -> FloatArray:
+        rows = robot.joint_effort_rows(*motion)[:, self.joints]
+        return rows.reshape(len(self.samples), len(self.joints), len(self.prior))
 
     @cached_property
     def predicted(self) -> FloatArray:
@@ -188,8 +193,11 @@ class Subject:
 
     @cached_property
     def friction(self) -> FloatArray:
-        """Columns of friction ``(N, C, 4)``, see :func:`friction_columns`."""
-        return friction_columns(self.samples)[:, self.joints]
+        """What may be added at each joint ``(N, C, 4)``: a constant, and per positive unit viscous friction, dry
+        friction and rotor inertia."""
+        samples = self.samples
+        columns = [np.ones(samples.velocity.shape), samples.velocity, samples.column(SIGN), samples.acceleration]
+        return np.stack(columns, axis=2)[:, self.joints]
 
     @cached_property
     def basis(self) -> FloatArray:

@@ -15,9 +15,8 @@ import numpy as np
 
 from geomid_ros.checks.candidates import PROBABLE, REASON, TILT, probabilities
 from geomid_ros.checks.causes import Cause, Finding, written
-from geomid_ros.checks.evidence import FOLLOWS, evidence
+from geomid_ros.checks.evidence import FOLLOWS, evidence, prior_factor
 from geomid_ros.checks.instants import FEWEST, STEP
-from geomid_ros.checks.rows import prior_factor
 from geomid_ros.model.channels import AXES, WrenchSensor
 from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.model.samples import Samples
