@@ -19,7 +19,7 @@ from geomid_ros.checks.instants import FEWEST, Instants, Kept, Stretch
 from geomid_ros.checks.obvious import frozen_position, held_efforts, impossible_description, wrong_gains
 from geomid_ros.checks.subject import Subject
 from geomid_ros.checks.transforms import transforms
-from geomid_ros.checks.unexplained import Residuals, hint
+from geomid_ros.checks.unexplained import badly_explained, hint
 from geomid_ros.checks.wrenches import WrenchSensorCheck, can_be_judged
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.controller import Controller
@@ -210,15 +210,9 @@ def _unexplained(subject: Subject) -> tuple[Finding, ...]:
     """The joints whose efforts no links and no friction explain, and curves of their motion hardly do, whatever the
     reason."""
     curved = subject.flexible.nominal.sigmas > FOLLOWS
-    residuals = Residuals(
-        names=subject.names,
-        units=subject.units,
-        efforts=subject.measured,
-        residuals=np.where(curved, subject.measured - subject.explained(subject.nominal), np.nan),
-        before=np.full(len(subject.joints), np.inf),
-        hint=partial(hint, subject),
-    )
-    return residuals.findings(subject.spread, FOLLOWS)
+    left = np.where(curved, subject.measured - subject.explained(subject.nominal), np.nan)
+    channels = [*zip(subject.names, subject.units, strict=True)]
+    return badly_explained(channels, left, subject.spread, partial(hint, subject), allowed=FOLLOWS)
 
 
 def is_model(subject: Subject) -> bool:

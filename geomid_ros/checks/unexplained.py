@@ -7,7 +7,6 @@ left is told where it is large beside the largest variation of an effort of this
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,59 +21,46 @@ from geomid_ros.types import FloatArray
 
 WORSE = 1.05
 """RMS over that of the input's file: less is of no account."""
-_FLOOR = np.finfo(float).tiny
 _ELSE = (
     "check the axis and the sign of the position in the URDF, a coupling of its gear with that of another joint, and "
     "that all of the recording is of this robot"
 )
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Residuals:
-    """What a model leaves of the efforts of C joints.
+def badly_explained(
+    channels: Sequence[tuple[str, str]],
+    residuals: FloatArray,
+    variation: FloatArray,
+    hint: Callable[[str, float], str],
+    *,
+    before: FloatArray | float = np.inf,
+    allowed: float = HALF,
+) -> tuple[Finding, ...]:
+    """The joints whose efforts are not explained, the worst first, and what to look at; nothing if all are.
 
-    Attributes:
-        names, units: of the joints' efforts.
-        efforts: ``(N, C)`` as measured.
-        residuals: ``(N, C)`` what is left of them, NaN where that is not judged.
-        before: ``(C,)`` RMS of what the input's file leaves, NaN where that is not known.
+    Args:
+        channels: name and unit of the effort of each of C joints.
+        residuals: ``(N, C)`` what is left of the efforts, NaN where that is not judged.
+        variation: ``(C,)`` standard deviations of the efforts.
         hint: says what to look at, by a joint's name and the share of its effort's variation that is left.
+        before: ``(C,)`` RMS of what the input's file leaves, infinite where that is not known.
+        allowed: share of the variation that may be left.
     """
-
-    names: Sequence[str]
-    units: Sequence[str]
-    efforts: FloatArray
-    residuals: FloatArray
-    before: FloatArray
-    hint: Callable[[str, float], str]
-
-    @property
-    def variation(self) -> FloatArray:
-        """Standard deviations of the efforts where they are judged ``(C,)``."""
-        return deviations(np.where(np.isfinite(self.residuals), self.efforts, np.nan))
-
-    def findings(self, variation: FloatArray, allowed: float = HALF) -> tuple[Finding, ...]:
-        """The joints that are not explained, the worst first, and what to look at; nothing if all are.
-
-        Args:
-            variation: ``(C,)`` standard deviations of the efforts.
-            allowed: share of these that may be left.
-        """
-        left, units = rms(self.residuals), np.array(self.units)
-        largest = np.array([np.max(variation[units == unit]) for unit in units])
-        share = left / np.maximum(variation, np.finfo(float).tiny)
-        bad = (left > LEAST_SIGMA * largest) & ((share > allowed) | (left > WORSE * self.before))
-        worst = sorted(np.flatnonzero(bad).tolist(), key=lambda joint: -share[joint])
-        if not worst:
-            return ()
-        said = ", ".join(
-            f"'{self.names[j]}' is not explained: {100.0 * max(1.0 - share[j], 0.0):.0f} % ({left[j]:.3g} of "
-            f"{variation[j]:.3g} {units[j]} are left)"
-            for j in worst
-        )
-        sentence = f"joint {said}; {self.hint(self.names[worst[0]], float(share[worst[0]]))}"
-        cause = Cause(kind="unexplained", sentence=sentence, places=tuple(self.names[j] for j in worst))
-        return (Finding(cause=cause),)
+    left, units = rms(residuals), np.array([unit for _, unit in channels])
+    largest = np.array([np.max(variation[units == unit]) for unit in units])
+    share = left / np.maximum(variation, np.finfo(float).tiny)
+    bad = (left > LEAST_SIGMA * largest) & ((share > allowed) | (left > WORSE * before))
+    worst = sorted(np.flatnonzero(bad).tolist(), key=lambda joint: -share[joint])
+    if not worst:
+        return ()
+    names = tuple(channels[joint][0] for joint in worst)
+    said = ", ".join(
+        f"'{name}' is not explained: {100.0 * max(1.0 - share[j], 0.0):.0f} % ({left[j]:.3g} of {variation[j]:.3g} "
+        f"{units[j]} are left)"
+        for name, j in zip(names, worst, strict=True)
+    )
+    sentence = f"joint {said}; {hint(names[0], float(share[worst[0]]))}"
+    return (Finding(cause=Cause(kind="unexplained", sentence=sentence, places=names)),)
 
 
 def hint(subject: Subject, joint: str, share: float) -> str:
@@ -89,7 +75,8 @@ def hint(subject: Subject, joint: str, share: float) -> str:
         return _of_speed(joint)
     for said, columns in _hints(subject, channel):
         unknown = np.zeros((*subject.measured.shape, columns.shape[1]))
-        unknown[:, channel] = columns * subject.spread[channel] / np.maximum(np.std(columns, axis=0), _FLOOR)
+        sizes = np.maximum(np.std(columns, axis=0), np.finfo(float).tiny)
+        unknown[:, channel] = subject.spread[channel] * columns / sizes
         left[said] = (subject.evidence(unknown=unknown).sigmas[channel] / before) ** 2
     best, *others = sorted(left, key=lambda said: left[said])
     return best if left[best] < HALF * min([1.0, *(left[said] for said in others)]) else _ELSE
@@ -134,18 +121,16 @@ def unexplained(
     residuals = np.concatenate([(measured[:, :, None] - predicted)[:, efforts] for measured, predicted in pairs])
     velocity, effort = (np.concatenate([getattr(each, name) for each in judged]) for name in ("velocity", "effort"))
     residuals = np.where(moving(velocity)[:, :, None], residuals, np.nan)
-    found = Residuals(
-        names=model.robot.joint_names,
-        units=[model.channels[channel].unit for channel in efforts],
-        efforts=effort,
-        residuals=residuals[:, :, 0],
-        before=rms(residuals[:, :, 1]),
-        hint=lambda *of: _ELSE if recorded is None else hint(Subject.of_all(model.robot, recorded), *of),
-    )
-    variation = found.variation
+    variation = deviations(np.where(np.isfinite(residuals[:, :, 0]), effort, np.nan))
     if recorded is not None:
         variation = np.maximum(variation, deviations(recorded.effort))
-    return found.findings(variation)
+    return badly_explained(
+        [(model.channels[channel].name, model.channels[channel].unit) for channel in efforts],
+        residuals[:, :, 0],
+        variation,
+        lambda *of: _ELSE if recorded is None else hint(Subject.of_all(model.robot, recorded), *of),
+        before=rms(residuals[:, :, 1]),
+    )
 
 
 def rms(residuals: FloatArray) -> FloatArray:

@@ -12,55 +12,53 @@ from benchmarks.corruption.__main__ import identified, judged
 from benchmarks.corruption.faults import FAULTS
 from benchmarks.corruption.recording import SOURCES, Recording
 from checks.test_efforts import case, findings
+from geomid_ros.checks.causes import Finding
 from geomid_ros.checks.subject import Subject
-from geomid_ros.checks.unexplained import HALF, Residuals, hint
+from geomid_ros.checks.unexplained import HALF, badly_explained, hint
 from geomid_ros.types import FloatArray
 
 NAMES = ("shoulder", "elbow", "wrist")
 INSTANTS = 400
+VARIATION = np.array([10.0, 5.0, 0.1])
 PLANT = {fault.name: fault.plant for fault in FAULTS}
 
 
-def residuals(shares: FloatArray, before: FloatArray | None = None, units: tuple[str, ...] = ("N m",) * 3) -> Residuals:
+def residuals(shares: tuple[float, float, float]) -> FloatArray:
     """Of efforts of standard deviations 10, 5 and 0.1 these shares are left."""
-    efforts, left = (np.random.default_rng(seed).normal(size=(INSTANTS, 3)) for seed in (0, 1))
-    efforts *= np.array([10.0, 5.0, 0.1]) / np.std(efforts, axis=0)
-    left *= shares * np.array([10.0, 5.0, 0.1]) / np.sqrt(np.mean(left**2, axis=0))
-    return Residuals(
-        names=NAMES,
-        units=units,
-        efforts=efforts,
-        residuals=left,
-        before=np.full(3, np.inf) if before is None else before,
-        hint=lambda joint, share: f"look at {joint}, {share:.2f}",
+    left = np.random.default_rng(1).normal(size=(INSTANTS, 3))
+    return left * shares * VARIATION / np.sqrt(np.mean(left**2, axis=0))
+
+
+def told(left: FloatArray, units: tuple[str, ...] = ("N m",) * 3) -> tuple[Finding, ...]:
+    return badly_explained(
+        [*zip(NAMES, units, strict=True)], left, VARIATION, lambda joint, share: f"look at {joint}, {share:.2f}"
     )
 
 
-def places(found: Residuals) -> tuple[str, ...]:
-    return tuple(place for finding in found.findings(found.variation) for place in finding.cause.places)
+def places(found: tuple[Finding, ...]) -> tuple[str, ...]:
+    return tuple(place for finding in found for place in finding.cause.places)
 
 
 def test_what_is_left_of_little_is_not_told() -> None:
     """A wrist whose effort is all noise, beside a shoulder of a hundred times as much."""
-    assert places(residuals(np.array([0.1, 0.1, 1.0]))) == ()
-    assert places(residuals(np.array([0.1, 0.1, 1.0]), units=("N m", "N m", "N"))) == ("wrist",)
+    assert places(told(residuals((0.1, 0.1, 1.0)))) == ()
+    assert places(told(residuals((0.1, 0.1, 1.0)), units=("N m", "N m", "N"))) == ("wrist",)
 
 
 def test_the_worst_comes_first() -> None:
-    assert places(residuals(np.array([0.6, 0.9, 0.1]))) == ("elbow", "shoulder")
-    assert places(residuals(np.array([HALF - 0.02, HALF + 0.02, 0.1]))) == ("elbow",)
+    assert places(told(residuals((0.6, 0.9, 0.1)))) == ("elbow", "shoulder")
+    assert places(told(residuals((HALF - 0.02, HALF + 0.02, 0.1)))) == ("elbow",)
 
 
 def test_what_is_not_judged_counts_for_nothing() -> None:
-    found = residuals(np.array([0.9, 0.9, 0.1]))
-    found.residuals[:, 1] = np.nan
-    found.residuals[20:, 0] = np.nan
-    assert places(found) == ()
+    left = residuals((0.9, 0.9, 0.1))
+    left[:, 1] = np.nan
+    left[20:, 0] = np.nan
+    assert places(told(left)) == ()
 
 
 def test_the_sentence_says_how_much_is_left_and_where_to_look() -> None:
-    found = residuals(np.array([0.1, 0.8, 0.1]))
-    (finding,) = found.findings(found.variation)
+    (finding,) = told(residuals((0.1, 0.8, 0.1)))
     assert finding.sentence == "joint 'elbow' is not explained: 20 % (4 of 5 N m are left); look at elbow, 0.80"
 
 
