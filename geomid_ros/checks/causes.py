@@ -6,10 +6,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
-from geomid_ros.types import FloatArray
-
 _APART = "Record again, or use only the part before or after"
 _FOLLOW = "efforts would follow this robot's gravity and motion"
 _SENTENCES = {
@@ -163,8 +159,3 @@ def gain_settings(joints: Sequence[str], gains: Iterable[float], every: bool) ->
     if every and len(set(rounded)) == 1:
         return {"effort_gain": rounded[0]}
     return {f"joint.{joint}.effort_gain": gain for joint, gain in zip(joints, rounded, strict=True)}
-
-
-def gravity_settings(gravity: FloatArray) -> dict[str, list[float]]:
-    """The parameter that sets a gravity ``(3,)`` [m/s^2]."""
-    return {"gravity": [float(entry) for entry in np.round(gravity, 2) + 0.0]}

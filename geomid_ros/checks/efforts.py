@@ -10,7 +10,7 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from geomid_ros.checks.candidates import REASON, ROUNDS, TILT, Candidate, Judged
-from geomid_ros.checks.causes import Cause, gain_settings, gravity_settings
+from geomid_ros.checks.causes import Cause, gain_settings
 from geomid_ros.checks.evidence import FOLLOWS, LEAST_SIGMA
 from geomid_ros.checks.subject import Subject
 from geomid_ros.model.robot import STANDARD_GRAVITY
@@ -191,17 +191,17 @@ def _turned(subject: Subject, gravity: FloatArray) -> Candidate:
     nominal, size = subject.robot.gravity, float(np.linalg.norm(gravity))
     cosine = float(gravity @ nominal) / max(size * float(np.linalg.norm(nominal)), 1e-9)
     angle = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
-    alone = angle > TILT or abs(size - float(np.linalg.norm(nominal))) > 0.1 * size
-    vector = " ".join(f"{entry:g}" for entry in np.round(gravity, 2) + 0.0)
     turned = angle > TILT
+    alone = turned or abs(size - float(np.linalg.norm(nominal))) > 0.1 * size
+    written = (np.round(gravity, 2) + 0.0).tolist()
     cause = Cause.of(
         "gravity",
         subject.names,
-        gravity_settings(gravity),
+        {"gravity": written},
         said="gravity" if alone else "level",
         how="in another direction" if turned else "with another size",
         check="check how the robot is mounted" if turned else "it must be in m/s^2",
-        vector=vector,
+        vector=" ".join(f"{entry:g}" for entry in written),
         angle=np.degrees(angle),
     )
     return Candidate(read=lambda subject: subject.under(gravity), cause=cause, alone=alone)

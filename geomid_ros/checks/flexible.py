@@ -71,24 +71,14 @@ class FlexibleFit:
         curves = by_channel(_curves(position, friction, predicted) * self.spread[:, None])
         self._columns = np.concatenate([links, curves], axis=2)
         self._friction = friction
-        self._nominal = self._evidence(self._columns)
-        self._weights = self._moving / (self.spread * self._nominal.sigmas)
-        self._screen()
-
-    @property
-    def rigid(self) -> FloatArray:
-        """What the fitted links take ``(N, C)``."""
-        return self._rigid(self.links)
-
-    @property
-    def links(self) -> FloatArray:
-        """The links' errors ``(r,)`` that are found."""
-        return self._nominal.links[: self._rank]
-
-    @property
-    def nominal(self) -> Evidence:
+        self.nominal = self._evidence(self._columns)
         """The evidence of nothing else."""
-        return self._nominal
+        self.links = self.nominal.links[: self._rank]
+        """The links' errors ``(r,)`` that are found."""
+        self.rigid = self._rigid(self.links)
+        """What the fitted links take ``(N, C)``."""
+        self._weights = self._moving / (self.spread * self.nominal.sigmas)
+        self._screen()
 
     def promise(self, columns: FloatArray) -> float:
         """About the least that :meth:`gain` finds, at the noise that is left without the columns [nats per instant].
@@ -108,8 +98,8 @@ class FlexibleFit:
         """What columns explain, as :meth:`promise` takes them."""
         found = self._evidence(np.concatenate([self._columns, columns], axis=2))
         return Gain(
-            per_instant=(found.log - self._nominal.log) / self.instants,
-            ratios=found.sigmas / self._nominal.sigmas,
+            per_instant=(found.log - self.nominal.log) / self.instants,
+            ratios=found.sigmas / self.nominal.sigmas,
             coefficients=found.links[self._columns.shape[2] :],
             deviations=found.deviations()[self._columns.shape[2] :],
             rigid=self._rigid(found.links[: self._rank]),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -155,13 +156,7 @@ class Subject:
     def counts(self) -> BoolArray:
         """Whether efforts vary by a good part of what the largest of their unit does ``(C,)``: those of a wrist are
         often mostly friction and noise."""
-        units = np.array(self.units)
-        return np.array(
-            [
-                own > LEAST_SIGMA * np.max(self.spread[units == unit])
-                for own, unit in zip(self.spread, units, strict=True)
-            ]
-        )
+        return np.asarray(self.spread > LEAST_SIGMA * largest_of_unit(self.spread, self.units))
 
     @cached_property
     def regressor(self) -> FloatArray:
@@ -327,6 +322,11 @@ class Subject:
         crossed, size = np.sum(own * nominal, axis=0), np.maximum(np.sum(nominal**2, axis=0), 1e-30)
         alike = crossed / np.maximum(np.sqrt(size * np.sum(own**2, axis=0)), 1e-30)
         return crossed / size, np.where(np.std(own, axis=0) > FOLLOWS * self.spread, alike, 0.0)
+
+
+def largest_of_unit(sizes: FloatArray, units: Sequence[str]) -> FloatArray:
+    """The largest of the sizes of channels ``(C,)`` with the same unit as each ``(C,)``."""
+    return np.array([np.max(sizes[np.array(units) == unit]) for unit in units])
 
 
 def _changes(effort: FloatArray) -> bool:

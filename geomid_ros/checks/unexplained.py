@@ -14,7 +14,7 @@ from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.evidence import HALF, LEAST_SIGMA
 from geomid_ros.checks.flexible import moving
 from geomid_ros.checks.instants import FEWEST
-from geomid_ros.checks.subject import Subject
+from geomid_ros.checks.subject import Subject, largest_of_unit
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
@@ -46,10 +46,10 @@ def badly_explained(
         before: ``(C,)`` RMS of what the input's file leaves, infinite where that is not known.
         allowed: share of the variation that may be left.
     """
-    left, units = rms(residuals), np.array([unit for _, unit in channels])
-    largest = np.array([np.max(variation[units == unit]) for unit in units])
+    left, units = rms(residuals), [unit for _, unit in channels]
     share = left / np.maximum(variation, np.finfo(float).tiny)
-    bad = (left > LEAST_SIGMA * largest) & ((share > allowed) | (left > WORSE * before))
+    large = left > LEAST_SIGMA * largest_of_unit(variation, units)
+    bad = large & ((share > allowed) | (left > WORSE * before))
     worst = sorted(np.flatnonzero(bad).tolist(), key=lambda joint: -share[joint])
     if not worst:
         return ()

@@ -127,7 +127,7 @@ class WrenchSensorCheck:
         regressor, wrench = rows.coefficients[:, self._channels], rows.targets[:, self._channels]
         delay = _best_delay(times, (regressor @ self._prior)[:, :3], wrench[:, :3])
         inside = (times + delay >= times[0]) & (times + delay <= times[-1])
-        then = np.array([np.interp(times[inside] + delay, times, column) for column in wrench.T]).T
+        then = _at(times[inside] + delay, times, wrench)
         what = f"its messages are {abs(delay):.2f} s {'late' if delay > 0.0 else 'early'} against the joints'"
         cause = self._cause(f"{what}: correct their stamps")
         yield self._fit(regressor[inside], then), self._fit(regressor, wrench), cause
@@ -160,10 +160,15 @@ def _best_delay(times: FloatArray, expected: FloatArray, measured: FloatArray) -
     grid = np.arange(times[0], times[-1], step)
     if len(grid) < FEWEST:
         return 0.0
-    both = [np.array([np.interp(grid, times, c) for c in forces.T]).T for forces in (expected, measured)]
+    both = [_at(grid, times, forces) for forces in (expected, measured)]
     shifts = np.arange(-(len(grid) // 2), len(grid) // 2 + 1)
     alike = [_correlation(both[0][max(-s, 0) :], both[1][max(s, 0) :]) for s in shifts]
     return float(shifts[int(np.argmax(alike))] * step)
+
+
+def _at(instants: FloatArray, times: FloatArray, values: FloatArray) -> FloatArray:
+    """Values ``(n, k)`` at other instants ``(n,)``, on lines between those ``(N, k)`` at ``times (N,)``."""
+    return np.array([np.interp(instants, times, column) for column in values.T]).T
 
 
 def _correlation(a: FloatArray, b: FloatArray) -> float:

@@ -126,8 +126,8 @@ class Ledger:
     def revoke(self, topic: str, reason: str, count: int = 1) -> None:
         """Count messages that were accepted as rejected."""
         with self._lock:
-            self._account(topic).accepted -= count
-            count_reason(self._account(topic).rejected, reason, count)
+            self.accept(topic, -count)
+            self.reject(topic, reason, count)
 
     def note(self, topic: str, remark: str) -> None:
         """Count a peculiarity."""
