@@ -52,6 +52,8 @@ class Listened:
         """Let messages come."""
         self.waiting = [Received(JOINT_STATES, data) for data in sent]
         self.streaming.wait(0.02)
+        while self.waiting and self.streaming._stream.ready:  # the machine is busy
+            self.streaming.wait(0.02)
 
 
 def session(**parameters: Any) -> Session:
