@@ -83,8 +83,8 @@ class Stream:
         for block in self._decoder.blocks([(JOINT_STATES, data) for data in messages], ignore):
             numbers, refusals = model.reader.numbers(block)
             good = (refusals == None) & (block.stamps > 0)  # noqa: E711 by element
-            part = model.merges and not {*model.joints} <= {*block.names}
             for reason in refusals[~good].tolist():
+                part = model.merges and not {*model.joints} <= {*block.names}
                 count_reason(self.refused, _PART if part else reason or NO_STAMP)
             stamps, numbers = block.stamps[good], numbers[good]
             if len(stamps):

@@ -82,6 +82,16 @@ def test_a_reversal_between_two_points_is_seen() -> None:
     assert np.mean(off > 0.1) < 0.005
 
 
+def test_errors_that_are_opposite_about_the_middle_are_seen() -> None:
+    """Between two points so near each other that nothing else is looked at between them."""
+    times, lengths = np.array([0.0, 8.0 * SHORTEST]), np.array([[0.0], [1.0]])
+    given = Trajectory(("joint1",), times, lengths, np.full((2, 1), 1.0 / times[1]), np.zeros((2, 1)))
+    found = with_efforts(given, lambda states: 1.0 + 0.5 * np.sin(2.0 * np.pi * states[0]), 0.1)
+    between = np.linspace(*times, 200)
+    linear = np.interp(between, found.times, np.asarray(found.efforts)[:, 0])
+    assert np.max(np.abs(linear - 1.0 - 0.5 * np.sin(2.0 * np.pi * between / times[1]))) < 0.2
+
+
 @pytest.mark.parametrize("accelerated", [True, False])
 def test_the_motion_stays_what_it_is(accelerated: bool) -> None:
     given = motion(accelerated, 6)

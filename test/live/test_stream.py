@@ -145,6 +145,7 @@ def test_what_cannot_be_used_costs_itself(identification: Identification) -> Non
     (late,) = stream.predict(messages(first=1000.0)[:2])
     np.testing.assert_array_equal(late.motion[2, 0], 0.0)
     assert np.max(np.abs(late.motion[2, 1])) > 0.0
+    stream.obstacle = "a robot before"
     stream.forget()
-    assert not stream.ready
+    assert (stream.ready, stream.obstacle, stream.refused.total()) == (False, "", 0)
     assert [*stream.predict(sent)] == []
