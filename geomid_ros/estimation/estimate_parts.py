@@ -67,14 +67,16 @@ def deviations_of(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray
 
 
 def effects(problem: Problem, point: Point, found: uncertainty.Uncertainty) -> tuple[EffectEstimate, ...]:
-    """The effects, each with its standard deviation and how much of that the data tell."""
+    """The effects, each with the standard deviation of what another motion would give, and how much the data tell."""
     model, first = problem.model, problem.manifold.inertial.stop
     _, diagonal = problem.manifold.jacobian(point)
     prior, variances = found.prior_spreads[first:] ** 2, np.diag(found.covariance)[first:]
     wider = np.maximum(prior, problem.usual_errors(point) ** 2)
     apart = 1.0 / (found.by_rows[first:] + 1.0 / wider)
     variances = np.where(wider > prior, np.maximum(variances, apart), variances)
-    std, shares = diagonal * np.sqrt(variances), np.clip(1.0 - variances / wider, 0.0, 1.0)
+    shares = np.clip(1.0 - variances / wider, 0.0, 1.0)
+    drift = np.array([c.effect.drift for c in model.coefficients]) * point.parameters[first:]
+    std = np.hypot(diagonal * np.sqrt(variances), drift)
     return tuple(
         EffectEstimate(
             name=c.effect.name, joint=c.place_name, parameters=c.parameters(float(value), float(s)), from_data=share

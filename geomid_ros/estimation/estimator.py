@@ -27,7 +27,6 @@ from geomid_ros.estimation.problem import Problem, subproblem
 from geomid_ros.estimation.solvers import SOLVERS
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.tolerances import ROUNDING
-from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.alike_parts import AlikeParts
 from geomid_ros.model.measurement import MeasurementModel
@@ -36,6 +35,7 @@ from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_ro
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
 _FAR = 2.0  # times the usual distance
+_TAKEN = 2.0  # of its own standard deviations: an optional effect that is smaller may as well be nothing
 _SPENT = (
     "the solver's budget of steps was spent before the spreads of the links had settled: masses are those of the last "
     "step; is the URDF this robot's, in SI units, and do efforts have the signs of its joints?"
@@ -202,7 +202,7 @@ def _unsure(model: MeasurementModel, result: Estimate, columns: IntArray) -> Int
     sizes = np.array([abs(e.value) / max(e.std, np.finfo(float).tiny) for e in result.effects])
     sizes[[model.coefficients[column - first].mechanism in always for column in own]] = np.inf
     least = float(np.min(sizes, initial=np.inf))
-    return np.asarray(own[(sizes < SURE) & (sizes <= least)])
+    return np.asarray(own[(sizes < _TAKEN) & (sizes <= least)])
 
 
 def _independent(summary: RowSummary, cutoff: float) -> float:

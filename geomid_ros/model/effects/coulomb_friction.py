@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.model.effects.effect import Effect, JointEffect
+from geomid_ros.model.effects.effect import FRICTION_DRIFT, Effect, JointEffect
 from geomid_ros.model.effects.parameters import EFFORT, ParameterForm
 from geomid_ros.model.effects.situation import JointMotion
 from geomid_ros.types import FloatArray
@@ -35,6 +35,7 @@ class CoulombFriction(JointEffect):
     said_first = 1
     usual_constant = SMOOTHING.name
     settled_by = "slow motion of this joint, back and forth at several constant speeds"
+    drift = FRICTION_DRIFT
     is_dry_friction = True
     levels_off = True
 

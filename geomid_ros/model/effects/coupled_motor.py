@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
-from geomid_ros.model.effects.effect import Effect, PairEffect
+from geomid_ros.model.effects.effect import FRICTION_DRIFT, Effect, PairEffect
 from geomid_ros.model.effects.parameters import EFFORT, ParameterForm, Values
 from geomid_ros.model.effects.situation import JointMotion
 from geomid_ros.types import FloatArray
@@ -66,6 +66,7 @@ class CoupledViscousFriction(_CoupledMotor):
     label = "viscous friction of a motor that turns both joints"
     meaning = "effort coefficient (v_1 + ratio v_2) at the first joint, ratio times as much at the second"
     parameters = (ParameterForm("coefficient", ("N m s/rad", "N s/m"), above=0.0, mjcf="tendon/damping"), _RATIO)
+    drift = FRICTION_DRIFT
 
     def of_motor(self, motor: JointMotion) -> FloatArray:
         return motor.velocity
@@ -78,6 +79,7 @@ class CoupledCoulombFriction(_CoupledMotor):
     label = "Coulomb friction of a motor that turns both joints"
     meaning = "effort level sign(v_1 + ratio v_2) at the first joint, ratio times as much at the second"
     parameters = (ParameterForm("level", EFFORT, above=0.0, mjcf="tendon/frictionloss"), _RATIO)
+    drift = FRICTION_DRIFT
 
     def of_motor(self, motor: JointMotion) -> FloatArray:
         return CoulombFriction().column(motor)

@@ -17,6 +17,10 @@ from geomid_ros.model.effects.parameters import ByEffect, Found, ParameterForm, 
 from geomid_ros.model.effects.situation import JointMotion, Motion, Place, PlaceKind, Situation, joint_of, joints_of
 from geomid_ros.types import FloatArray
 
+FRICTION_DRIFT = 0.2
+"""Friction changes with heat, grease and rest: so far apart do halves of recordings of ten robots find it, beside what
+each half says of itself (``benchmarks.exchanged``)."""
+
 
 @dataclass(frozen=True)
 class Hinge:
@@ -102,6 +106,9 @@ class Effect(ABC):
     measured."""
     scales_measurement: ClassVar[bool] = False
     """Whether it acts on what is measured after everything else."""
+    drift: ClassVar[float] = 0.0
+    """Standard deviation of its coefficients from one motion to the next, as a share of each: the robot's own change,
+    of which no scatter within one motion tells."""
 
     @classmethod
     def variants(cls) -> tuple[Effect, ...]:

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomid_ros.model.effects.effect import LoadEffect
+from geomid_ros.model.effects.effect import FRICTION_DRIFT, LoadEffect
 from geomid_ros.model.effects.parameters import ParameterForm, Values
 from geomid_ros.types import FloatArray
 
@@ -15,6 +15,7 @@ class LoadFriction(LoadEffect):
     meaning = "effort coefficient |tau| sign(v)"
     parameters = (ParameterForm("coefficient", ("-", "-"), above=0.0, below=1.0),)
     settled_by = "the same motion with and without a known payload"
+    drift = FRICTION_DRIFT
     largest = 1.0  # nothing of the effort would pass
 
     @property

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomid_ros.model.effects.effect import JointEffect
+from geomid_ros.model.effects.effect import FRICTION_DRIFT, JointEffect
 from geomid_ros.model.effects.parameters import ParameterForm
 from geomid_ros.model.effects.situation import JointMotion
 from geomid_ros.types import FloatArray
@@ -19,6 +19,7 @@ class QuadraticFriction(JointEffect):
     meaning = "effort coefficient v |v|"
     parameters = (ParameterForm("coefficient", ("N m s^2/rad^2", "N s^2/m^2")),)
     settled_by = "this joint at several constant speeds, up to its fastest"
+    drift = FRICTION_DRIFT
 
     def column(self, motion: JointMotion) -> FloatArray:
         return motion.velocity * np.abs(motion.velocity)

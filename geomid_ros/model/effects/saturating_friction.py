@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.model.effects.effect import Effect, JointEffect
+from geomid_ros.model.effects.effect import FRICTION_DRIFT, Effect, JointEffect
 from geomid_ros.model.effects.parameters import EFFORT, ParameterForm
 from geomid_ros.model.effects.situation import JointMotion
 from geomid_ros.types import FloatArray
@@ -31,6 +31,7 @@ class SaturatingFriction(JointEffect):
         ParameterForm("speed", ("rad/s", "m/s"), above=0.0),
     )
     settled_by = "this joint at several constant speeds, up to its fastest"
+    drift = FRICTION_DRIFT
     constant = "speed"
     adds_up = False
     levels_off = True

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.model.effects.coulomb_friction import SMOOTHING, SMOOTHINGS, CoulombFriction
-from geomid_ros.model.effects.effect import Effect, JointEffect
+from geomid_ros.model.effects.effect import FRICTION_DRIFT, Effect, JointEffect
 from geomid_ros.model.effects.parameters import EFFORT, ByEffect, ParameterForm, Quantities, Values
 from geomid_ros.model.effects.situation import JointMotion, Motion, Place
 from geomid_ros.types import FloatArray
@@ -42,6 +42,7 @@ class StribeckFriction(JointEffect):
     said_first = 3
     usual_constant = SMOOTHING.name
     settled_by = "this joint at several constant speeds, from creeping to fast"
+    drift = FRICTION_DRIFT
     constant = "speed"
     adds_up = False
     contains = "coulomb_friction"

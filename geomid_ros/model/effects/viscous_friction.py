@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from geomid_ros.model.effects.effect import JointEffect
+from geomid_ros.model.effects.effect import FRICTION_DRIFT, JointEffect
 from geomid_ros.model.effects.parameters import ParameterForm
 from geomid_ros.model.effects.situation import JointMotion
 from geomid_ros.types import FloatArray
@@ -23,6 +23,7 @@ class ViscousFriction(JointEffect):
         ),
     )
     settled_by = "this joint at several constant speeds"
+    drift = FRICTION_DRIFT
 
     def column(self, motion: JointMotion) -> FloatArray:
         return motion.velocity
