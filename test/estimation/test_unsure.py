@@ -11,6 +11,8 @@ import pytest
 
 from geomid_ros.estimation.estimator import _unsure
 from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.estimation.uncertain_inertia import SURE
+from geomid_ros.model.effects.effect import FRICTION_DRIFT
 
 from .arms import Truth, arm, efforts
 
@@ -23,7 +25,7 @@ def found(*sizes: float, optional: bool = True) -> Any:
     return model, SimpleNamespace(effects=effects), np.arange(model.dimension)
 
 
-@pytest.mark.parametrize(("sizes", "gone"), [((0.9, 0.5, 0.7), [11]), ((1.8, 5.0), [10]), ((2.5, 3.0), [])])
+@pytest.mark.parametrize(("sizes", "gone"), [((0.9, 0.5, 0.7), [11]), ((1.98, 5.0), [10]), ((2.02, 3.0), [])])
 def test_the_least_one_goes_alone(sizes: tuple[float, ...], gone: list[int]) -> None:
     """Two that share what they explain are both unsure beside each other, and one of them is not by itself."""
     assert _unsure(*found(*sizes)).tolist() == gone
@@ -43,3 +45,35 @@ def test_friction_that_noise_hides_is_not_known_to_be_nothing() -> None:
         for effect in identifier.solve().effects:
             if effect.name == "viscous_friction":
                 assert effect.std > 0.8 * least[case.model.robot.joint_names.index(effect.joint)]
+
+
+def test_friction_that_drifts_between_two_recordings_is_within_what_both_say() -> None:
+    """Each recording is of other friction, by the drift that robots have; nothing else of the robot changes."""
+    apart = []
+    for seed in range(12):
+        drift, told = np.random.default_rng(seed), []
+        case = arm("arm3", seed, seconds=10.0, noise=0.0)
+        for _ in range(2):
+            own = {
+                name: c * drift.normal(1.0, FRICTION_DRIFT, 3) if "friction" in name else c
+                for name, c in case.true.effects.items()
+            }
+            identifier = Identifier(case.model)
+            clean = efforts(case.model.robot, Truth(case.true.links, own), case.samples)
+            identifier.add(replace(case.samples, effort=clean + drift.normal(0.0, 0.01, clean.shape)))
+            told.append(identifier.solve().effects)
+        for first, second in zip(*told, strict=True):
+            if "friction" in first.name:
+                apart.append(abs(first.value - second.value) / np.hypot(first.std, second.std))
+    assert 0.88 < np.mean(np.array(apart) < SURE) < 0.99
+
+
+def test_what_does_not_drift_is_as_sure_as_its_recording() -> None:
+    case = arm("arm3", 0, seconds=10.0, noise=0.001)
+    identifier = Identifier(case.model)
+    identifier.add(case.samples)
+    for effect in identifier.solve().effects:
+        if "friction" in effect.name:
+            assert FRICTION_DRIFT * effect.value <= effect.std < 1.1 * FRICTION_DRIFT * effect.value
+        else:
+            assert effect.std < 0.01 * max(abs(effect.value), 1.0)
