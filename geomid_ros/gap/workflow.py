@@ -294,8 +294,10 @@ def _with_beside(
 
 def _unsure_share(candidate: Candidate, known: KnownEffect) -> float:
     """Standard deviation that a file says of an effect, relative."""
-    sizes = candidate.effect.sizes(known.parameters).values()
-    return max((size.std / abs(size.value) for size in sizes if size.value and np.isfinite(size.std)), default=0.0)
+    effect = candidate.effect
+    sizes = effect.sizes(known.parameters).values()
+    known_sizes = (size for size in sizes if size.value and np.isfinite(size.std))
+    return max((effect.within_motion(size) / abs(size.value) for size in known_sizes), default=0.0)
 
 
 def _with_least_spreads(model: MeasurementModel, records: Records, prior: NamesPrior) -> NamesPrior:

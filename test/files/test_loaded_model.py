@@ -22,8 +22,9 @@ from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.models.written_model import write_model
 from geomid_ros.model.channels import WrenchSensor
-from geomid_ros.model.effects import KnownEffect
+from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
+from geomid_ros.model.effects.effect import FRICTION_DRIFT
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import GRAVITY, Robot
 from geomid_ros.session.configuration import Configuration
@@ -181,6 +182,21 @@ def test_an_estimate_from_a_model_is_the_model_again(tmp_path: Path, common: lis
     assert kept(again.loaded) == kept(session.loaded) != {}
     found = again.model.predicted_efforts(samples, np.nan_to_num(again.prior))
     np.testing.assert_allclose(found, before, atol=0.05)
+
+
+def test_beside_a_model_friction_is_as_sure_as_the_motion_it_was_found_in(tmp_path: Path) -> None:
+    """The drift to other motions, which its std includes, would hide changes of friction."""
+    level, offset = Quantity(2.0, float(np.hypot(0.03, 2.0 * FRICTION_DRIFT)), "N m"), Quantity(0.7, 0.05, "N m")
+    known = [
+        KnownEffect("coulomb_friction", "joint1", "", {"level": level}),
+        KnownEffect("effort_offset", "joint1", "", {"offset": offset}),
+    ]
+    session = session_with(tmp_path, known)
+    places = {(c.effect.name, c.place_name): place for place, c in enumerate(session.model.coefficients)}
+    deviations = session.loaded.deviations(session.model)[len(session.model.nominal_inertias) :]
+    assert deviations[places["coulomb_friction", "joint1"]] == pytest.approx(0.03, rel=1e-3)
+    assert deviations[places["effort_offset", "joint1"]] == pytest.approx(0.05, rel=1e-3)
+    assert np.isnan(deviations[places["coulomb_friction", "joint2"]])
 
 
 def by_place(session: Session) -> dict[tuple[str, str], float]:

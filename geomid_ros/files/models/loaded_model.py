@@ -202,10 +202,11 @@ class LoadedModel:
                 )
 
     def deviations(self, model: MeasurementModel) -> FloatArray:
-        """Standard deviations ``(D,)`` of the effects' coefficients, NaN where the file says none."""
+        """Standard deviations ``(D,)`` of the effects' coefficients in the motion that they were found in, NaN where the
+        file says none."""
         said = by_parameter(self.effects)
-        places = [(c.effect.name, c.place_name, c.parameter) for c in model.coefficients]
-        found = [said[place].std if place in said else math.nan for place in places]
+        places = [(c.effect, (c.effect.name, c.place_name, c.parameter)) for c in model.coefficients]
+        found = [effect.within_motion(said[place]) if place in said else math.nan for effect, place in places]
         return np.concatenate([np.full(len(model.nominal_inertias), np.nan), found])
 
     def information(self, model: MeasurementModel) -> LinksInformation | None:

@@ -162,6 +162,11 @@ class Effect(ABC):
         constants = {form.name for form in self.parameters[count:]} if count else set[str]()
         return {name: quantity for name, quantity in parameters.items() if name not in constants}
 
+    @classmethod
+    def within_motion(cls, size: Quantity) -> float:
+        """The standard deviation of one motion, of a size whose own includes the drift to others."""
+        return float(np.sqrt(np.maximum(size.std**2 - (cls.drift * size.value) ** 2, 0.0)))
+
     def is_absurd(self, coefficients: FloatArray) -> bool:
         """Whether no robot that works has it with these ``coefficients (k,)``, signs apart."""
         return bool(np.any(np.abs(coefficients) > self.largest))
