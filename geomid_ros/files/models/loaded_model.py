@@ -202,7 +202,7 @@ class LoadedModel:
                 )
 
     def deviations(self, model: MeasurementModel) -> FloatArray:
-        """Standard deviations ``(D,)`` of the effects' coefficients in the motion that they were found in, NaN where the
+        """Standard deviations ``(D,)`` of the effects' coefficients in the motion that they are from, NaN where the
         file says none."""
         said = by_parameter(self.effects)
         places = [(c.effect, (c.effect.name, c.place_name, c.parameter)) for c in model.coefficients]
