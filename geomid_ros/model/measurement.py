@@ -367,17 +367,17 @@ class MeasurementModel:
         return total
 
     def _assemble(self, samples: Samples, bodies: FloatArray, targets: FloatArray) -> tuple[FloatArray, FloatArray]:
-        count = len(samples)
-        inertial = bodies[:, :, list(self.identified)].reshape(count, len(self.channels), -1)
-        known = [index for index in range(len(self.robot.bodies)) if index not in self.identified]
-        for index in known:
+        first = 10 * len(self.identified)
+        coefficients = np.zeros((*targets.shape, self.dimension))
+        coefficients[:, :, :first] = bodies[:, :, self.identified].reshape(*targets.shape, first)
+        for index in set(range(len(self.robot.bodies))).difference(self.identified):
             targets -= bodies[:, :, index] @ self.robot.bodies[index].parameters
-        coefficients = np.concatenate([inertial, np.zeros((count, len(self.channels), len(self.coefficients)))], axis=2)
-        loads = self._loads(samples, bodies)
+        bears = any(isinstance(coefficient.effect, LoadEffect) for coefficient in self.coefficients)
+        loads = self._loads(samples, bodies) if bears else targets
         entries, channels, parameters, places = self._of_motion
         coefficients[:, channels, parameters] = samples.values_of(entries)[:, places]
         sensed: dict[tuple[SensorEffect, Place], FloatArray] = {}
-        for column, coefficient in enumerate(self.coefficients, inertial.shape[2]):
+        for column, coefficient in enumerate(self.coefficients, first):
             effect, place = coefficient.effect, coefficient.place
             if isinstance(effect, LoadEffect):
                 joint = joint_of(place)

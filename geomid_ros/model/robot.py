@@ -14,7 +14,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model import urdf_tree
 from geomid_ros.model.samples import Samples
-from geomid_ros.types import FloatArray, frozen
+from geomid_ros.types import BoolArray, FloatArray, frozen
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 STANDARD_GRAVITY = float(np.linalg.norm(GRAVITY))
@@ -134,9 +134,8 @@ class Robot:
         )
         self._offsets = np.zeros(self._model.nv)
         self._offsets[[f.joint.v for f in self.followers]] = [f.offset for f in self.followers]
-        self._moved = [index for index, body in enumerate(self.bodies) if body.joint > 0]
-        self._moved_by = [self.bodies[index].joint - 1 for index in self._moved]
-        self._to_joints = np.array([self.bodies[index].to_joint for index in self._moved])
+        self._moved_by = np.array([body.joint - 1 for body in self.bodies])
+        self._to_joints = np.array([body.to_joint for body in self.bodies])
 
     @cached_property
     def described_dynamics(self) -> dict[tuple[str, str], float]:
@@ -348,10 +347,23 @@ class Robot:
             # Of a robot with one joint pinocchio returns arrays that have lost a dimension.
             rows[:] = pin.computeJointTorqueRegressor(self._model, self._data, *state).reshape(rows.shape)
         rows = np.concatenate([self._of_joints(full), full[:, :6]], axis=1) if base else self._of_joints(full)
-        by_joint = rows.reshape(len(q), rows.shape[1], -1, 10)[:, :, self._moved_by]
         found = np.zeros((len(q), rows.shape[1], len(self.bodies), 10))
-        found[:, :, self._moved] = (by_joint.transpose(0, 2, 1, 3) @ self._to_joints).transpose(0, 2, 1, 3)
+        felt = np.concatenate([self._carries, np.tile(self._moved_by >= 0, (rows.shape[1] - len(self.joints), 1))])
+        joints, bodies = np.nonzero(felt)
+        pairs = rows.reshape(len(q), rows.shape[1], -1, 10)[:, joints, self._moved_by[bodies]].transpose(1, 0, 2)
+        found[:, joints, bodies] = (pairs @ self._to_joints[bodies]).transpose(1, 0, 2)
         return found
+
+    @cached_property
+    def _carries(self) -> BoolArray:
+        """Whether each joint, or what follows it, moves each body ``(joints, bodies)``."""
+        carries = np.zeros((len(self.joints), len(self.bodies)), dtype=np.bool_)
+        moving = {joint.name: place for place, joint in enumerate(self.joints)}
+        moving |= {follower.joint.name: follower.master for follower in self.followers}
+        for joint in self.tree.joints:
+            if joint.name in moving:
+                carries[moving[joint.name], self.subtree(joint.child)] = True
+        return carries
 
     def body_effort_rows(self, q: FloatArray, v: FloatArray, a: FloatArray, body: int) -> FloatArray:
         """Regressor ``(joints, 10)`` of the joints' efforts by the inertia of one moving ``body``, at one instant."""

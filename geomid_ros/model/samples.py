@@ -21,7 +21,7 @@ WIDEST = np.pi
 """[rad, m] to either side, where a joint has no ends."""
 ACCELERATION_PER_SPEED = 4.0
 """[1/s] of usual motion."""
-PIECE = 250
+PIECE = 50
 """Samples: of so many the rows, and what else is computed of them, take little memory."""
 STILL = 0.01
 """[rad/s or m/s] below this friction is no function of speed."""
