@@ -214,6 +214,14 @@ class _Rows:
         return self.problem.products.first(len(self.counts)).times(self.problem.independent)
 
     @cached_property
+    def known(self) -> FloatArray:
+        """Of the rows that are known: all columns, and the residuals at the prior without effects, by each other."""
+        rows, prior = self.problem.known.rows, self.problem.model.nominal_parameters
+        prior[: self.first] = self.problem.prior[: self.first]
+        augmented = np.column_stack([rows, rows @ prior - self.problem.known.targets])
+        return np.asarray(augmented.T @ augmented)
+
+    @cached_property
     def counts(self) -> FloatArray:
         """Independent rows of each group."""
         return self.problem.independent * self.problem.counts[: -len(self.problem.model.channels)]
@@ -257,16 +265,16 @@ class _Rows:
         point, spreads = prior, usual
         if start is not None:
             point, spreads = manifold.point(start.parameters[columns]), start.fit.scales
-        known = problem.known.rows[:, columns]
-        known_rows = np.column_stack([known, known @ prior.parameters - problem.known.targets])
+        own = np.append(columns, self.size)
+        known = self.known[own[:, None], own]
         profile = Profile(manifold, self.products.select(columns), self.counts, prior, self.floors)
 
         def objective(spreads: FloatArray) -> ProfileObjective:
             weights = np.append(np.repeat(spreads, 10) ** -2.0, np.full(len(manifold.scales), ROUNDING))
-            return ProfileObjective(profile, weights, known_rows)
+            return ProfileObjective(profile, weights, known)
 
-        def likely(point: Point, whitener: FloatArray, _: FloatArray) -> FloatArray:
-            unsure = np.sum(whitener[:, links] ** 2, axis=0)
+        def likely(point: Point, hessian: FloatArray, _: FloatArray) -> FloatArray:
+            unsure = definite.variances(hessian, links.stop)
             return likely_spreads(manifold.log(prior, point)[links], unsure, usual)
 
         found = fit_scales(objective, point, spreads if given is None else given, likely if given is None else None)
@@ -387,13 +395,19 @@ class _Fit:
         """By how much each of other ``columns`` would improve twice the log likelihood, by the score test; zero for a
         coefficient that would be negative and cannot be."""
         products = self.rows.products.weighed(self.weights)[columns]
-        shared = self.fit.objective.manifold.whiten(self.fit.point, products[:, self.columns])
-        squares = products[np.arange(len(columns)), columns]
-        left = squares - np.sum(shared.T * definite.solved_anyway(self.fit.hessian, shared.T), axis=0)
         values = -products @ self._vector
-        positive = np.array([self.rows.positive(column) for column in columns])
-        possible = (left > ROUNDING * squares) & ~(positive & (values < 0.0))
-        return np.asarray(np.where(possible, values**2 / np.where(possible, left, 1.0), 0.0))
+        gains, able = np.zeros(len(columns)), np.flatnonzero((values >= 0.0) | ~self._positive(columns))
+        if len(able):
+            shared = self.fit.objective.manifold.whiten(self.fit.point, products[able[:, None], self.columns])
+            squares = products[able, columns[able]]
+            left = squares - np.sum(shared.T * definite.solved_anyway(self.fit.hessian, shared.T), axis=0)
+            possible = left > ROUNDING * squares
+            gains[able] = np.where(possible, values[able] ** 2 / np.where(possible, left, 1.0), 0.0)
+        return gains
+
+    def _positive(self, columns: IntArray) -> BoolArray:
+        """Whether coefficients cannot be negative."""
+        return np.array([self.rows.positive(column) for column in columns], dtype=np.bool_)
 
     def _inflation(self, columns: IntArray, parts: FloatArray, variances: FloatArray) -> FloatArray:
         """How much larger the variances of coefficients are than those by independent residuals, by what each fold says

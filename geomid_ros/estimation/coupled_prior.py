@@ -85,7 +85,7 @@ class CoupledPrior(ABC):
 
     def weights(self, found: Fit, before: Mapping[str, float]) -> dict[str, float]:
         """The weights of the blocks, by the expected squares of their coordinates at a fit."""
-        tangent = self.tangent(found.point)
+        tangent = self.tangent(found.place)
         expected = np.outer(tangent, tangent) + self._covariance(found, tangent)
         weights = {}
         for name in self.names:
@@ -96,11 +96,10 @@ class CoupledPrior(ABC):
 
     def _covariance(self, found: Fit, tangent: FloatArray) -> FloatArray:
         """The posterior's, in the prior's coordinates."""
-        manifold, point = self.problem.manifold, found.point
-        information = found.solution.evaluation.information + np.diag(found.objective.prior_weights)
-        derivative = manifold.exp_derivative(point, np.zeros(manifold.dimension))[self.columns]
+        manifold = self.problem.manifold
+        derivative = manifold.exp_derivative(found.place, np.zeros(manifold.dimension))[self.columns]
         moved = np.linalg.solve(self._derivative(tangent), derivative)
-        return np.asarray(moved @ np.linalg.solve(self.problem.independent * information, moved.T))
+        return np.asarray(moved @ np.linalg.solve(found.information, moved.T))
 
 
 def fit_beside(prior: CoupledPrior, solve: Callable[..., Fit]) -> tuple[Fit, dict[str, float]]:
@@ -117,10 +116,10 @@ def fit_beside(prior: CoupledPrior, solve: Callable[..., Fit]) -> tuple[Fit, dic
     found = solve(prior.problem_at(prior.problem.prior_point, prior.trusted))
     weights = prior.weights(found, prior.trusted)
     for _ in range(ROUNDS):
-        point, before = found.point, weights
+        point, before = found.place, weights
         found = solve(prior.problem_at(point, weights), start=point, spreads=found.spreads)
         weights = prior.weights(found, before)
         change = max(abs(np.log(weights[name] / before[name])) for name in weights)
-        if change < SETTLED and np.max(np.abs(prior.tangent(found.point) - prior.tangent(point))) < SETTLED:
+        if change < SETTLED and np.max(np.abs(prior.tangent(found.place) - prior.tangent(point))) < SETTLED:
             return found, weights
     return replace(found, spent=True), weights

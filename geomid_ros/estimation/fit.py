@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.estimation.link_spreads import cost_of_spreads, likely_spreads
-from geomid_ros.estimation.objective import ProductsObjective, ResidualObjective, row_weights
+from geomid_ros.estimation.objective import Evaluation, ProductsObjective, ResidualObjective, row_weights
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.solvers import Extrapolation, Solution, trust_region
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
@@ -34,27 +34,44 @@ _SETTLED_WARM = 1e-8  # the same where rounds are extrapolated, so that few more
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Fit:
-    """The minimum.
+    """Where the search for the noise and the spreads ended, and the minimum there.
 
     Attributes:
         problem: what was fitted.
-        rows: what was measured, ``(N, D)`` and ``(N,)`` of standard deviation 1.
-        objective: what was minimised, with the noise and the prior's weights that were found.
-        solution: where it ended.
+        place: where the search ended, by products of the rows.
         sigmas: standard deviations ``(groups,)``.
         spreads: of the prior's errors ``(links,)``, geodesic distances.
-        gamma: the links' weight in the prior as a share of the measured rows'.
         spent: whether the budget of steps ended the search for noise and spreads.
+        tolerance, max_steps: as of :func:`fit`.
     """
 
     problem: Problem
-    rows: tuple[FloatArray, FloatArray]
-    objective: ResidualObjective
-    solution: Solution
+    place: Point
     sigmas: FloatArray
     spreads: FloatArray
-    gamma: float
     spent: bool
+    tolerance: float
+    max_steps: int
+
+    @cached_property
+    def rows(self) -> tuple[FloatArray, FloatArray]:
+        """What was measured, ``(N, D)`` and ``(N,)`` of standard deviation 1."""
+        return self.problem.rows(self.sigmas)
+
+    @cached_property
+    def objective(self) -> ResidualObjective:
+        """What was minimised, with the noise and the prior's weights that were found."""
+        return _objective(self.problem, self.rows, self.spreads)
+
+    @cached_property
+    def solution(self) -> Solution:
+        """The minimum by the rows themselves."""
+        return trust_region(self.objective, self.place, _gradient(self.objective, self.tolerance), self.max_steps)
+
+    @property
+    def gamma(self) -> float:
+        """The links' weight in the prior as a share of the measured rows'."""
+        return self.problem.gamma or self.objective.prior_weight / _measured_weight(self.problem, self.rows)
 
     @property
     def point(self) -> Point:
@@ -67,16 +84,27 @@ class Fit:
         return _every_spread(self.problem, self.spreads)
 
     @cached_property
+    def _rough(self) -> ProductsObjective:
+        return _rough(self.problem, self.sigmas, self.spreads)
+
+    @cached_property
+    def _evaluation(self) -> Evaluation:
+        return self._rough.evaluate(self.place)
+
+    @cached_property
+    def information(self) -> FloatArray:
+        """That of the independent rows and of the prior ``(D, D)``, tangent coordinates at the :attr:`place`."""
+        weights = np.diag(self._rough.prior_weights)
+        return np.asarray(self.problem.independent * (self._evaluation.information + weights))
+
+    @cached_property
     def score(self) -> float:
         """Minus twice the logarithm of the marginal likelihood in Laplace's approximation, up to what is the same for
         all fits of a problem. There are several minima: a link that takes over what an effect does leaves its prior."""
         problem = self.problem
-        rough = _rough(problem, self.sigmas, self.spreads)
-        found = rough.evaluate(self.point)
-        prior = problem.independent * rough.prior_weights
-        _, volume = np.linalg.slogdet(problem.independent * found.information + np.diag(prior))
-        likelihood = 2.0 * problem.independent * (found.value + float(problem.counts @ np.log(self.sigmas)))
-        widths = float(np.sum(np.log(prior)))
+        _, volume = np.linalg.slogdet(self.information)
+        likelihood = 2.0 * problem.independent * (self._evaluation.value + float(problem.counts @ np.log(self.sigmas)))
+        widths = float(np.sum(np.log(problem.independent * self._rough.prior_weights)))
         return likelihood + float(volume) - widths + cost_of_spreads(self.spreads, problem.usual)
 
 
@@ -98,22 +126,17 @@ def fit(
         max_steps: of the solver, for each noise and spreads.
     """
     within = _SETTLED if start is None else _SETTLED_WARM
-    point, sigmas, spreads, spent = settle(
+    place, sigmas, spreads, spent = settle(
         problem, start, spreads, tolerance=tolerance, max_steps=max_steps, within=within
     )
-    rows = problem.rows(sigmas)
-    objective = _objective(problem, rows, spreads)
-    solution = trust_region(objective, point, _gradient(objective, tolerance), max_steps)
-    gamma = problem.gamma or objective.prior_weight / _measured_weight(problem, rows)
     return Fit(
         problem=problem,
-        rows=rows,
-        objective=objective,
-        solution=solution,
+        place=place,
         sigmas=sigmas,
         spreads=spreads,
-        gamma=gamma,
         spent=spent,
+        tolerance=tolerance,
+        max_steps=max_steps,
     )
 
 
@@ -227,5 +250,5 @@ def _spreads(problem: Problem, objective: ProductsObjective, solution: Solution)
     manifold = problem.manifold
     links = manifold.inertial
     information = solution.evaluation.information + np.diag(objective.prior_weights)
-    unsure = np.sum(definite.whitener(problem.independent * information)[:, links] ** 2, axis=0)
+    unsure = definite.variances(problem.independent * information, links.stop)
     return likely_spreads(manifold.log(problem.prior_point, solution.point)[links], unsure, problem.usual)

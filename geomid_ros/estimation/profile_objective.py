@@ -13,7 +13,7 @@ from geomid_ros.estimation.channel_products import ChannelProducts
 from geomid_ros.estimation.objective import Evaluation, with_prior
 from geomid_ros.estimation.solvers import ENDS, GRADIENT, Solution, trust_region
 from geomid_ros.estimation.tolerances import ROUNDS
-from geomid_ros.geometry import compiled, definite
+from geomid_ros.geometry import compiled
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.geometry.pseudo_inertia import COEFFICIENTS_TO_COORDINATES
 from geomid_ros.types import FloatArray
@@ -64,8 +64,8 @@ class Profile:
 @dataclass(frozen=True, eq=False)
 class ProfileObjective:
     """Half of ``sum_c N_c log S_c`` plus the prior's terms, with weights ``(D,)``, equal within a link, of the tangent
-    coordinates to it, and with ``known (r, D + 1)`` rows of standard deviation 1, whose last column are their residuals
-    at the prior."""
+    coordinates to it, and with what is ``known`` beside it: products ``(D + 1, D + 1)`` of the columns of rows of
+    standard deviation 1, and of their residuals at the prior."""
 
     profile: Profile
     weights: FloatArray
@@ -85,21 +85,15 @@ class ProfileObjective:
         """The end of a step along a straight line."""
         return self.manifold.straight(point, tangent)
 
-    @cached_property
-    def known_products(self) -> FloatArray:
-        """Of what is known ``(D + 1, D + 1)``; nothing ``(0,)`` without it."""
-        return self.known.T @ self.known if len(self.known) else np.zeros(0)
-
     def evaluate(self, point: Point) -> Evaluation:
         """Value, gradient, information and Hessian along straight lines at ``point``."""
         profile = self.profile
         vector = np.append(point.parameters, -1.0)
         squares, products = profile.weighed(vector)
         value, slope = 0.5 * float(profile.counts @ np.log(squares)), (products @ vector)[:-1]
-        if len(self.known):
-            off = self.known @ np.append(point.parameters - profile.prior.parameters, 1.0)
-            value, slope = value + 0.5 * float(off @ off), slope + off @ self.known[:, :-1]
-            products += self.known_products
+        off = np.append(point.parameters - profile.prior.parameters, 1.0)
+        moved = self.known @ off
+        value, slope, products = value + 0.5 * float(off @ moved), slope + moved[:-1], products + self.known
         return with_prior(self.manifold, point, profile.prior, self.weights, (value, slope, products))
 
 
@@ -139,8 +133,8 @@ def fit_scales(
     Args:
         objective: for given scales.
         start, scales: where to begin.
-        likely: the scales to go on with, from the minimum, the whitener ``(D, D)`` of the Hessian there and the scales
-            so far; None to keep those that are given.
+        likely: the scales to go on with, from the minimum, the Hessian ``(D, D)`` there and the scales so far; None to
+            keep those that are given.
     """
     point = start
     for _ in range(ROUNDS):
@@ -149,8 +143,7 @@ def fit_scales(
         point, before = solution.point, scales
         if likely is None:
             break
-        whitener = definite.whitener(solution.evaluation.information + np.diag(trusted.weights))
-        scales = likely(point, whitener, scales)
+        scales = likely(point, solution.evaluation.information + np.diag(trusted.weights), scales)
         if np.all(np.abs(np.log(scales / before)) < _SETTLED):
             break
     return ProfileFit(objective(scales), point, scales)
@@ -166,7 +159,7 @@ def minimum(objective: ProfileObjective, start: Point) -> Solution:
     gradient, information, hessian = np.empty(size), np.empty((size, size)), np.empty((size, size))
     reason, steps = native.descend(
         *(COEFFICIENTS_TO_COORDINATES, prior.pseudo_inertias, prior.reals, manifold.scales, objective.weights),
-        *(*profile.products.packed, profile.counts, profile.least, objective.known_products),
+        *(*profile.products.packed, profile.counts, profile.least, objective.known),
         np.array([GRADIENT * objective.scale, _RADIUS, _LEAST_DECREASE]),
         *(inertias, reals, gradient, information, hessian, values),
     )

@@ -171,13 +171,10 @@ class _QuadraticModel:
 
     def _step(self, damping: float) -> tuple[FloatArray, float] | None:
         """``x = -(H + damping 1)^-1 g`` and ``x (H + damping 1)^-1 x``; None where that is not positive definite."""
-        damped = self._hessian.copy()
-        damped.flat[:: len(damped) + 1] += damping
         try:
-            step, again = definite.solved_twice(damped, -self._gradient)
+            return definite.damped_step(self._hessian, self._gradient, damping)
         except LinAlgError:
             return None
-        return step, float(step @ again)
 
 
 def cyclic(objective: Objective, start: Point, tolerance: float = 1e-8, max_steps: int = 20000) -> Solution:

@@ -1,4 +1,7 @@
-"""Symmetric positive definite matrices: by Cholesky's decomposition, in half of the time of general methods."""
+"""Symmetric positive definite matrices: by Cholesky's decomposition, in half of the time of general methods.
+
+The compiled one leaves out what is zero, and stays zero: limbs know nothing of each other.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from types import ModuleType
 import numpy as np
 from numpy.linalg import LinAlgError
 
+from geomid_ros.geometry import compiled
 from geomid_ros.types import FloatArray
 
 
@@ -26,13 +30,20 @@ def solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(x)
 
 
-def solved_twice(matrix: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The x of :func:`solved`, and the y with ``matrix y = x``."""
-    factor, x, failed = _lapack().dposv(matrix, right, lower=1)
+def damped_step(matrix: FloatArray, gradient: FloatArray, damping: float) -> tuple[FloatArray, float]:
+    """The x of ``(matrix + damping 1) x = -gradient (n,)``, and ``x (matrix + damping 1)^-1 x``. Raises LinAlgError
+    where that matrix is not positive definite."""
+    if compiled.native is not None:
+        x = np.empty(len(matrix))
+        bend = compiled.native.damped(np.ascontiguousarray(matrix), np.ascontiguousarray(gradient), damping, x)
+        if not bend >= 0.0:
+            raise LinAlgError("not positive definite")
+        return x, float(bend)
+    factor, x, failed = _lapack().dposv(matrix + damping * np.eye(len(matrix)), -gradient, lower=1)
     if failed:
         raise LinAlgError("not positive definite")
     y, _ = _lapack().dpotrs(factor, x, lower=1)
-    return np.asarray(x), np.asarray(y)
+    return np.asarray(x), float(x @ y)
 
 
 def solved_anyway(matrix: FloatArray, right: FloatArray) -> FloatArray:
@@ -55,6 +66,14 @@ def whitener(matrix: FloatArray) -> FloatArray:
         values = np.maximum(values, np.finfo(np.float64).eps * values[-1])
         return np.asarray(np.linalg.qr((vectors / np.sqrt(values)).T, mode="r"))
     return np.asarray(_lapack().dtrtri(factor, lower=1)[0])
+
+
+def variances(matrix: FloatArray, count: int) -> FloatArray:
+    """The first elements of the diagonal of the inverse of ``matrix (n, n)``, ``(count,)``."""
+    found = np.empty(count)
+    if compiled.native is not None and compiled.native.variances(matrix.copy(), found):
+        return found
+    return np.asarray(np.sum(whitener(matrix)[:, :count] ** 2, axis=0))
 
 
 def inverse(matrix: FloatArray) -> FloatArray:

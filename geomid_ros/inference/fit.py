@@ -208,9 +208,11 @@ def _free_fit(
         links, inflation, apart = np.split(wide, ends)
         trusted = np.append(np.repeat(links, 10) ** -2.0, weights[first:])
         alike = priors.rows_of_alike(prior.alike, apart, known, manifold.dimension)
-        return ProfileObjective(profile, trusted, np.concatenate([rows / np.sqrt(inflation), zero, alike]))
+        every = np.concatenate([rows / np.sqrt(inflation), zero, alike])
+        return ProfileObjective(profile, trusted, every.T @ every)
 
-    def likely(point: Point, whitener: FloatArray, before: FloatArray) -> FloatArray:
+    def likely(point: Point, hessian: FloatArray, before: FloatArray) -> FloatArray:
+        whitener = definite.whitener(hessian)
         tangent, unsure = manifold.log(known, point)[:first], np.sum(whitener[:, :first] ** 2, axis=0)
         spreads = likely_spreads(tangent, unsure, prior.link_spreads, prior.certainty)
         apart = likely_own(prior.alike, np.split(before, ends)[2], tangent, whitener[:, :first])

@@ -50,7 +50,7 @@ def objective(counts: float = 1.0) -> ProfileObjective:
         counts * design.counts,
         manifold.point(np.append(LINK, [0.1, 0.0])),
     )
-    return ProfileObjective(profile, np.append(np.full(10, 3.0), [1.0, 5.0]), known)
+    return ProfileObjective(profile, np.append(np.full(10, 3.0), [1.0, 5.0]), known.T @ known)
 
 
 def moved(own: ProfileObjective, direction: FloatArray, steps: tuple[float, ...]) -> list[float]:

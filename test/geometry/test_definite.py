@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -20,15 +22,41 @@ def test_they_are_solved_and_inverted_as_by_general_methods(size: int) -> None:
     matrix, right = of_size(size), np.arange(1.0, size + 1.0)
     given = matrix.copy()
     assert definite.solved(matrix, right) == pytest.approx(np.linalg.solve(matrix, right), rel=1e-12)
-    for once, twice in zip(definite.solved_twice(matrix, right), (1, 2), strict=True):
-        expected = np.linalg.solve(np.linalg.matrix_power(matrix, twice), right)
-        assert once == pytest.approx(expected, rel=1e-10)
     assert definite.inverse(matrix) == pytest.approx(np.linalg.inv(matrix), rel=1e-12, abs=1e-15)
     whitener = definite.whitener(matrix)
     assert whitener @ matrix @ whitener.T == pytest.approx(np.eye(size), abs=1e-12)
     assert np.array_equal(whitener, np.tril(whitener))
     assert np.array_equal(matrix, given)
     assert np.array_equal(right, np.arange(1.0, size + 1.0))
+
+
+def of_limbs(size: int) -> FloatArray:
+    """The same, in which every other unknown has rows of its own with the first ones alone, and all else are zeros."""
+    matrix = of_size(size)
+    limbs = np.arange(size) % 2 == 1
+    matrix[np.ix_(limbs, limbs)] = np.diag(np.diag(matrix)[limbs])
+    matrix[: size // 3, limbs] = matrix[limbs, : size // 3] = 0.0
+    return matrix + size * np.eye(size)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("of", [of_size, of_limbs])
+@pytest.mark.parametrize("size", [1, 2, 7, 60])
+def test_steps_and_variances_are_those_of_the_dense_inverse(
+    of: Callable[[int], FloatArray], size: int, compiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not compiled:
+        monkeypatch.setattr("geomid_ros.geometry.compiled.native", None)
+    matrix, gradient, damping = of(size), np.arange(1.0, size + 1.0), 0.3
+    given, inverse = matrix.copy(), np.linalg.inv(matrix + damping * np.eye(size))
+    step, bend = definite.damped_step(matrix, gradient, damping)
+    assert step == pytest.approx(-inverse @ gradient, rel=1e-9)
+    assert bend == pytest.approx(step @ inverse @ step, rel=1e-9)
+    count = (size + 1) // 2
+    assert definite.variances(matrix, count) == pytest.approx(np.diag(np.linalg.inv(matrix))[:count], rel=1e-9)
+    assert np.array_equal(matrix, given)
+    with pytest.raises(np.linalg.LinAlgError):
+        definite.damped_step(matrix - 2.0 * np.max(np.diag(matrix)) * np.eye(size), gradient, 0.0)
 
 
 def test_an_inverse_is_symmetric() -> None:
@@ -40,8 +68,7 @@ def test_of_an_indefinite_one_nothing_is_solved_but_there_is_an_inverse() -> Non
     matrix = np.diag([1.0, -2.0, 4.0])
     with pytest.raises(np.linalg.LinAlgError):
         definite.solved(matrix, np.ones(3))
-    with pytest.raises(np.linalg.LinAlgError):
-        definite.solved_twice(matrix, np.ones(3))
+    assert definite.variances(matrix, 1) == pytest.approx([1.0])
     assert definite.inverse(matrix) == pytest.approx(np.diag([1.0, -0.5, 0.25]))
     assert definite.solved_anyway(matrix, np.ones(3)) == pytest.approx([1.0, -0.5, 0.25])
 

@@ -259,8 +259,8 @@ FOR_EACH_PROCESSOR static void weigh(
 /* What profile_objective.py minimises, and room for an evaluation: `problem` has what does not depend on the point. */
 typedef struct {
     Problem problem;
-    int channels, knows; /* whether there are `known` products (D + 1, D + 1) of rows at the prior */
-    const double *products, *counts, *least, *known;
+    int channels;
+    const double *products, *counts, *least, *known; /* known: products (D + 1, D + 1) of rows, at the prior */
     const long long *places, *runs, *ends;
     double *squares, *total, *vector, *off, *slope;
 } Profile;
@@ -303,18 +303,16 @@ FOR_EACH_PROCESSOR static void evaluate(const Profile *profile, State *at) {
     for (int channel = 0; channel < profile->channels; channel++)
         value += 0.5 * profile->counts[channel] * log(profile->squares[channel]);
     for (int k = 0; k < size; k++) slope[k] = dot(total + (long)k * stride, vector, stride);
-    if (profile->knows) {
-        double *off = profile->off;
-        parameters_of(&problem, problem.priors, problem.prior_rest, off);
-        for (int k = 0; k < size; k++) off[k] = vector[k] - off[k];
-        off[size] = 1.0;
-        for (int k = 0; k < stride; k++) {
-            const double moved = dot(profile->known + (long)k * stride, off, stride);
-            value += 0.5 * off[k] * moved;
-            slope[k] += moved;
-        }
-        for (long k = 0; k < (long)stride * stride; k++) total[k] += profile->known[k];
+    double *off = profile->off;
+    parameters_of(&problem, problem.priors, problem.prior_rest, off);
+    for (int k = 0; k < size; k++) off[k] = vector[k] - off[k];
+    off[size] = 1.0;
+    for (int k = 0; k < stride; k++) {
+        const double moved = dot(profile->known + (long)k * stride, off, stride);
+        value += 0.5 * off[k] * moved;
+        slope[k] += moved;
     }
+    for (long k = 0; k < (long)stride * stride; k++) total[k] += profile->known[k];
     problem.inertias = at->inertias;
     problem.rest = at->rest;
     problem.gradient = at->gradient;
@@ -343,37 +341,79 @@ INLINE void less(double *restrict onto, const double *restrict taken, double tim
     for (int k = 0; k < count; k++) onto[k] -= times * taken[k];
 }
 
-/* x of U^T x = x, for the upper triangle of U (size, size). */
-INLINE void forward(const double *upper, int size, double *x) {
-    for (int k = 0; k < size; k++) {
-        const double *row = upper + (long)k * size;
+enum { TOGETHER = 4 }; /* rows that are eliminated at once */
+
+/* The lower triangle L (size, size) with L^T L = `matrix`, in its place; 0 where that is not positive definite.
+ *
+ * From the last row to the first: coefficients come after the links, and links after those that carry them, so that a
+ * row is left with what has channels in common with it, and what is zero stays zero. */
+INLINE int factored(double *matrix, int size) {
+    for (int end = size; end > 0; end -= TOGETHER) {
+        const int begin = end > TOGETHER ? end - TOGETHER : 0;
+        const double *rows[TOGETHER] = {matrix};
+        int first = begin;
+        for (int k = end - 1; k >= begin; k--) {
+            double *row = matrix + (long)k * size;
+            if (!(row[k] > 0.0)) return 0;
+            const double inverse = 1.0 / sqrt(row[k]);
+            for (int j = 0; j <= k; j++) row[j] *= inverse;
+            for (int i = begin; i < k; i++) less(matrix + (long)i * size, row, row[i], i + 1);
+            for (int j = 0; j < first; j++)
+                if (row[j] != 0.0) first = j;
+            rows[end - 1 - k] = row;
+        }
+        for (int k = end - begin; k < TOGETHER; k++) rows[k] = rows[0];
+        for (int i = first; i < begin; i++) {
+            const double p = rows[0][i], q = rows[1][i], r = rows[2][i], s = rows[3][i];
+            if (p == 0.0 && q == 0.0 && r == 0.0 && s == 0.0) continue;
+            double *restrict onto = matrix + (long)i * size;
+            for (int j = first; j <= i; j++)
+                onto[j] -= p * rows[0][j] + q * rows[1][j] + r * rows[2][j] + s * rows[3][j];
+        }
+    }
+    return 1;
+}
+
+/* x of L^T x = x, for a lower triangle L (size, size), where no x from `count` on is other than zero. */
+INLINE void backward(const double *lower, int size, int count, double *x) {
+    for (int k = count - 1; k >= 0; k--) {
+        if (x[k] == 0.0) continue;
+        const double *row = lower + (long)k * size;
         x[k] /= row[k];
-        less(x + k + 1, row + k + 1, x[k], size - k - 1);
+        less(x, row, x[k], k);
     }
 }
 
 /* x = -(H + damping 1)^-1 g by Cholesky's decomposition, and x (H + damping 1)^-1 x; 0 where that is not positive
- * definite. `upper` (size, size) and `room` (size,) are overwritten. */
+ * definite. `lower` (size, size) and `room` (size,) are overwritten. */
 FOR_EACH_PROCESSOR static int damped(
-    const State *at, int size, double damping, double *upper, double *room, double *x, double *bend) {
-    memcpy(upper, at->hessian, sizeof(double) * size * size);
-    for (int k = 0; k < size; k++) upper[(long)k * size + k] += damping;
+    const double *hessian, const double *gradient, int size, double damping, double *lower, double *room, double *x,
+    double *bend) {
+    memcpy(lower, hessian, sizeof(double) * size * size);
+    for (int k = 0; k < size; k++) lower[(long)k * size + k] += damping;
+    if (!factored(lower, size)) return 0;
+    for (int k = 0; k < size; k++) x[k] = -gradient[k];
+    backward(lower, size, size, x);
     for (int k = 0; k < size; k++) {
-        double *row = upper + (long)k * size;
-        if (!(row[k] > 0.0)) return 0;
-        const double inverse = 1.0 / sqrt(row[k]);
-        for (int j = k; j < size; j++) row[j] *= inverse;
-        for (int i = k + 1; i < size; i++) less(upper + (long)i * size + i, row + i, row[i], size - i);
-    }
-    for (int k = 0; k < size; k++) x[k] = -at->gradient[k];
-    forward(upper, size, x);
-    for (int k = size - 1; k >= 0; k--) {
-        const double *row = upper + (long)k * size;
-        x[k] = (x[k] - dot(row + k + 1, x + k + 1, size - k - 1)) / row[k];
+        const double *row = lower + (long)k * size;
+        x[k] = (x[k] - dot(row, x, k)) / row[k];
     }
     memcpy(room, x, sizeof(double) * size);
-    forward(upper, size, room);
+    backward(lower, size, size, room);
     *bend = dot(room, room, size);
+    return 1;
+}
+
+/* The first elements, so many, of the diagonal of the inverse of `lower` (size, size), which is overwritten; 0 where
+ * that is not positive definite. */
+FOR_EACH_PROCESSOR static int variances(double *lower, int size, int count, double *x, double *result) {
+    if (!factored(lower, size)) return 0;
+    for (int k = 0; k < count; k++) {
+        memset(x, 0, sizeof(double) * (k + 1));
+        x[k] = 1.0;
+        backward(lower, size, k + 1, x);
+        result[k] = dot(x, x, k + 1);
+    }
     return 1;
 }
 
@@ -385,7 +425,7 @@ static double minimiser(const State *at, int size, double radius, double *factor
     const double smallest = 1e-13 * (largest > steepest ? largest : steepest);
     double low = 0.0, high = INFINITY, damping = 0.0, found = -1.0, bend;
     while (found < 0.0 || high - (low > smallest ? low : smallest) > close * high) {
-        const int definite = damped(at, size, damping, factor, room, x, &bend);
+        const int definite = damped(at->hessian, at->gradient, size, damping, factor, room, x, &bend);
         const double length = definite ? sqrt(dot(x, x, size)) : INFINITY;
         if (length <= radius) {
             high = damping;
@@ -514,6 +554,32 @@ PyObject *native_weigh(PyObject *module, PyObject *arguments) {
     Py_RETURN_NONE;
 }
 
+PyObject *native_damped(PyObject *module, PyObject *arguments) {
+    Py_buffer hessian, gradient, step;
+    double damping, bend = 0.0;
+    (void)module;
+    if (!PyArg_ParseTuple(arguments, "y*y*dw*", &hessian, &gradient, &damping, &step)) return NULL;
+    const int size = (int)(step.len / sizeof(double));
+    double *room = PyMem_Malloc(hessian.len + step.len);
+    const int failed = room == NULL;
+    if (room && !damped(hessian.buf, gradient.buf, size, damping, room, room + (long)size * size, step.buf, &bend)) bend = -1.0;
+    PyMem_Free(room);
+    release(3, (Py_buffer *[]){&hessian, &gradient, &step});
+    return failed ? PyErr_NoMemory() : PyFloat_FromDouble(bend);
+}
+
+PyObject *native_variances(PyObject *module, PyObject *arguments) {
+    Py_buffer matrix, result;
+    (void)module;
+    if (!PyArg_ParseTuple(arguments, "w*w*", &matrix, &result)) return NULL;
+    const int count = (int)(result.len / sizeof(double)), size = (int)sqrt(matrix.len / sizeof(double) + 0.5);
+    double *room = PyMem_Malloc(sizeof(double) * (size + 1));
+    const int failed = room == NULL, definite = room && variances(matrix.buf, size, count, room, result.buf);
+    PyMem_Free(room);
+    release(2, (Py_buffer *[]){&matrix, &result});
+    return failed ? PyErr_NoMemory() : PyBool_FromLong(definite);
+}
+
 PyObject *native_descend(PyObject *module, PyObject *arguments) {
     Py_buffer basis, priors, prior_rest, scales, weights, products, places, runs, ends, counts, least, known, limits;
     Py_buffer inertias, rest, gradient, information, hessian, values;
@@ -535,7 +601,6 @@ PyObject *native_descend(PyObject *module, PyObject *arguments) {
              .scales = scales.buf,
              .weights = weights.buf},
         .channels = channels,
-        .knows = known.len > 0,
         .products = products.buf,
         .counts = counts.buf,
         .least = least.buf,
