@@ -48,12 +48,12 @@ def changes(subject: Subject) -> Iterator[Candidate]:
     yield from switches(subject)
     fit = subject.flexible
     for kind in _kinds(subject):
-        always = kind.columns(subject)
-        tried = [fit.promise(_later(subject, place, kind.first) * always) for place in _PLACES]
-        place, promise = float(_PLACES[int(np.argmax(tried))]), max(tried)
+        always, begins = kind.columns(subject), np.searchsorted(subject.shares, _PLACES)
+        tried = fit.promises(always, begins, before=kind.first)
+        place, promise = float(_PLACES[int(np.argmax(tried))]), float(np.max(tried))
         when = f"{'until' if kind.first else 'from'} about {elapsed(subject.samples.stamps, place):.0f} s"
         when += "" if kind.first else " on"
-        if kind.grows and (growing := fit.promise(_share(subject) * always)) > promise:
+        if kind.grows and (growing := float(fit.promises(_share(subject) * always)[0])) > promise:
             place, when, promise = np.nan, BIT_BY_BIT, growing
         if promise <= 0.0:
             continue
@@ -269,7 +269,7 @@ def _late(subject: Subject, main: list[int], lags: FloatArray, columns: Columns)
 
 def _rates(subject: Subject) -> FloatArray:
     """By how much the efforts of the fitted links change in a usual lag ``(N, C, 1)``."""
-    links = subject.prior + subject.factor @ (subject.basis @ subject.flexible.links)
+    links = subject.linked(subject.flexible.links)
     times = (subject.later.stamps - subject.samples.stamps) * 1e-9
     change = subject.with_samples(subject.later).regressor @ links - subject.flexible.rigid
     rates = np.divide(change, times[:, None], out=np.zeros_like(change), where=times[:, None] > 0.0)

@@ -6,13 +6,15 @@ Curves are what springs, cables and frictions of other laws add: what they expla
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
-from geomid_ros.checks.evidence import SPREAD, Evidence, evidence
+from geomid_ros.checks.evidence import SPREAD, Evidence, evidence, products_of, rows_by_channel
 from geomid_ros.estimation.tolerances import ROUNDING
+from geomid_ros.geometry import definite
 from geomid_ros.model.samples import STILL
-from geomid_ros.types import BoolArray, FloatArray
+from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _SLOW = 0.05  # of a joint's largest speed: below it stiction holds whatever it likes
 
@@ -61,70 +63,87 @@ class FlexibleFit:
             tolerated: ``(C, 4)`` standard deviations of friction's coefficients.
             position, velocity: ``(N, C)`` of the joints.
         """
-        self.measured, self._predicted, self._tolerated = measured, predicted, tolerated
+        self.measured, self._predicted, self._links = measured, predicted, links
         self.spread = np.std(measured, axis=0)
-        self._rank = links.shape[2]
         self._moving = moving(velocity).astype(np.float64)
-        self._counts = np.maximum(np.sum(self._moving, axis=0), 1.0)
-        self.instants = float(np.mean(self._counts))
+        self.instants = float(np.mean(np.maximum(np.sum(self._moving, axis=0), 1.0)))
         """How many instants there are, on average over channels."""
-        curves = by_channel(_curves(position, friction, predicted) * self.spread[:, None])
-        self._columns = np.concatenate([links, curves], axis=2)
-        self._friction = friction
-        self.nominal = self._evidence(self._columns)
+        self._own = np.concatenate([_curves(position, friction, predicted), friction], axis=2)
+        self._tolerated = np.ones(self._own.shape[1:])
+        self._tolerated[:, -tolerated.shape[1] :] = tolerated
+        self.nominal = self._evidence(links)
         """The evidence of nothing else."""
-        self.links = self.nominal.links[: self._rank]
+        self.links = self.nominal.links
         """The links' errors ``(r,)`` that are found."""
         self.rigid = self._rigid(self.links)
         """What the fitted links take ``(N, C)``."""
-        self._weights = self._moving / (self.spread * self.nominal.sigmas)
         self._screen()
 
-    def promise(self, columns: FloatArray) -> float:
+    def promises(self, columns: FloatArray, begins: IntArray | None = None, *, before: bool = False) -> FloatArray:
         """About the least that :meth:`gain` finds, at the noise that is left without the columns [nats per instant].
 
         Args:
             columns: ``(N, C, k)`` in units of the efforts, per standard deviation of their coefficients.
+            begins: ``(n,)`` increasing places of instants; the columns are zero before each, or from it on if
+                ``before``. From the first instant on unless given.
+
+        Returns:
+            Of each place ``(n,)``.
         """
-        rows = (columns * self._weights[:, :, None]).reshape(-1, columns.shape[2])
-        coupling = self._known.T @ rows
-        sizes, axes = np.linalg.eigh(rows.T @ rows - coupling.T @ coupling)
+        ends = np.append(0 if begins is None else begins, len(columns))
+        if before:
+            ends = np.append(0, ends[:-1])
+        parts = np.array([self._crossed(columns, slice(*part)) for part in pairwise(ends)])
+        sums = np.cumsum(parts, axis=0) if before else np.cumsum(parts[::-1], axis=0)[::-1]
+        return np.array([self._promise(each) for each in sums])
+
+    def _crossed(self, columns: FloatArray, part: slice) -> FloatArray:
+        """Products of the known columns, the columns and the target, by columns ``(K + k + 1, k)`` over some instants,
+        all in units of the noise."""
+        count, size = columns.shape[2], len(self._whitener)
+        found = np.zeros((size + count + 1, count))
+        for channel, (places, known) in enumerate(self._known):
+            felt = np.flatnonzero(np.any(columns[part, channel], axis=0))
+            rows = self._weights[part, channel, None] * columns[part, channel, felt]
+            at = np.concatenate([places[:-1], size + felt, [size + count]])
+            found[at[:, None], felt] += np.column_stack([known[part, :-1], rows, known[part, -1]]).T @ rows
+        return found
+
+    def _promise(self, crossed: FloatArray) -> float:
+        known, own, pull = np.split(crossed, [len(self._whitener), len(crossed) - 1])
+        coupling = self._whitener @ known
+        sizes, axes = np.linalg.eigh(own - coupling.T @ coupling)
         precisions = 1.0 + np.maximum(sizes, 0.0)  # of efforts next to nothing rounding leaves sizes below zero
-        pull = rows.T @ self._left
-        quadratic = float(np.sum((axes.T @ pull) ** 2 / precisions))
+        quadratic = float(np.sum((axes.T @ (pull[0] - self._explained @ coupling)) ** 2 / precisions))
         return 0.5 * (quadratic - float(np.sum(np.log(precisions)))) / self.instants
 
     def gain(self, columns: FloatArray) -> Gain:
-        """What columns explain, as :meth:`promise` takes them."""
-        found = self._evidence(np.concatenate([self._columns, columns], axis=2))
+        """What columns explain, as :meth:`promises` takes them."""
+        found, rank = self._evidence(np.concatenate([self._links, columns], axis=2)), self._links.shape[2]
         return Gain(
             per_instant=(found.log - self.nominal.log) / self.instants,
             ratios=found.sigmas / self.nominal.sigmas,
-            coefficients=found.links[self._columns.shape[2] :],
-            deviations=found.deviations()[self._columns.shape[2] :],
-            rigid=self._rigid(found.links[: self._rank]),
+            coefficients=found.links[rank:],
+            deviations=found.deviations()[rank:],
+            rigid=self._rigid(found.links[:rank]),
         )
 
     def _rigid(self, links: FloatArray) -> FloatArray:
-        return np.asarray(self._predicted + self._columns[:, :, : self._rank] @ links)
+        return np.asarray(self._predicted + self._links @ links)
 
-    def _evidence(self, columns: FloatArray) -> Evidence:
-        """The evidence of columns ``(N, C, k)`` whose coefficients have unit variance, and friction."""
+    def _evidence(self, links: FloatArray) -> Evidence:
+        """The evidence of columns ``(N, C, r)`` whose coefficients have unit variance, curves and friction."""
         target = (self.measured - self._predicted) / self.spread
-        scaled = columns / self.spread[:, None]
-        return evidence(target, scaled, self._friction, self._tolerated, counted=self._moving)
+        return evidence(target, links / self.spread[:, None], self._own, self._tolerated, counted=self._moving)
 
     def _screen(self) -> None:
-        """Linearise at what was found, with the friction that may have either sign: the constants alone are."""
-        offsets = by_channel(np.broadcast_to(self.spread[None, :, None], (*self.measured.shape, 1)))
-        friction = by_channel(self._friction[:, :, 1:] * (self._tolerated[:, 1:] * self.spread[:, None]))
-        known = np.concatenate([self._columns, offsets, friction], axis=2)
-        known = (known * self._weights[:, :, None]).reshape(-1, known.shape[2])
-        # By QR, not from products of the columns, which rounding may leave indefinite: efforts may be next to nothing.
-        basis, _ = np.linalg.qr(np.concatenate([np.eye(known.shape[1]), known]))
-        self._known = basis[known.shape[1] :]
-        target = ((self.measured - self._predicted) * self._weights).ravel()
-        self._left = target - self._known @ (self._known.T @ target)
+        """Linearise at what was found, with the friction that may have either sign."""
+        self._weights = self._moving / (self.spread * self.nominal.sigmas)
+        scaled = self._own * self._tolerated * self.spread[:, None]
+        self._known = rows_by_channel(self.measured - self._predicted, self._links, scaled, self._weights)
+        products = products_of(self._known).weighed(np.ones(len(self._known)))
+        self._whitener = definite.whitener(products[:-1, :-1] + np.eye(len(products) - 1))
+        self._explained = self._whitener @ products[:-1, -1]
 
 
 def moving(velocity: FloatArray) -> BoolArray:

@@ -8,10 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.checks.evidence import FOLLOWS, HALF, LEAST_SIGMA, Evidence, evidence, prior_factor
+from geomid_ros.checks.evidence import FOLLOWS, HALF, LEAST_SIGMA, Evidence, by_unit_errors, evidence, prior_factor
 from geomid_ros.checks.flexible import FlexibleFit
 from geomid_ros.checks.instants import FEWEST, Kept
-from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import SIGN, STILL, Samples
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
@@ -19,7 +18,7 @@ from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 STRETCHES = 20
 """Of a recording: something may begin with each, and they are alternately in one part and in the other."""
 _OF_MOTION = (
-    "regressor", "predicted", "friction", "basis", "columns", "tolerated", "gravity_rows", "_bases",
+    "regressor", "predicted", "friction", "columns", "tolerated", "gravity_rows", "_bases",
 )  # fmt: skip
 
 
@@ -33,7 +32,7 @@ class Subject:
         joints: ``(C,)`` their places among the robot's.
         gains: ``(C,)`` factors that the messages' efforts were multiplied by.
         prior: ``(D,)`` the URDF's parameters.
-        factor: ``(D, D)`` of the covariance of their errors.
+        factor: ``(bodies, 10, 10)`` of the covariance of their errors.
         shares: ``(N,)`` how much of the recording comes before each instant, 0 to 1.
         recordings: ``(N,)`` the number of the recording that each instant is of.
         later: what was next after each of them.
@@ -195,16 +194,9 @@ class Subject:
         return np.stack(columns, axis=2)[:, self.joints]
 
     @cached_property
-    def basis(self) -> FloatArray:
-        """Directions ``(D, r)`` of the links' errors that the motion shows, in units of their covariance's factor."""
-        scaled = (self.regressor @ self.factor) / np.maximum(self.spread, np.finfo(float).tiny)[None, :, None]
-        values, vectors = np.linalg.eigh(np.tensordot(scaled, scaled, ((0, 1), (0, 1))))
-        return np.asarray(vectors[:, values > ROUNDING * values[-1]])
-
-    @cached_property
     def columns(self) -> FloatArray:
-        """What the links' errors, of unit variance, add to the efforts ``(N, C, r)``."""
-        return np.asarray(self.regressor @ (self.factor @ self.basis))
+        """What the links' errors, of unit variance, add to the efforts ``(N, C, D)``."""
+        return by_unit_errors(self.regressor, self.factor)
 
     @cached_property
     def tolerated(self) -> FloatArray:
@@ -263,8 +255,11 @@ class Subject:
 
     def links(self, found: Evidence) -> FloatArray:
         """The links' parameters ``(D,)`` that an evidence finds."""
-        rank = self.basis.shape[1]
-        return np.asarray(self.prior + self.factor @ (self.basis @ found.links[:rank]))
+        return self.linked(found.links[: len(self.prior)])
+
+    def linked(self, errors: FloatArray) -> FloatArray:
+        """The links' parameters ``(D,)`` at errors ``(D,)`` of unit variance."""
+        return self.prior + (self.factor @ errors.reshape(-1, 10, 1)).ravel()
 
     def explained(self, found: Evidence) -> FloatArray:
         """What efforts are explained by ``(N, C)``, friction included."""

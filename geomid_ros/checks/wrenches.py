@@ -15,7 +15,7 @@ import numpy as np
 
 from geomid_ros.checks.candidates import PROBABLE, REASON, TILT, probabilities
 from geomid_ros.checks.causes import Cause, Finding, written
-from geomid_ros.checks.evidence import FOLLOWS, evidence, prior_factor
+from geomid_ros.checks.evidence import FOLLOWS, by_unit_errors, evidence, prior_factor
 from geomid_ros.checks.instants import FEWEST, STEP
 from geomid_ros.model.channels import AXES, WrenchSensor
 from geomid_ros.model.measurement import MeasurementModel, Rows
@@ -140,7 +140,8 @@ class WrenchSensorCheck:
         heavier = max(float(np.sqrt(np.sum(wrench[:, :3] ** 2) / square)), 1.0)
         # Of a channel's three axes each is an instant.
         target = wrench.reshape(-1, 2, 3).swapaxes(1, 2).reshape(-1, 2)
-        by_axis = (regressor @ (heavier * self._factor)).reshape(len(wrench), 2, 3, -1).swapaxes(1, 2)
+        by_errors = by_unit_errors(regressor, heavier * self._factor)
+        by_axis = by_errors.reshape(len(wrench), 2, 3, -1).swapaxes(1, 2)
         columns = by_axis.reshape(len(target), 2, -1)
         sizes = np.maximum(np.sqrt(np.mean(target**2, axis=0)), _FLOOR)
         none = np.zeros((len(target), 2, 4))

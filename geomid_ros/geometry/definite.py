@@ -24,6 +24,8 @@ def _lapack() -> ModuleType:
 
 def solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """The x with ``matrix (n, n) x = right (n,)``. Raises LinAlgError for a matrix that is not positive definite."""
+    if compiled.native is not None and right.ndim == 1:
+        return damped_step(matrix, -right, 0.0)[0]
     _, x, failed = _lapack().dposv(matrix, right, lower=1)
     if failed:
         raise LinAlgError("not positive definite")
