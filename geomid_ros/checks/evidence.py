@@ -42,7 +42,8 @@ class Evidence:
         sigmas: ``(C,)`` of what is left, in standard deviations of the measured channels.
         links: ``(r,)`` the links' errors.
         friction: ``(C, 4)`` its coefficients, in standard deviations of the measured channels.
-        precision: of the links' errors, and after these of the channels' own coefficients that are not held at zero.
+        precision: ``(r + C k, r + C k)`` of the links' errors and the channels' own coefficients; 1 of those that are
+            held at zero.
     """
 
     log: float
@@ -127,13 +128,13 @@ def products_of(rows: Sequence[tuple[IntArray, FloatArray]]) -> ChannelProducts:
 def _solved(
     matrix: FloatArray, right: FloatArray, bounded: BoolArray, held: BoolArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """The most probable unknowns ``(r + C k,)``, the precision of those that are free, and which are held at zero."""
+    """The most probable unknowns ``(r + C k,)``, the precision of those that are free, 1 of others, and which are held
+    at zero."""
     for _ in range(4):
-        before = held
-        free = np.flatnonzero(~held)
-        among = matrix[free[:, None], free]
-        mean = np.zeros(len(right))
-        mean[free] = definite.solved_anyway(among, right[free])
+        before, among = held, matrix.copy()
+        among[held] = among[:, held] = 0.0
+        among[held, held] = 1.0
+        mean = definite.solved_anyway(among, np.where(held, 0.0, right))
         pull = right - matrix @ mean  # of what is held: positive if it would become so
         changed = np.where(held, pull <= 0.0, mean < 0.0) & bounded
         if np.array_equal(changed, held):

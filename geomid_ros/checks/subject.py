@@ -18,7 +18,7 @@ from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 STRETCHES = 20
 """Of a recording: something may begin with each, and they are alternately in one part and in the other."""
 _OF_MOTION = (
-    "regressor", "predicted", "friction", "columns", "tolerated", "gravity_rows", "_bases",
+    "regressor", "predicted", "friction", "columns", "tolerated", "_bases",
 )  # fmt: skip
 
 
@@ -126,10 +126,7 @@ class Subject:
 
     def under(self, gravity: FloatArray) -> Subject:
         """The same under another ``gravity (3,)`` in the base frame [m/s^2]."""
-        still, by_gravity = self.gravity_rows
-        other = replace(self, robot=self.robot.with_gravity(gravity))
-        other.__dict__["regressor"] = still + np.tensordot(gravity, by_gravity, 1)
-        return other
+        return replace(self, robot=self.robot.with_gravity(gravity))
 
     @property
     def names(self) -> list[str]:
@@ -160,18 +157,10 @@ class Subject:
     @cached_property
     def regressor(self) -> FloatArray:
         """Rows ``(N, C, D)`` of the efforts over the links' parameters."""
-        return self._rows(self.robot, *self.robot.configuration(self.samples))
+        return self._rows(self.robot.gravity, *self.robot.configuration(self.samples))
 
-    @cached_property
-    def gravity_rows(self) -> tuple[FloatArray, FloatArray]:
-        """Those without gravity ``(N, C, D)``, and per unit of gravity along each axis ``(3, N, C, D)``."""
-        positions, *motion = self.robot.configuration(self.samples)
-        at_rest = [np.zeros_like(rates) for rates in motion]
-        by_gravity = [self._rows(self.robot.with_gravity(axis), positions, *at_rest) for axis in np.eye(3)]
-        return self._rows(self.robot.with_gravity(np.zeros(3)), positions, *motion), np.array(by_gravity)
-
-    def _rows(self, robot: Robot, *motion: FloatArray) -> FloatArray:
-        rows = robot.joint_effort_rows(*motion)[:, self.joints]
+    def _rows(self, gravity: FloatArray, *motion: FloatArray) -> FloatArray:
+        rows = self.robot.with_gravity(gravity).joint_effort_rows(*motion)[:, self.joints]
         return rows.reshape(len(self.samples), len(self.joints), len(self.prior))
 
     @cached_property
@@ -180,10 +169,10 @@ class Subject:
         motion = self.robot.configuration(self.samples)
         return self.robot.joint_efforts(*motion, self.prior.reshape(-1, 10))[:, self.joints]
 
-    @cached_property
+    @property
     def weight(self) -> FloatArray:
         """Efforts of their weights alone ``(N, C)``."""
-        return np.asarray(self.predicted - self.gravity_rows[0] @ self.prior)
+        return np.asarray(self.predicted - self.under(np.zeros(3)).predicted)
 
     @cached_property
     def friction(self) -> FloatArray:
@@ -268,9 +257,11 @@ class Subject:
 
     def fitted_gravity(self, parameters: FloatArray) -> FloatArray:
         """The gravity ``(3,)`` [m/s^2] under which links with these parameters ``(D,)`` explain efforts best."""
-        still, by_gravity = self.gravity_rows
-        left = (self.measured - still @ parameters) / self.spread
-        both = np.concatenate([(by_gravity @ parameters) / self.spread, left[None]]).transpose(2, 1, 0)
+        positions, *motion = self.robot.configuration(self.samples)
+        at_rest = [np.zeros_like(rates) for rates in motion]
+        by_gravity = [self._rows(axis, positions, *at_rest) @ parameters for axis in np.eye(3)]
+        left = self.measured - self._rows(np.zeros(3), positions, *motion) @ parameters
+        both = (np.array([*by_gravity, left]) / self.spread).transpose(2, 1, 0)
         both = self._beyond_friction(both)
         return np.asarray(np.linalg.lstsq(both[:, :, :3].reshape(-1, 3), both[:, :, 3].ravel(), rcond=1e-6)[0])
 
