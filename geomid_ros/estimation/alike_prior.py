@@ -103,10 +103,9 @@ class AlikePrior(CoupledPrior):
         """Of each link in units of its own error."""
         return held_together(self.parts, self._own(weights), len(self.columns))
 
-    def off(self, name: str, weights: Mapping[str, float], /) -> FloatArray:
-        """Of a link from the mean of those that are alike, which counts them by their weights."""
-        place = self.names.index(name)
-        return np.asarray(from_common(self.parts, self._own(weights), len(self.columns))[place] / OWN_SPREAD)
+    def offs(self, weights: Mapping[str, float], /) -> FloatArray:
+        """Of each link from the mean of those that are alike, which counts them by their weights."""
+        return np.asarray(from_common(self.parts, self._own(weights), len(self.columns)) / OWN_SPREAD)
 
     def _own(self, weights: Mapping[str, float]) -> FloatArray:
         return OWN_SPREAD * np.array([weights[name] for name in self.names]) ** -0.5

@@ -113,6 +113,15 @@ class ChannelProducts:
             total[own[:, None], own] += weight * block
         return total
 
+    def some(self, columns: IntArray, weights: FloatArray) -> FloatArray:
+        """The rows of the weighted sum for some ``columns``, ``(len(columns), size)``."""
+        total = np.zeros((len(columns), self.size))
+        for weight, own, block in zip(weights, self.places, self.blocks, strict=True):
+            places = np.searchsorted(own, columns)
+            found = np.flatnonzero(own[places] == columns)
+            total[found[:, None], own] += weight * block[places[found]]
+        return total
+
     def weighed_by_squares(
         self, vector: FloatArray, counts: FloatArray, least: FloatArray
     ) -> tuple[FloatArray, FloatArray]:

@@ -394,7 +394,7 @@ class _Fit:
     def gains(self, columns: IntArray) -> FloatArray:
         """By how much each of other ``columns`` would improve twice the log likelihood, by the score test; zero for a
         coefficient that would be negative and cannot be."""
-        products = self.rows.products.weighed(self.weights)[columns]
+        products = self.rows.products.some(columns, self.weights)
         values = -products @ self._vector
         gains, able = np.zeros(len(columns)), np.flatnonzero((values >= 0.0) | ~self._positive(columns))
         if len(able):

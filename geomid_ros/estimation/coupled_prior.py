@@ -8,7 +8,7 @@ coordinates that is unlike what the prior says is let go, by the weight that a t
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,8 +56,8 @@ class CoupledPrior(ABC):
         """Degrees of freedom of the t-distribution of each block's distance."""
 
     @abstractmethod
-    def off(self, name: str, weights: Mapping[str, float], /) -> FloatArray:
-        """Rows ``(r, k)`` that take the tangent coordinates to the distance of a block in units of its usual size."""
+    def offs(self, weights: Mapping[str, float], /) -> Iterable[FloatArray]:
+        """Of each block rows ``(r, k)`` that take the tangent coordinates to its distance in usual sizes."""
 
     @abstractmethod
     def unlike(self, weights: Mapping[str, float]) -> Iterator[str]:
@@ -88,8 +88,7 @@ class CoupledPrior(ABC):
         tangent = self.tangent(found.place)
         expected = np.outer(tangent, tangent) + self._covariance(found, tangent)
         weights = {}
-        for name in self.names:
-            off = self.off(name, before)
+        for name, off in zip(self.names, self.offs(before), strict=True):
             square = float(np.sum((off @ expected) * off))
             weights[name] = min(1.0, (self.freedom + len(off)) / (self.freedom + square))
         return weights

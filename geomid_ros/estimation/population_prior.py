@@ -93,13 +93,14 @@ class PopulationPrior(CoupledPrior):
         """Of its robots."""
         return self.population.robots + SHARED
 
-    def off(self, name: str, _: Mapping[str, float], /) -> FloatArray:
+    def offs(self, _: Mapping[str, float], /) -> Iterator[FloatArray]:
         """In units of the population's covariance."""
-        block = self.population.blocks[name]
-        rows = np.zeros((len(block), len(self.columns)))
-        factor = np.linalg.cholesky(self.population.covariance[np.ix_(block, block)])
-        rows[:, block] = np.linalg.inv(factor)
-        return rows
+        for name in self.names:
+            block = self.population.blocks[name]
+            rows = np.zeros((len(block), len(self.columns)))
+            factor = np.linalg.cholesky(self.population.covariance[np.ix_(block, block)])
+            rows[:, block] = np.linalg.inv(factor)
+            yield rows
 
     def unlike(self, weights: Mapping[str, float]) -> Iterator[str]:
         """A sentence for each link or effect that is unlike those of the population."""

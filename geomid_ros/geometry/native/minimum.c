@@ -132,6 +132,14 @@ INLINE void of_lines(const double *x, double result[10][10]) {
         }
 }
 
+/* Whether links have no products: no channel knows both. */
+INLINE int apart(const double *products, long stride) {
+    for (int r = 0; r < 10; r++)
+        for (int c = 0; c < 10; c++)
+            if (products[r * stride + c] != 0.0) return 0;
+    return 1;
+}
+
 typedef struct {
     int links, positives, size;
     const double *basis, *inertias, *priors; /* (10, 10), (links, 4, 4) */
@@ -145,6 +153,7 @@ FOR_EACH_PROCESSOR static double second_order(const Problem *p) {
     const int size = p->size, inertial = 10 * p->links, stride = size + 1;
     double value = 0.0;
     links_terms(p->inertias, p->priors, p->basis, p->links, p->terms);
+    memset(p->information, 0, sizeof(double) * size * size);
     for (int link = 0; link < p->links; link++) {
         const Link *row = p->terms + link;
         for (int a = 0; a < 10; a++) {
@@ -156,12 +165,12 @@ FOR_EACH_PROCESSOR static double second_order(const Problem *p) {
         }
         for (int other = link; other < p->links; other++) {
             const Link *column = p->terms + other;
+            const double *products = p->products + (long)(10 * link) * stride + 10 * other;
             double half[10][10] = {{0.0}}, block[10][10] = {{0.0}};
-            for (int r = 0; r < 10; r++) {
-                const double *products = p->products + (long)(10 * link + r) * stride + 10 * other;
+            if (apart(products, stride)) continue;
+            for (int r = 0; r < 10; r++, products += stride)
                 for (int k = 0; k < 10; k++)
                     for (int c = 0; c < 10; c++) half[r][c] += products[k] * column->jacobian[k][c];
-            }
             for (int k = 0; k < 10; k++)
                 for (int r = 0; r < 10; r++)
                     for (int c = 0; c < 10; c++) block[r][c] += row->jacobian[k][r] * half[k][c];
@@ -183,8 +192,11 @@ FOR_EACH_PROCESSOR static double second_order(const Problem *p) {
         const double *products = p->products + (long)k * stride;
         for (int link = 0; link < p->links; link++) {
             double row[10] = {0.0};
-            for (int r = 0; r < 10; r++)
-                for (int c = 0; c < 10; c++) row[c] += products[10 * link + r] * p->terms[link].jacobian[r][c];
+            for (int r = 0; r < 10; r++) {
+                const double product = products[10 * link + r];
+                if (product == 0.0) continue;
+                for (int c = 0; c < 10; c++) row[c] += product * p->terms[link].jacobian[r][c];
+            }
             for (int c = 0; c < 10; c++) {
                 p->information[(long)k * size + 10 * link + c] = length * row[c];
                 p->information[(long)(10 * link + c) * size + k] = length * row[c];
