@@ -96,7 +96,7 @@ def evidence(
             break
     weighted = float(np.sum(squares / sigmas**2) + precision @ mean**2)
     noise = float(counts @ np.log(2.0 * np.pi * sigmas**2))
-    log_determinant = float(np.linalg.slogdet(posterior)[1] - np.sum(np.log(precision[~held])))
+    log_determinant = definite.log_determinant(posterior) - float(np.sum(np.log(precision[~held])))
     return Evidence(
         log=-0.5 * (weighted + noise + log_determinant),
         sigmas=sigmas,

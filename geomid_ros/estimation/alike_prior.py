@@ -30,30 +30,30 @@ def common_spreads(parts: Sequence[AlikeParts], usual: FloatArray) -> FloatArray
     return spreads
 
 
-def from_common(parts: Sequence[AlikeParts], own: FloatArray, size: int) -> FloatArray:
-    """Rows ``(n, 10, size)`` that take the tangent coordinates of all links to how far the n links that are alike are
-    from what they have in common: the mean, weighted by the ``own (n,)`` spreads."""
-    found, first = [], 0
+def from_common(parts: Sequence[AlikeParts], own: FloatArray, values: FloatArray) -> FloatArray:
+    """How far the n links that are alike are from what they have in common, by ``values (10 links, k)`` of the tangent
+    coordinates of all links, ``(n, 10, k)``: from the mean, weighted by the ``own (n,)`` spreads."""
+    found, first = [np.zeros((0, SIZE, values.shape[1]))], 0
     for group in parts:
-        every = np.zeros((len(group.members), SIZE, size))
-        for rows, member, signs in zip(every, group.members, group.signs, strict=True):
-            rows[:, SIZE * member : SIZE * (member + 1)] = np.diag(signs)
-        precisions = own[first : first + len(every)] ** -2.0
-        found.append(every - np.tensordot(precisions / np.sum(precisions), every, 1))
-        first += len(every)
-    return np.concatenate(found) if found else np.zeros((0, SIZE, size))
+        members = np.array(group.members)[:, None] * SIZE + np.arange(SIZE)
+        mirrored = np.array(group.signs)[:, :, None] * values[members]
+        precisions = own[first : first + len(members)] ** -2.0
+        found.append(mirrored - np.tensordot(precisions / np.sum(precisions), mirrored, 1))
+        first += len(members)
+    return np.concatenate(found)
 
 
 def held_together(parts: Sequence[AlikeParts], own: FloatArray, size: int) -> FloatArray:
-    """The same ``(10 n, size)`` in units of the own spreads: the rows of the prior."""
-    return np.asarray((from_common(parts, own, size) / own[:, None, None]).reshape(-1, size))
+    """Rows ``(10 n, size)`` of the prior: the same of the tangent coordinates, in units of the own spreads."""
+    return np.asarray((from_common(parts, own, np.eye(size)) / own[:, None, None]).reshape(-1, size))
 
 
-def likely_own(parts: Sequence[AlikeParts], own: FloatArray, tangent: FloatArray, whitener: FloatArray) -> FloatArray:
+def likely_own(parts: Sequence[AlikeParts], own: FloatArray, tangent: FloatArray, root: FloatArray) -> FloatArray:
     """The likely own spreads ``(n,)`` at the ``tangent (k,)`` coordinates of all links, from those before, with
-    the ``whitener (r, k)`` of their covariance."""
-    rows = from_common(parts, own, len(tangent)).reshape(-1, len(tangent))
-    return likely_spreads(rows @ tangent, np.sum((whitener @ rows.T) ** 2, axis=0), np.full(len(own), OWN_SPREAD))
+    a ``root (k, r)`` of their covariance."""
+    off = from_common(parts, own, tangent[:, None]).ravel()
+    unsure = np.sum(from_common(parts, own, root) ** 2, axis=2).ravel()
+    return likely_spreads(off, unsure, np.full(len(own), OWN_SPREAD))
 
 
 def cost_of_own(parts: Sequence[AlikeParts], own: FloatArray) -> float:
@@ -105,7 +105,7 @@ class AlikePrior(CoupledPrior):
 
     def offs(self, weights: Mapping[str, float], /) -> FloatArray:
         """Of each link from the mean of those that are alike, which counts them by their weights."""
-        return np.asarray(from_common(self.parts, self._own(weights), len(self.columns)) / OWN_SPREAD)
+        return np.asarray(from_common(self.parts, self._own(weights), np.eye(len(self.columns))) / OWN_SPREAD)
 
     def _own(self, weights: Mapping[str, float]) -> FloatArray:
         return OWN_SPREAD * np.array([weights[name] for name in self.names]) ** -0.5

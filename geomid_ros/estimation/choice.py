@@ -322,10 +322,10 @@ class _Fit:
     def score(self) -> float:
         """Minus twice the logarithm of the marginal likelihood."""
         links = self.fit.objective.manifold.inertial
-        _, volume = np.linalg.slogdet(self.fit.hessian[links, links])
+        volume = definite.log_determinant(self.fit.hessian[links, links])
         spreads = self.fit.scales
         width = 20.0 * float(np.sum(np.log(spreads))) + cost_of_spreads(spreads, self.rows.problem.usual)
-        return 2.0 * self.fit.evaluation.value + float(volume) + width
+        return 2.0 * self.fit.evaluation.value + volume + width
 
     @cached_property
     def weights(self) -> FloatArray:

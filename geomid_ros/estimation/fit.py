@@ -102,10 +102,10 @@ class Fit:
         """Minus twice the logarithm of the marginal likelihood in Laplace's approximation, up to what is the same for
         all fits of a problem. There are several minima: a link that takes over what an effect does leaves its prior."""
         problem = self.problem
-        _, volume = np.linalg.slogdet(self.information)
+        volume = definite.log_determinant(self.information)
         likelihood = 2.0 * problem.independent * (self._evaluation.value + float(problem.counts @ np.log(self.sigmas)))
         widths = float(np.sum(np.log(problem.independent * self._rough.prior_weights)))
-        return likelihood + float(volume) - widths + cost_of_spreads(self.spreads, problem.usual)
+        return likelihood + volume - widths + cost_of_spreads(self.spreads, problem.usual)
 
 
 def fit(

@@ -13,7 +13,7 @@ from geomid_ros.estimation.channel_products import ChannelProducts
 from geomid_ros.estimation.objective import Evaluation, with_prior
 from geomid_ros.estimation.solvers import ENDS, GRADIENT, Solution, trust_region
 from geomid_ros.estimation.tolerances import ROUNDS
-from geomid_ros.geometry import compiled
+from geomid_ros.geometry import compiled, definite
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.geometry.pseudo_inertia import COEFFICIENTS_TO_COORDINATES
 from geomid_ros.types import FloatArray
@@ -118,8 +118,8 @@ class ProfileFit:
     @cached_property
     def score(self) -> float:
         """Minus twice the logarithm of the marginal likelihood in Laplace's approximation, for these scales."""
-        _, volume = np.linalg.slogdet(self.hessian)
-        return 2.0 * self.evaluation.value + float(volume) - float(np.sum(np.log(self.objective.weights)))
+        volume = definite.log_determinant(self.hessian)
+        return 2.0 * self.evaluation.value + volume - float(np.sum(np.log(self.objective.weights)))
 
 
 def fit_scales(

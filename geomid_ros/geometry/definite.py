@@ -70,12 +70,27 @@ def whitener(matrix: FloatArray) -> FloatArray:
     return np.asarray(_lapack().dtrtri(factor, lower=1)[0])
 
 
+def roots(matrix: FloatArray, count: int) -> FloatArray:
+    """R ``(count, n)`` of which ``R R'`` is the first block of the inverse of ``matrix (n, n)``."""
+    found = np.empty((count, len(matrix)))
+    if compiled.native is not None and compiled.native.roots(matrix.copy(), found)[0]:
+        return found
+    return whitener(matrix)[:, :count].T
+
+
+def log_determinant(matrix: FloatArray) -> float:
+    """The logarithm of the determinant of ``matrix (n, n)``; of its size where rounding leaves it not quite positive
+    definite."""
+    if compiled.native is not None:
+        definite, found = compiled.native.roots(matrix.copy(), np.empty((0, len(matrix))))
+        if definite:
+            return float(found)
+    return float(np.linalg.slogdet(matrix)[1])
+
+
 def variances(matrix: FloatArray, count: int) -> FloatArray:
     """The first elements of the diagonal of the inverse of ``matrix (n, n)``, ``(count,)``."""
-    found = np.empty(count)
-    if compiled.native is not None and compiled.native.variances(matrix.copy(), found):
-        return found
-    return np.asarray(np.sum(whitener(matrix)[:, :count] ** 2, axis=0))
+    return np.asarray(np.sum(roots(matrix, count) ** 2, axis=1))
 
 
 def inverse(matrix: FloatArray) -> FloatArray:

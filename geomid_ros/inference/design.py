@@ -116,6 +116,7 @@ class Design:
     _known_trust: dict[Hypothesis[Any], FloatArray] = field(default_factory=dict, repr=False)
     _known_reach: dict[Hypothesis[Any], list[int]] = field(default_factory=dict, repr=False)
     _products: dict[tuple[int, bytes], Marginal] = field(default_factory=dict, repr=False)
+    _gathered: dict[int, tuple[bytes, FloatArray]] = field(default_factory=dict, repr=False)
 
     @staticmethod
     def of(channels: Sequence[ChannelRows], dimension: int) -> Design:
@@ -126,7 +127,7 @@ class Design:
         """The same beside a remainder of these ``variances``, of each channel's blocks: products of channels that keep
         theirs are taken over."""
         kept = {key: self._products[key] for key in self._keys if key in self._products}
-        return replace(self, variances=tuple(variances), _products=kept)
+        return replace(self, variances=tuple(variances), _products=kept, _gathered={})
 
     @property
     def _keys(self) -> list[tuple[int, bytes]]:
@@ -184,13 +185,19 @@ class Design:
         places = self.places(bodies, terms)
 
         def gathered() -> Iterator[tuple[IntArray, FloatArray]]:
-            for channel, each, taken in zip(self.channels, self._marginalised, places, strict=True):
+            for place, (channel, taken) in enumerate(zip(self.channels, places, strict=True)):
                 there = channel.there[taken]
                 there[-1] = True
-                own = taken[there]
-                yield np.flatnonzero(there), each.products[own[:, None], own]
+                yield np.flatnonzero(there), self._block(place, taken[there])
 
         return ChannelProducts.of(places.shape[1], gathered())
+
+    def _block(self, place: int, own: IntArray) -> FloatArray:
+        """Products of some columns of a channel; those of the last time again, as most fits differ in few channels."""
+        key = own.tobytes()
+        if place not in self._gathered or self._gathered[place][0] != key:
+            self._gathered[place] = key, self._marginalised[place].products[own[:, None], own]
+        return self._gathered[place][1]
 
     def settled(
         self,

@@ -89,7 +89,14 @@ class JointFit(Generic[Chosen, Term]):
     @property
     def covariance(self) -> FloatArray:
         """Of the parameters ``(D, D)``."""
-        return self.jacobian @ self.inverse @ self.jacobian.T
+        blocks, diagonal = self.manifold.jacobian(self.point)
+
+        def moved(matrix: FloatArray) -> FloatArray:
+            links, rest = np.split(matrix, [self.manifold.inertial.stop])
+            by_link = blocks @ links.reshape(len(blocks), 10, -1)
+            return np.concatenate([by_link.reshape(links.shape), diagonal[:, None] * rest])
+
+        return moved(moved(self.inverse).T)
 
     def covariance_of(self, terms: Sequence[Term]) -> FloatArray:
         """Of some coefficients ``(k, k)``."""
@@ -192,6 +199,7 @@ def _free_fit(
     weights[places] = (scales[: len(held)][held] / prior.spreads[held]) ** 2
     rows = priors.known_rows(prior.known, manifold.dimension)
     zero = _zero_rows(driven, manifold, known)
+    said, zeros = rows.T @ rows, zero.T @ zero
     afresh = start is None or set(bodies) != set(start.bodies)
     fixed = spread is not None
     inflation = 1.0 if fixed or start is None else start.inflation
@@ -207,16 +215,14 @@ def _free_fit(
     def objective(wide: FloatArray) -> ProfileObjective:
         links, inflation, apart = np.split(wide, ends)
         trusted = np.append(np.repeat(links, 10) ** -2.0, weights[first:])
-        alike = priors.rows_of_alike(prior.alike, apart, known, manifold.dimension)
-        every = np.concatenate([rows / np.sqrt(inflation), zero, alike])
-        return ProfileObjective(profile, trusted, every.T @ every)
+        held = prior.held_together(apart, manifold.dimension)
+        return ProfileObjective(profile, trusted, said / inflation + zeros + held)
 
     def likely(point: Point, hessian: FloatArray, before: FloatArray) -> FloatArray:
-        whitener = definite.whitener(hessian)
-        tangent, unsure = manifold.log(known, point)[:first], np.sum(whitener[:, :first] ** 2, axis=0)
-        spreads = likely_spreads(tangent, unsure, prior.link_spreads, prior.certainty)
-        apart = likely_own(prior.alike, np.split(before, ends)[2], tangent, whitener[:, :first])
-        return np.concatenate([spreads, [priors.inflation_of(rows, manifold, point, known, whitener)], apart])
+        tangent, root = manifold.log(known, point)[:first], definite.roots(hessian, first)
+        spreads = likely_spreads(tangent, np.sum(root**2, axis=1), prior.link_spreads, prior.certainty)
+        apart = likely_own(prior.alike, np.split(before, ends)[2], tangent, root)
+        return np.concatenate([spreads, [priors.inflation_of(rows, manifold, point, known, root)], apart])
 
     begin = np.concatenate([spreads, [inflation], own_spreads])
     if afresh and bodies:

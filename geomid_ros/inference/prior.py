@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Generic
 
 import numpy as np
 
-from geomid_ros.estimation.alike_prior import common_spreads, held_together
+from geomid_ros.estimation.alike_prior import common_spreads
 from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.geometry import pseudo_inertia
@@ -19,7 +20,7 @@ from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.geometry.symmetric import SIZE
 from geomid_ros.inference.hypothesis import Term
 from geomid_ros.model.alike_parts import OWN_SPREAD, AlikeParts
-from geomid_ros.types import FloatArray
+from geomid_ros.types import FloatArray, IntArray
 
 SPREAD_OF_PAYLOADS = 3.0
 """Of a payload about the usual one, a geodesic distance: next to nothing is known."""
@@ -78,6 +79,31 @@ class Prior(Generic[Term]):
     def own_spreads(self) -> FloatArray:
         """The usual size of the part of their errors that each of the n links has by itself that are alike ``(n,)``."""
         return np.full(sum(len(group.members) for group in self.alike), OWN_SPREAD)
+
+    @cached_property
+    def _alike_pairs(self) -> list[tuple[IntArray, FloatArray]]:
+        """Of each group of links that are alike their places ``(n, 10)`` among the parameters, and the products of
+        these as mirrored tangent coordinates, each link by each ``(n, n, 10, 10)``, linearised at the prior."""
+        manifold, found = StraightManifold(len(self.inertias) // 10, 0, np.ones(0)), []
+        to_tangent = np.linalg.inv(manifold.point(self.inertias).links_jacobian)
+        for group in self.alike:
+            members = np.array(group.members)
+            coordinates = np.array(group.signs)[:, :, None] * to_tangent[members]
+            found.append(
+                (SIZE * members[:, None] + np.arange(SIZE), np.einsum("ika,jkb->ijab", coordinates, coordinates))
+            )
+        return found
+
+    def held_together(self, own: FloatArray, dimension: int) -> FloatArray:
+        """Products ``(D + 1, D + 1)`` of the columns of rows, whose residuals at the prior are zero, that hold links
+        together which are alike, for the ``own (n,)`` spreads."""
+        found, first = np.zeros((dimension + 1, dimension + 1)), 0
+        for places, pairs in self._alike_pairs:
+            precisions = own[first : first + len(places)] ** -2.0
+            weights = np.diag(precisions) - np.outer(precisions, precisions) / np.sum(precisions)
+            found[places[:, None, :, None], places[None, :, None, :]] = weights[:, :, None, None] * pairs
+            first += len(places)
+        return found
 
     def with_changed(self, link: int) -> Prior[Term]:
         """The same of a robot of which a link has been changed since the other recordings: these say of the other links
@@ -153,22 +179,9 @@ def known_rows(known: LinksInformation | None, dimension: int) -> FloatArray:
     return np.column_stack([known.rows, others, known.residuals])
 
 
-def rows_of_alike(alike: Sequence[AlikeParts], own: FloatArray, known: Point, dimension: int) -> FloatArray:
-    """Rows for D parameters, and as the last column their residuals at the prior, zero, that hold links together which
-    are alike, ``(10 n, D + 1)``, for the ``own (n,)`` spreads; linearised at the prior."""
-    rows = np.zeros((SIZE * len(own), dimension + 1))
-    root = held_together(alike, own, SIZE * len(known.pseudo_inertias))
-    for link, jacobian in enumerate(known.links_jacobian if len(own) else ()):
-        places = slice(SIZE * link, SIZE * (link + 1))
-        rows[:, places] = np.linalg.solve(jacobian.T, root[:, places].T).T
-    return rows
-
-
-def inflation_of(
-    rows: FloatArray, manifold: ParameterManifold, point: Point, prior: Point, whitener: FloatArray
-) -> float:
-    """By how much the variances of ``rows (r, D + 1)`` are larger than they say, at least 1, as a fit shows whose
-    Hessian has the ``whitener (D, D)``: their model had errors, too.
+def inflation_of(rows: FloatArray, manifold: ParameterManifold, point: Point, prior: Point, root: FloatArray) -> float:
+    """By how much the variances of ``rows (r, D + 1)`` of the links are larger than they say, at least 1, as a fit
+    shows whose covariance of the links has the ``root (10 links, D)``: their model had errors, too.
 
     MacKay's re-estimate, as of the prior's spread: mean square of the residuals, the fit's uncertainty included.
     """
@@ -176,7 +189,7 @@ def inflation_of(
         return 1.0
     off = rows @ np.append(point.parameters - prior.parameters, 1.0)
     normals = manifold.whiten(point, rows[:, :-1])
-    unsure = float(np.sum((whitener @ normals.T) ** 2))
+    unsure = float(np.sum((normals[:, : len(root)] @ root) ** 2))
     return max(1.0, (float(off @ off) + unsure + _CERTAINTY) / (_telling(rows) + _CERTAINTY))
 
 

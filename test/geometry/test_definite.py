@@ -53,7 +53,11 @@ def test_steps_and_variances_are_those_of_the_dense_inverse(
     assert step == pytest.approx(-inverse @ gradient, rel=1e-9)
     assert bend == pytest.approx(step @ inverse @ step, rel=1e-9)
     count = (size + 1) // 2
-    assert definite.variances(matrix, count) == pytest.approx(np.diag(np.linalg.inv(matrix))[:count], rel=1e-9)
+    covariance = np.linalg.inv(matrix)[:count, :count]
+    root = definite.roots(matrix, count)
+    assert root @ root.T == pytest.approx(covariance, rel=1e-9, abs=1e-12)
+    assert definite.variances(matrix, count) == pytest.approx(np.diag(covariance), rel=1e-9)
+    assert definite.log_determinant(matrix) == pytest.approx(np.linalg.slogdet(matrix)[1], rel=1e-9)
     assert np.array_equal(matrix, given)
     with pytest.raises(np.linalg.LinAlgError):
         definite.damped_step(matrix - 2.0 * np.max(np.diag(matrix)) * np.eye(size), gradient, 0.0)

@@ -416,15 +416,16 @@ FOR_EACH_PROCESSOR static int damped(
     return 1;
 }
 
-/* The first elements, so many, of the diagonal of the inverse of `lower` (size, size), which is overwritten; 0 where
- * that is not positive definite. */
-FOR_EACH_PROCESSOR static int variances(double *lower, int size, int count, double *x, double *result) {
+/* The first rows, so many, of R (count, size) with R R^T the inverse of `lower` (size, size), which is overwritten, and
+ * the logarithm of its determinant; 0 where that is not positive definite. */
+FOR_EACH_PROCESSOR static int roots(double *lower, int size, int count, double *result, double *volume) {
     if (!factored(lower, size)) return 0;
+    *volume = 0.0;
+    for (int k = 0; k < size; k++) *volume += 2.0 * log(lower[(long)k * size + k]);
+    memset(result, 0, sizeof(double) * count * size);
     for (int k = 0; k < count; k++) {
-        memset(x, 0, sizeof(double) * (k + 1));
-        x[k] = 1.0;
-        backward(lower, size, k + 1, x);
-        result[k] = dot(x, x, k + 1);
+        result[(long)k * size + k] = 1.0;
+        backward(lower, size, k + 1, result + (long)k * size);
     }
     return 1;
 }
@@ -580,16 +581,16 @@ PyObject *native_damped(PyObject *module, PyObject *arguments) {
     return failed ? PyErr_NoMemory() : PyFloat_FromDouble(bend);
 }
 
-PyObject *native_variances(PyObject *module, PyObject *arguments) {
+PyObject *native_roots(PyObject *module, PyObject *arguments) {
     Py_buffer matrix, result;
+    double volume = 0.0;
     (void)module;
     if (!PyArg_ParseTuple(arguments, "w*w*", &matrix, &result)) return NULL;
-    const int count = (int)(result.len / sizeof(double)), size = (int)sqrt(matrix.len / sizeof(double) + 0.5);
-    double *room = PyMem_Malloc(sizeof(double) * (size + 1));
-    const int failed = room == NULL, definite = room && variances(matrix.buf, size, count, room, result.buf);
-    PyMem_Free(room);
+    const int size = (int)sqrt(matrix.len / sizeof(double) + 0.5);
+    const int count = size ? (int)(result.len / (sizeof(double) * size)) : 0;
+    const int definite = roots(matrix.buf, size, count, result.buf, &volume);
     release(2, (Py_buffer *[]){&matrix, &result});
-    return failed ? PyErr_NoMemory() : PyBool_FromLong(definite);
+    return Py_BuildValue("id", definite, volume);
 }
 
 PyObject *native_descend(PyObject *module, PyObject *arguments) {

@@ -9,9 +9,9 @@ static PyMethodDef methods[] = {
     {"eigenvectors", native_eigenvectors, METH_VARARGS, "Eigenvalues and eigenvectors of up to eight 4x4 matrices."},
     {"measure", native_measure, METH_VARARGS, "Half the squared distances to hyperplanes."},
     {"project", native_project, METH_VARARGS, "The same to second order."},
+    {"roots", native_roots, METH_VARARGS, "Rows of a root of a definite matrix's inverse, and its log determinant."},
     {"second_order", native_second_order, METH_VARARGS, "Half a squared distance, with rows' products, to second order."},
     {"straight_lines", native_straight_lines, METH_VARARGS, "Pseudo-inertias at the ends of straight lines."},
-    {"variances", native_variances, METH_VARARGS, "The first elements of the diagonal of a definite matrix's inverse."},
     {"weigh", native_weigh, METH_VARARGS, "Channels' sums of squares and the weighted sum of their products."},
     {NULL, NULL, 0, NULL},
 };

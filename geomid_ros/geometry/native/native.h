@@ -12,9 +12,9 @@ PyObject *native_descend(PyObject *module, PyObject *arguments);
 PyObject *native_eigenvectors(PyObject *module, PyObject *arguments);
 PyObject *native_measure(PyObject *module, PyObject *arguments);
 PyObject *native_project(PyObject *module, PyObject *arguments);
+PyObject *native_roots(PyObject *module, PyObject *arguments);
 PyObject *native_second_order(PyObject *module, PyObject *arguments);
 PyObject *native_straight_lines(PyObject *module, PyObject *arguments);
-PyObject *native_variances(PyObject *module, PyObject *arguments);
 PyObject *native_weigh(PyObject *module, PyObject *arguments);
 
 #endif
