@@ -280,17 +280,15 @@ class Design:
             self._known_reach[candidate] = own
         return self._known_reach[candidate]
 
-    def own(
-        self, alike: Sequence[Hypothesis[Any]], bodies: Sequence[int], terms: Sequence[Any]
-    ) -> list[CandidateProducts]:
-        """Of each channel, the products of the columns of candidates, each of which has as many, with those of
-        :meth:`gather`."""
+    def own(self, alike: Sequence[Hypothesis[Any]], places: Mapping[int, IntArray]) -> list[CandidateProducts]:
+        """Of some channels, the products of the columns of candidates, each of which has as many, with those of a fit,
+        by their ``places`` in each."""
         every, found = np.array([self._own_places(candidate) for candidate in alike]), []
         reached = np.any(every >= 0, axis=2)
-        for channel, (each, places) in enumerate(zip(self._marginalised, self.places(bodies, terms), strict=True)):
-            which = np.flatnonzero(reached[:, channel])
+        for channel, beside in places.items():
+            products, which = self._marginalised[channel].products, np.flatnonzero(reached[:, channel])
             mine = every[which, channel]
-            crossed, squared = each.products[mine][:, :, places], each.products[mine[:, :, None], mine[:, None]]
+            crossed, squared = products[mine][:, :, beside], products[mine[:, :, None], mine[:, None]]
             found.append(CandidateProducts(which, crossed, squared))
         return found
 

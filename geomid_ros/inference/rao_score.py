@@ -10,10 +10,11 @@ import numpy as np
 from geomid_ros.inference.design import CandidateProducts, Design
 from geomid_ros.inference.fit import JointFit
 from geomid_ros.inference.hypothesis import Chosen
-from geomid_ros.types import BoolArray, FloatArray
+from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _LEAST_EIGENVALUE = 1e-7  # a combination of columns of which less is left is one of the others
 _DIRECTIONS_OF_BODY = 4.0  # mass and centre: what is said of its inertia is little
+_EVERY = -1  # in place of a limb: what reaches several, or none
 _LEAST_LEFT = 1e-3  # of a channel's squares: so much the quadratic model may promise
 
 
@@ -30,14 +31,33 @@ def score_tests(design: Design, current: JointFit[Chosen, Any], candidates: Sequ
     """The score tests: by how much each candidate would improve the current fit, to second order.
 
     For fixed weights the step and the gain are those of the Gaussian model (Rao's score test); the gain is then taken
-    from the sums of squares that the step leads to. Candidates with equally many columns are tested at once.
+    from the sums of squares that the step leads to. Candidates of a limb with equally many columns are tested at once.
     """
-    test = _Test(design, current)
-    by_size: dict[int, list[Chosen]] = {}
+    limbs, tests = _limbs(current), dict[int, _Test[Chosen]]()
+    every = np.append(limbs, _EVERY)  # of a channel with nothing but the target
+    of_channel = [every[places[0]] for places in design.gather(current.bodies, current.terms).places]
+    by_kind: dict[tuple[int, int], list[Chosen]] = {}
     for candidate in candidates:
-        by_size.setdefault(len(candidate.terms), []).append(candidate)
-    found = {candidate: trial for alike in by_size.values() for candidate, trial in test.of(alike).items()}
+        reached = {of_channel[channel] for channel in design.reached(candidate)}
+        limb = reached.pop() if len(reached) == 1 else _EVERY
+        by_kind.setdefault((limb, len(candidate.terms)), []).append(candidate)
+    found: dict[Chosen, Trial[Chosen]] = {}
+    for (limb, _), alike in by_kind.items():
+        if limb not in tests:
+            tests[limb] = _Test(design, current, np.flatnonzero((limbs == limb) | (limb == _EVERY)))
+        found |= tests[limb].of(alike)
     return [found[candidate] for candidate in candidates]
+
+
+def _limbs(current: JointFit[Any, Any]) -> IntArray:
+    """Of each parameter ``(D,)`` the first one with which it is connected, by rows or priors, through any others: what
+    an arm has in common with no leg tells nothing of it."""
+    connected, first = current.information != 0.0, np.arange(len(current.information))
+    connected[current.manifold.links_blocks] = True
+    before = first + 1
+    while not np.array_equal(first, before):
+        before, first = first, np.min(np.where(connected, first, len(first)), axis=1)
+    return first
 
 
 def score_test(design: Design, current: JointFit[Chosen, Any], candidate: Chosen) -> Trial[Chosen]:
@@ -46,25 +66,31 @@ def score_test(design: Design, current: JointFit[Chosen, Any], candidate: Chosen
 
 
 class _Test(Generic[Chosen]):
-    """What the score tests beside one fit share: G candidates of k columns in C channels, D parameters."""
+    """What the score tests beside one fit share: G candidates of k columns in the C channels that have some of D
+    parameters, and no others."""
 
-    def __init__(self, design: Design, current: JointFit[Chosen, Any]) -> None:
+    def __init__(self, design: Design, current: JointFit[Chosen, Any], parameters: IntArray) -> None:
         self._design = design
         self._current = current
-        self._counts = design.counts
-        self._weights = self._counts / current.squares
-        self._vector = np.append(current.point.parameters, -1.0)
-        self._covariance = current.covariance
+        self._columns = np.append(parameters, len(current.information))  # with the target's
+        self._vector = np.append(current.point.parameters, -1.0)[self._columns]
+        self._covariance = current.covariance[parameters[:, None], parameters]
         products = design.gather(current.bodies, current.terms)
-        self._moved = np.zeros((len(products), len(self._vector)))
-        for into, places, own in zip(self._moved, products.places, products.moved(self._vector), strict=True):
-            into[places] = own
-        self._by_channel = list(zip(products.places, products.blocks, strict=True))
+        place = np.full(products.size, -1)
+        place[self._columns] = np.arange(len(self._columns))
+        self._channels = [c for c, places in enumerate(products.places) if place[places[0]] >= 0]
+        self._counts, self._squares = design.counts[self._channels], current.squares[self._channels]
+        self._weights = self._counts / self._squares
+        self._by_channel = [(place[products.places[c]], products.blocks[c]) for c in self._channels]
+        self._moved = np.zeros((len(self._channels), len(self._vector)))
+        for into, (places, own) in zip(self._moved, self._by_channel, strict=True):
+            into[places] = own @ self._vector[places]
         self._values = dict(zip(current.terms, current.point.reals.tolist(), strict=True))
 
     def of(self, alike: Sequence[Chosen]) -> dict[Chosen, Trial[Chosen]]:
         """The score tests of candidates with equally many columns."""
-        own = self._design.own(alike, self._current.bodies, self._current.terms)
+        every = self._design.places(self._current.bodies, self._current.terms)
+        own = self._design.own(alike, {channel: every[channel, self._columns] for channel in self._channels})
         trust = self._trust(alike)
         mixed = np.zeros((*trust.shape, len(self._vector)))
         squared = np.zeros((*trust.shape, trust.shape[1]))
@@ -99,26 +125,26 @@ class _Test(Generic[Chosen]):
         """By how much the data narrow the coefficients, as minus twice a logarithm ``(G,)``; of bodies by a rule of
         thumb."""
         if alike[0].payload is not None:
-            return np.full(len(alike), _DIRECTIONS_OF_BODY * np.log(np.max(self._counts)))
+            return np.full(len(alike), _DIRECTIONS_OF_BODY * np.log(np.max(self._design.counts)))
         return np.asarray(np.linalg.slogdet(width)[1] - np.sum(np.log(trust), axis=1))
 
     def _gain(self, own: Sequence[CandidateProducts], step: FloatArray, moved: FloatArray) -> FloatArray:
         """What steps of the candidates' coefficients ``(G, k)`` and of all other parameters ``(G, D)`` gain ``(G,)``,
         but for half of what the latter take in their quadratic model."""
-        current, weights = self._current, self._weights
+        squares, weights = self._squares, self._weights
         longer = np.zeros((len(moved), len(self._vector)))
         longer[:, :-1] = moved
         slopes = longer @ self._moved.T
         curvatures = np.stack(
             [np.sum((longer[:, at] @ own) * longer[:, at], axis=1) for at, own in self._by_channel], 1
         )
-        squares = current.squares + 2.0 * slopes + curvatures
+        left = squares + 2.0 * slopes + curvatures
         for place, channel in enumerate(own):
             steps, vectors = step[channel.which], self._vector + longer[channel.which]
             along = 2.0 * np.einsum("gkn,gn->gk", channel.crossed, vectors)
             along += np.einsum("gkl,gl->gk", channel.squared, steps)
-            squares[channel.which, place] += np.sum(along * steps, axis=1)
-        gain = np.log(current.squares / np.maximum(squares, _LEAST_LEFT * current.squares)) @ self._counts
+            left[channel.which, place] += np.sum(along * steps, axis=1)
+        gain = np.log(squares / np.maximum(left, _LEAST_LEFT * squares)) @ self._counts
         # At the minimum the prior's slope is the opposite of the data's.
         gain += 2.0 * slopes @ weights + curvatures @ weights
         return np.asarray(gain)
