@@ -33,7 +33,7 @@ from rich.table import Table
 import geomid_ros
 from benchmarks.feedforward import described, hand_error
 from geomid_ros.api.feedforward import robot_to_move
-from geomid_ros.api.options import RobotOptions
+from geomid_ros.api.options import FillOptions
 from geomid_ros.api.verify import identified
 from geomid_ros.control.correction import Correction, Reading
 from geomid_ros.control.feedforward import MotorEfforts
@@ -153,9 +153,7 @@ class Robot:
         controller = closed_loop(self.robot, self.options).controller
         self.stiffness, self.damping = _SOFTER * controller.stiffness, np.sqrt(_SOFTER) * controller.damping
         self.urdf = robot_description(options.robot)
-        self.session = robot_to_move(
-            RobotOptions(), bag.with_name(f"{bag.name}_estimate") / "estimate.json", force=True
-        )
+        self.session = robot_to_move(FillOptions(force=True), bag.with_name(f"{bag.name}_estimate") / "estimate.json")
         self.body = self.session.robot.body_names[-1]
         cycles = round(_DURATION / CYCLE)
         self.times = CYCLE * np.arange(cycles + 200)  # what is commanded arrives later
@@ -180,7 +178,7 @@ class Robot:
     @cached_property
     def from_urdf(self) -> FloatArray:
         """Efforts ``(N, joints)`` of the URDF."""
-        session = robot_to_move(RobotOptions(urdf=self.urdf), None, force=False)
+        session = robot_to_move(FillOptions(self.urdf), None)
         return MotorEfforts(session.model, identified(session), session.effort_gains, self.joints, "the motion")(
             self.commanded
         )

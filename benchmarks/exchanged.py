@@ -32,6 +32,7 @@ from rich.table import Table
 
 from benchmarks.measured_data import CASES, DATA, Case
 from geomid_ros.api.options import RecordingOptions
+from geomid_ros.api.robot import configuration, description, topics
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.files.bags.bag import Bag
@@ -75,18 +76,18 @@ class Robot:
             found = {}
             for name in (*self.case.train, *self.case.validate):
                 with Bag(DATA / name) as bag:
-                    batches = list(read_samples(bag, session, session.new_pipeline(), self._options.topics))
+                    batches = list(read_samples(bag, session, session.new_pipeline(), topics(self._options)))
                 found[Path(name).name] = Samples.concatenate(batches)
             return found
 
-        given = self._options.configuration(**({} if self.candidates else {"candidates": []}))
+        given = configuration(self._options, **({} if self.candidates else {"candidates": []}))
         session, recordings = read_with_locked(self.session, given, read)
         return recordings, session.configuration
 
     def session(self, configuration: Configuration) -> Session:
         """A session that has read nothing."""
-        description = self._options.description([DATA / self.case.train[0]])
-        return Session(description.text, configuration, description.source)
+        robot = description(self._options, [DATA / self.case.train[0]])
+        return Session(robot.text, configuration, robot.source)
 
     @property
     def _options(self) -> RecordingOptions:

@@ -23,6 +23,7 @@ FLOORS = {
     "errors": -1,
     "types": -1,
     "geometry": 0,
+    "options": 0,
     "model": 1,
     "signals": 2,
     "estimation": 2,
@@ -181,7 +182,7 @@ def test_there_are_no_circles() -> None:
 
 # What has an effect's name but is none: a command, and parameters of the node and of the signals.
 NAMESAKES = {
-    ("geomid_ros.api.options", "effort_gain"),
+    ("geomid_ros.api.robot", "effort_gain"),
     ("geomid_ros.commands.root", "payload"),
     ("geomid_ros.excitation.learning", "payload"),
     ("geomid_ros.exports.descriptions", "viscous_friction"),

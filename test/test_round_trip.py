@@ -12,9 +12,10 @@ from commands.running import done, undrawn
 from benchmarks.round_trip import PLANTED, URDF, Planted, RoundTrip
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.loaded_model import LoadedModel
+from geomid_ros.options import silent
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import find_in_messages, gap_session
-from geomid_ros.session.recordings import Topics, read_samples, silent
+from geomid_ros.session.recordings import Topics, read_samples
 from geomid_ros.session.session import Session
 
 SECONDS = 12.0

@@ -47,7 +47,7 @@ def _safety(report: Report, robots: list[str], seeds: int, folder: Path) -> None
             report.progress(f"{robot}: seed {seed}")
             asked = wish(robot, SECONDS, seed)
             begin = time.process_time()
-            designed = design(task(robot, asked), asked, lambda *_: None)
+            designed = design(task(robot, asked), asked)
             seconds.append(time.process_time() - begin)
             found.append(_violations(robot, designed, folder / "trajectory.yaml"))
         total = {kind: sum(own[kind] for own in found) for kind in found[0]}

@@ -15,9 +15,9 @@ from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Belief
 from geomid_ros.excitation.motion import ExcitingMotion
 from geomid_ros.model.samples import samples_of
-from geomid_ros.session.collision_scene import Surroundings
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.excitation import DesignTask, MotionRequest, task_of
+from geomid_ros.session.excitation import DesignTask, task_of
+from geomid_ros.session.options import MotionOptions
 from geomid_ros.types import FloatArray
 
 PACKAGE = "example-robot-data"
@@ -51,13 +51,13 @@ def description(robot: str) -> Description:
     return Description(file.read_text(encoding="utf-8"), file, package, tuple(filter(None, [locked])))
 
 
-def wish(robot: str, seconds: float, seed: int = 0, aim: str = "prediction") -> MotionRequest:
+def wish(robot: str, seconds: float, seed: int = 0, aim: str = "prediction") -> MotionOptions:
     """One period of a design for a robot."""
-    around = Surroundings(packages={PACKAGE: description(robot).package})
-    return MotionRequest(duration=seconds, repeats=1, surroundings=around, seed=seed, aim=aim)
+    packages = {PACKAGE: description(robot).package}
+    return MotionOptions(duration=seconds, repeats=1, package_path=packages, seed=seed, aim=aim)
 
 
-def task(robot: str, asked: MotionRequest) -> DesignTask:
+def task(robot: str, asked: MotionOptions) -> DesignTask:
     """What a search needs."""
     own = description(robot)
     configuration = Configuration({"locked_joints": list(own.locked)}, "benchmark")

@@ -6,11 +6,12 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias, Unpack
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from geomid_ros.api.options import PathLike, Paths, RobotKeywords, RobotOptions, beside, paths
+from geomid_ros.api.options import CompareOptions
+from geomid_ros.api.robot import beside
 from geomid_ros.api.verify import doubts_of, identified, read_to_judge
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.errors import InputError
@@ -22,8 +23,9 @@ from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.schema import plain
 from geomid_ros.model.urdf_tree import read_xml
+from geomid_ros.options import takes
 from geomid_ros.report.plain_pages import ChannelErrors, ComparisonPage, write_comparison_page
-from geomid_ros.session.recordings import Progress, silent
+from geomid_ros.session.options import PathLike, paths
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -100,31 +102,17 @@ class Comparison(ComparisonPage):
         return "\n".join([*self.doubts, heading, *(f"  {sentence}" for sentence in found)])
 
 
-def compare(
-    first: PathLike,
-    second: PathLike,
-    *,
-    urdf: PathLike | None = None,
-    bag: Paths = (),
-    progress: Progress = silent,
-    **options: Unpack[RobotKeywords],
-) -> Comparison:
+@takes(CompareOptions)
+def compare(options: CompareOptions) -> Comparison:
     """Compare two results of one robot, or a result and a URDF.
 
-    ``geomid compare`` calls this; its options have the same names.
-
-    Args:
-        first, second: each an estimate.json or a URDF, one of them an estimate.json.
-        urdf: path or text of the robot description that results were identified from; None for the identified.urdf
-            beside each.
-        bag: rosbag folders, or .mcap and .db3 files, which both are to predict; without any, each is judged by the
-            held-out data of its own recording.
-        progress: called with what is being done and the share of it, 0 to 1, that is done.
-        options: how the bags are read, see :class:`~geomid_ros.RobotOptions`.
+    ``geomid compare`` calls this; its options have the same names. Without ``urdf``, the identified.urdf beside each
+    result is taken.
 
     Raises:
         InputError: a file cannot be used, or they are of different robots.
     """
+    first, second = options.first, options.second
     sides = [_read_side(Path(path)) for path in (first, second)]
     results = [side for side in sides if isinstance(side, _Result)]
     if not results:
@@ -134,9 +122,9 @@ def compare(
     doubts = [f"{result.path}: {remark}" for result in results for remark in result.file.judgement.remarks]
     status = max(result.file.judgement.status for result in results)
     errors, data = _own_errors(sides), _OWN
-    if bag:
-        predicted = [_judged_on(side, urdf, bag, options, progress) for side in sides]
-        errors, data = _joined([each.errors for each in predicted]), ", ".join(map(str, paths(bag)))
+    if options.bag:
+        predicted = [_judged_on(side, options) for side in sides]
+        errors, data = _joined([each.errors for each in predicted]), ", ".join(map(str, paths(options.bag)))
         more = [sentence for each in predicted for sentence in each.doubts]
         doubts, status = [*doubts, *more], max(status, STATUS[DOUBTFUL if more else USABLE])
     return Comparison(
@@ -146,7 +134,7 @@ def compare(
         errors=errors,
         judged_on=data,
         doubts=list(dict.fromkeys(doubts)),
-        notes=_notes_on(results, own_data=not bag),
+        notes=_notes_on(results, own_data=not options.bag),
         status=status,
     )
 
@@ -276,18 +264,14 @@ def _joined(sides: Sequence[Mapping[str, tuple[float, str]]]) -> list[ChannelErr
     ]
 
 
-def _judged_on(
-    side: _Side, urdf: PathLike | None, bags: Paths, options: RobotKeywords, progress: Progress
-) -> _FileErrors:
+def _judged_on(side: _Side, options: CompareOptions) -> _FileErrors:
     """What a side leaves of recordings."""
     if isinstance(side, _Result):
-        chosen = RobotOptions(urdf=urdf, **options)
-        session, samples = read_to_judge(chosen, bags, progress, model=side.path)
+        session, samples = read_to_judge(options, options.bag, model=side.path)
         parameters = identified(session)
     else:
-        chosen = RobotOptions(urdf=side.source, **options)
         names = list(dict.fromkeys(effect.effect for effect in side.effects))
-        session, samples = read_to_judge(chosen, bags, progress, effects=names)
+        session, samples = read_to_judge(replace(options, urdf=side.source), options.bag, effects=names)
         parameters = _with_effects(session, side)
     errors = zip(session.model.channels, session.rms(samples, parameters).tolist(), strict=True)
     return _FileErrors({channel.name: (error, channel.unit) for channel, error in errors}, doubts_of(session))

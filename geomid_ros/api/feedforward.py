@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Unpack
 
 import numpy as np
 
-from geomid_ros.api.options import PathLike, RobotKeywords, RobotOptions, beside
+from geomid_ros.api.options import FeedforwardOptions, FillOptions
+from geomid_ros.api.robot import beside, configuration, description
 from geomid_ros.api.verify import identified
 from geomid_ros.control.feedforward import MotorEfforts, interpolation_errors, with_efforts
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.trajectories import read_trajectory, save_trajectory, trajectory_in_bag
+from geomid_ros.options import takes
+from geomid_ros.session.options import DescriptionOptions, PathLike
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
-TOLERANCE = 0.01
-"""Largest error of linearly interpolated efforts, as a share of the joint's largest effort."""
 _YAML = (".yaml", ".yml")
 LONGEST = 600.0
 """Longest trajectory [s]."""
@@ -61,42 +61,26 @@ class Feedforward:
         return Path(path)
 
 
-def feedforward(
-    trajectory: PathLike | Trajectory,
-    model: PathLike | None,
-    *,
-    topic: str | None = None,
-    tolerance: float = TOLERANCE,
-    force: bool = False,
-    **options: Unpack[RobotKeywords],
-) -> Feedforward:
+@takes(FeedforwardOptions)
+def feedforward(options: FeedforwardOptions) -> Feedforward:
     """Fill the efforts of a trajectory, for a controller that adds them to its feedback.
 
     ``geomid feedforward`` calls this; its options have the same names. Positions stay what they are; points are added
     where straight lines between the efforts would be off by more than ``tolerance``.
 
-    Args:
-        trajectory: a ``trajectory_msgs/JointTrajectory``: YAML, as 'geomid excite' writes or 'ros2 topic echo' prints
-            it, or a rosbag.
-        model: an estimate.json; None for the URDF alone.
-        topic: of the bag, if several have trajectories.
-        tolerance: as a share of each joint's largest effort.
-        force: take a model whose verdict is doubtful, too.
-        options: which robot it is, see :class:`~geomid_ros.RobotOptions`; without ``urdf`` the identified.urdf beside
-            the model.
-
     Raises:
         InputError: a file or an argument cannot be used; the trajectory is of another robot; a joint would need more
             effort than it has; the model is doubtful.
     """
-    source = "the trajectory" if isinstance(trajectory, Trajectory) else str(trajectory)
-    given = trajectory if isinstance(trajectory, Trajectory) else _read(Path(trajectory), topic)
-    return filled(robot_to_move(RobotOptions(**options), model, force=force), given, tolerance, source)
+    given, source = options.trajectory, "the trajectory"
+    if not isinstance(given, Trajectory):
+        given, source = _read(Path(given), options.topic), str(given)
+    session = robot_to_move(options, options.model)
+    return filled(session, given, options.tolerance, source)
 
 
 def filled(session: Session, given: Trajectory, tolerance: float, source: str) -> Feedforward:
     """The same for a session of :func:`robot_to_move` and a trajectory from a ``source``. Raises InputError."""
-    check_tolerance(tolerance)
     if given.duration > LONGEST:
         raise InputError(f"{source}: takes {given.duration:.4g} s, expected at most {LONGEST:g} s")
     efforts = MotorEfforts(session.model, identified(session), session.effort_gains, given.joints, source)
@@ -107,12 +91,6 @@ def filled(session: Session, given: Trajectory, tolerance: float, source: str) -
     return Feedforward(found, len(given.times), session, efforts.limits, errors, notes)
 
 
-def check_tolerance(tolerance: float) -> None:
-    """Raises InputError for a tolerance that is no share."""
-    if not 0.0 < tolerance < 1.0:
-        raise InputError(f"tolerance is {tolerance:g}, expected a share above 0 and below 1")
-
-
 def _read(path: Path, topic: str | None) -> Trajectory:
     if path.suffix not in _YAML:
         return trajectory_in_bag(path, topic)
@@ -121,20 +99,20 @@ def _read(path: Path, topic: str | None) -> Trajectory:
     return read_trajectory(path)
 
 
-def robot_to_move(options: RobotOptions, model: PathLike | None, *, force: bool) -> Session:
-    """The robot with its model. Raises InputError where none is given, and unless ``force`` for a doubtful one."""
+def robot_to_move(options: FillOptions, model: PathLike | None) -> Session:
+    """The robot with its model. Raises InputError where none is given, and for a doubtful one unless it is forced."""
     if model is None and options.urdf is None:
         raise InputError("no robot is given: add --model estimate.json, or --urdf ROBOT.urdf for the URDF alone")
     if model is not None:
         _check_model(options, EstimateFile.read(Path(model)))
-    robot = options.description([], model)
-    session = Session(robot.text, options.configuration(model, candidates=[]), robot.source)
-    if session.loaded.doubt and not force:
+    robot = description(options, [], model)
+    session = Session(robot.text, configuration(options, model, candidates=[]), robot.source)
+    if session.loaded.doubt and not options.force:
         raise InputError(f"{session.loaded.doubt}; to move a robot by it all the same, add --force")
     return session
 
 
-def _check_model(options: RobotOptions, file: EstimateFile) -> None:
+def _check_model(options: DescriptionOptions, file: EstimateFile) -> None:
     """Raises InputError for a model of a robot that stands on the ground, or without its description."""
     if any(channel.channel.startswith("base/") for channel in file.channels):
         raise InputError(

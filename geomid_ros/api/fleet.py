@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Unpack
 
-from geomid_ros.api.options import PathLike, RobotKeywords, RobotOptions
+from geomid_ros.api.options import FleetOptions
+from geomid_ros.api.robot import configuration, description, topics
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.estimation.fleet_outliers import population_and_members
 from geomid_ros.estimation.population import FEWEST, Population, RobotLikelihood
@@ -19,8 +19,8 @@ from geomid_ros.fleet.fleet import Fleet, FleetRobot
 from geomid_ros.fleet.kept import Store, changes
 from geomid_ros.fleet.recordings import find_bags, on_this_disk
 from geomid_ros.fleet.work import FleetPlan
+from geomid_ros.options import takes
 from geomid_ros.report.plain_pages import FleetPage, RobotLine, write_fleet_page
-from geomid_ros.session.recordings import Progress, silent
 
 _KEPT = "kept"
 
@@ -44,63 +44,40 @@ class FleetIdentification(FleetPage):
         return STATUS[USABLE if any(line.verdict == USABLE for line in self.lines) else DOUBTFUL]
 
 
-def identify_fleet(
-    bags: str,
-    urdf: PathLike | None = None,
-    *,
-    out: PathLike,
-    by: str = "robot",
-    scheduler: str | None = None,
-    keep: str | None = None,
-    since: PathLike | None = None,
-    hold_out: float | None = None,
-    progress: Progress = silent,
-    **options: Unpack[RobotKeywords],
-) -> FleetIdentification:
+@takes(FleetOptions)
+def identify_fleet(options: FleetOptions) -> FleetIdentification:
     """Identify many robots of a type from many bags.
 
     ``geomid fleet`` calls this; its options have the same names.
 
-    Args:
-        bags: a folder with a folder of bags for each robot, a pattern, or a table (.csv) with the columns ``robot`` and
-            ``bag``; on a disk, or at a URL that fsspec supports.
-        urdf: path or text of the robot description; None for the one in the first bag.
-        out: output folder, with a subfolder for each robot.
-        by: column of the table that names the robot.
-        scheduler: address of a Dask scheduler; None for workers on this machine's cores.
-        keep: path or URL of intermediate results, visible to all workers; None for a folder in ``out``.
-        since: folder of an earlier run, to report which robots have changed.
-        hold_out: share of each bag, at its end, held out for testing; None for 0.3.
-        progress: called with the current stage and its completed share, 0 to 1.
-        options: which robot it is and how its recordings are read, see :class:`~geomid_ros.RobotOptions`.
-
     Raises:
         InputError: a file, an argument or the cluster cannot be used; intermediate results are kept.
     """
-    folder, chosen = Path(out), RobotOptions(urdf=urdf, **options)
-    every = find_bags(bags, by)
-    if urdf is None:
+    folder = Path(options.out)
+    every = find_bags(options.bags, options.by)
+    if options.urdf is None:
         with on_this_disk(every[0].url) as path:
-            described = chosen.description([path])
+            described = description(options, [path])
     else:
-        described = chosen.description([])
+        described = description(options, [])
     plan = FleetPlan(
         description=described.text,
         source=described.source,
-        given=chosen.configuration().given,
-        topics=chosen.topics,
-        hold_out=hold_out,
+        given=configuration(options).given,
+        topics=topics(options),
+        hold_out=options.hold_out,
     )
-    fleet = Fleet(plan, every, Store(keep or str((folder / _KEPT).absolute())))
-    robots = fleet.work(partial(Cluster, scheduler), progress)
+    fleet = Fleet(plan, every, Store(options.keep or str((folder / _KEPT).absolute())))
+    since = None if options.since is None else Path(options.since)
+    robots = fleet.work(partial(Cluster, options.scheduler), options.progress)
     files = [folder / "fleet.html"]
     lines, evidence = {}, {}
     for robot in robots:
-        lines[robot.name], told = _written(fleet, robot, folder, None if since is None else Path(since))
+        lines[robot.name], told = _written(fleet, robot, folder, since)
         if told is not None:
             evidence[robot.name] = told
     if len(evidence) >= FEWEST:
-        progress("population", 0.0)
+        options.progress("population", 0.0)
         population, members = population_and_members(list(evidence.values()))
         files.append(folder / "population.json")
         write_population(files[-1], population)

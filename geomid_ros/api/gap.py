@@ -7,28 +7,31 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Unpack
+from typing import Any
 
 from geomid_ros.api.identify import DELAY, identify
-from geomid_ros.api.options import PathLike, Paths, RecordingKeywords, RecordingOptions, bag_paths
+from geomid_ros.api.options import GapOptions, RecordingOptions
+from geomid_ros.api.robot import bag_paths, configuration, description, recordings
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, recording_verdict
-from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.errors import InputError
 from geomid_ros.exports.descriptions import DESCRIPTIONS, Whole, as_described
 from geomid_ros.exports.handover import JudgedFile, file_name, judge
 from geomid_ros.exports.model import read_model
 from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.estimate_file import causes_entry
 from geomid_ros.files.models.gap_file import GapFile, gap_document, page_entries
-from geomid_ros.files.models.readers import DESCRIBED_FOR, URDF
+from geomid_ros.files.models.readers import URDF
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.files.schema import plain
 from geomid_ros.gap.result import Finding, GapResult, Verdict
 from geomid_ros.model.samples import Samples
+from geomid_ros.options import Progress, shared, silent, takes
 from geomid_ros.report.gap_page import GapPage, SimulatedAgain, simulated_again, write_gap_page
 from geomid_ros.report.gap_words import verdict_sentence
 from geomid_ros.report.series import elapsed
 from geomid_ros.session.gap import GapReader, find, gap_session, standing_of
-from geomid_ros.session.recordings import Bags, Progress, read_with_locked, silent
+from geomid_ros.session.options import PathLike
+from geomid_ros.session.recordings import Bags, read_with_locked
 from geomid_ros.session.session import Session
 from geomid_ros.session.written_simulation import nominal_inertias, simulate_again, without_findings, write_found
 
@@ -175,63 +178,45 @@ class Gap:
         return "\n".join([*doubts, f"Gap of {self.session.robot.name}: {verdict_sentence(self.result)}", *sentences])
 
 
-def find_gap(
-    bags: Paths,
-    urdf: PathLike | None = None,
-    *,
-    simulated: Paths = (),
-    reader: str = URDF,
-    progress: Progress = silent,
-    **options: Unpack[RecordingKeywords],
-) -> Gap:
+@takes(GapOptions)
+def find_gap(options: GapOptions) -> Gap:
     """Find where simulation and measurement disagree, by which effect, and how much of the gap it closes.
 
-    ``geomid gap`` calls this; its options have the same names.
-
-    Args:
-        bags: rosbag folders, or .mcap and .db3 files.
-        urdf: path or text of the robot description, see :class:`~geomid_ros.RecordingOptions`.
-        simulated: recordings of your simulator under the commands of each bag, in the same order.
-        reader: who will read the description that is written: urdf, moveit, isaac, gazebo, drake or mujoco.
-        progress: called with the current stage and its completed share, 0 to 1.
-        options: which robot it is and how its recordings are read, see :class:`~geomid_ros.RecordingOptions`; with
-            ``model``, an estimate.json is compared with instead of the URDF's inertias alone.
+    ``geomid gap`` calls this; its options have the same names, but ``--for`` for ``reader``. With ``model``, an
+    estimate.json is compared with instead of the URDF's inertias alone.
 
     Raises:
         InputError: a file, an argument or the data cannot be used; the message names it and says what to do.
     """
-    if reader not in DESCRIBED_FOR:
-        raise unknown_name("reader", reader, DESCRIBED_FOR)
-    chosen = RecordingOptions(urdf=urdf, **options)
-    recorded, twins = chosen.bags(bags), bag_paths(simulated)
-    robot = chosen.description(recorded.fitted, chosen.model)
-    parameters, notes = chosen.configuration(chosen.model), robot.notes
+    recorded, twins = recordings(options, options.bags), bag_paths(options.simulated)
+    robot = description(options, recorded.fitted, options.model)
+    parameters, notes = configuration(options, options.model), robot.notes
     if parameters.gains:  # only a small delay is a column
-        first = identify(bags, urdf, candidates=(), progress=progress, **options).session
+        first = identify(options.bags, candidates=(), **shared(options, RecordingOptions)).session
         parameters, notes = parameters.with_values({DELAY: first.configuration[DELAY]}), tuple(first.settled)
-    session, recordings = read_with_locked(
+    session, samples = read_with_locked(
         lambda configured: gap_session(robot.text, configured, robot.source),
         parameters,
-        lambda session: GapReader(session, recorded, progress).read(twins),
+        lambda session: GapReader(session, recorded, options.progress).read(twins),
     )
     session.settled.extend(notes)
     session.check_description()
-    of_bags = GapReader(session, recorded, progress)
+    of_bags = GapReader(session, recorded, options.progress)
     sharp = of_bags.sharp()
-    commands = of_bags.sharp(chosen.command) if chosen.command else []
+    commands = of_bags.sharp(options.command) if options.command else []
     try:
-        result = find(session, recordings, standing_of(session), progress)
+        result = find(session, samples, standing_of(session), options.progress)
     except InputError as error:
         raise InputError(f"{', '.join(map(str, recorded.fitted))}: {error}") from error
-    progress("simulating again", 0.0)
-    again = simulate_again(session, result, sharp, commands, recordings.cutoff)
+    options.progress("simulating again", 0.0)
+    again = simulate_again(session, result, sharp, commands, samples.cutoff)
     return Gap(
         session=session,
         bags=recorded,
         result=result,
-        held_out=recordings.held_out,
+        held_out=samples.held_out,
         simulated=simulated_again(session.model, again),
         not_simulated=again.skipped,
-        reader=reader,
+        reader=options.reader,
         with_simulator=bool(twins),
     )

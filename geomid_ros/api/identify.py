@@ -9,13 +9,14 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geomid_ros.api.options import PathLike, Paths, RecordingKeywords, RecordingOptions, Texts, entries
+from geomid_ros.api.options import IdentifyOptions
+from geomid_ros.api.robot import configuration, description, recordings
 from geomid_ros.checks.verdict import DOUBTFUL, Verdict
-from geomid_ros.errors import GeomidError, unknown_name
+from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
 from geomid_ros.estimation.suggested_motions import suggested_motions
 from geomid_ros.estimation.uncertain_inertia import SURE
@@ -24,17 +25,19 @@ from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.effect_forms import unsaid
 from geomid_ros.files.models.estimate_file import EstimateFile, model_effects
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
-from geomid_ros.files.models.readers import DESCRIBED_FOR, ELEMENTS, READERS, URDF
+from geomid_ros.files.models.readers import ELEMENTS, READERS, URDF
 from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.model.effects import effect_class
 from geomid_ros.model.samples import Samples
+from geomid_ros.options import Progress, silent, takes
 from geomid_ros.report.identification_page import IdentificationPage, write_identification_page
 from geomid_ros.report.series import Series, series_of
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import gap_session, remainder_of
-from geomid_ros.session.recordings import Bags, Progress, read_bags, read_fitted, read_with_locked, silent
+from geomid_ros.session.options import PathLike
+from geomid_ros.session.recordings import Bags, read_bags, read_fitted, read_with_locked
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import Training
 from geomid_ros.session.version import installed_version
@@ -324,55 +327,29 @@ class Identification:
         return "\n".join([*self.verdict.remarks, heading, *lines])
 
 
-def identify(
-    bags: Paths,
-    urdf: PathLike | None = None,
-    *,
-    prior: PathLike | None = None,
-    effects: Texts | None = None,
-    candidates: Texts | None = None,
-    links: Texts | None = None,
-    known: Texts = (),
-    reader: str = URDF,
-    progress: Progress = silent,
-    **options: Unpack[RecordingKeywords],
-) -> Identification:
+@takes(IdentifyOptions)
+def identify(options: IdentifyOptions) -> Identification:
     """Identify link inertias and joint effects from rosbags.
 
     The result is tested on held-out data: the end of each bag, or the bags of ``validate``.
-    ``geomid identify`` calls this; its options have the same names.
-
-    Args:
-        bags: rosbag folders, or .mcap and .db3 files.
-        urdf: path or text of the robot description, see :class:`~geomid_ros.RecordingOptions`.
-        prior: a population.json of the robot's type (``geomid fleet``) to start from.
-        effects: names of the effects to identify at every joint, ``[]`` for none; None for the configured ones, with
-            the candidates where the data need them.
-        candidates: names of effects to add to ``effects`` where the data need them.
-        links: names of the links to identify; None for the configured ones.
-        known: weighed masses, as ``LINK=MASS:STD``, ``LINK+LINK=MASS:STD`` or ``total=MASS:STD`` [kg].
-        reader: who will read the description that is written: urdf, moveit, isaac, gazebo, drake or mujoco.
-        progress: called with the current stage and its completed share, 0 to 1.
-        options: which robot it is and how its recordings are read, see :class:`~geomid_ros.RecordingOptions`.
+    ``geomid identify`` calls this; its options have the same names, but ``--for`` for ``reader``.
 
     Raises:
         InputError: a file, an argument or the data cannot be used; the message names it and says what to do.
     """
-    if reader not in DESCRIBED_FOR:
-        raise unknown_name("reader", reader, DESCRIBED_FOR)
-    chosen = RecordingOptions(urdf=urdf, **options)
-    recorded = chosen.bags(bags)
-    parameters = chosen.configuration(chosen.model, **_parameters(prior, effects, candidates, links, known))
-    robot = chosen.description(recorded.fitted, chosen.model)
+    recorded = recordings(options, options.bags)
+    alone = options.effects is not None and options.candidates is None
+    parameters = configuration(options, options.model, **({"candidates": []} if alone else {}))
+    robot = description(options, recorded.fitted, options.model)
 
     def solved(parameters: Configuration) -> tuple[Session, list[Samples], list[Samples], Estimate]:
         session, (held_out, judged) = read_with_locked(
             lambda configured: Session(robot.text, configured, robot.source, readers=(*READERS,)),
             parameters,
-            lambda session: _read(session, recorded, progress),
+            lambda session: _read(session, recorded, options.progress),
         )
         session.check_description()
-        progress("solving", 0.0)
+        options.progress("solving", 0.0)
         return session, held_out, judged, session.identifier.solve()
 
     session, held_out, judged, estimate = solved(parameters)
@@ -390,8 +367,8 @@ def identify(
         estimate=estimate,
         held_out=held_out,
         judged=judged,
-        reader=reader,
-        command=chosen.command,
+        reader=options.reader,
+        command=options.command,
     )
 
 
@@ -406,17 +383,6 @@ def _recording(share: float) -> str:
     if share >= 1.0:
         return "recording, held out"
     return "recording, fitted" + (f" except the last {100.0 * share:.0f} %" if share > 0.0 else "")
-
-
-def _parameters(
-    prior: PathLike | None, effects: Texts | None, candidates: Texts | None, links: Texts | None, known: Texts
-) -> dict[str, Any]:
-    """The parameters that these arguments set."""
-    lists = {"effects": effects, "candidates": candidates, "links": links, "known": known or None}
-    found: dict[str, Any] = {name: entries(name, given) for name, given in lists.items() if given is not None}
-    if effects is not None:
-        found = {"candidates": []} | found
-    return found if prior is None else found | {"prior": str(prior)}
 
 
 def _read(session: Session, bags: Bags, progress: Progress) -> tuple[list[Samples], list[Samples]]:

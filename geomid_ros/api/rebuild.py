@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 from jinja2 import TemplateError
 
-from geomid_ros.api.options import PathLike
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.estimate_file import OF_PAGE, EstimateFile
 from geomid_ros.files.models.gap_file import Errors, GapFile, read_gap
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.report.gap_page import GapPage, Kind, SimulatedAgain, write_gap_page
 from geomid_ros.report.identification_page import IdentificationPage, write_identification_page
+from geomid_ros.session.options import PathLike
 
 _GAP, _ESTIMATE, _PAGE = "gap.json", "estimate.json", "report.html"
 

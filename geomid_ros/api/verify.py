@@ -20,17 +20,19 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Unpack
 
 import numpy as np
 
-from geomid_ros.api.options import PathLike, Paths, RobotKeywords, RobotOptions, Texts, bag_paths, beside, texts
+from geomid_ros.api.options import RobotOptions, VerifyOptions
+from geomid_ros.api.robot import bag_paths, beside, configuration, description, efforts_of_command, topics
 from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.model.samples import Samples
+from geomid_ros.options import takes
 from geomid_ros.session.gap import rms_of_model
-from geomid_ros.session.recordings import Bags, Progress, read_fitted, read_with_locked, silent
+from geomid_ros.session.options import PathLike, Paths, texts
+from geomid_ros.session.recordings import Bags, read_fitted, read_with_locked
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -58,42 +60,25 @@ class Verification:
         return not self.doubts and all(outcome.passed for outcome in self.outcomes)
 
 
-def verify(
-    model: PathLike,
-    validate: Paths,
-    urdf: PathLike | None = None,
-    *,
-    require: Texts = (),
-    progress: Progress = silent,
-    **options: Unpack[RobotKeywords],
-) -> Verification:
+@takes(VerifyOptions)
+def verify(options: VerifyOptions) -> Verification:
     """Predict recordings with an existing model, and check requirements.
 
-    ``geomid verify`` calls this; its options have the same names.
-
-    Args:
-        model: an estimate.json.
-        validate: rosbag folders, or .mcap and .db3 files.
-        urdf: path or text of the robot description that the model was identified from, see
-            :class:`~geomid_ros.RobotOptions`.
-        require: requirements, see :mod:`~geomid_ros.api.verify`.
-        progress: called with the current stage and its completed share, 0 to 1.
-        options: which robot it is and how its recordings are read, see :class:`~geomid_ros.RobotOptions`.
+    ``geomid verify`` calls this; its options have the same names. Requirements are explained in
+    :mod:`~geomid_ros.api.verify`.
 
     Raises:
         InputError: a file, an argument, a requirement or the data cannot be used.
     """
-    required = [Requirement.parse(text) for text in texts(require)]
-    file = EstimateFile.read(Path(model))
+    required = [Requirement.parse(text) for text in texts(options.require)]
+    file = EstimateFile.read(Path(options.model))
     relative = next((each for each in required if each.reference == "urdf"), None)
-    if relative and urdf is None and (own := beside(model)).is_file():
+    if relative and options.urdf is None and (own := beside(options.model)).is_file():
         raise InputError(
             f"requirement '{relative.text}' compares with the URDF before, and {own} is the identified one; name the "
             "former with --urdf"
         )
-    session, samples = read_to_judge(
-        RobotOptions(urdf=urdf, **options), validate, progress, model=model, cutoff=file.cutoff
-    )
+    session, samples = read_to_judge(options, options.validate, model=options.model, cutoff=file.cutoff)
     values = _values(session, samples, file)
     return Verification(
         session=session,
@@ -106,10 +91,9 @@ def verify(
 def read_to_judge(
     options: RobotOptions,
     bags: Paths,
-    progress: Progress,
     *,
     model: PathLike | None = None,
-    effects: Texts = (),
+    effects: Sequence[str] = (),
     cutoff: float | None = None,
 ) -> tuple[Session, Sequence[Samples]]:
     """A robot's session, and all samples of recordings that a model is judged on.
@@ -117,20 +101,19 @@ def read_to_judge(
     Args:
         options: which robot it is, and how the recordings are read.
         bags: the recordings.
-        progress: told of what is being done.
         model: an estimate.json; None for the URDF alone.
         effects: names of effects at every joint that the model has beside those of the estimate.
         cutoff: low-pass [Hz] of the band that the model's floor is of, unless the options name another.
     """
-    recorded = Bags(fitted=bag_paths(bags), hold_out=0.0, topics=options.topics)
-    robot = options.description(recorded.fitted, model)
-    parameters = options.efforts_of_command(options.configuration(model, effects=texts(effects), candidates=[]))
+    recorded = Bags(fitted=bag_paths(bags), hold_out=0.0, topics=topics(options))
+    robot = description(options, recorded.fitted, model)
+    parameters = configuration(options, model, effects=[*effects], candidates=[])
     if cutoff is not None and "filter.cutoff" not in parameters.given:
         parameters = parameters.with_values({"filter.cutoff": float(cutoff)})
     session, samples = read_with_locked(
         lambda configured: Session(robot.text, configured, robot.source),
-        parameters,
-        lambda session: read_fitted(session, recorded, progress),
+        efforts_of_command(options, parameters),
+        lambda session: read_fitted(session, recorded, options.progress),
     )
     session.settled.extend(robot.notes)
     return session, samples

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import OUT, PATH, robot_options
+from geomid_ros.api.options import CompareOptions
+from geomid_ros.commands.options import OUT, PATH, options_of
 from geomid_ros.commands.terminal import plain_table, print_remarks, progress_bar, results_console, say
 
 if TYPE_CHECKING:
@@ -20,13 +21,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("first", type=PATH)
 @click.argument("second", type=PATH)
-@robot_options
-@click.option(
-    "--bag",
-    multiple=True,
-    type=PATH,
-    help="Bag that both models predict; may be repeated.  [default: the held-out data of each]",
-)
+@options_of(CompareOptions)
 @click.option("--out", default=Path("geomid_compare"), **OUT)
 @click.option("--json", "as_json", is_flag=True, help="Print the numbers as JSON instead of a table.")
 def compare(out: Path, as_json: bool, **options: Any) -> None:

@@ -7,7 +7,8 @@ from typing import Any
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import PATH, Names, package_option
+from geomid_ros.api.options import ExportOptions
+from geomid_ros.commands.options import PATH, options_of
 from geomid_ros.errors import one_line
 from geomid_ros.exports.formats import CONTROLLERS
 from geomid_ros.files.models.readers import DESCRIBED_FOR
@@ -18,27 +19,7 @@ from geomid_ros.files.models.readers import DESCRIBED_FOR
 @click.option(
     "--for", "tool", required=True, type=click.Choice([*CONTROLLERS, *DESCRIBED_FOR]), help="Format, or controller."
 )
-@click.option(
-    "--frame",
-    metavar="LINK",
-    help="The flange: the payload is this link and all links after it, in its axes.  [default: for ur and franka the "
-    "one link whose name ends with tool0 or link8]",
-)
-@click.option("--links", type=Names(), help="The payload is these links, separated by commas.")
-@click.option(
-    "--without",
-    type=PATH,
-    help="Model of the robot without the payload (estimate.json or URDF); the payload is the difference.",
-)
-@click.option(
-    "--into",
-    metavar="MJCF",
-    type=PATH,
-    help="For mujoco: print this file with the identified values of the bodies and joints of the same names; the rest "
-    "is unchanged.",
-)
-@click.option("--force", is_flag=True, help="Export a model whose verdict is not 'usable', too.")
-@package_option
+@options_of(ExportOptions)
 def export(**options: Any) -> None:
     """Print an estimate in the format of other software.
 

@@ -9,7 +9,8 @@ import click
 import numpy as np
 
 import geomid_ros
-from geomid_ros.commands.options import PATH, Output, description_options
+from geomid_ros.api.options import FeedforwardOptions
+from geomid_ros.commands.options import PATH, Output, options_of
 from geomid_ros.commands.terminal import plain_table, print_remarks, results_console
 
 if TYPE_CHECKING:
@@ -19,22 +20,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("trajectory", type=PATH)
 @click.option("--model", type=PATH, help="An estimate.json.  [default: the URDF alone]")
-@description_options
-@click.option(
-    "--urdf",
-    type=click.Path(path_type=Path),
-    help="Robot description, URDF or .xacro.  [default: identified.urdf beside the model]",
-)
-@click.option("--topic", metavar="TOPIC", help="Topic of the trajectory, if TRAJECTORY is a bag with several.")
-@click.option(
-    "--tolerance",
-    type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
-    default=0.01,
-    show_default=True,
-    metavar="SHARE",
-    help="Largest error of linearly interpolated efforts, as a share of the joint's largest effort.",
-)
-@click.option("--force", is_flag=True, help="Take a model whose verdict is not 'usable', too.")
+@options_of(FeedforwardOptions, without=("wrench",))
 @click.option(
     "--out",
     type=Output(within=True),

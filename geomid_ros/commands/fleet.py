@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomid_ros.commands.options import OUT, robot_options
+from geomid_ros.api.options import FleetOptions
+from geomid_ros.commands.options import OUT, options_of
 from geomid_ros.commands.terminal import lines, plain_table, print_remarks, progress_bar, results_console
 
 if TYPE_CHECKING:
@@ -17,24 +18,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("bags")
-@robot_options
-@click.option("--by", default="robot", show_default=True, help="Column of the table that names the robot.")
-@click.option("--scheduler", metavar="tcp://HOST:PORT", help="Dask cluster.  [default: the cores of this machine]")
-@click.option(
-    "--hold-out",
-    type=click.FloatRange(0.0, 0.9),
-    help="Share of each bag, at its end, held out for testing.  [default: 0.3]",
-)
-@click.option(
-    "--since",
-    type=click.Path(path_type=Path, exists=True, file_okay=False),
-    help="Folder of an earlier run, to report which robots have changed.",
-)
-@click.option(
-    "--keep",
-    metavar="FOLDER|URL",
-    help="Where workers store intermediate results.  [default: the folder 'kept' in --out]",
-)
+@options_of(FleetOptions)
 @click.option("--out", default=Path("geomid_fleet"), **OUT)
 def fleet(bags: str, out: Path, **options: Any) -> None:
     """Identify many robots of a type from many bags.

@@ -11,21 +11,14 @@ from typing import Any
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import OUT, PATH, reader_option, recording_options, report_option, robot_options
+from geomid_ros.api.options import GapOptions
+from geomid_ros.commands.options import OUT, PATH, options_of, report_option
 from geomid_ros.commands.terminal import print_written, progress_bar
 
 
 @click.command()
 @click.argument("bags", nargs=-1, required=True, type=PATH)
-@robot_options
-@recording_options
-@click.option(
-    "--simulated",
-    multiple=True,
-    type=PATH,
-    help="Recording of your simulator under the commands of a bag; one for each of BAGS, in their order.",
-)
-@reader_option
+@options_of(GapOptions)
 @click.option("--out", default=Path("geomid_gap"), **OUT)
 @report_option
 @click.option("--json", "as_json", is_flag=True, help="Print gap.json instead of tables.")

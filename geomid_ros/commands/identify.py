@@ -10,37 +10,14 @@ from typing import Any
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import OUT, PATH, Names, reader_option, recording_options, report_option, robot_options
+from geomid_ros.api.options import IdentifyOptions
+from geomid_ros.commands.options import OUT, PATH, options_of, report_option
 from geomid_ros.errors import one_line
 
 
 @click.command()
 @click.argument("bags", nargs=-1, required=True, type=PATH)
-@robot_options
-@recording_options
-@click.option(
-    "--effects",
-    type=Names(or_none=True),
-    help="Effects to identify at every place, separated by commas; 'none' for none.  [default: see the reference]",
-)
-@click.option(
-    "--candidates",
-    type=Names(or_none=True),
-    help="Effects to add where the data need them, separated by commas; 'none' for none.  [default: see the reference]",
-)
-@click.option("--links", type=Names(), help="Links to identify, separated by commas.  [default: all]")
-@click.option(
-    "--known",
-    multiple=True,
-    metavar="LINK=MASS:STD",
-    help="Weighed mass of a link, of LINK+LINK together, or of the total [kg]; may be repeated.",
-)
-@click.option(
-    "--prior",
-    type=PATH,
-    help="Start from this population.json, written by 'geomid fleet' for this type of robot.",
-)
-@reader_option
+@options_of(IdentifyOptions)
 @click.option("--out", default=Path("geomid_out"), **OUT)
 @report_option
 @click.option("--json", "as_json", is_flag=True, help="Print estimate.json instead of tables.")

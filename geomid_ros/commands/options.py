@@ -1,17 +1,20 @@
-"""Options that commands share, of those which read bags above all."""
+"""Options of commands: the types of what is typed, and options made of their declarations."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import MISSING, Field, fields
 from functools import reduce
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import click
 
-from geomid_ros.files.models.readers import DESCRIBED_FOR, URDF
+from geomid_ros.errors import InputError
+from geomid_ros.options import explained
 
 Decorator: TypeAlias = Callable[[Callable[..., Any]], Callable[..., Any]]
+_NONE = "'none' for none"
 
 
 class Output(click.Path):
@@ -41,18 +44,48 @@ class Names(click.ParamType):  # type: ignore[type-arg]  # older releases of cli
     name = "names"
 
     def __init__(self, *, or_none: bool = False) -> None:
-        self._or_none = or_none
+        self.or_none = or_none
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[str]:
         names = [name.strip() for name in value.split(",")]
-        if self._or_none and names == ["none"]:
+        if self.or_none and names == ["none"]:
             return []
         if not all(names):
-            none = ", or 'none' for none" if self._or_none else ""
+            none = f", or {_NONE}" if self.or_none else ""
             self.fail(
                 f"there is an empty name in '{value}'. Write NAME,NAME,...{none}; or omit the option.", param, ctx
             )
         return names
+
+
+def numbers(_context: click.Context, option: click.Parameter, text: str | None) -> list[float]:
+    """Numbers that are separated by commas, none for no text. Raises InputError."""
+    try:
+        return [] if text is None else [float(part) for part in text.split(",")]
+    except ValueError as error:
+        raise InputError(f"{option.opts[0]} is '{text}', expected numbers separated by commas") from error
+
+
+def share(_context: click.Context, _option: click.Parameter, text: str | None) -> float:
+    """A share of ``5%`` or ``0.05``, 0 for no text."""
+    try:
+        number = float((text or "0").removesuffix("%")) / (100.0 if (text or "").endswith("%") else 1.0)
+    except ValueError:
+        number = -1.0
+    if not 0.0 <= number < 1.0:
+        raise click.BadParameter(f"'{text}' is not a share; expected e.g. 5%")
+    return number
+
+
+def _packages(_context: click.Context, _option: click.Parameter, texts: tuple[str, ...]) -> dict[str, Path]:
+    """Folders by package name, of NAME=FOLDER."""
+    packages = {}
+    for text in texts:
+        name, _, folder = text.partition("=")
+        if not name or not folder:
+            raise click.BadParameter(f"'{text}' is not of the form NAME=FOLDER")
+        packages[name] = Path(folder)
+    return packages
 
 
 OUT: dict[str, Any] = {
@@ -70,127 +103,67 @@ def together(options: Sequence[Decorator]) -> Decorator:
     return lambda command: reduce(lambda inner, option: option(inner), options, command)
 
 
-def _packages(_context: click.Context, _option: click.Parameter, texts: tuple[str, ...]) -> dict[str, Path]:
-    """Folders by package name, of NAME=FOLDER."""
-    packages = {}
-    for text in texts:
-        name, _, folder = text.partition("=")
-        if not name or not folder:
-            raise click.BadParameter(f"'{text}' is not of the form NAME=FOLDER")
-        packages[name] = Path(folder)
-    return packages
+# How options of a type are given, where their declaration does not say it.
+_KINDS: dict[str, dict[str, Any]] = {
+    "PathLike | None": {"type": PATH},
+    "Config | None": {"type": PATH},
+    "Paths": {"type": PATH, "multiple": True},
+    "Texts": {"multiple": True},
+    "Texts | None": {"type": Names()},
+    "Gains": {"multiple": True},
+    "Packages": {"multiple": True, "metavar": "NAME=FOLDER", "callback": _packages},
+    "Sequence[float]": {"callback": numbers},
+    "Sequence[float] | None": {"type": float, "nargs": 3},
+    "float | None": {"type": float},
+    "bool": {"is_flag": True},
+}
 
 
-joint_topic_option = click.option(
-    "--joint-topic", default="joint_states", show_default=True, help="Topic of the joint states."
-)
-lock_option = click.option(
-    "--lock", type=Names(), metavar="JOINTS", help="Joints that stay at zero, separated by commas."
-)
-xacro_option = click.option(
-    "--xacro-arg", "xacro_args", multiple=True, metavar="NAME:=VALUE", help="Xacro argument; may be repeated."
-)
-description_options = together(
-    [
-        lock_option,
-        click.option(
-            "--gain",
-            multiple=True,
-            metavar="[JOINT=]FACTOR",
-            help="Factor from message efforts to N m (or N), for all joints or one; may be repeated.",
-        ),
-        click.option(
-            "--gravity", nargs=3, type=float, metavar="X Y Z", help="Gravity in the base frame.  [default: 0 0 -9.81]"
-        ),
-        click.option("--config", type=PATH, help="The node's parameter file (YAML)."),
-        xacro_option,
-    ]
-)
-"""The options that say which robot it is, but ``--urdf``, as :class:`~geomid_ros.api.options.RobotOptions` has them."""
+def options_of(kind: type, *, without: Collection[str] = ()) -> Decorator:
+    """The options of a command that a class declares as fields with defaults, but those ``without``."""
+    texts, left_out = explained(kind), ("progress", *without)
+    declared = [each for each in fields(kind) if each.default is not MISSING and each.name not in left_out]
+    return together([_option(each, texts[each.name]) for each in reversed(declared)])
 
-robot_options = together(
-    [
-        click.option("--odom-topic", default="odom", show_default=True, help="Topic of the base pose."),
-        click.option("--floating-base", is_flag=True, help="The base moves; its pose is read from the odometry topic."),
-        click.option(
-            "--contacts",
-            type=Names(),
-            metavar="FEET",
-            help="Feet on the ground, FRAME or FRAME:RADIUS [m], separated by commas; the efforts of their legs tell "
-            "their forces.",
-        ),
-        click.option("--imu", metavar="TOPIC:FRAME", help="IMU on a moving base, in place of its pose."),
-        click.option(
-            "--wrench",
-            multiple=True,
-            metavar="TOPIC:FRAME:ROLE[:AXES]",
-            help="Wrench topic; ROLE is mounted or external, -ROLE reverses the sign; AXES as in fz,tx,ty.",
-        ),
-        click.option(
-            "--gains",
-            multiple=True,
-            metavar="[JOINT=]KP:KD",
-            help="Gains of motors without torque sensors, whose efforts are those of --command, or a parameter file of "
-            "a joint_trajectory_controller; may be repeated.",
-        ),
-        click.option(
-            "--command",
-            metavar="TOPIC",
-            help="Topic of the recorded joint set-points (JointState); identify and gap simulate under them.",
-        ),
-        joint_topic_option,
-        click.option("--merge", is_flag=True, help="Several publishers send joint states, each for some joints."),
-        click.option("--alike", type=click.Choice(("urdf", "none")), help="Links that err alike.  [default: urdf]"),
-        click.option("--cutoff", type=float, metavar="HZ", help="Cutoff of the low-pass filter on all signals."),
-        description_options,
-        click.option(
-            "--urdf",
-            type=PATH,
-            help="Robot description, URDF or .xacro.  [default: robot_description in the bags]",
-        ),
-    ]
-)
-"""The same, and what is measured on the robot and how that is read."""
 
-recording_options = together(
-    [
-        click.option("--validate", multiple=True, type=PATH, help="Bag to test on; may be repeated."),
-        click.option(
-            "--hold-out",
-            type=click.FloatRange(0.0, 0.9),
-            help="Share of each bag, at its end, held out for testing.  [default: 0.3; 0 with --validate]",
-        ),
-        click.option(
-            "--model",
-            type=PATH,
-            help="Start from this estimate.json. Without --urdf, identified.urdf in the same folder is used.",
-        ),
-    ]
-)
-"""Further ones: which data are judged on, and where to start from."""
+def _option(field: Field[Any], text: str) -> Decorator:
+    """The option that a field declares."""
+    how = _KINDS.get(str(field.type), {}) | _declared(field.metadata)
+    flag = how.pop("flag", f"--{field.name.replace('_', '-')}")
+    if field.default is True:
+        flag = f"{flag}/--no-{field.name}"
+    if field.default not in (None, ()):
+        how |= {"default": field.default, "show_default": True}
+    return click.option(flag, field.name, **how, help=_help(text, how))
 
-reader_option = click.option(
-    "--for",
-    "reader",
-    type=click.Choice(DESCRIBED_FOR),
-    default=URDF,
-    show_default=True,
-    help="Format of the robot description. The file is fitted with what the format can hold, loaded again, and tested "
-    "on held-out data.",
-)
+
+def _declared(metadata: Mapping[str, Any]) -> dict[str, Any]:
+    """What a declaration says of an option's form."""
+    how = {name: metadata[name] for name in ("flag", "metavar") if name in metadata}
+    if "choices" in metadata:
+        how["type"] = click.Choice(metadata["choices"])
+    if "min" in metadata:
+        limits = {name: metadata[name] for name in ("min", "max", "min_open", "max_open") if name in metadata}
+        how["type"] = (click.IntRange if isinstance(metadata["min"], int) else click.FloatRange)(**limits)
+    if "or_none" in metadata:
+        how["type"] = Names(or_none=True)
+    return how
+
+
+def _help(text: str, how: Mapping[str, Any]) -> str:
+    """The sentence of a declaration with how several are given, and then what holds without the option."""
+    sentence, _, unset = text.partition(" [default: ")
+    sentence = sentence[0].upper() + sentence[1:].removesuffix(".")
+    names = how.get("type")
+    if isinstance(names, Names):
+        sentence += f", separated by commas{f'; {_NONE}' if names.or_none else ''}"
+    repeated = "; may be repeated" if how.get("multiple") else ""
+    return f"{sentence}{repeated}.{f'  [default: {unset}' if unset else ''}"
+
 
 report_option = click.option(
     "--report/--no-report",
     default=True,
     show_default=True,
     help="Write the page and the pictures, which are for people.",
-)
-
-package_option = click.option(
-    "--package-path",
-    multiple=True,
-    metavar="NAME=FOLDER",
-    callback=_packages,
-    help="Folder of package://NAME, if not above the URDF, in ROS_PACKAGE_PATH or in AMENT_PREFIX_PATH; may be "
-    "repeated.",
 )

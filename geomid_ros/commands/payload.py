@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import PATH, robot_options
+from geomid_ros.api.options import PayloadOptions
+from geomid_ros.commands.options import PATH, options_of
 from geomid_ros.commands.terminal import plain_table, print_verdict, progress_bar, results_console
 from geomid_ros.exports.formats import CONTROLLERS
 
@@ -21,16 +22,8 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("empty", type=PATH)
 @click.argument("loaded", type=PATH)
-@robot_options
-@click.option(
-    "--frame", metavar="LINK", help="Link that is the flange.  [default: payload.frame, or the last moving link]"
-)
+@options_of(PayloadOptions)
 @click.option("--for", "controller", type=click.Choice([*CONTROLLERS]), help="Print the commands that set the payload.")
-@click.option(
-    "--gain-std",
-    type=click.FloatRange(0.0, 1.0, max_open=True),
-    help="Relative standard deviation of the effort gain; 0 for calibrated torque sensors.  [default: payload.gain]",
-)
 @click.option("--json", "as_json", is_flag=True, help="Print the numbers as JSON.")
 def payload(empty: Path, loaded: Path, controller: str | None, as_json: bool, **options: Any) -> None:
     """Identify a payload.

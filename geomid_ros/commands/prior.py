@@ -9,9 +9,10 @@ from xml.etree.ElementTree import Element
 
 import click
 
-from geomid_ros.commands.options import PATH, Names, Output, package_option
+from geomid_ros.commands.options import PATH, Names, Output, options_of
 from geomid_ros.commands.terminal import plain_table, progress_bar, results_console
 from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.session.options import PackageOptions
 
 if TYPE_CHECKING:
     from geomid_ros.files.shapes.shapes import ShapeReader
@@ -29,7 +30,7 @@ _LIGHTEST, _HEAVIEST = 50.0, 20_000.0  # [kg/m^3]
 @click.option(
     "--keep", type=Names(), help="Links to leave unchanged, separated by commas; their mass counts towards --mass."
 )
-@package_option
+@options_of(PackageOptions)
 @click.option(
     "--out",
     type=Output(within=True, dir_okay=False),

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import OUT, PATH, package_option
+from geomid_ros.api.options import SampleOptions
+from geomid_ros.commands.options import OUT, PATH, options_of
 from geomid_ros.commands.terminal import plain_table, progress_bar, results_console
 from geomid_ros.errors import one_line
 from geomid_ros.exports.formats import JSON
@@ -20,33 +21,10 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("model", metavar="ESTIMATE", type=PATH)
-@click.option("-n", "count", type=click.IntRange(1, 100_000), default=100, show_default=True, help="Number of robots.")
 @click.option(
     "--for", "tool", required=True, type=click.Choice([*DESCRIBED_FOR, JSON]), help="Software that will read them."
 )
-@click.option(
-    "--into",
-    metavar="MJCF",
-    type=PATH,
-    help="For mujoco: write this file with each robot's numbers for the bodies and joints of the same names; the rest "
-    "is "
-    "unchanged.",
-)
-@click.option(
-    "--spread",
-    type=click.FloatRange(0.0, 3.0, min_open=True),
-    default=1.0,
-    show_default=True,
-    help="Factor on all standard deviations.",
-)
-@click.option(
-    "--seed",
-    type=click.IntRange(0),
-    default=0,
-    show_default=True,
-    help="Random seed; the same seed gives the same robots.",
-)
-@package_option
+@options_of(SampleOptions)
 @click.option("--out", default=Path("geomid_samples"), **OUT)
 def sample(out: Path, **options: Any) -> None:
     """Sample robots from the posterior.

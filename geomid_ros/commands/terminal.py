@@ -17,8 +17,8 @@ from rich.text import Text
 from geomid_ros.errors import one_line
 
 if TYPE_CHECKING:
+    from geomid_ros import options
     from geomid_ros.checks.verdict import Verdict
-    from geomid_ros.session import recordings
 
 _WIDTH_OF_FILES = 110
 
@@ -81,7 +81,7 @@ def number_columns(table: Table, headings: Sequence[str]) -> None:
 
 
 @contextmanager
-def progress_bar() -> Iterator[recordings.Progress]:
+def progress_bar() -> Iterator[options.Progress]:
     """A bar with the time left, which vanishes when done; nothing where standard error is no terminal.
 
     It yields a function to call with what is being done and the share of it, 0 to 1, that is done. As long as the share

@@ -10,7 +10,8 @@ import click
 from rich.table import Table
 
 import geomid_ros
-from geomid_ros.commands.options import PATH, robot_options
+from geomid_ros.api.options import VerifyOptions
+from geomid_ros.commands.options import PATH, options_of
 from geomid_ros.commands.terminal import plain_table, print_remarks, progress_bar, results_console, say
 
 if TYPE_CHECKING:
@@ -19,20 +20,13 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("model", type=PATH)
-@robot_options
+@options_of(VerifyOptions)
 @click.option(
     "--validate",
     required=True,
     multiple=True,
     type=PATH,
     help="Bag to predict; may be repeated.",
-)
-@click.option(
-    "--require",
-    multiple=True,
-    metavar="[PLACE.]QUANTITY<BOUND",
-    help="Requirement, such as rms<2*floor, joint2.rms<1.5, rms<0.5*urdf, total.mass>20, link3.mass<1.1*urdf, "
-    "from_data>=0.1; may be repeated.",
 )
 def verify(**options: Any) -> None:
     """Check that a model predicts a recording.

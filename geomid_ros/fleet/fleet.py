@@ -18,7 +18,7 @@ from geomid_ros.fleet.cluster import Cluster, failure
 from geomid_ros.fleet.kept import SUFFIX, RobotResults, Store
 from geomid_ros.fleet.recordings import FleetBag
 from geomid_ros.fleet.work import BagOutcome, FleetPlan, solve_robot, summarise_bag
-from geomid_ros.session.recordings import Progress, silent
+from geomid_ros.options import Progress, silent
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -10,7 +10,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from geomid_ros.errors import InputError
 from geomid_ros.live.threads import start_daemon
-from geomid_ros.session.recordings import Progress
+from geomid_ros.options import Progress
 
 _PATIENCE = 0.2  # [s] for a search to notice that it is to end
 

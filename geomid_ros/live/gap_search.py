@@ -11,8 +11,8 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.models.estimate_file import causes_entry
 from geomid_ros.files.models.gap_file import gap_document
 from geomid_ros.gap.result import GapResult
+from geomid_ros.options import Progress
 from geomid_ros.report.gap_words import verdict_sentence
-from geomid_ros.session.recordings import Progress
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import Accepted
 

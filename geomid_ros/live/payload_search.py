@@ -9,8 +9,9 @@ from geomid_ros.exports.weighed_payload import Payload, weigh_at
 from geomid_ros.live.background_search import BackgroundSearch, SearchStatus
 from geomid_ros.live.worker import Worker
 from geomid_ros.model.samples import Samples
+from geomid_ros.options import Progress
 from geomid_ros.session.payload import payload_session
-from geomid_ros.session.recordings import Progress, samples_of_messages
+from geomid_ros.session.recordings import samples_of_messages
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import JOINT_STATES, Accepted
 

@@ -9,8 +9,8 @@ from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory
 
-from geomid_ros.api.feedforward import TOLERANCE, check_tolerance, filled, robot_to_move
-from geomid_ros.api.options import RobotOptions
+from geomid_ros.api.feedforward import filled, robot_to_move
+from geomid_ros.api.options import FillOptions
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.files.trajectories import trajectory_of
@@ -43,10 +43,9 @@ class FeedforwardRelay:
             str(node.declare_parameter(name, default).value)
             for name, default in (("model", ""), ("urdf", ""), ("config", ""), ("controller", _CONTROLLER))
         )
-        self._tolerance = float(node.declare_parameter("tolerance", TOLERANCE).value)
-        check_tolerance(self._tolerance)
-        self._force = bool(node.declare_parameter("force", False).value)
-        self._options = RobotOptions(urdf=urdf or None, config=config or None)
+        tolerance = float(node.declare_parameter("tolerance", FillOptions.tolerance).value)
+        force = bool(node.declare_parameter("force", FillOptions.force).value)
+        self._options = FillOptions(urdf or None, config=config or None, tolerance=tolerance, force=force)
         self._read_at = self._changed_at()
         self._session = self._read()
         self._publisher = node.create_publisher(JointTrajectory, f"{controller}/joint_trajectory", 10)
@@ -65,7 +64,7 @@ class FeedforwardRelay:
             return 0  # reading says so
 
     def _read(self) -> Session:
-        return robot_to_move(self._options, self._model or None, force=self._force)
+        return robot_to_move(self._options, self._model or None)
 
     def _relay(self, message: JointTrajectory) -> None:
         if not message.points:  # tells the controller to stop
@@ -79,7 +78,7 @@ class FeedforwardRelay:
                 if self._adapting is not None:
                     self._adapting.use(self._session)
                 self._log.info(f"{self._model} has changed and is read again")
-            found = filled(self._session, trajectory_of(message, "trajectory"), self._tolerance, "trajectory")
+            found = filled(self._session, trajectory_of(message, "trajectory"), self._options.tolerance, "trajectory")
         except GeomidError as error:
             self._log.error(f"a trajectory is not sent on: {error}")
             return

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,39 +11,24 @@ from geomid_ros.errors import InputError
 from geomid_ros.files.shapes.shapes import link_shapes, obstacles
 from geomid_ros.model.collision import CollisionModel, Pair
 from geomid_ros.model.robot import Robot
+from geomid_ros.session.options import Surroundings, texts
 from geomid_ros.types import FloatArray
 
 NOT_LOOKED = "collisions are not looked for (--no-collision): watch the robot"
 _NEIGHBOURS = 2  # joints between links whose hulls may overlap all the time
 
 
-@dataclass(frozen=True, kw_only=True)
-class Surroundings:
-    """What must not be touched.
+def collision_model(around: Surroundings, robot: Robot, source: Path) -> CollisionModel | None:
+    """The shapes of a robot, whose URDF is of the file ``source``, and the obstacles; None if nobody looks.
 
-    Attributes:
-        avoid: obstacles, see :func:`~geomid_ros.files.shapes.shapes.obstacles`.
-        clearance: [m] of all that may collide.
-        collide: whether collisions are looked for.
-        packages: folders of ``package://``.
+    Raises InputError: the URDF has no shapes, or one cannot be read.
     """
-
-    avoid: Sequence[str] = ()
-    clearance: float = 0.02
-    collide: bool = True
-    packages: Mapping[str, Path] = field(default_factory=dict)
-
-    def collision(self, robot: Robot, source: Path) -> CollisionModel | None:
-        """The shapes of a robot, whose URDF is of the file ``source``, and the obstacles; None if nobody looks.
-
-        Raises InputError: the URDF has no shapes, or one cannot be read.
-        """
-        if not self.collide:
-            if self.avoid:
-                raise InputError("--avoid and --no-collision exclude each other")
-            return None
-        around = [obstacle for text in self.avoid for obstacle in obstacles(text)]
-        return CollisionModel(robot, link_shapes(robot.urdf, source, self.packages), around)
+    if not around.collision:
+        if around.avoid:
+            raise InputError("--avoid and --no-collision exclude each other")
+        return None
+    avoided = [obstacle for text in texts(around.avoid) for obstacle in obstacles(text)]
+    return CollisionModel(robot, link_shapes(robot.urdf, source, around.package_path or {}), avoided)
 
 
 def without_touching(collision: CollisionModel, start: FloatArray) -> tuple[Pair, ...]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +23,9 @@ from geomid_ros.files.models.posterior import beside, read_posterior
 from geomid_ros.files.parameter_file import read_joint_limits
 from geomid_ros.model.collision import CollisionModel, Pair
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.session.collision_scene import NOT_LOOKED, Surroundings, not_watched, without_touching
+from geomid_ros.session.collision_scene import NOT_LOOKED, collision_model, not_watched, without_touching
 from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.options import MotionOptions
 from geomid_ros.session.rival_effects import open_questions
 from geomid_ros.session.session import Session
 
@@ -34,33 +35,6 @@ _OTHERS = 6  # motions on which efforts are to be predicted
 _COMPARED = 3  # random motions with which a designed one is compared
 _SLOW_SHARE = {PREDICTION: 0.1, "friction": 0.5}
 _MANY = 20.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class MotionRequest:
-    """What a motion is asked for.
-
-    Attributes:
-        limits: path of a joint_limits.yaml.
-        duration: of all periods [s].
-        repeats: how often the period is repeated.
-        start: where it begins and ends; by itself if empty.
-        surroundings: what must not be touched.
-        speed: share of the velocity limits.
-        aim: see :func:`~geomid_ros.excitation.learning.weight_of`.
-        settle: path of a gap.json whose rivals are to be told apart.
-        seed: of the search.
-    """
-
-    limits: Path | None = None
-    duration: float = 20.0
-    repeats: int = 2
-    start: Sequence[float] = ()
-    surroundings: Surroundings = field(default_factory=Surroundings)
-    speed: float = 0.5
-    aim: str = PREDICTION
-    settle: Path | None = None
-    seed: int = 0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -151,7 +125,7 @@ class Excitation:
         return Trajectory(self.task.feasibility.names, times, *self.motion.at(times)[:3])
 
 
-def task_of(urdf: str, source: Path, configuration: Configuration, wish: MotionRequest) -> DesignTask:
+def task_of(urdf: str, source: Path, configuration: Configuration, wish: MotionOptions) -> DesignTask:
     """All that a search needs.
 
     Args:
@@ -169,11 +143,11 @@ def task_of(urdf: str, source: Path, configuration: Configuration, wish: MotionR
     robot, model = session.robot, _model_of(session)
     if robot.floating_base or not model.layout.efforts:
         raise InputError("motions are designed for arms on a fixed base whose joint efforts can be predicted")
-    given = read_joint_limits(wish.limits, robot.joint_names) if wish.limits else {}
+    given = read_joint_limits(Path(wish.limits), robot.joint_names) if wish.limits else {}
     inertias = np.array([body.parameters for body in robot.bodies])
     limits = motion_limits(robot, given, inertias, wish.speed, str(source))
     knowledge = _knowledge(session, model, limits)
-    collision = wish.surroundings.collision(robot, source)
+    collision = collision_model(wish, robot, source)
     feasibility, unwatched = _feasibility(knowledge, limits, collision, wish)
     notes = [*limits.notes, "" if collision else NOT_LOOKED, not_watched(unwatched), *robot.repaired.values()]
     slow = _SLOW_SHARE.get(wish.aim, _SLOW_SHARE[PREDICTION])
@@ -217,7 +191,7 @@ def _knowledge(session: Session, model: MeasurementModel, limits: MotionLimits) 
 
 
 def _feasibility(
-    knowledge: Belief, limits: MotionLimits, collision: CollisionModel | None, wish: MotionRequest
+    knowledge: Belief, limits: MotionLimits, collision: CollisionModel | None, wish: MotionOptions
 ) -> tuple[Feasibility, tuple[Pair, ...]]:
     """The first of the starts that can be begun from, and the pairs that are left out."""
     names = knowledge.model.robot.joint_names
@@ -230,38 +204,38 @@ def _feasibility(
     refused = []
     for start in tried:
         try:
-            return Feasibility(knowledge, limits, start, collision, wish.surroundings.clearance), unwatched
+            return Feasibility(knowledge, limits, start, collision, wish.clearance), unwatched
         except InputError as error:
             refused.append(error)
     if wish.start:
         raise refused[0]
-    raise InputError(_nowhere(refused, wish.surroundings))
+    raise InputError(_nowhere(refused, room=bool(wish.avoid)))
 
 
-def _nowhere(refused: Sequence[InputError], around: Surroundings) -> str:
-    """Why no posture can be begun from, and what to give."""
+def _nowhere(refused: Sequence[InputError], *, room: bool) -> str:
+    """Why no posture can be begun from, and what to give; ``room``: obstacles may take it."""
     said = f"no feasible start was found among {len(refused)} postures; the first one: {refused[0]}"
-    if not around.avoid:
+    if not room:
         return said
     return f"{said}, or make room: --avoid is in metres in the base frame, each part of a mesh is its convex hull"
 
 
-def design(task: DesignTask, wish: MotionRequest, progress: Callable[[str, float], None]) -> Excitation:
+def design(task: DesignTask, wish: MotionOptions) -> Excitation:
     """Search for a motion and say what to expect of it."""
     random, feasibility = np.random.default_rng(wish.seed), task.feasibility
-    judge, labels = (None, []) if wish.settle is None else open_questions(task.feasibility, wish.settle)
+    judge, labels = (None, []) if wish.settle is None else open_questions(task.feasibility, Path(wish.settle))
     others = other_motions(feasibility, task.form, random, _OTHERS)
     weight = weight_of(wish.aim, task.knowledge, others)
     criterion = expected_error(feasibility, weight, task.form)
 
     def searching(share: float) -> None:
-        progress("searching", share)
+        wish.progress("searching", share)
 
     if judge is None:
         motion = Search(feasibility, task.form, criterion).run(random, searching)
     else:
         motion = deciding_motion(feasibility, task.form, judge, random, searching)
-    progress("comparing", 0.0)
+    wish.progress("comparing", 0.0)
     randoms = [random_feasible(feasibility, task.form, random) for _ in range(_COMPARED)]
     learning = expected_learning(task.knowledge, weight, motion, randoms)
     decisions = () if judge is None else tuple(_decisions(judge, labels, motion, randoms))

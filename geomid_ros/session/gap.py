@@ -20,9 +20,10 @@ from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import CUTOFF, GapSettings, find_gap, lacking, left_by_model
 from geomid_ros.model.samples import Samples
+from geomid_ros.options import Progress, silent
 from geomid_ros.resimulation.resimulate import CUTOFF as SHARP_CUTOFF
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.recordings import HELD_OUT, Bags, Progress, divided, read_samples, samples_of_messages, silent
+from geomid_ros.session.recordings import HELD_OUT, Bags, divided, read_samples, samples_of_messages
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import check_measured
 from geomid_ros.signals.messages import JOINT_STATES, Accepted, message_type, parse

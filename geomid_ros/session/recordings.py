@@ -6,13 +6,14 @@ from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.model.samples import Samples
+from geomid_ros.options import Progress, silent
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recording_facts import faulty_streams
 from geomid_ros.session.session import Session
@@ -26,12 +27,8 @@ from geomid_ros.signals.unitree import KINDS
 HELD_OUT = 0.3
 """Share of a recording's time, at the end, that is judged on unless the user says otherwise."""
 
-_MOST_HELD_OUT = 0.9
 _DESCRIPTION, _TEXT = "robot_description", "std_msgs/msg/String"
 _WRENCH_OPTION = "--wrench, or wrench.*.topic in a parameter file,"
-
-Progress: TypeAlias = Callable[[str, float], None]
-"""Called with what is being done and the share of it, 0 to 1, that is done."""
 
 
 class NoSamplesError(InputError):
@@ -40,10 +37,6 @@ class NoSamplesError(InputError):
     def __init__(self, message: str, lockable: tuple[str, ...]) -> None:
         super().__init__(message)
         self.lockable = lockable
-
-
-def silent(stage: str, share: float) -> None:
-    """Show no progress."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +62,7 @@ class Bags:
         topics: topics of the joint states and of the base's pose or IMU.
 
     Raises:
-        InputError: there is no bag, or one is given twice, or ``hold_out`` is out of range.
+        InputError: there is no bag, or one is given twice.
     """
 
     fitted: Sequence[Path]
@@ -87,8 +80,6 @@ class Bags:
                 f"{twice}: given twice. Fit and test need different data; without --validate the end of each bag "
                 "is held out"
             )
-        if not 0.0 <= self.share <= _MOST_HELD_OUT:
-            raise InputError(f"the share to hold out is {self.share:g}, expected a number from 0 to {_MOST_HELD_OUT:g}")
 
     @property
     def share(self) -> float:

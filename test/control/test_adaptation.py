@@ -18,7 +18,7 @@ from files.recordings import BAGS, QUICK
 import geomid_ros
 from benchmarks.adaptation import LATE, SLOW, Robot
 from geomid_ros.api.feedforward import robot_to_move
-from geomid_ros.api.options import RobotOptions
+from geomid_ros.api.options import FillOptions
 from geomid_ros.api.verify import identified
 from geomid_ros.control.adaptation import MARGIN, Adaptation, divergence, needed, share_of
 from geomid_ros.control.correction import FASTEST, LARGEST_SHARE, LASTING, LATER, Correction, Latch, Reading
@@ -112,7 +112,7 @@ class Arm:
     """An arm whose model is exact, and that may carry a load; its efforts are pinocchio's."""
 
     def __init__(self) -> None:
-        session = robot_to_move(RobotOptions(urdf=URDF.read_text()), None, force=False)
+        session = robot_to_move(FillOptions(URDF.read_text()), None)
         self.joints = session.robot.joint_names
         self.body = session.robot.body_names[-1]
         self.efforts = MotorEfforts(session.model, identified(session), session.effort_gains, self.joints, "a motion")
@@ -325,7 +325,7 @@ def test_what_cannot_adapt_is_refused(arm: Arm) -> None:
     with pytest.raises(InputError, match="unknown link 'hand'"):
         arm.correction("hand")
     text = re.sub(r'effort="[^"]*"', 'effort="0"', URDF.read_text(), count=1)
-    session = robot_to_move(RobotOptions(urdf=text), None, force=False)
+    session = robot_to_move(FillOptions(text), None)
     efforts = MotorEfforts(session.model, identified(session), session.effort_gains, arm.joints, "a motion")
     with pytest.raises(InputError, match="'joint1' has no effort limit"):
         Correction(efforts, arm.joints, arm.body, HEAVIEST)

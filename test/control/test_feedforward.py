@@ -149,7 +149,7 @@ REFUSED = {
     "too fast": (lambda t: t.at_speed(40.0), {}, r"joint 'joint\d' would need .* % more than its limit"),
     "no robot": (lambda t: t, {"urdf": None}, "no robot is given: add --model"),
     "too long": (lambda t: t.at_speed(1e-3), {}, "takes 4000 s, expected at most 600 s"),
-    "tolerance": (lambda t: t, {"tolerance": 0.0}, "tolerance is 0, expected a share"),
+    "tolerance": (lambda t: t, {"tolerance": 0.0}, "tolerance is 0, expected 0 < tolerance < 1"),
 }
 
 

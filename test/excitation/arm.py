@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.excitation import DesignTask, MotionRequest, task_of
+from geomid_ros.session.excitation import DesignTask, task_of
+from geomid_ros.session.options import MotionOptions
 
 _LINK = """
   <link name="{name}">
@@ -40,9 +41,9 @@ def urdf(limit: str = LIMIT, kind: str = "revolute") -> str:
     return "".join(parts)
 
 
-def small_task(wish: MotionRequest | None = None, text: str | None = None) -> DesignTask:
+def small_task(wish: MotionOptions | None = None, text: str | None = None) -> DesignTask:
     """The search for a motion of this arm."""
-    asked = wish or MotionRequest(duration=6.0, repeats=1)
+    asked = wish or MotionOptions(duration=6.0, repeats=1)
     return task_of(text or urdf(), Path("small.urdf"), Configuration({}, "test"), asked)
 
 

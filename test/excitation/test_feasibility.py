@@ -12,12 +12,11 @@ from geomid_ros.excitation.search import random_feasible, random_motion
 from geomid_ros.model.collision import CollisionModel, ConvexShape, HalfSpace
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import samples_of
-from geomid_ros.session.collision_scene import Surroundings
-from geomid_ros.session.excitation import MotionRequest
+from geomid_ros.session.options import MotionOptions
 
 from .arm import small_task, urdf
 
-TASK = small_task(MotionRequest(duration=6.0, repeats=1, surroundings=Surroundings(avoid=("box:0.75,0,0.7,0.2,2,2",))))
+TASK = small_task(MotionOptions(duration=6.0, repeats=1, avoid=("box:0.75,0,0.7,0.2,2,2",)))
 
 
 def dense(motion: ExcitingMotion) -> np.ndarray:
@@ -88,12 +87,12 @@ def test_starts_that_cannot_be() -> None:
         with pytest.raises(InputError, match=message):
             Feasibility(own.knowledge, own.limits, np.array(start), own.collision)
     with pytest.raises(InputError, match="effort limit of joint 'j2'"):
-        small_task(MotionRequest(duration=6.0, start=(0.0, 1.5, 0.0)), urdf().replace('effort="60"', 'effort="8"'))
+        small_task(MotionOptions(duration=6.0, start=(0.0, 1.5, 0.0)), urdf().replace('effort="60"', 'effort="8"'))
 
 
 def test_surroundings_that_enclose_the_arm() -> None:
     with pytest.raises(InputError, match="no feasible start was found among"):
-        small_task(MotionRequest(duration=6.0, surroundings=Surroundings(avoid=("box:0,0,0,5,5,5",))))
+        small_task(MotionOptions(duration=6.0, avoid=("box:0,0,0,5,5,5",)))
 
 
 CORNERS = np.array(np.meshgrid(*3 * [(-0.5, 0.5)])).reshape(3, -1).T

@@ -15,8 +15,8 @@ from geomid_ros.excitation.learning import expected_learning, weight_of
 from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
 from geomid_ros.excitation.search import random_feasible, random_motion
 from geomid_ros.model.samples import samples_of
-from geomid_ros.session.collision_scene import Surroundings
-from geomid_ros.session.excitation import MotionRequest, design
+from geomid_ros.session.excitation import design
+from geomid_ros.session.options import MotionOptions
 
 from .arm import small_task
 
@@ -103,16 +103,16 @@ WALLS = ("plane:1,0,0,-0.08", "plane:-1,0,0,-0.08", "plane:0,1,0,-0.08", "plane:
 @pytest.mark.parametrize("clearance", [0.02, 0.3])
 def test_pairs_that_begin_closer_than_the_clearance_are_said_to_keep_half(clearance: float) -> None:
     """The walls begin 0.05 m from the arm."""
-    wish = MotionRequest(duration=3.0, repeats=1, surroundings=Surroundings(avoid=WALLS, clearance=clearance))
-    found = design(small_task(wish), wish, lambda *_: None)
+    wish = MotionOptions(duration=3.0, repeats=1, avoid=WALLS, clearance=clearance)
+    found = design(small_task(wish), wish)
     assert ("half of their distance at the start" in found.closest) is (clearance > 0.05)
 
 
 def test_in_a_tight_place_the_error_on_feasible_motions_is_foretold() -> None:
     """The arm stands upright in a shaft, 0.16 m wide, in which random motions within its limits collide."""
-    wish = MotionRequest(duration=6.0, repeats=1, surroundings=Surroundings(avoid=WALLS))
+    wish = MotionOptions(duration=6.0, repeats=1, avoid=WALLS)
     task = small_task(wish)
-    found = design(task, wish, lambda *_: None)
+    found = design(task, wish)
     random = np.random.default_rng(8)
     after = task.knowledge.after(task.knowledge.information(found.motion)).posterior.covariance
 

@@ -16,8 +16,7 @@ from geomid_ros.excitation.rivals import deciding_motion, responses
 from geomid_ros.excitation.search import Search, random_motion
 from geomid_ros.model.effects import AtJoint, OnRobot, effect_class
 from geomid_ros.model.samples import samples_of
-from geomid_ros.session.collision_scene import Surroundings
-from geomid_ros.session.excitation import MotionRequest
+from geomid_ros.session.options import MotionOptions
 from geomid_ros.session.rival_effects import open_questions
 
 from .arm import small_task
@@ -61,7 +60,7 @@ def test_what_a_deciding_motion_shows_is_not_lost_in_making_it_feasible(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In a shaft the best motion collides; bending it, which does not look at rivals, may leave nothing of it."""
-    task = small_task(MotionRequest(duration=6.0, repeats=1, surroundings=Surroundings(avoid=WALLS)))
+    task = small_task(MotionOptions(duration=6.0, repeats=1, avoid=WALLS))
     judge, _ = open_questions(task.feasibility, written(tmp_path, ELASTIC))
     monkeypatch.setattr(Search, "improved", lambda _, motion: motion.scaled(0.0))
     motion = deciding_motion(task.feasibility, task.form, judge, np.random.default_rng(1))

@@ -10,14 +10,14 @@ from geomid_ros.excitation.learning import weight_of
 from geomid_ros.excitation.motion import ExcitingMotion
 from geomid_ros.excitation.search import Search, expected_error, random_feasible, random_motion
 from geomid_ros.model.channels import WrenchSensor
-from geomid_ros.session.collision_scene import Surroundings
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.excitation import DesignTask, MotionRequest, task_of
+from geomid_ros.session.excitation import DesignTask, task_of
+from geomid_ros.session.options import MotionOptions
 from geomid_ros.types import FloatArray
 
 from .arm import small_task
 
-TASK = small_task(MotionRequest(duration=6.0, repeats=1, surroundings=Surroundings(avoid=("box:0.75,0,0.7,0.2,2,2",))))
+TASK = small_task(MotionOptions(duration=6.0, repeats=1, avoid=("box:0.75,0,0.7,0.2,2,2",)))
 
 
 def weight(seed: int, aim: str = "prediction", task: DesignTask = TASK) -> FloatArray:
@@ -38,7 +38,7 @@ def with_a_sensor() -> DesignTask:
     sensor = WrenchSensor("/wrench", "wrist_ft", "mounted")
     path = BAGS / "arm3.urdf"
     chosen = Configuration({}, "test").with_sensors([sensor])
-    return task_of(path.read_text(), path, chosen, MotionRequest(duration=6.0, repeats=1))
+    return task_of(path.read_text(), path, chosen, MotionOptions(duration=6.0, repeats=1))
 
 
 @pytest.mark.parametrize("task", [TASK, with_a_sensor()], ids=["efforts", "efforts and wrenches"])

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from geomid_ros.live.background_search import BackgroundSearch
-from geomid_ros.session.recordings import Progress
+from geomid_ros.options import Progress
 
 PATIENCE = 60.0  # [s]
 

@@ -20,10 +20,10 @@ from geomid_ros.live.worker import Worker
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.robot import Robot
 from geomid_ros.monitoring.change_detection import ChangeDetector, ChannelGap
+from geomid_ros.options import silent
 from geomid_ros.session import gap
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import identified_session, lacking_in_messages
-from geomid_ros.session.recordings import silent
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import JOINT_STATES, Accepted, Recent
 

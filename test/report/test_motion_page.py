@@ -17,8 +17,8 @@ from excitation.arm import small_task, urdf
 from scipy.spatial import ConvexHull
 
 from geomid_ros.report.excitation import corners, write_motion_page
-from geomid_ros.session.collision_scene import Surroundings
-from geomid_ros.session.excitation import Excitation, MotionRequest, design
+from geomid_ros.session.excitation import Excitation, design
+from geomid_ros.session.options import MotionOptions
 
 from .pages import EVIL, Page
 
@@ -27,8 +27,8 @@ AVOID = ("plane:0,0,1,-0.2", "box:0.9,0,0.7,0.2,2,2")
 
 
 def designed(text: str | None = None, avoid: tuple[str, ...] = AVOID) -> Excitation:
-    wish = MotionRequest(duration=6.0, repeats=2, surroundings=Surroundings(avoid=avoid, collide=bool(avoid)))
-    return design(small_task(wish, text), wish, lambda *_: None)
+    wish = MotionOptions(duration=6.0, repeats=2, avoid=avoid, collision=bool(avoid))
+    return design(small_task(wish, text), wish)
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from geomid_ros.excitation.running.watch import Watch
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.trajectories import read_trajectory
 from geomid_ros.ros.excite.run import Order, prepared_run
-from geomid_ros.session.collision_scene import Surroundings
+from geomid_ros.session.options import RunOptions
 
 from .processes import Process
 from .stage import Stage
@@ -165,12 +165,8 @@ def test_an_error_of_our_own_stops_it_too(stage: Stage, monkeypatch: pytest.Monk
         motion=read_trajectory(path),
         source=str(path),
         speed=1.0,
-        controller="/joint_trajectory_controller",
-        joint_topic="joint_states",
         urdf=None,
-        surroundings=Surroundings(),
-        tolerance=0.5,
-        silence=100.0,
+        options=RunOptions(tolerance=0.5, silence=100.0),
     )
 
     def fail(*_: object) -> str:

@@ -14,9 +14,9 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.live.gap_search import look_for_gap
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
+from geomid_ros.options import silent
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.payload import WeighedPayload, weigh
-from geomid_ros.session.recordings import silent
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import JOINT_STATES, Accepted
 from geomid_ros.types import FloatArray

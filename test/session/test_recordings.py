@@ -132,9 +132,3 @@ def test_what_is_measured_late_is_measured(monkeypatch: pytest.MonkeyPatch) -> N
 )
 def test_which_share_of_which_bag(bags: Bags, shares: list[tuple[Path, float]]) -> None:
     assert bags.shares == shares
-
-
-@pytest.mark.parametrize("share", [-0.1, 0.91, float("nan")])
-def test_a_share_out_of_range_is_refused(share: float) -> None:
-    with pytest.raises(InputError, match=r"expected a number from 0 to 0\.9"):
-        Bags(fitted=[BAG], hold_out=share)

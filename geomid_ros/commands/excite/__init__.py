@@ -10,10 +10,10 @@ from rich.table import Table
 
 import geomid_ros
 from geomid_ros.commands.excite.learn import learn
-from geomid_ros.commands.excite.options import motion_options, numbers, share_of
 from geomid_ros.commands.excite.run import run
-from geomid_ros.commands.options import PATH, UNTRIED_OUT
+from geomid_ros.commands.options import UNTRIED_OUT, options_of, share
 from geomid_ros.commands.terminal import plain_table, progress_bar, results_console, say
+from geomid_ros.session.options import MotionOptions
 
 if TYPE_CHECKING:
     from geomid_ros.session.excitation import Excitation
@@ -22,17 +22,16 @@ _MOTIONS = ("before", "designed", "random", "designed,\ntwice")
 
 
 @click.group(invoke_without_command=True)
-@motion_options
-@click.option("--settle", type=PATH, help="Discriminate between the rival effects of this gap.json.")
+@options_of(MotionOptions)
 @click.option(
     "--until",
     metavar="SHARE",
-    callback=share_of,
+    callback=share,
     help="Write nothing if the motion would lower the expected error by less than this, e.g. 5%.",
 )
 @click.option("--out", default=Path("geomid_excite"), **UNTRIED_OUT)
 @click.pass_context
-def excite(context: click.Context, /, start: str | None, until: float, out: Path, **options: Any) -> None:
+def excite(context: click.Context, /, until: float, out: Path, **options: Any) -> None:
     """Design an exciting trajectory.
 
     Writes an informative trajectory that is feasible at every instant: within the limits of position, speed,
@@ -45,7 +44,7 @@ def excite(context: click.Context, /, start: str | None, until: float, out: Path
 
     check_writable(out)
     with progress_bar() as progress:
-        found = geomid_ros.excite(start=numbers(start), progress=progress, **options)
+        found = geomid_ros.excite(progress=progress, **options)
         worth_it = found.excitation.learning.gain >= until
         progress("writing", 0.0)
         files = found.save(out) if worth_it else []

@@ -11,49 +11,41 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomid_ros.commands.excite.options import motion_options, robot_run_options, share_of, wish_of
-from geomid_ros.commands.excite.run import ros_runs, show_plan
-from geomid_ros.commands.options import OUT
+from geomid_ros.commands.excite.run import execute_option, ros_runs, show_plan
+from geomid_ros.commands.options import OUT, options_of, share
 from geomid_ros.commands.terminal import progress_bar
 from geomid_ros.errors import GeomidError, InputError, printable
+from geomid_ros.session.options import MotionOptions, RunOptions
 
 if TYPE_CHECKING:
     from geomid_ros.api.identify import Identification
-    from geomid_ros.api.options import DescribedRobot
+    from geomid_ros.api.robot import DescribedRobot
     from geomid_ros.session.configuration import Configuration
-    from geomid_ros.session.excitation import Excitation, MotionRequest
+    from geomid_ros.session.excitation import Excitation
 
 _FIRST = 0.2  # of the speed
 
 
+@dataclass(frozen=True, kw_only=True)
+class LearnOptions(MotionOptions, RunOptions):
+    """What all motions are asked for, and how they are run."""
+
+
 @click.command()
-@motion_options
+@options_of(LearnOptions, without=("settle",))
 @click.option(
     "--until",
     default="5%",
     show_default=True,
     metavar="SHARE",
-    callback=share_of,
+    callback=share,
     help="Stop when another round would lower the expected error by less than this.",
 )
 @click.option("--rounds", default=10, show_default=True, type=click.IntRange(1), help="Largest number of rounds.")
 @click.option("--yes", is_flag=True, help="Do not ask before each round.")
-@robot_run_options
+@execute_option
 @click.option("--out", default=Path("geomid_out/learn"), **OUT)
-def learn(
-    *,
-    urdf: Path | None,
-    xacro_args: tuple[str, ...],
-    model: Path | None,
-    lock: list[str] | None,
-    wrench: tuple[str, ...],
-    until: float,
-    rounds: int,
-    yes: bool,
-    execute: bool,
-    out: Path,
-    **options: Any,
-) -> None:
+def learn(*, until: float, rounds: int, yes: bool, execute: bool, out: Path, **options: Any) -> None:
     """Identify a robot in rounds: design, run, identify.
 
     Each round designs a trajectory for what is still uncertain, runs it, and identifies from all recordings so far.
@@ -63,12 +55,12 @@ def learn(
     continue. Needs ROS 2.
     """
     from geomid_ros.api.excite import robot_to_excite
-    from geomid_ros.api.options import RobotOptions
 
-    robot, chosen = robot_to_excite(RobotOptions(urdf=urdf, xacro_args=xacro_args, lock=lock, wrench=wrench), model)
+    asked = LearnOptions(**options)
+    robot, chosen = robot_to_excite(asked)
     if (out / "round1").exists():
         raise InputError(f"{out / 'round1'} exists already; name another folder with --out")
-    learning = _LearningRounds(robot, chosen, wish_of(options), out, options)
+    learning = _LearningRounds(robot, chosen, asked, out)
     for designed in learning.designs(rounds):
         if learning.found and designed.learning.gain < until:
             click.echo(f"Stopped: {designed.not_worth(until)}")
@@ -94,9 +86,8 @@ class _LearningRounds:
 
     Attributes:
         chosen: the configuration at the beginning.
-        wish: what all motions are asked for.
+        asked: what all motions are asked for, and how they are run.
         out: folder of all rounds.
-        options: of a run.
         number: of the last round that was begun.
         identified: of the last round whose recording counts.
         found: after that round.
@@ -104,9 +95,8 @@ class _LearningRounds:
 
     robot: DescribedRobot
     chosen: Configuration
-    wish: MotionRequest
+    asked: LearnOptions
     out: Path
-    options: dict[str, Any]
     number: int = 0
     identified: int = 0
     found: Identification | None = None
@@ -127,14 +117,14 @@ class _LearningRounds:
         from geomid_ros.session.configuration import Configuration
 
         for _ in range(rounds):
-            wish, known = self.wish, self.chosen
+            asked, known = self.asked, self.chosen
             if self.found is None:
-                wish = replace(wish, speed=_FIRST * wish.speed)
+                asked = replace(asked, speed=_FIRST * asked.speed)
             else:
                 model = str(self.result / "estimate.json")
                 known = known.with_values(Configuration({"model": model}, "options").given)
             with progress_bar() as progress:
-                designed = designed_motion(self.robot, known, wish, progress).excitation
+                designed = designed_motion(self.robot, known, replace(asked, progress=progress)).excitation
             yield designed
 
     def show(self, designed: Excitation) -> None:
@@ -186,8 +176,7 @@ class _LearningRounds:
             source=str(self.folder / "trajectory.yaml"),
             speed=1.0,
             urdf=(self.robot.text, self.robot.source),
-            surroundings=self.wish.surroundings,
-            **self.options,
+            options=self.asked,
         )
 
     def identify(self) -> None:
@@ -200,7 +189,7 @@ class _LearningRounds:
                 bags,
                 self.robot.text,
                 config=self.chosen,
-                joint_topic=self.options["joint_topic"],
+                joint_topic=self.asked.joint_topic,
                 hold_out=0.0,
                 progress=progress,
             )

@@ -9,13 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomid_ros.commands.excite.options import robot_run_options, surroundings_of, surroundings_options
-from geomid_ros.commands.options import PATH, UNTRIED_OUT
+from geomid_ros.commands.options import PATH, UNTRIED_OUT, options_of
 from geomid_ros.commands.terminal import plain_table, results_console, say
 from geomid_ros.errors import InputError, printable
+from geomid_ros.session.options import DescriptionOptions, RunOptions
 
 if TYPE_CHECKING:
     from geomid_ros.ros.excite.run import Order, Plan
+
+
+execute_option = click.option("--execute", is_flag=True, help="Move the robot; without it nothing moves.")
 
 
 @click.command()
@@ -32,11 +35,13 @@ if TYPE_CHECKING:
     type=click.FloatRange(0.0, 1.0, min_open=True),
     help="Factor on the speed of the motion; raise it once nothing is in the way.",
 )
-@robot_run_options
-@surroundings_options
+@options_of(RunOptions)
+@execute_option
 @click.option("--identify", is_flag=True, help="Identify the robot from the recording afterwards.")
 @click.option("--out", default=Path("geomid_out/excite"), **UNTRIED_OUT)
-def run(trajectory: Path, urdf: Path | None, execute: bool, identify: bool, out: Path, **options: Any) -> None:
+def run(
+    *, trajectory: Path, urdf: Path | None, speed: float, execute: bool, identify: bool, out: Path, **options: Any
+) -> None:
     """Run a motion on a robot, and record it.
 
     Reads TRAJECTORY, as written by 'geomid excite', and prints the plan. With --execute the robot moves slowly to the
@@ -44,20 +49,20 @@ def run(trajectory: Path, urdf: Path | None, execute: bool, identify: bool, out:
     joint is off its trajectory, leaves its range or exceeds its effort limit, and if joint states stop. Obstacles that
     --avoid does not name are unknown: keep the emergency stop at hand. Needs ROS 2.
     """
-    from geomid_ros.api.options import description
+    from geomid_ros.api.robot import description
     from geomid_ros.files.disk import check_writable
     from geomid_ros.files.trajectories import read_trajectory
 
     if execute:
         check_writable(out)
     ros = ros_runs()
-    robot = description(urdf, []) if urdf else None
+    robot = description(DescriptionOptions(urdf), []) if urdf else None
     order = ros.Order(
         motion=read_trajectory(trajectory),
         source=str(trajectory),
+        speed=speed,
         urdf=(robot.text, robot.source) if robot else None,
-        surroundings=surroundings_of(options),
-        **options,
+        options=RunOptions(**options),
     )
     with ros.prepared_run(order) as prepared:
         show_plan(order, prepared.plan)
@@ -85,7 +90,7 @@ def show_plan(order: Order, plan: Plan) -> None:
 
     console = results_console()
     headings = ["now", "start", "distance", "lowest", "highest", "speed", "of its limit"]
-    table = plain_table(f"{order.source} on {order.controller}", ["joint"], headings)
+    table = plain_table(f"{order.source} on {order.options.controller}", ["joint"], headings)
     motion, here = plan.motion, plan.way.positions[0]
     for index, joint in enumerate(motion.joints):
         positions, speed = motion.positions[:, index], motion.speeds[index]
@@ -98,11 +103,9 @@ def show_plan(order: Order, plan: Plan) -> None:
         say(console, "Note:", f" {note}")
     console.print(
         f"Approach: {far:.3f} rad (m) to the start, in {plan.way.duration:.1f} s. Motion: {motion.duration:.1f} s at "
-        f"{100.0 * order.speed:g} % of its speed, at most {max(motion.speeds):.3f} rad/s (m/s).\nIt stops on "
-        f"Ctrl-C, if "
-        f"a joint is {order.tolerance:g} rad (m) off its trajectory, at the URDF's limits of positions and efforts, "
-        f"and "
-        f"after {1e3 * plan.silence:.0f} ms without joint states."
+        f"{100.0 * order.speed:g} % of its speed, at most {max(motion.speeds):.3f} rad/s (m/s).\n"
+        f"It stops on Ctrl-C, if a joint is {order.options.tolerance:g} rad (m) off its trajectory, at the URDF's "
+        f"limits of positions and efforts, and after {1e3 * plan.silence:.0f} ms without joint states."
     )
 
 

@@ -20,7 +20,8 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.ros.excite.controller import Controller, find_controller
 from geomid_ros.ros.excite.robot import HeardRobot, Recorder
 from geomid_ros.ros.starting import PATIENCE, running_node
-from geomid_ros.session.collision_scene import NOT_LOOKED, Surroundings, not_watched, without_touching
+from geomid_ros.session.collision_scene import NOT_LOOKED, collision_model, not_watched, without_touching
+from geomid_ros.session.options import RunOptions
 from geomid_ros.types import FloatArray
 
 _LISTENING = 0.5  # [s] to learn how often joint states come
@@ -37,23 +38,15 @@ class Order:
         motion: at full speed.
         source: where it is from, for messages.
         speed: times its own.
-        controller: name of the joint_trajectory_controller.
-        joint_topic: topic of the joint states.
         urdf: text and source of the robot's description; None for that on the topic robot_description.
-        surroundings: what must not be touched.
-        tolerance: how far a joint may be from where it should be [rad, m].
-        silence: how long joint states may stay away [s]; None for 40 ms, or three of their periods if that is longer.
+        options: who moves the robot, and what stops it.
     """
 
     motion: Trajectory
     source: str
     speed: float
-    controller: str
-    joint_topic: str
     urdf: tuple[str, str] | None
-    surroundings: Surroundings
-    tolerance: float
-    silence: float | None
+    options: RunOptions
 
     @property
     def slowed(self) -> Trajectory:
@@ -99,7 +92,7 @@ class MotionRun:
         self._node = node
         self._order = order
         self._interrupted = interrupted
-        self._robot = HeardRobot(node, order.motion.joints, order.joint_topic, interrupted)
+        self._robot = HeardRobot(node, order.motion.joints, order.options.joint_topic, interrupted)
         self._urdf, source = order.urdf or self._description()
         robot = Robot(self._urdf, source=source)
         self._limits = RobotLimits.of(robot, order.motion.joints, order.source)
@@ -129,7 +122,7 @@ class MotionRun:
         if outside := self._limits.out_of_range(state.position):
             raise InputError(f"{outside} in the URDF: move it back first")
         motion = self._order.slowed
-        silence = self._order.silence or max(_SILENCE, _PERIODS * self._robot.period(_LISTENING))
+        silence = self._order.options.silence or max(_SILENCE, _PERIODS * self._robot.period(_LISTENING))
         postures, notes = self._postures(robot, state.position)
         return Plan(way_by(motion.joints, postures, self._limits.speeds), motion, self._limits, silence, notes)
 
@@ -138,9 +131,9 @@ class MotionRun:
 
         Raises InputError if there is no free way, or the motion comes too close to something.
         """
-        around, motion = self._order.surroundings, self._order.motion
+        around, motion = self._order.options, self._order.motion
         start = motion.positions[0]
-        collision = around.collision(robot, Path(robot.source))
+        collision = collision_model(around, robot, Path(robot.source))
         heard = [self._robot.positions.get(name, np.nan) for name in robot.joint_names]
         passage = Passage(robot, motion.joints, np.nan_to_num(heard), collision)
         unwatched = without_touching(collision, passage.whole(start[None])[0]) if collision else ()
@@ -162,7 +155,7 @@ class MotionRun:
         Raises:
             GeomidError: why the motion was stopped. The bag is whole.
         """
-        controller = find_controller(self._node, self._order.controller, self._robot.look)
+        controller = find_controller(self._node, self._order.options.controller, self._robot.look)
         with self._robot.recorded(bag, self._urdf) as recorder:
             for name, motion in (("to the start", self.plan.way), ("the motion", self.plan.motion)):
                 say(f"{name}: {motion.duration:.1f} s")
@@ -178,7 +171,9 @@ class MotionRun:
             raise GeomidError(f"interrupted before {'the motion' if motion is self.plan.motion else 'anything moved'}")
         self._robot.look()
         begin = self._robot.state.stamp if self._robot.state is not None else 0
-        watch = Watch(motion, self._limits, tolerance=self._order.tolerance, silence=self.plan.silence, begin=begin)
+        watch = Watch(
+            motion, self._limits, tolerance=self._order.options.tolerance, silence=self.plan.silence, begin=begin
+        )
         controller.send(motion)
         try:
             problem = self._watched(watch, motion.duration + _SETTLING, controller, recorder)

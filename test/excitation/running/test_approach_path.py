@@ -16,7 +16,8 @@ from geomid_ros.excitation.running.approach import Passage
 from geomid_ros.files.trajectories import read_trajectory
 from geomid_ros.model.collision import CollisionModel
 from geomid_ros.model.robot import Robot
-from geomid_ros.session.collision_scene import Surroundings
+from geomid_ros.session.collision_scene import collision_model
+from geomid_ros.session.options import Surroundings
 from geomid_ros.types import FloatArray
 
 CLEARANCE = 0.02
@@ -30,7 +31,7 @@ def robot(text: str | None = None) -> Robot:
 
 
 def passage(*avoid: str, standing: tuple[float, ...] = (0.0, 0.0, 0.0)) -> tuple[Passage, CollisionModel]:
-    collision = Surroundings(avoid=avoid).collision(robot(), Path("small.urdf"))
+    collision = collision_model(Surroundings(avoid=avoid), robot(), Path("small.urdf"))
     assert collision is not None
     found = Passage(robot(), JOINTS, np.array(standing), collision)
     found.keep(np.array([HERE, THERE]), CLEARANCE)
@@ -81,7 +82,7 @@ def test_who_is_close_to_something_may_leave_it_and_not_come_closer() -> None:
 def test_joints_that_stand_elsewhere_count() -> None:
     """With the second joint bent forwards, the third one, which alone moves, meets the box in front."""
     for bend, free in ((0.0, True), (1.2, False)):
-        collision = Surroundings(avoid=("box:0.6,0,0.55,0.1,0.6,0.1",)).collision(robot(), Path("small.urdf"))
+        collision = collision_model(Surroundings(avoid=("box:0.6,0,0.55,0.1,0.6,0.1",)), robot(), Path("small.urdf"))
         found = Passage(robot(), ("j3",), np.array([0.0, bend, 9.0]), collision)
         ends = np.array([[-1.5], [1.5]])
         found.keep(ends, CLEARANCE)

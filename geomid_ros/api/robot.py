@@ -1,0 +1,177 @@
+"""From what a user says of a robot to its description, its recordings and its configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from geomid_ros.api.options import RecordingOptions, RobotOptions
+from geomid_ros.errors import InputError
+from geomid_ros.files.bags.bag import bags_in
+from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.files.models.xacro import SUFFIX, urdf_of_xacro
+from geomid_ros.files.parameter_file import read_parameter_file
+from geomid_ros.model.channels import WrenchSensor
+from geomid_ros.model.imu import Imu
+from geomid_ros.options import Options
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.options import Config, DescriptionOptions, Gains, PathLike, Paths, Texts, paths, texts
+from geomid_ros.session.recordings import Bags, Topics, recorded_description
+from geomid_ros.signals.messages import COMMANDS, IMU, ODOM
+
+
+def bag_paths(given: Paths) -> list[Path]:
+    """Bags, as a list; for a folder of bags, those in it."""
+    return [bag for path in paths(given) for bag in bags_in(path)]
+
+
+def entries(argument: str, given: Texts) -> list[str]:
+    """One text or several, as the list that is given for a parameter, where an empty text would pass for none.
+
+    Raises:
+        InputError: a text is empty; it names the ``argument``.
+    """
+    result = texts(given)
+    if not all(result):
+        raise InputError(f"{argument}: the text is empty; omit the argument")
+    return result
+
+
+def beside(model: PathLike) -> Path:
+    """The description that is written with an estimate.json."""
+    return Path(model).parent / "identified.urdf"
+
+
+class DescribedRobot(NamedTuple):
+    """The ``text`` of a URDF, its ``source``, and ``notes`` on where it was found if nobody named it."""
+
+    text: str
+    source: str
+    notes: tuple[str, ...] = ()
+
+
+def description(options: DescriptionOptions, bags: Sequence[Path], model: PathLike | None = None) -> DescribedRobot:
+    """The robot description.
+
+    Args:
+        options: its path, or the text itself; if there is none, it is the identified.urdf beside ``model``, or else
+            what is recorded in the ``bags``. A .xacro file is run with its arguments.
+        bags: of the robot.
+        model: an estimate.json to start from.
+
+    Raises:
+        InputError: there is none, or the file cannot be read.
+    """
+    urdf, arguments = options.urdf, texts(options.xacro_args)
+    if isinstance(urdf, str) and urdf.lstrip().startswith("<"):
+        return DescribedRobot(urdf, "robot description")
+    if urdf is not None and Path(urdf).suffix == SUFFIX:
+        return DescribedRobot(urdf_of_xacro(Path(urdf), arguments), str(urdf))
+    if arguments:
+        raise InputError(f"arguments for xacro are given, and {urdf or 'no file'} is not a {SUFFIX} file")
+    if urdf is not None:
+        return DescribedRobot(read_urdf(Path(urdf)), str(urdf))
+    if model is not None and (own := beside(model)).is_file():
+        text, source = read_urdf(own), str(own)
+    else:
+        text, source = recorded_description(bags)
+    return DescribedRobot(text, source, (f"no --urdf is given: using the description of {source}",))
+
+
+def topics(options: RobotOptions) -> Topics:
+    """The topics that recordings are read from."""
+    if options.imu is not None and options.odom_topic != ODOM:
+        raise InputError("--odom-topic beside --imu: an IMU is in place of the base's pose; leave one of them out")
+    imu = IMU if options.imu is None else Imu.parse(options.imu).topic
+    return Topics(options.joint_topic, options.odom_topic, imu, options.command or COMMANDS)
+
+
+def recordings(options: RecordingOptions, fitted: Paths) -> Bags:
+    """The recordings to fit and to judge on. Raises InputError: there is none, or one is given twice."""
+    validate = bag_paths(options.validate)
+    return Bags(fitted=bag_paths(fitted), validate=validate, hold_out=options.hold_out, topics=topics(options))
+
+
+def configuration(options: DescriptionOptions, model: PathLike | None = None, **values: Any) -> Configuration:
+    """The parameters of ``config`` with what the other options say.
+
+    Args:
+        options: which robot it is.
+        model: an estimate.json to start from.
+        values: further parameters by their full names.
+
+    Raises:
+        InputError: a parameter is unknown or has a wrong value.
+    """
+    said = _set_by(options) | _gains(options.gain) | values
+    if model is not None:
+        said["model"] = str(model)
+    if isinstance(options, RobotOptions) and options.imu is not None:
+        said["imu.frame"] = Imu.parse(options.imu).frame
+    if isinstance(options, RobotOptions) and options.gains:
+        said["command.gains"] = [own for text in entries("gains", options.gains) for own in _gains_of(text)]
+    result = _base(options.config)
+    if options.wrench:
+        result = result.with_sensors([WrenchSensor.parse(text) for text in texts(options.wrench)])
+    return result.with_values(Configuration(said, "options").given)
+
+
+def _set_by(options: Options) -> dict[str, Any]:
+    """The parameters that options are declared to set, of those that are given."""
+    said: dict[str, Any] = {}
+    for each in fields(options):
+        value = getattr(options, each.name)
+        if "sets" not in each.metadata or value is each.default:
+            continue
+        if str(each.type).startswith("Texts"):
+            value = entries(each.name, value)
+        said[each.metadata["sets"]] = str(value) if isinstance(value, Path) else value
+    return said
+
+
+def efforts_of_command(options: RobotOptions, parameters: Configuration) -> Configuration:
+    """The ``parameters`` where nothing is simulated. Raises InputError for set-points that would not be read."""
+    if options.command is not None and not parameters.gains:
+        raise InputError(
+            f"--command {options.command} without --gains: here set-points serve as efforts, by the gains of their "
+            "controllers; add --gains KP:KD, or leave --command out to use the reported efforts"
+        )
+    return parameters
+
+
+def _base(config: Config | None) -> Configuration:
+    if isinstance(config, Configuration):
+        return config
+    if config is None or isinstance(config, Mapping):
+        return Configuration(config, "options" if config is None else "config")
+    return Configuration.read(Path(config))
+
+
+def _gains(given: Gains) -> dict[str, float]:
+    """The parameters that factors set."""
+    if isinstance(given, Mapping):
+        return {f"joint.{joint}.effort_gain": float(factor) for joint, factor in given.items()}
+    return dict(_gain(str(entry)) for entry in ([given] if isinstance(given, float | int | str) else given))
+
+
+def _gain(text: str) -> tuple[str, float]:
+    """The parameter that ``[JOINT=]FACTOR`` sets, and its value."""
+    joint, _, factor = text.rpartition("=")
+    try:
+        return (f"joint.{joint}.effort_gain" if joint else "effort_gain"), float(factor)
+    except ValueError as error:
+        raise InputError(f"gain: '{text}' is not of the form [JOINT=]FACTOR, e.g. -1 or joint3=0.5") from error
+
+
+def _gains_of(text: str) -> list[str]:
+    """The entries of ``gains`` that a text is, or that the parameters of a joint_trajectory_controller are in the file
+    of this name. Raises InputError naming the file."""
+    if not Path(text).is_file():
+        return [text]
+    said = read_parameter_file(Path(text))
+    joints = [name[len("gains.") : -len(".p")] for name in said if name.startswith("gains.") and name.endswith(".p")]
+    if not joints:
+        raise InputError(f"{text}: expected gains.JOINT.p and .d, as a joint_trajectory_controller has them")
+    return [f"{joint}={said[f'gains.{joint}.p']}:{said.get(f'gains.{joint}.d', 0.0)}" for joint in joints]
