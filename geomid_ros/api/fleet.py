@@ -10,6 +10,7 @@ from pathlib import Path
 from geomid_ros.api.options import FleetOptions
 from geomid_ros.api.robot import configuration, description, topics
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
+from geomid_ros.errors import InputError
 from geomid_ros.estimation.fleet_outliers import population_and_members
 from geomid_ros.estimation.population import FEWEST, Population, RobotLikelihood
 from geomid_ros.files.models.estimate_file import EstimateFile
@@ -69,6 +70,8 @@ def identify_fleet(options: FleetOptions) -> FleetIdentification:
     )
     fleet = Fleet(plan, every, Store(options.keep or str((folder / _KEPT).absolute())))
     since = None if options.since is None else Path(options.since)
+    if since is not None and not since.is_dir():
+        raise InputError(f"since: {since} is no folder; name that of an earlier run, or omit it")
     robots = fleet.work(partial(Cluster, options.scheduler), options.progress)
     files = [folder / "fleet.html"]
     lines, evidence = {}, {}

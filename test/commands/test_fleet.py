@@ -130,6 +130,11 @@ def test_what_has_changed_is_told(first: tuple[Path, str], bags: Path, tmp_path:
     assert "weighs" not in line
 
 
+def test_an_earlier_run_that_is_not_there_is_refused(bags: Path, tmp_path: Path) -> None:
+    arguments = ("fleet", bags, "--urdf", URDF, "--out", tmp_path, "--since", tmp_path / "nowhere")
+    assert "nowhere is no folder; name that of an earlier run" in refused(*arguments)
+
+
 def test_bags_and_what_is_kept_in_object_stores(
     first: tuple[Path, str], bags: Path, scheduler: str, tmp_path: Path
 ) -> None:
