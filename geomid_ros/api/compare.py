@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from geomid_ros.exports.model import Model, read_model
 from geomid_ros.files.models.effect_forms import coefficients_of
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.files.schema import plain
+from geomid_ros.files.schema import entry, plain
 from geomid_ros.model.urdf_tree import read_xml
 from geomid_ros.options import takes
 from geomid_ros.report.plain_pages import ChannelErrors, ComparisonPage, write_comparison_page
@@ -56,28 +56,14 @@ class Comparison(ComparisonPage):
     @property
     def document(self) -> dict[str, Any]:
         """All of it for programs."""
-        return {
-            "first": self.first,
-            "second": self.second,
-            "differences": [_entry(difference) for difference in self.compared.differences],
-            "changed_links": [
-                {
-                    "link": link.link,
-                    "mass": plain(link.mass),
-                    "moment": plain(link.moment),
-                    "gain": link.gain,
-                    "rivals": list(link.rivals),
-                }
-                for link in self.compared.changed
+        numbers = ("place", "effect", "parameter", "first", "second", "differs")
+        return entry(self, "first", "second", "judged_on", "doubts", "notes") | {
+            "differences": [
+                entry(each, *numbers) | {"joint_interval": plain(each.half_width)} for each in self.compared.differences
             ],
-            "not_compared": list(self.compared.not_compared),
-            "judged_on": self.judged_on,
-            "errors": [
-                {"channel": e.name, "unit": e.unit, "first": plain(e.first), "second": plain(e.second)}
-                for e in self.errors
-            ],
-            "doubts": list(self.doubts),
-            "notes": list(self.notes),
+            "changed_links": plain(self.compared.changed),
+            "not_compared": plain(self.compared.not_compared),
+            "errors": [{"channel": each.name} | entry(each, "unit", "first", "second") for each in self.errors],
         }
 
     def report(self, path: PathLike) -> Path:
@@ -114,19 +100,19 @@ def compare(options: CompareOptions) -> Comparison:
     """
     first, second = options.first, options.second
     sides = [_read_side(Path(path)) for path in (first, second)]
-    results = [side for side in sides if isinstance(side, _Result)]
+    results = [side for side in sides if isinstance(side, EstimateFile)]
     if not results:
         raise InputError(f"{first}, {second}: neither is an estimate.json, so that nothing says how sure a number is")
-    values = [side.values if isinstance(side, _Result) else _urdf_values(side, results[0]) for side in sides]
+    values = [side.values if isinstance(side, EstimateFile) else _urdf_values(side, results[0]) for side in sides]
     _check_same_robot(sides, values)
-    doubts = [f"{result.path}: {remark}" for result in results for remark in result.file.judgement.remarks]
-    status = max(result.file.judgement.status for result in results)
+    doubts = [f"{result.source}: {remark}" for result in results for remark in result.judgement.remarks]
+    status = max(result.judgement.status for result in results)
     errors, data = _own_errors(sides), _OWN
     if options.bag:
-        predicted = [_judged_on(side, options) for side in sides]
-        errors, data = _joined([each.errors for each in predicted]), ", ".join(map(str, paths(options.bag)))
-        more = [sentence for each in predicted for sentence in each.doubts]
-        doubts, status = [*doubts, *more], max(status, STATUS[DOUBTFUL if more else USABLE])
+        predicted, doubted = zip(*(_judged_on(side, options) for side in sides), strict=True)
+        errors, data = _joined(predicted), ", ".join(map(str, paths(options.bag)))
+        doubts += [sentence for each in doubted for sentence in each]
+        status = max(status, STATUS[DOUBTFUL if any(doubted) else USABLE])
     return Comparison(
         first=str(first),
         second=str(second),
@@ -139,55 +125,24 @@ def compare(options: CompareOptions) -> Comparison:
     )
 
 
-def _entry(difference: Difference) -> dict[str, Any]:
-    values = {"first": difference.first, "second": difference.second}
-    return {
-        "place": difference.place,
-        "effect": difference.effect,
-        "parameter": difference.parameter,
-        **plain(values),
-        "joint_interval": plain(difference.half_width),
-        "differs": difference.differs,
-    }
-
-
-class _FileErrors(NamedTuple):
-    """RMS of what a side leaves by channel, with its unit, and why that is not to be believed."""
-
-    errors: Mapping[str, tuple[float, str]]
-    doubts: Sequence[str] = ()
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Result:
-    """An estimate.json at a ``path``, and what it says of links and effects."""
-
-    path: Path
-    file: EstimateFile
-    values: RobotValues
-
-    @property
-    def robot(self) -> str:
-        """The robot's name; empty where neither the file nor the description beside it says it."""
-        own = beside(self.path)
-        if self.file.robot or not own.is_file():
-            return self.file.robot
-        return read_xml(read_urdf(own), str(own)).get("name", "")
-
-
-_Side: TypeAlias = _Result | Model
+_Side: TypeAlias = EstimateFile | Model
 """What is compared: a result, or a URDF."""
 
 
 def _read_side(path: Path) -> _Side:
     """A result, or a URDF. Raises InputError naming the file."""
-    if path.suffix != ".json":
-        return read_model(path)
-    file = EstimateFile.read(path)
-    return _Result(path=path, file=file, values=file.values)
+    return EstimateFile.read(path) if path.suffix == ".json" else read_model(path)
 
 
-def _urdf_values(model: Model, result: _Result) -> RobotValues:
+def _robot(side: _Side) -> str:
+    """The robot's name; empty where neither a result nor the description beside it says it."""
+    if not isinstance(side, EstimateFile):
+        return ""
+    own = beside(side.source)
+    return side.robot or (read_xml(read_urdf(own), str(own)).get("name", "") if own.is_file() else "")
+
+
+def _urdf_values(model: Model, result: EstimateFile) -> RobotValues:
     """What a URDF says of the bodies of a result, exactly.
 
     Raises:
@@ -197,9 +152,9 @@ def _urdf_values(model: Model, result: _Result) -> RobotValues:
     for name, body in result.values.links.items():
         parts = [link for link in (name, *sorted(body.merged)) if link in model.bodies]
         if name not in model.tree.links:
-            raise _other_robot(model.source, model.tree.links, str(result.path), result.values.links)
+            raise _other_robot(model.source, model.tree.links, result.source, result.values.links)
         if not parts:
-            raise InputError(f"{model.source}: link '{name}' has no <inertial>, and {result.path} has identified it")
+            raise InputError(f"{model.source}: link '{name}' has no <inertial>, and {result.source} has identified it")
         terms = [Summand(model.bodies[link], model.placement(link, name)) for link in parts]
         own = total(terms, f"{model.source}: link '{name}'")
         links[name] = replace(own, std=np.zeros(10), merged=body.merged)
@@ -209,15 +164,14 @@ def _urdf_values(model: Model, result: _Result) -> RobotValues:
 def _check_same_robot(sides: Sequence[_Side], values: Sequence[RobotValues]) -> None:
     """Refuse results of different robots: no link in common, or other names and other bodies. Raises InputError."""
     first, second = values
-    names = {side.robot for side in sides if isinstance(side, _Result) and side.robot}
+    names = [_robot(side) for side in sides]
     bodies = [{name: {*link.merged} for name, link in each.links.items()} for each in values]
-    if not first.links.keys() & second.links.keys() or (len(names) > 1 and bodies[0] != bodies[1]):
-        ours, theirs = (side.path if isinstance(side, _Result) else Path(side.source) for side in sides)
-        raise _other_robot(_named(theirs, sides[1]), second.links, _named(ours, sides[0]), first.links)
-
-
-def _named(path: Path, side: _Side) -> str:
-    return f"{path} ('{side.robot}')" if isinstance(side, _Result) and side.robot else str(path)
+    others = all(names) and names[0] != names[1] and bodies[0] != bodies[1]
+    if others or not first.links.keys() & second.links.keys():
+        ours, theirs = (
+            f"{side.source} ('{name}')" if name else side.source for side, name in zip(sides, names, strict=True)
+        )
+        raise _other_robot(theirs, second.links, ours, first.links)
 
 
 def _other_robot(source: str, links: Iterable[str], other: str, others: Iterable[str]) -> InputError:
@@ -227,10 +181,10 @@ def _other_robot(source: str, links: Iterable[str], other: str, others: Iterable
     )
 
 
-def _notes_on(results: Sequence[_Result], *, own_data: bool) -> list[str]:
+def _notes_on(results: Sequence[EstimateFile], *, own_data: bool) -> list[str]:
     """What is worth knowing of the comparison; ``own_data``: of the errors, too, each on its own recording."""
-    exact = [r.path for r in results if not any(link.has_std for link in r.values.links.values())]
-    fitted = [r.path for r in results if own_data and r.file.rms.train and not r.file.rms.held_out]
+    exact = [r.source for r in results if not any(link.has_std for link in r.values.links.values())]
+    fitted = [r.source for r in results if own_data and r.rms.train and not r.rms.held_out]
     return [
         *(f"{path} says no standard deviations: its links count as exact" for path in exact),
         *(f"{path} held nothing out: its errors are of the data that were fitted" for path in fitted),
@@ -239,7 +193,7 @@ def _notes_on(results: Sequence[_Result], *, own_data: bool) -> list[str]:
 
 def _own_errors(sides: Sequence[_Side]) -> list[ChannelErrors]:
     """What each result leaves of its own recording."""
-    return _joined([_said(side.file) if isinstance(side, _Result) else {} for side in sides])
+    return _joined([_said(side) if isinstance(side, EstimateFile) else {} for side in sides])
 
 
 def _said(file: EstimateFile) -> dict[str, tuple[float, str]]:
@@ -264,17 +218,17 @@ def _joined(sides: Sequence[Mapping[str, tuple[float, str]]]) -> list[ChannelErr
     ]
 
 
-def _judged_on(side: _Side, options: CompareOptions) -> _FileErrors:
-    """What a side leaves of recordings."""
-    if isinstance(side, _Result):
-        session, samples = read_to_judge(options, options.bag, model=side.path)
+def _judged_on(side: _Side, options: CompareOptions) -> tuple[dict[str, tuple[float, str]], list[str]]:
+    """RMS of what a side leaves of recordings by channel, with its unit, and why that is not to be believed."""
+    if isinstance(side, EstimateFile):
+        session, samples = read_to_judge(options, options.bag, model=side.source)
         parameters = identified(session)
     else:
         names = list(dict.fromkeys(effect.effect for effect in side.effects))
         session, samples = read_to_judge(replace(options, urdf=side.source), options.bag, effects=names)
         parameters = _with_effects(session, side)
     errors = zip(session.model.channels, session.rms(samples, parameters).tolist(), strict=True)
-    return _FileErrors({channel.name: (error, channel.unit) for channel, error in errors}, doubts_of(session))
+    return {channel.name: (error, channel.unit) for channel, error in errors}, doubts_of(session)
 
 
 def _with_effects(session: Session, model: Model) -> FloatArray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -61,19 +60,20 @@ def learn(*, until: float, rounds: int, yes: bool, execute: bool, out: Path, **o
     if (out / "round1").exists():
         raise InputError(f"{out / 'round1'} exists already; name another folder with --out")
     learning = _LearningRounds(robot, chosen, asked, out)
-    for designed in learning.designs(rounds):
+    for _ in range(rounds):
+        designed = learning.design()
         if learning.found and designed.learning.gain < until:
             click.echo(f"Stopped: {designed.not_worth(until)}")
             break
         learning.show(designed)
-        if not execute:
-            learning.plan(designed)
-            click.echo("\nNothing has moved. To run it, add --execute")
-            return
-        if not yes and not click.confirm(f"Run this motion ({learning.folder / 'motion.html'} plays it)?"):
+        question = f"Run this motion ({learning.folder / 'motion.html'} plays it)?"
+        if execute and not yes and not click.confirm(question):
             click.echo(f"Round {learning.number} was not run")
             break
-        learning.run(designed)
+        learning.run(designed, execute=execute)
+        if not execute:
+            click.echo("\nNothing has moved. To run it, add --execute")
+            return
         learning.identify()
     else:
         click.echo(f"Stopped after {rounds} rounds (--rounds)")
@@ -111,21 +111,18 @@ class _LearningRounds:
         """Folder of what was identified last."""
         return self.out / f"round{self.identified}"
 
-    def designs(self, rounds: int) -> Iterator[Excitation]:
-        """The motion of each round, from what is known when it begins."""
+    def design(self) -> Excitation:
+        """The motion of the next round, from what is known so far."""
         from geomid_ros.api.excite import designed_motion
-        from geomid_ros.session.configuration import Configuration
 
-        for _ in range(rounds):
-            asked, known = self.asked, self.chosen
-            if self.found is None:
-                asked = replace(asked, speed=_FIRST * asked.speed)
-            else:
-                model = str(self.result / "estimate.json")
-                known = known.with_values(Configuration({"model": model}, "options").given)
-            with progress_bar() as progress:
-                designed = designed_motion(self.robot, known, replace(asked, progress=progress)).excitation
-            yield designed
+        speed, known = self.asked.speed, self.chosen
+        if self.found is None:
+            speed *= _FIRST
+        else:
+            known = known.with_values({"model": str(self.result / "estimate.json")})
+        with progress_bar() as progress:
+            asked = replace(self.asked, speed=speed, progress=progress)
+            return designed_motion(self.robot, known, asked).excitation
 
     def show(self, designed: Excitation) -> None:
         """Begin a round: write its motion, and say what to expect of it."""
@@ -139,23 +136,25 @@ class _LearningRounds:
             click.echo(printable(f"Note: {sentence}"))
         click.echo(f"Expected error {designed.error}: {designed.learning.sentences[0]}")
 
-    def plan(self, designed: Excitation) -> None:
-        """Say what would be done."""
-        ros, order = ros_runs(), self._order(designed)
-        with ros.prepared_run(order) as prepared:
-            show_plan(order, prepared.plan)
-
-    def run(self, designed: Excitation) -> None:
-        """Move, and record.
+    def run(self, designed: Excitation, *, execute: bool) -> None:
+        """Say what will be done; to ``execute`` it, move and record.
 
         Raises GeomidError, which says how to go on: what stops a motion was not expected, and somebody should look at
         the robot before it moves again.
         """
-        ros, order = ros_runs(), self._order(designed)
+        ros = ros_runs()
+        order = ros.Order(
+            motion=designed.trajectory,
+            source=str(self.folder / "trajectory.yaml"),
+            speed=1.0,
+            urdf=(self.robot.text, self.robot.source),
+            options=self.asked,
+        )
         try:
             with ros.prepared_run(order) as prepared:
                 show_plan(order, prepared.plan)
-                prepared.execute(self.folder / "recording", lambda said: click.echo(printable(said), err=True))
+                if execute:
+                    prepared.execute(self.folder / "recording", lambda said: click.echo(printable(said), err=True))
         except GeomidError as error:
             raise GeomidError(f"round {self.number}: {error}. {self._to_go_on}") from error
 
@@ -168,15 +167,6 @@ class _LearningRounds:
         return (
             f"The result so far is in {self.result}. To continue, repeat the command with --from {estimate} and "
             "another --out"
-        )
-
-    def _order(self, designed: Excitation) -> Any:
-        return ros_runs().Order(
-            motion=designed.trajectory,
-            source=str(self.folder / "trajectory.yaml"),
-            speed=1.0,
-            urdf=(self.robot.text, self.robot.source),
-            options=self.asked,
         )
 
     def identify(self) -> None:
