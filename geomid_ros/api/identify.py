@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
@@ -13,19 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geomid_ros.api.identification import IdentificationSummary
 from geomid_ros.api.options import IdentifyOptions
 from geomid_ros.api.robot import configuration, description, recordings
-from geomid_ros.checks.verdict import DOUBTFUL, Verdict
 from geomid_ros.errors import GeomidError
-from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
-from geomid_ros.estimation.suggested_motions import suggested_motions
+from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.uncertain_inertia import SURE
-from geomid_ros.exports.handover import HandedOver, JudgedFile
 from geomid_ros.files.disk import staged, write_json, write_text
-from geomid_ros.files.models.effect_forms import unsaid
-from geomid_ros.files.models.estimate_file import EstimateFile, model_effects
+from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
-from geomid_ros.files.models.readers import ELEMENTS, READERS, URDF
+from geomid_ros.files.models.readers import READERS
 from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.gap.evidence.features import StandingRemainder
@@ -37,16 +32,13 @@ from geomid_ros.report.series import Series, series_of
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import gap_session, remainder_of
 from geomid_ros.session.options import PathLike
-from geomid_ros.session.recordings import Bags, read_bags, read_fitted, read_with_locked
+from geomid_ros.session.recordings import Bags, read_bags, read_with_locked
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import Training
 from geomid_ros.session.version import installed_version
-from geomid_ros.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from geomid_ros.resimulation.closed_loop import Tracking
 
 
 DELAY = "command.delay"
@@ -54,124 +46,26 @@ DELAY = "command.delay"
 _DELAYS = 3  # times a recording is read again with the delay of commands that was found
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Identification:
-    """Result of an identification.
+class Identification(IdentificationSummary):
+    """Result of an identification, and its files."""
 
-    Attributes:
-        session: the robot, its model and its configuration.
-        bags: the recordings.
-        estimate: result of the solver.
-        held_out: the held-out samples, in batches; empty if nothing was held out.
-        judged: the samples that the result is tested on: ``held_out``, or the fitted samples if that is empty.
-        reader: who will read the description that is written.
-        command: topic of the joints' set-points, to simulate them.
-    """
+    def urdf(self) -> str:
+        """The robot description with the identified inertias and friction; every other character is kept."""
+        return self.session.identified_urdf(self.estimate)
 
-    session: Session
-    bags: Bags
-    estimate: Estimate
-    held_out: Sequence[Samples]
-    judged: Sequence[Samples]
-    reader: str = URDF
-    command: str | None = None
+    def plot(self) -> Figure:
+        """Draw the bodies before and after, and the channels measured and predicted."""
+        from geomid_ros.report.drawing import draw_identification  # noqa: PLC0415 matplotlib, for pictures alone
 
-    @property
-    def links(self) -> tuple[LinkEstimate, ...]:
-        """The links with mass, centre of mass, inertia and their standard deviations."""
-        return self.estimate.links
-
-    @property
-    def effects(self) -> tuple[EffectEstimate, ...]:
-        """The effects' coefficients with their standard deviations."""
-        return self.estimate.effects
-
-    @property
-    def rms(self) -> dict[str, float]:
-        """RMS of the estimate's residual, by channel [N m, N], on held-out data, or the fitted data if there are none.
-        NaN for a channel that was not measured."""
-        return self._by_channel(self.estimate.rms if self.held_out_rms is None else self.held_out_rms)
-
-    @property
-    def warnings(self) -> list[str]:
-        """Warnings on the result, as sentences, in addition to the :attr:`verdict`."""
-        return self.session.warnings(self.estimate, self.verdict)
+        return draw_identification(self.session, self.estimate, self.judged, self._series, self.judged_on)
 
     @cached_property
-    def verdict(self) -> Verdict:
-        """Verdict on the result: ``usable``, ``doubtful`` or ``not converged``, with the reasons."""
-        judged = self.session.verdict(self.estimate, self.judged, self.held_out_rms)
-        judged = replace(judged, warnings=(*judged.warnings, *self.handover.limited))
-        worse = self.handover.worse
-        return replace(judged, word=DOUBTFUL, reasons=(*judged.reasons, *worse)) if worse else judged
-
-    @cached_property
-    def written(self) -> HandedOver:
-        """The description that is written for :attr:`reader`."""
-        return HandedOver(self.session, self.estimate, self.reader)
-
-    @cached_property
-    def handover(self) -> JudgedFile:
-        """How well that description predicts what is judged on, loaded again by the program that reads it.
-
-        Raises:
-            InputError: the program does not take it.
-        """
-        return self.written.judged(self.judged, self.rms)
-
-    @cached_property
-    def train(self) -> Sequence[Samples]:
-        """The fitted samples, in batches; if others are held out, they are read from the bags again, as they are not
-        kept."""
-        if not self.held_out:
-            return self.judged
-        return read_fitted(Session(*self._again), self.bags)
-
-    @cached_property
-    def rms_nominal(self) -> dict[str, float]:
-        """RMS of the URDF's residual, by channel [N m, N], with its inertias and no effects."""
-        if not self.held_out:
-            return self._by_channel(self.estimate.rms_nominal)
-        return self._by_channel(self.session.rms(self.held_out, self.session.model.nominal_parameters))
-
-    @cached_property
-    def held_out_rms(self) -> FloatArray | None:
-        """RMS of the residuals on held-out data ``(channels,)``; None if nothing was held out."""
-        return self.session.rms(self.held_out, self.estimate.parameters) if self.held_out else None
-
-    @cached_property
-    def tracking(self) -> Tracking | None:
-        """How far the robot of that description is from the measured one under the recorded commands, simulated in
-        MuJoCo on what is held out; None without a :attr:`command`.
-
-        Raises:
-            InputError: MuJoCo is not installed, nothing is held out, or the topic cannot be read.
-        """
-        if self.command is None:
-            return None
-        from geomid_ros.session.written_simulation import tracking_of  # noqa: PLC0415 seldom asked for
-
-        return tracking_of(Session(*self._again), self.written.model, self.bags, self.command)
-
-    @property
-    def _again(self) -> tuple[str, Configuration, str]:
-        """What another session of the same robot is made of."""
-        return self.session.urdf, self.session.configuration, self.session.robot.source
-
-    def _by_channel(self, values: FloatArray) -> dict[str, float]:
-        return dict(zip(self.estimate.channels, values.tolist(), strict=True))
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """All numbers, as ``estimate.json`` has them, but for where they are from."""
-        document = self.session.document(self.estimate, self.held_out_rms, self.verdict)
-        document["handover"][self.reader] |= self.handover.entry
-        if self.tracking is not None:
-            document["handover"][self.reader]["tracking"] = dict(self.tracking.rms)
-        return document | self._tables
+    def _series(self) -> Sequence[Series]:
+        """The channels, measured and predicted."""
+        return series_of(self.session, self.estimate, self.judged)
 
     def _document(self, command: str) -> dict[str, Any]:
-        """The same with where they are from: the program, what was run, and what was read."""
+        """All numbers with where they are from: the program, what was run, and what was read."""
         urdf = hashlib.sha256(self.session.urdf.encode(errors="replace")).hexdigest()
         origin = {
             "version": installed_version(),
@@ -184,60 +78,6 @@ class Identification:
             "configuration": self.session.configuration.given,
         }
         return self.document | {"origin": origin}
-
-    @property
-    def _tables(self) -> dict[str, Any]:
-        """What pages and tables need beside the estimate: URDF's masses, errors by channel, informative motions."""
-        units = {channel.name: channel.unit for channel in self.session.model.channels}
-        masses = self.session.model.nominal_inertias.reshape(-1, 10)[:, 0].tolist()
-        return {
-            "urdf_masses": dict(zip(self.session.model.body_names, masses, strict=True)),
-            "channels": [
-                {
-                    "channel": name,
-                    "unit": units[name],
-                    "judged_on": "held-out data" if self.held_out else "fitted data",
-                    "urdf": self.rms_nominal[name],
-                    "identified": error,
-                    "file": self.handover.alone[name],
-                    "file_with_offsets": self.handover.corrected[name],
-                }
-                for name, error in self.rms.items()
-                if math.isfinite(error)
-            ],
-            "telling": self._telling,
-        }
-
-    @cached_property
-    def _telling(self) -> dict[str, dict[str, list[str]]]:
-        """By link and motion, the quantities that it would identify."""
-        return suggested_motions(self.session.model, self.estimate)
-
-    def urdf(self) -> str:
-        """The robot description with the identified inertias and friction; every other character is kept."""
-        return self.session.identified_urdf(self.estimate)
-
-    @property
-    def not_written(self) -> str:
-        """What the description for :attr:`reader` cannot hold, in a sentence; empty for nothing."""
-        names = unsaid(model_effects(self.estimate, self.session.loaded.effects), ELEMENTS[self.reader])
-        sentence = f"Not representable in {self.written.name}: {'; '.join(names)}"
-        return f"{sentence}. The file is fitted without them; estimate.json has them." if names else ""
-
-    def plot(self) -> Figure:
-        """Draw the bodies before and after, and the channels measured and predicted."""
-        from geomid_ros.report.drawing import draw_identification  # noqa: PLC0415 matplotlib, for pictures alone
-
-        return draw_identification(self.session, self.estimate, self.judged, self._series, self._of_what)
-
-    @property
-    def _of_what(self) -> str:
-        return "held-out data" if self.held_out else "training data"
-
-    @cached_property
-    def _series(self) -> Sequence[Series]:
-        """The channels, measured and predicted."""
-        return series_of(self.session, self.estimate, self.judged)
 
     def report(self, path: PathLike, *, command: str = "geomid_ros.identify") -> Path:
         """Write one HTML page with all results and plots, which needs no network.
@@ -308,23 +148,13 @@ class Identification:
     def _remainder(self, folder: Path, progress: Progress) -> StandingRemainder | None:
         """What the estimate in a folder lacks on the bags, as ``geomid gap --model`` will see it; None, and that is
         told, where it cannot be found: the estimate is worth keeping without it."""
-        urdf, configuration, source = self._again
+        urdf, configuration, source = self.same_again
         written = configuration.with_values({"model": str(folder / "estimate.json"), "prior": ""})
         try:
             return remainder_of(gap_session(urdf, written, source), self.bags, progress)
         except (GeomidError, np.linalg.LinAlgError) as error:
             self.session.settled.append(f"{POSTERIOR}: without what the model leaves unexplained: {error}")
             return None
-
-    def __repr__(self) -> str:
-        """Reasons for doubt, and a line for each link."""
-        state = "converged" if self.estimate.converged else f"NOT converged ({self.estimate.reason})"
-        lines = [
-            f"  {link.name}: {link.mass:.3f} ± {link.std_mass:.3f} kg, {100 * link.from_data:.0f} % from data"
-            for link in self.links
-        ]
-        heading = f"Identification of {self.session.robot.name}: {self.estimate.rows_accepted} rows, {state}"
-        return "\n".join([*self.verdict.remarks, heading, *lines])
 
 
 @takes(IdentifyOptions)
