@@ -72,7 +72,8 @@ def explained(kind: type) -> dict[str, str]:
     """The attributes of a class, as its docstring and those of its bases explain them."""
     texts: dict[str, str] = {}
     for each in reversed(kind.__mro__):
-        texts |= {name: " ".join(text.split()) for name, text in _ATTRIBUTE.findall(inspect.getdoc(each) or "")}
+        attributes = (inspect.getdoc(each) or "").partition("Attributes:\n")[2].partition("\n\n")[0]
+        texts |= {name: " ".join(text.split()) for name, text in _ATTRIBUTE.findall(attributes)}
     return texts
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import MISSING, Field, fields
+from dataclasses import Field, fields
 from functools import reduce
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -115,14 +115,15 @@ _KINDS: dict[str, dict[str, Any]] = {
     "Sequence[float]": {"callback": numbers},
     "Sequence[float] | None": {"type": float, "nargs": 3},
     "float | None": {"type": float},
+    "int | None": {"type": int},
     "bool": {"is_flag": True},
 }
 
 
 def options_of(kind: type, *, without: Collection[str] = ()) -> Decorator:
-    """The options of a command that a class declares as fields with defaults, but those ``without``."""
+    """The options of a command that a class declares as fields with defaults and explains, but those ``without``."""
     texts, left_out = explained(kind), ("progress", *without)
-    declared = [each for each in fields(kind) if each.default is not MISSING and each.name not in left_out]
+    declared = [each for each in fields(kind) if each.name in texts and each.name not in left_out]
     return together([_option(each, texts[each.name]) for each in reversed(declared)])
 
 

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from geomid_ros.commands.options import Names, Output
+from geomid_ros.commands.options import Names, Output, options_of
 from geomid_ros.commands.terminal import progress_bar
 from geomid_ros.errors import InputError
 from geomid_ros.simulation import (
     EFFECTS,
     LINK_MASS,
-    MOTIONS,
     NOTHING,
     WRIST_FRAME,
     Hidden,
@@ -26,7 +25,6 @@ from geomid_ros.simulation import (
 if TYPE_CHECKING:
     from geomid_ros.simulation import SimulationResult
 
-_DEFAULT = SimulationOptions()
 _SAID = ParameterSource.COMMANDLINE
 _OF_WALKS = ("robot", "duration", "rate", "seed", "motion_seed", "inertia_error")
 _HIDE = f"""\b
@@ -44,45 +42,13 @@ Hide a physical effect; may be repeated:
     epilog=f"Effects: {', '.join(EFFECTS)}. For an unknown joint or parameter, the error lists the valid ones."
 )
 @click.argument("out", type=Output(within=True))
-@click.option("--robot", default=_DEFAULT.robot, show_default=True, help=f"{', '.join(robot_names())}, or a URDF file.")
+@click.option(
+    "--robot", default=SimulationOptions.robot, show_default=True, help=f"{', '.join(robot_names())}, or a URDF file."
+)
 @click.option("--hide", "hide", multiple=True, metavar="EFFECT[:PLACE][=VALUE]", help=_HIDE)
-@click.option("--duration", default=_DEFAULT.duration, show_default=True, help="Length of the recording [s].")
-@click.option("--rate", default=_DEFAULT.rate, show_default=True, help="Messages per second [Hz].")
-@click.option(
-    "--seed", default=_DEFAULT.seed, show_default=True, help="Random seed of the robot, its motion and the noise."
-)
-@click.option(
-    "--realistic",
-    is_flag=True,
-    help="Simulate a realistic robot: friction with presliding, cogging, torque ripple, gains a few per cent off, "
-    "encoder "
-    "steps, stamp jitter, lost messages.",
-)
-@click.option("--motion-seed", type=int, help="Random seed of another motion and noise of the same robot.")
-@click.option(
-    "--motion",
-    type=click.Choice(MOTIONS),
-    default=_DEFAULT.motion,
-    show_default=True,
-    help="Kind of motion; sines repeat every --period.",
-)
-@click.option("--period", default=_DEFAULT.motion_period, show_default=True, help="Period of the slowest sine [s].")
-@click.option(
-    "--inertia-error", default=_DEFAULT.inertia_error, show_default=True, help="Relative error of the URDF's inertias."
-)
 @click.option("--wrench", is_flag=True, help=f"Record a wrench sensor mounted at {WRIST_FRAME}.")
 @click.option("--wrench-frame", metavar="LINK", help="Link of the sensor in another robot; implies --wrench.")
-@click.option("--wrench-lag", default=0.0, help="Delay of the wrench samples and stamps after the joints [s].")
-@click.option(
-    "--commands", is_flag=True, help="Also record the controller's set-points on /joint_commands, and its gains."
-)
-@click.option(
-    "--noise-time", default=_DEFAULT.noise_time, help="Time constant of coloured effort and wrench noise [s]."
-)
-@click.option("--position-step", default=_DEFAULT.position_step, help="Resolution of positions [rad, m].")
-@click.option(
-    "--effort-step", default=_DEFAULT.effort_step, help="Resolution of efforts, as a share of the effort limit."
-)
+@options_of(SimulationOptions)
 @click.option(
     "--feet",
     type=Names(),
@@ -96,7 +62,6 @@ def simulate(
     hide: tuple[str, ...],
     wrench: bool,
     wrench_frame: str | None,
-    period: float,
     feet: list[str] | None,
     imu: str | None,
     **options: Any,
@@ -116,7 +81,7 @@ def simulate(
         click.echo(_walked(out, feet or [], imu or "", said))
         return
     frame = wrench_frame or (WRIST_FRAME if wrench else None)
-    chosen = SimulationOptions(hide=_requests(hide), wrench_frame=frame, motion_period=period, **options)
+    chosen = SimulationOptions(hide=_requests(hide), wrench_frame=frame, **options)
     with progress_bar() as progress:
         result = record(out, chosen, lambda share: progress(f"simulating {chosen.duration:g} s", share))
     click.echo(_written(result, bool(hide)))

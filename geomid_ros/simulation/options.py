@@ -38,23 +38,29 @@ MOTIONS = ("sines", "aperiodic", "points", "chirp")
 class SimulationOptions:
     """A robot, its hidden truth, its motion and its sensors. SI units; per joint rad and N m, or m and N if it slides.
 
+    Attributes:
+        duration: length of the recording [s].
+        rate: messages per second [Hz].
+        seed: random seed of the robot, its motion and the noise.
+        realistic: simulate a realistic robot: friction with presliding, cogging, torque ripple, gains a few per cent
+            off, encoder steps, stamp jitter, lost messages.
+        motion_seed: random seed of another motion and noise of the same robot.
+        motion: kind of motion; sines repeat every --period.
+        motion_period: period of the slowest sine [s].
+        inertia_error: relative error of the URDF's inertias.
+        wrench_lag: delay of the wrench samples and stamps after the joints [s].
+        commands: also record the controller's set-points on /joint_commands, and its gains.
+        noise_time: time constant of coloured effort and wrench noise [s].
+        position_step: resolution of positions [rad, m].
+        effort_step: resolution of efforts, as a share of the effort limit.
+
     Robot:
         robot: a shipped robot's name, or the path of a ``.urdf`` file (the nominal model; it goes into the bag).
-        seed: fixes the robot (inertias, effects, joint order) and, unless ``motion_seed`` is given, the recording.
-        realistic: a robot as robots are, see ``simulation/realistic``: true inertias, friction, motors and sensors are
-            drawn from the seed, and options that describe them are refused.
-        motion_seed: fixes the motion and the sensors' noise; vary it to record the same robot again.
-
-    Recording:
-        duration: length [s]. rate: messages per second and topic [Hz].
+        Options that describe what a ``realistic`` robot draws from its seed are refused, see ``simulation/realistic``.
         wrench_frame: link whose connection to its parent carries a wrench sensor (``wrist_ft`` on the shipped robots);
-            None records no ``/wrench``. wrench_lag: how much later than the joints the wrench is sampled, and so
-            stamped [s].
-        commands: also record the controller's set-points and feed-forward efforts.
-
-    True inertias:
-        inertia_error: size of the difference to the URDF; about the relative standard deviation of a link's mass.
-            The bodies stay physically possible whatever the size.
+            None records no ``/wrench``.
+        inertia_error: about the relative standard deviation of a link's mass. The bodies stay physically possible
+            whatever the size.
 
     True effects: as ``hide`` asks, and no others; where it is None, at every joint some friction, rotor inertia and
     offset, each drawn between half and one and a half times the one described here.
@@ -65,14 +71,13 @@ class SimulationOptions:
 
     Noise (standard deviations; Gaussian):
         position_noise [rad], velocity_noise [rad/s], effort_noise (share of the joint's effort limit),
-        force_noise [N], torque_noise [N m]. noise_time: time constant of the noise of efforts and wrench [s], a
-        first-order autoregression; 0 is white. position_step [rad], effort_step (share of the effort limit):
-        resolution, 0 for none.
+        force_noise [N], torque_noise [N m]. Coloured noise is a first-order autoregression; with a noise_time of 0 it
+        is white.
 
     Motion (faded in from rest):
         motion: ``sines`` (a sum of harmonics per joint, periodic), ``aperiodic`` (of frequencies without a common
         period), ``points`` (from point to point by trapezoids of speed) or ``chirp`` (one sine of rising frequency).
-        motion_period: period of the slowest sine, and twice the time from point to point [s]. motion_harmonics: number
+        motion_period: twice the time from point to point, too. motion_harmonics: number
         of sines, the fastest at ``motion_harmonics / motion_period`` Hz. motion_range, motion_speed: largest excursion
         and speed as shares of half the joint's range and of its velocity limit; the tighter one decides.
 
@@ -107,8 +112,8 @@ class SimulationOptions:
     position_step: float = 0.0
     effort_step: float = 0.0
 
-    motion: str = "sines"
-    motion_period: float = 6.0
+    motion: str = field(default="sines", metadata={"choices": MOTIONS})
+    motion_period: float = field(default=6.0, metadata={"flag": "--period"})
     motion_harmonics: int = 6
     motion_range: float = 0.7
     motion_speed: float = 0.6

@@ -70,7 +70,7 @@ def test_trajectories_go_on_with_efforts_or_not_at_all(stage: Stage, model: Path
 REFUSED = {
     "no robot": ({}, "no robot is given"),
     "type": ({"tolerance": 1}, "tolerance"),
-    "tolerance": ({"tolerance": 2.0}, "tolerance is 2, expected a share"),
+    "tolerance": ({"tolerance": 2.0}, "tolerance is 2, expected 0 < tolerance < 1"),
     "name": ({"urdf": str(BAGS / "arm3.urdf"), "controller": "bad-name"}, "bad-name"),
 }
 
