@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import Field, fields
+from dataclasses import MISSING, Field, fields
 from functools import reduce
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -88,11 +88,7 @@ def _packages(_context: click.Context, _option: click.Parameter, texts: tuple[st
     return packages
 
 
-OUT: dict[str, Any] = {
-    "type": Output(file_okay=False),
-    "show_default": True,
-    "help": "Output folder.",
-}
+OUT: dict[str, Any] = {"type": Output(file_okay=False), "show_default": True, "help": "Output folder."}
 UNTRIED_OUT = OUT | {"type": click.Path(path_type=Path, file_okay=False)}
 """The same for commands that do not always write: they try it themselves."""
 PATH = click.Path(path_type=Path)
@@ -122,8 +118,9 @@ _KINDS: dict[str, dict[str, Any]] = {
 
 def options_of(kind: type, *, without: Collection[str] = ()) -> Decorator:
     """The options of a command that a class declares as fields with defaults and explains, but those ``without``."""
-    texts, left_out = explained(kind), ("progress", *without)
-    declared = [each for each in fields(kind) if each.name in texts and each.name not in left_out]
+    texts = explained(kind)
+    offered = texts.keys() - {"progress", *without}
+    declared = [each for each in fields(kind) if each.default is not MISSING and each.name in offered]
     return together([_option(each, texts[each.name]) for each in reversed(declared)])
 
 

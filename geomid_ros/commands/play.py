@@ -27,9 +27,7 @@ from geomid_ros.errors import InputError, printable
     "--topic", multiple=True, help="Also publish this topic; may be repeated. A robot will follow recorded commands."
 )
 @click.option(
-    "--config",
-    type=PATH,
-    help="The node's parameter file (YAML); also publish the topics of its wrench sensors.",
+    "--config", type=PATH, help="The node's parameter file (YAML); also publish the topics of its wrench sensors."
 )
 def play(bag: Path, rate: float, wait: float, topic: tuple[str, ...], config: Path | None) -> None:
     """Play a rosbag on live topics.

@@ -21,13 +21,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("model", type=PATH)
 @options_of(VerifyOptions)
-@click.option(
-    "--validate",
-    required=True,
-    multiple=True,
-    type=PATH,
-    help="Bag to predict; may be repeated.",
-)
+@click.option("--validate", required=True, multiple=True, type=PATH, help="Bag to predict; may be repeated.")
 def verify(**options: Any) -> None:
     """Check that a model predicts a recording.
 

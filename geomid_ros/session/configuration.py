@@ -193,17 +193,8 @@ class Configuration:
         self.source = source
         own = {name: value for name, value in (values or {}).items() if not name.startswith(_OF_ROS)}
         self._values = {name: self._checked(name, value) for name, value in own.items()}
-        _ = (
-            self.effects,
-            self.candidates,
-            self.sensors,
-            self.contacts,
-            self.gains,
-            self.gravity,
-            self.buffer,
-            self.signals(()),
-            self._estimator({}),
-        )
+        _ = self.effects, self.candidates, self.sensors, self.contacts, self.gains
+        _ = self.gravity, self.buffer, self.signals(()), self._estimator({})
 
     @staticmethod
     def read(path: Path) -> Configuration:

@@ -109,10 +109,6 @@ def _effects(found: Excitation) -> Table:
     table.add_column("unit")
     for index, effect in enumerate(found.task.knowledge.posterior.effects):
         kinds = (learning.before, learning.designed, learning.random, learning.twice)
-        table.add_row(
-            headline(effect.name),
-            effect.place,
-            *(f"{kind.effects[index]:.2g}" for kind in kinds),
-            effect.unit,
-        )
+        spreads = (f"{kind.effects[index]:.2g}" for kind in kinds)
+        table.add_row(headline(effect.name), effect.place, *spreads, effect.unit)
     return table

@@ -23,11 +23,7 @@ execute_option = click.option("--execute", is_flag=True, help="Move the robot; w
 
 @click.command()
 @click.argument("trajectory", type=PATH)
-@click.option(
-    "--urdf",
-    type=PATH,
-    help="Robot description, URDF or .xacro.  [default: the topic robot_description]",
-)
+@click.option("--urdf", type=PATH, help="Robot description, URDF or .xacro.  [default: the topic robot_description]")
 @click.option(
     "--speed",
     default=0.2,
