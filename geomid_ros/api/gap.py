@@ -31,7 +31,7 @@ from geomid_ros.report.gap_words import verdict_sentence
 from geomid_ros.report.series import elapsed
 from geomid_ros.session.gap import GapReader, find, gap_session, standing_of
 from geomid_ros.session.options import PathLike
-from geomid_ros.session.recordings import Bags, read_with_locked
+from geomid_ros.session.recordings import Bags
 from geomid_ros.session.session import Session
 from geomid_ros.session.written_simulation import nominal_inertias, simulate_again, without_findings, write_found
 
@@ -190,16 +190,15 @@ def find_gap(options: GapOptions) -> Gap:
     """
     recorded, twins = recordings(options, options.bags), bag_paths(options.simulated)
     robot = description(options, recorded.fitted, options.model)
-    parameters, notes = configuration(options, options.model), robot.notes
+    parameters = configuration(options, options.model)
+    notes: Sequence[str] = ()
     if parameters.gains:  # only a small delay is a column
         first = identify(options.bags, candidates=(), **shared(options, RecordingOptions)).session
-        parameters, notes = parameters.with_values({DELAY: first.configuration[DELAY]}), tuple(first.settled)
-    session, samples = read_with_locked(
-        lambda configured: gap_session(robot.text, configured, robot.source),
-        parameters,
-        lambda session: GapReader(session, recorded, options.progress).read(twins),
+        parameters, notes = parameters.with_values({DELAY: first.configuration[DELAY]}), first.settled
+    session, samples = robot.read(
+        gap_session, parameters, lambda session: GapReader(session, recorded, options.progress).read(twins)
     )
-    session.settled.extend(notes)
+    session.settled.extend(note for note in notes if note not in session.settled)
     session.check_description()
     of_bags = GapReader(session, recorded, options.progress)
     sharp = of_bags.sharp()

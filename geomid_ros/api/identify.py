@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +32,7 @@ from geomid_ros.report.series import Series, series_of
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import gap_session, remainder_of
 from geomid_ros.session.options import PathLike
-from geomid_ros.session.recordings import Bags, read_bags, read_with_locked
+from geomid_ros.session.recordings import Bags, read_bags
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import Training
 from geomid_ros.session.version import installed_version
@@ -173,10 +173,9 @@ def identify(options: IdentifyOptions) -> Identification:
     robot = description(options, recorded.fitted, options.model)
 
     def solved(parameters: Configuration) -> tuple[Session, list[Samples], list[Samples], Estimate]:
-        session, (held_out, judged) = read_with_locked(
-            lambda configured: Session(robot.text, configured, robot.source, readers=(*READERS,)),
-            parameters,
-            lambda session: _read(session, recorded, options.progress),
+        make = partial(Session, readers=(*READERS,))
+        session, (held_out, judged) = robot.read(
+            make, parameters, lambda session: _read(session, recorded, options.progress)
         )
         session.check_description()
         options.progress("solving", 0.0)
@@ -190,7 +189,6 @@ def identify(options: IdentifyOptions) -> Identification:
         session, held_out, judged, estimate = solved(parameters)
     if parameters[DELAY]:
         session.settled.append(f"commands act {1e3 * parameters[DELAY]:.1f} ms after their stamps")
-    session.settled.extend(robot.notes)
     return Identification(
         session=session,
         bags=recorded,

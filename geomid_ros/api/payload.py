@@ -13,7 +13,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.options import takes
 from geomid_ros.session.options import Paths, paths
 from geomid_ros.session.payload import payload_session
-from geomid_ros.session.recordings import Bags, read_fitted, read_with_locked
+from geomid_ros.session.recordings import Bags, read_fitted
 from geomid_ros.session.session import Session
 
 
@@ -32,12 +32,9 @@ def weigh_payload(options: PayloadOptions) -> Payload:
     parameters = efforts_of_command(options, configuration(options, model))
     both = bag_paths(options.empty) if model is None else [], bag_paths(options.loaded)
     robot = description(options, [*both[0], *both[1]], model)
-    session, (before, after) = read_with_locked(
-        lambda configured: payload_session(robot.text, configured, robot.source),
-        parameters,
-        lambda session: [_all(session, bags, options) for bags in both],
+    session, (before, after) = robot.read(
+        payload_session, parameters, lambda session: [_all(session, bags, options) for bags in both]
     )
-    session.settled.extend(robot.notes)
     session.check_description()
     options.progress("solving", 0.0)
     return weigh_at(session, known or before, after, parameters["payload.frame"], parameters["payload.gain"])

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from geomid_ros.api.options import RecordingOptions, RobotOptions
 from geomid_ros.errors import InputError
@@ -18,8 +18,11 @@ from geomid_ros.model.imu import Imu
 from geomid_ros.options import Options
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.options import Config, DescriptionOptions, Gains, PathLike, Paths, Texts, paths, texts
-from geomid_ros.session.recordings import Bags, Topics, recorded_description
+from geomid_ros.session.recordings import Bags, Topics, read_with_locked, recorded_description
+from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import COMMANDS, IMU, ODOM
+
+T = TypeVar("T")
 
 
 def bag_paths(given: Paths) -> list[Path]:
@@ -50,6 +53,18 @@ class DescribedRobot(NamedTuple):
     text: str
     source: str
     notes: tuple[str, ...] = ()
+
+    def read(
+        self,
+        make: Callable[[str, Configuration, str], Session],
+        parameters: Configuration,
+        read: Callable[[Session], T],
+    ) -> tuple[Session, T]:
+        """A session of this robot that ``make`` makes, and what is ``read`` for it; see
+        :func:`~geomid_ros.session.recordings.read_with_locked`."""
+        session, found = read_with_locked(lambda own: make(self.text, own, self.source), parameters, read)
+        session.settled.extend(self.notes)
+        return session, found
 
 
 def description(options: DescriptionOptions, bags: Sequence[Path], model: PathLike | None = None) -> DescribedRobot:

@@ -32,7 +32,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.options import takes
 from geomid_ros.session.gap import rms_of_model
 from geomid_ros.session.options import PathLike, Paths, texts
-from geomid_ros.session.recordings import Bags, read_fitted, read_with_locked
+from geomid_ros.session.recordings import Bags, read_fitted
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -110,13 +110,8 @@ def read_to_judge(
     parameters = configuration(options, model, effects=[*effects], candidates=[])
     if cutoff is not None and "filter.cutoff" not in parameters.given:
         parameters = parameters.with_values({"filter.cutoff": float(cutoff)})
-    session, samples = read_with_locked(
-        lambda configured: Session(robot.text, configured, robot.source),
-        efforts_of_command(options, parameters),
-        lambda session: read_fitted(session, recorded, options.progress),
-    )
-    session.settled.extend(robot.notes)
-    return session, samples
+    own = efforts_of_command(options, parameters)
+    return robot.read(Session, own, lambda session: read_fitted(session, recorded, options.progress))
 
 
 def doubts_of(session: Session) -> list[str]:

@@ -86,6 +86,8 @@ def test_every_option_is_explained_and_the_list_has_the_first_sentence(name: str
     assert command(name).get_short_help_str(limit=1000) == COMMANDS[name]
     text = done(name, "--help")
     assert text == done(name, "-h")
+    names = [parameter.name for parameter in command(name).params]
+    assert len(names) == len(set(names))
     for parameter in command(name).params:
         if isinstance(parameter, click.Option):
             assert parameter.opts[0] in text
