@@ -55,9 +55,8 @@ class Options:
 def _check_range(name: str, value: float, declared: Mapping[str, Any]) -> None:
     """Raises InputError for a number that is out of its range."""
     low, high = declared["min"], declared.get("max", math.inf)
-    above = low < value if declared.get("min_open") else low <= value
-    below = value < high if declared.get("max_open", high == math.inf) else value <= high
-    if not (above and below):
+    at_an_end = (value == low and declared.get("min_open")) or (value == high and declared.get("max_open"))
+    if not low <= value <= high or at_an_end or math.isinf(value):
         lower = f"{low:g} {'<' if declared.get('min_open') else '<='} {name}"
         upper = f" {'<' if declared.get('max_open') else '<='} {high:g}" if high < math.inf else ""
         raise InputError(f"{name} is {value:g}, expected {lower}{upper}")
@@ -85,7 +84,8 @@ def takes(kind: Callable[P, T]) -> Callable[[Callable[[T], R]], Callable[P, R]]:
         def called(*arguments: P.args, **keywords: P.kwargs) -> R:
             return function(kind(*arguments, **keywords))
 
-        lines = (f"    {name}: {text}" for name, text in explained(kind).items()) if isinstance(kind, type) else ()
+        arguments = explained(kind).items()  # type: ignore[arg-type]  # it is a class
+        lines = (f"    {name}: {text}" for name, text in arguments)
         called.__doc__ = "\n".join([inspect.getdoc(function) or "", "", "Args:", *lines])
         returned = inspect.signature(function).return_annotation
         called.__dict__["__signature__"] = inspect.signature(kind).replace(return_annotation=returned)

@@ -22,13 +22,6 @@ if TYPE_CHECKING:
     from geomid_ros.files.models.estimate_file import EstimateFile
     from geomid_ros.session.session import Session
 
-_WRENCH = {
-    "wrenches": ["wrist"],
-    "wrench.wrist.topic": "/wrench",
-    "wrench.wrist.frame": "wrist_ft",
-    "wrench.wrist.role": "mounted",
-}
-
 
 @click.command()
 @click.option("--out", default=Path("geomid_out/demo"), **OUT)
@@ -47,10 +40,11 @@ def demo(out: Path, rate: float) -> None:
     """
     from rich.live import Live
 
+    from geomid_ros.api.options import RobotOptions
+    from geomid_ros.api.robot import configuration as configured
     from geomid_ros.files.models.estimate_file import EstimateFile
     from geomid_ros.files.models.urdf import read_urdf
     from geomid_ros.report.sheet import write_picture
-    from geomid_ros.session.configuration import Configuration
     from geomid_ros.session.session import Session
 
     try:
@@ -58,9 +52,10 @@ def demo(out: Path, rate: float) -> None:
     except ImportError as error:
         raise InputError(f"the demonstration needs ROS 2, which cannot be imported ({error})") from error
     bag, urdf = shared_file("bags/arm7"), shared_file("bags/arm7.urdf")
-    truth = _true_masses(shared_file("bags/arm7.truth.json"))
-    configuration = Configuration({**_WRENCH, "solve_period": max(0.1, 0.3 / rate)}, "demo")
+    options = RobotOptions(wrench="/wrench:wrist_ft:mounted", config={"solve_period": max(0.1, 0.3 / rate)})
+    configuration = configured(options)
     session = Session(read_urdf(urdf), configuration, str(urdf))
+    truth = _true_masses(session, shared_file("bags/arm7.truth.json"))
     console = results_console()
     console.print("A node identifies a simulated arm live, from joint states and a wrench sensor at the wrist.")
     with (
@@ -76,7 +71,7 @@ def demo(out: Path, rate: float) -> None:
         write_picture(out / "identification.png", offline.plot())
     masses = {link.name: link.mass for link in file.links}
     difference = max(abs(link.mass / float(masses[link.name]) - 1.0) for link in offline.links)
-    _conclude(console, session, file, truth, difference, out)
+    _conclude(console, file, truth, difference, out)
 
 
 def shared_file(relative: str) -> Path:
@@ -89,14 +84,11 @@ def shared_file(relative: str) -> Path:
     raise InputError(f"{relative} is not installed; looked in {', '.join(map(str, folders))}")
 
 
-def _true_masses(path: Path) -> dict[str, float]:
-    links = json.loads(path.read_text(encoding="utf-8"))["links"]
-    return {link["name"]: link["mass"] for link in links}
-
-
-def _true_mass(session: Session, name: str, truth: dict[str, float]) -> float:
-    body = session.robot.bodies[session.robot.body_names.index(name)]
-    return sum(truth.get(link, 0.0) for link in (name, *body.merged))
+def _true_masses(session: Session, path: Path) -> dict[str, float]:
+    """The masses of the bodies [kg], of all links that each consists of."""
+    links = {link["name"]: link["mass"] for link in json.loads(path.read_text(encoding="utf-8"))["links"]}
+    bodies = zip(session.robot.body_names, session.robot.bodies, strict=True)
+    return {name: sum(links.get(link, 0.0) for link in (name, *body.merged)) for name, body in bodies}
 
 
 def _table(session: Session, masses: dict[str, float], truth: dict[str, float], rows: str | None) -> Table:
@@ -108,26 +100,22 @@ def _table(session: Session, masses: dict[str, float], truth: dict[str, float], 
     nominal = session.model.nominal_inertias.reshape(-1, 10)[:, 0]
     for name, urdf_mass in zip(session.model.body_names, nominal, strict=True):
         now = f"{masses[name]:.3f}" if name in masses else "..."
-        table.add_row(name, f"{urdf_mass:.3f}", now, f"{_true_mass(session, name, truth):.3f}")
+        table.add_row(name, f"{urdf_mass:.3f}", now, f"{truth[name]:.3f}")
     return table
 
 
-def _conclude(
-    console: Console, session: Session, file: EstimateFile, truth: dict[str, float], difference: float, out: Path
-) -> None:
+def _conclude(console: Console, file: EstimateFile, truth: dict[str, float], difference: float, out: Path) -> None:
     links = file.link_estimates
     tool = max(links, key=lambda link: link.from_data)
-    true_mass = _true_mass(session, tool.name, truth)
     untold = [link.name for link in links if "mass" in link.cannot_tell]
     shares = [1.0 - file.rms.train[channel] / nominal for channel, nominal in file.rms.nominal.items()]
     console.print(
         f"\nIdentified from {file.rows.accepted} rows. The most certain body is {tool.name} with "
-        f"{tool.mass:.4f} ± {tool.std_mass:.4f} kg (truth {true_mass:.4f}), "
+        f"{tool.mass:.4f} ± {tool.std_mass:.4f} kg (truth {truth[tool.name]:.4f}), "
         f"{100 * tool.from_data:.0f} % from data.\n"
         f"Masses not individually identifiable: {', '.join(untold) or 'none'}; these stay near the URDF.\n"
         f"The estimate removes {100 * sum(shares) / len(shares):.0f} % of the URDF's RMS error (mean over channels); "
-        f"all bodies "
-        f"are physically consistent.\n"
+        f"all bodies are physically consistent.\n"
         f"The same bag identified offline gives the same masses within {difference:.0e} (relative).\n\n"
         f"Picture: {out / 'identification.png'}\nURDF:    {out / 'identified.urdf'}\n"
         f"Numbers: {out / 'estimate.json'}, {out / 'posterior.npz'}",
