@@ -59,6 +59,7 @@ _SIDES = ("motor", "link")
 _ALIKE = ("urdf", "none")
 # Parameters that every node has, by the beginning of their names: not ours to check.
 _OF_ROS = ("use_sim_time", "qos_overrides.", "start_type_description_service")
+_OF_SENSOR = ("topic", "frame", "frame_id", "role", "axes", "sign")  # each wrench.*. in the table
 _beside_rows = partial(Parameter, of_rows=False)
 AT_START, AT_ANY_TIME = "at the start", "at any time"
 _of_start = partial(_beside_rows, change=AT_START)
@@ -210,8 +211,7 @@ class Configuration:
         values = {name: value for name, value in self._values.items() if not name.startswith("wrench")}
         values["wrenches"] = names = [f"sensor{index}" for index in range(len(sensors))]
         for name, sensor in zip(names, sensors, strict=True):
-            described = {key: getattr(sensor, key) for key in ("topic", "frame", "frame_id", "role", "axes", "sign")}
-            values |= {f"wrench.{name}.{key}": value for key, value in described.items()}
+            values |= {f"wrench.{name}.{key}": getattr(sensor, key) for key in _OF_SENSOR}
         return Configuration(values, self.source)
 
     @property
@@ -328,22 +328,11 @@ class Configuration:
         return [self._sensor(name) for name in self["wrenches"]]
 
     def _sensor(self, name: str) -> WrenchSensor:
-        def value(key: str) -> Any:
-            return self[f"wrench.{name}.{key}"]
-
-        if not value("frame"):
+        own = {key: self[f"wrench.{name}.{key}"] for key in _OF_SENSOR}
+        if not own["frame"]:
             raise InputError(f"{self.source}: wrench.{name}.frame is not given")
-        return self._naming_source(
-            f"wrench.{name}: ",
-            lambda: WrenchSensor(
-                value("topic") or name,
-                value("frame"),
-                value("role"),
-                tuple(value("axes")),
-                value("sign"),
-                frame_id=value("frame_id"),
-            ),
-        )
+        own |= {"topic": own["topic"] or name, "axes": tuple(own["axes"])}
+        return self._naming_source(f"wrench.{name}: ", lambda: WrenchSensor(**own))
 
     def behind_gear(self, joints: Sequence[str]) -> frozenset[str]:
         """Those of the joints whose efforts are measured behind the gear."""
