@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING, Field, fields
 from functools import reduce
 from pathlib import Path
@@ -94,11 +94,6 @@ UNTRIED_OUT = OUT | {"type": click.Path(path_type=Path, file_okay=False)}
 PATH = click.Path(path_type=Path)
 
 
-def together(options: Sequence[Decorator]) -> Decorator:
-    """Several options as one decorator; help lists the last one first."""
-    return lambda command: reduce(lambda inner, option: option(inner), options, command)
-
-
 # How options of a type are given, where their declaration does not say it.
 _KINDS: dict[str, dict[str, Any]] = {
     "PathLike | None": {"type": PATH},
@@ -121,7 +116,8 @@ def options_of(kind: type, *, without: Collection[str] = ()) -> Decorator:
     texts = explained(kind)
     offered = texts.keys() - {"progress", *without}
     declared = [each for each in fields(kind) if each.default is not MISSING and each.name in offered]
-    return together([_option(each, texts[each.name]) for each in reversed(declared)])
+    options = [_option(each, texts[each.name]) for each in reversed(declared)]  # help lists the last one first
+    return lambda command: reduce(lambda inner, option: option(inner), options, command)
 
 
 def _option(field: Field[Any], text: str) -> Decorator:
