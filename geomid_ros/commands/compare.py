@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -13,9 +13,6 @@ import geomid_ros
 from geomid_ros.api.options import CompareOptions
 from geomid_ros.commands.options import OUT, PATH, options_of
 from geomid_ros.commands.terminal import plain_table, print_remarks, progress_bar, results_console, say
-
-if TYPE_CHECKING:
-    from geomid_ros.api.compare import Comparison
 
 
 @click.command()
@@ -43,7 +40,7 @@ def compare(out: Path, as_json: bool, **options: Any) -> None:
     sys.exit(found.status)
 
 
-def _show(found: Comparison) -> None:
+def _show(found: geomid_ros.Comparison) -> None:
     """Print whether the results differ, and a table of what differs and of the errors of both."""
     from geomid_ros.report.plain_pages import error, row, verdict
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 import numpy as np
@@ -12,9 +12,6 @@ import geomid_ros
 from geomid_ros.api.model_options import FeedforwardOptions
 from geomid_ros.commands.options import PATH, Output, options_of
 from geomid_ros.commands.terminal import plain_table, print_remarks, results_console
-
-if TYPE_CHECKING:
-    from geomid_ros.api.feedforward import Feedforward
 
 
 @click.command()
@@ -44,7 +41,7 @@ def feedforward(out: Path, **options: Any) -> None:
     click.echo(f"\nWritten: {out}")
 
 
-def _show(found: Feedforward) -> None:
+def _show(found: geomid_ros.Feedforward) -> None:
     """Print notes, and the efforts of each joint of a trajectory."""
     console, trajectory = results_console(), found.trajectory
     print_remarks(console, {"Note": found.notes})

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+import geomid_ros
 from geomid_ros.api.options import FleetOptions
 from geomid_ros.commands.options import OUT, options_of
 from geomid_ros.commands.terminal import lines, plain_table, print_remarks, progress_bar, results_console
-
-if TYPE_CHECKING:
-    from geomid_ros.api.fleet import FleetIdentification
 
 
 @click.command()
@@ -29,15 +27,13 @@ def fleet(bags: str, out: Path, **options: Any) -> None:
     identified.urdf and posterior.npz. fleet.html lists the robots that differ from the others or have changed, and the
     bad bags. 'geomid identify --prior' starts a new robot from population.json.
     """
-    from geomid_ros.api.fleet import identify_fleet
-
     with progress_bar() as progress:
-        found = identify_fleet(bags, out=out, progress=progress, **options)
+        found = geomid_ros.identify_fleet(bags, out=out, progress=progress, **options)
     _show(found)
     sys.exit(found.status)
 
 
-def _show(found: FleetIdentification) -> None:
+def _show(found: geomid_ros.FleetIdentification) -> None:
     """Print a table of the robots, and the bags that were bad."""
     console = results_console()
     table = plain_table(f"{len(found.lines)} robots", ["robot"], ["bags", "mass [kg]", "distance"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -14,9 +14,6 @@ from geomid_ros.api.options import PayloadOptions
 from geomid_ros.commands.options import PATH, options_of
 from geomid_ros.commands.terminal import plain_table, print_verdict, progress_bar, results_console
 from geomid_ros.exports.formats import CONTROLLERS
-
-if TYPE_CHECKING:
-    from geomid_ros.exports.weighed_payload import Payload
 
 
 @click.command()
@@ -42,7 +39,7 @@ def payload(empty: Path, loaded: Path, controller: str | None, as_json: bool, **
     sys.exit(found.weighed.verdict.status)
 
 
-def _show(found: Payload, controller: str | None) -> None:
+def _show(found: geomid_ros.Payload, controller: str | None) -> None:
     """Print the payload, first why it should not be used, and the commands that set it."""
     from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UNITS
 

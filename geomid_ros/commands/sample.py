@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -14,9 +14,6 @@ from geomid_ros.commands.terminal import plain_table, progress_bar, results_cons
 from geomid_ros.errors import one_line
 from geomid_ros.exports.formats import JSON
 from geomid_ros.files.models.readers import DESCRIBED_FOR
-
-if TYPE_CHECKING:
-    from geomid_ros.exports.torque_spread import TorqueSpread
 
 
 @click.command()
@@ -41,12 +38,12 @@ def sample(out: Path, **options: Any) -> None:
             click.echo(f"{heading}: {one_line(sentence)}", err=True)
     with progress_bar() as progress:
         *robots, ranges, picture = found.save(out, progress=progress)
-    _show(found.torques)
+    _show(found)
     files = f"{robots[0]} to {robots[-1].name}" if len(robots) > 1 else str(robots[0])
     click.echo(f"\nWritten: {files}, {ranges}, {picture}")
 
 
-def _show(spread: TorqueSpread) -> None:
+def _show(found: geomid_ros.SampledRobots) -> None:
     """Print how much torques differ among drawn robots, and among those of ranges."""
     from geomid_ros.exports.torque_spread import RANGE
 
@@ -55,6 +52,7 @@ def _show(spread: TorqueSpread) -> None:
         ["joint"],
         ["sampled robots", f"ranges of ±{100 * RANGE:.0f} %", "ratio"],
     )
+    spread = found.torques
     rows = zip(spread.joints, spread.units, spread.drawn, spread.ranges, strict=True)
     for name, unit, drawn, ranges in rows:
         table.add_row(name, f"{drawn:.3g} {unit}", f"{ranges:.3g} {unit}", f"{drawn / ranges:.2f}")

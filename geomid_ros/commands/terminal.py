@@ -14,10 +14,10 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
+from geomid_ros import options
 from geomid_ros.errors import one_line
 
 if TYPE_CHECKING:
-    from geomid_ros import options
     from geomid_ros.checks.verdict import Verdict
 
 _WIDTH_OF_FILES = 110

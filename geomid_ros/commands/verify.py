@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 from rich.table import Table
@@ -13,9 +13,6 @@ import geomid_ros
 from geomid_ros.api.options import VerifyOptions
 from geomid_ros.commands.options import PATH, options_of
 from geomid_ros.commands.terminal import plain_table, print_remarks, progress_bar, results_console, say
-
-if TYPE_CHECKING:
-    from geomid_ros.api.verify import Verification
 
 
 @click.command()
@@ -36,7 +33,7 @@ def verify(**options: Any) -> None:
     sys.exit(0 if found.passed else 1)
 
 
-def _show(found: Verification) -> None:
+def _show(found: geomid_ros.Verification) -> None:
     """Print channels and requirements."""
     console = results_console()
     warnings = [sentence for sentence in found.session.warnings() if sentence not in found.doubts]
@@ -49,7 +46,7 @@ def _show(found: Verification) -> None:
     say(console, "PASSED:" if found.passed else "FAILED:", f" {kept}" + ("; doubtful" if found.doubts else ""))
 
 
-def _channels(found: Verification) -> Table:
+def _channels(found: geomid_ros.Verification) -> Table:
     table = plain_table("RMS of the residual", ["channel"], ["unit", "URDF", "model", "floor"])
     for channel in found.session.model.channels:
         numbers = found.rms[channel.name]
@@ -57,7 +54,7 @@ def _channels(found: Verification) -> Table:
     return table
 
 
-def _requirements(found: Verification) -> Table:
+def _requirements(found: geomid_ros.Verification) -> Table:
     table = plain_table("Requirements", ["requirement", "of"], ["value", "bound", "result"])
     for outcome in found.outcomes:
         result = "passed" if outcome.passed else "FAILED"

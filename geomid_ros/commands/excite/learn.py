@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import geomid_ros
 from geomid_ros.commands.excite.run import execute_option, ros_runs, show_plan
 from geomid_ros.commands.options import OUT, options_of, share
 from geomid_ros.commands.terminal import progress_bar
@@ -17,7 +18,6 @@ from geomid_ros.errors import GeomidError, InputError, printable
 from geomid_ros.session.options import MotionOptions, RunOptions
 
 if TYPE_CHECKING:
-    from geomid_ros.api.identify import Identification
     from geomid_ros.api.robot import DescribedRobot
     from geomid_ros.session.configuration import Configuration
     from geomid_ros.session.excitation import Excitation
@@ -99,7 +99,7 @@ class _LearningRounds:
     out: Path
     number: int = 0
     identified: int = 0
-    found: Identification | None = None
+    found: geomid_ros.Identification | None = None
 
     @property
     def folder(self) -> Path:
@@ -171,8 +171,6 @@ class _LearningRounds:
 
     def identify(self) -> None:
         """Identify from all recordings."""
-        import geomid_ros
-
         bags = [self.out / f"round{number}" / "recording" for number in range(1, self.number + 1)]
         with progress_bar() as progress:
             self.found = geomid_ros.identify(
