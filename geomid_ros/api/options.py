@@ -44,17 +44,20 @@ class RobotOptions(DescriptionOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingOptions(RobotOptions):
-    """The same, and where to start from and what to judge on.
+    """The same, and where to start from, what to judge on, and who reads the result.
 
     Attributes:
         model: start from this estimate.json. Without --urdf, identified.urdf in the same folder is used.
         hold_out: share of each bag, at its end, held out for testing. [default: 0.3; 0 with --validate]
         validate: bag to test on.
+        reader: format of the robot description. The file is fitted with what the format can hold, loaded again, and
+            tested on held-out data.
     """
 
     model: PathLike | None = None
     hold_out: float | None = option(min=0.0, max=0.9)
     validate: Paths = ()
+    reader: str = option(URDF, flag="--for", choices=DESCRIBED_FOR)
 
 
 @dataclass(frozen=True)
@@ -78,8 +81,6 @@ class IdentifyOptions(RecordingOptions, FittedBags):
         links: links to identify. [default: all]
         known: weighed mass of a link, of LINK+LINK together, or of the total [kg].
         prior: start from this population.json, written by 'geomid fleet' for this type of robot.
-        reader: format of the robot description. The file is fitted with what the format can hold, loaded again, and
-            tested on held-out data.
     """
 
     effects: Texts | None = option(or_none=True, sets="effects")
@@ -87,7 +88,6 @@ class IdentifyOptions(RecordingOptions, FittedBags):
     links: Texts | None = option(sets="links")
     known: Texts = option((), metavar="LINK=MASS:STD", sets="known")
     prior: PathLike | None = option(sets="prior")
-    reader: str = option(URDF, flag="--for", choices=DESCRIBED_FOR)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,12 +96,9 @@ class GapOptions(RecordingOptions, FittedBags):
 
     Attributes:
         simulated: recording of your simulator under the commands of a bag; one for each of BAGS, in their order.
-        reader: format of the robot description. The file is fitted with what the format can hold, loaded again, and
-            tested on held-out data.
     """
 
     simulated: Paths = ()
-    reader: str = option(URDF, flag="--for", choices=DESCRIBED_FOR)
 
 
 @dataclass(frozen=True)

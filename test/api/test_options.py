@@ -6,6 +6,7 @@ import inspect
 import math
 import re
 from collections.abc import Callable
+from dataclasses import fields
 from typing import Any
 
 import click
@@ -13,9 +14,10 @@ import pytest
 from files.recordings import BAGS
 
 import geomid_ros
-from geomid_ros.api.options import PayloadOptions, RobotOptions
+from geomid_ros.api.options import IdentifyOptions, PayloadOptions, RobotOptions
 from geomid_ros.api.robot import configuration
 from geomid_ros.commands.root import root
+from geomid_ros.session.configuration import find_parameter
 from geomid_ros.session.options import MotionOptions
 
 BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
@@ -107,6 +109,16 @@ def test_a_cutoff_is_that_of_the_parameter() -> None:
 def test_a_wrong_argument_is_named(wrong: dict[str, Any], said: str) -> None:
     with pytest.raises(geomid_ros.InputError, match=said):
         geomid_ros.identify(BAG, URDF, **wrong)
+
+
+def test_what_an_option_sets_is_a_parameter_of_its_type() -> None:
+    sets = [each for kind in (MotionOptions, IdentifyOptions, PayloadOptions) for each in fields(kind)]
+    sets = [each for each in sets if "sets" in each.metadata]
+    assert len({each.name for each in sets}) > 10
+    for each in sets:
+        default = find_parameter(each.metadata["sets"]).default
+        kinds = {bool: "bool", float: "float", str: ("str", "PathLike"), list: ("Texts", "Sequence[float]")}
+        assert str(each.type).startswith(kinds[type(default)]), each.name
 
 
 @pytest.mark.parametrize(
