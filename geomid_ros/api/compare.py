@@ -107,7 +107,7 @@ def compare(options: CompareOptions) -> Comparison:
     _check_same_robot(sides, values)
     doubts = [f"{result.source}: {remark}" for result in results for remark in result.judgement.remarks]
     status = max(result.judgement.status for result in results)
-    errors, data = _own_errors(sides), _OWN
+    errors, data = _joined([_own_errors(side) for side in sides]), _OWN
     if options.bag:
         predicted, doubted = zip(*(_judged_on(side, options) for side in sides), strict=True)
         errors, data = _joined(predicted), ", ".join(map(str, paths(options.bag)))
@@ -191,15 +191,13 @@ def _notes_on(results: Sequence[EstimateFile], *, own_data: bool) -> list[str]:
     ]
 
 
-def _own_errors(sides: Sequence[_Side]) -> list[ChannelErrors]:
-    """What each result leaves of its own recording."""
-    return _joined([_said(side) if isinstance(side, EstimateFile) else {} for side in sides])
-
-
-def _said(file: EstimateFile) -> dict[str, tuple[float, str]]:
-    """What a file says of the errors of held-out data, or of the fitted ones if none were held out."""
-    units = {row.channel: row.unit for row in file.channels}
-    errors = file.rms.held_out or file.rms.train
+def _own_errors(side: _Side) -> dict[str, tuple[float, str]]:
+    """What a result leaves of its held-out data, or of the fitted ones if none were held out, by channel, with its
+    unit."""
+    if not isinstance(side, EstimateFile):
+        return {}
+    units = {row.channel: row.unit for row in side.channels}
+    errors = side.rms.held_out or side.rms.train
     return {name: (error, units.get(name, "")) for name, error in errors.items()}
 
 
