@@ -113,10 +113,11 @@ def _without_sign(subject: Subject) -> list[int]:
 
 
 def _expected(subject: Subject, channel: int) -> FloatArray:
-    """What an effort follows, of what is predicted and the speed of its joint ``(N,)``: by its magnitude."""
+    """What an effort follows, of what is predicted and the speed of its joint ``(N,)``: by its magnitude, the constant
+    part of it included, which a weight has."""
     effort, speed = np.abs(subject.measured[:, channel]), subject.samples.velocity[:, subject.joints[channel]]
     both = (subject.predicted[:, channel], speed)
-    return max(both, key=lambda one: float(np.nan_to_num(np.corrcoef(effort, np.abs(one))[0, 1])))
+    return max(both, key=lambda one: float(effort @ np.abs(one)) / max(float(np.linalg.norm(one)), 1e-300))
 
 
 def _gains(subject: Subject) -> Iterator[Candidate]:

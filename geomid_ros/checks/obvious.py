@@ -109,17 +109,18 @@ def frozen_position(subject: Subject) -> Cause | None:
     """A joint whose position is exactly the same for a while, while others move and efforts are not those of that pose.
 
     The links are fitted to the other instants, and predict these. Where a joint really stands still, its brake holds it
-    without any effort or its effort may be off by dry friction, and no other effort is off. A robot that stands still
-    as a whole tells nothing.
+    without any effort or its effort may be off by dry friction, and no other effort is off. A joint that does so several
+    times waits for others, as on a way from point to point. A robot that stands still as a whole tells nothing.
     """
     positions, efforts = subject.samples.position, subject.measured
     for joint, position in enumerate(positions.T):
         same = np.abs(np.diff(position)) <= _SAME * np.ptp(position)
         still = np.append(False, same) & np.append(same, False) & subject.is_moving  # filters smear the ends
-        if np.count_nonzero(still) >= _FEWEST and np.count_nonzero(~still) >= FEWEST + 2 * _FEWEST:
+        once = np.count_nonzero(np.diff(still.astype(np.int8), prepend=0) == 1) == 1
+        if once and np.count_nonzero(still) >= _FEWEST and np.count_nonzero(~still) >= FEWEST + 2 * _FEWEST:
             changes = np.ptp(efforts[still], axis=0) > LEAST_SIGMA * np.ptp(efforts, axis=0)
             inside, outside = _left(subject, still)
-            surely = np.sqrt(1.0 + SURE * np.sqrt(2.0 / np.count_nonzero(still)))  # of the mean of so many squares
+            surely = np.sqrt(1.0 + SURE * np.sqrt(2.0))  # of a pose, whose residuals are one number
             moving = np.ptp(positions[still], axis=0) > LEAST_SIGMA * np.ptp(positions, axis=0)
             if np.any(moving) and np.any((inside > surely * outside) & changes):
                 return Cause.of("frozen", [subject.robot.joint_names[joint]], share=np.mean(still))
