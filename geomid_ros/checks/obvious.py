@@ -109,33 +109,37 @@ def frozen_position(subject: Subject) -> Cause | None:
     """A joint whose position is exactly the same for a while, while others move and efforts are not those of that pose.
 
     The links are fitted to the other instants, and predict these. Where a joint really stands still, its brake holds it
-    without any effort or its effort may be off by dry friction, and no other effort is off. A joint that does so several
-    times waits for others, as on a way from point to point. A robot that stands still as a whole tells nothing.
+    without any effort, or its effort is off by no more friction than it has elsewhere. Where it does so several times,
+    others wait for it, too, as from point to point, and rub as they do at rest: its own effort alone counts. A robot
+    that stands still as a whole tells nothing.
     """
     positions, efforts = subject.samples.position, subject.measured
     for joint, position in enumerate(positions.T):
         same = np.abs(np.diff(position)) <= _SAME * np.ptp(position)
         still = np.append(False, same) & np.append(same, False) & subject.is_moving  # filters smear the ends
-        once = np.count_nonzero(np.diff(still.astype(np.int8), prepend=0) == 1) == 1
-        if once and np.count_nonzero(still) >= _FEWEST and np.count_nonzero(~still) >= FEWEST + 2 * _FEWEST:
+        if np.count_nonzero(still) >= _FEWEST and np.count_nonzero(~still) >= FEWEST + 2 * _FEWEST:
             changes = np.ptp(efforts[still], axis=0) > LEAST_SIGMA * np.ptp(efforts, axis=0)
-            inside, outside = _left(subject, still)
+            once = np.count_nonzero(np.diff(still.astype(np.int8), prepend=0) == 1) == 1
+            inside, outside = _left(subject, still, subject.joints == joint)
             surely = np.sqrt(1.0 + SURE * np.sqrt(2.0))  # of a pose, whose residuals are one number
+            off = (inside > surely * outside) & changes & (once | (subject.joints == joint))
             moving = np.ptp(positions[still], axis=0) > LEAST_SIGMA * np.ptp(positions, axis=0)
-            if np.any(moving) and np.any((inside > surely * outside) & changes):
+            if np.any(moving) and np.any(off):
                 return Cause.of("frozen", [subject.robot.joint_names[joint]], share=np.mean(still))
     return None
 
 
-def _left(subject: Subject, still: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """The RMS of what links and friction, fitted to the other instants, leave of efforts beyond dry friction: at these
-    instants, and at the others ``(C,)``."""
+def _left(subject: Subject, still: BoolArray, own: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """The RMS of what links and friction, fitted to the other instants, leave of efforts: at these instants, for the
+    joint's ``own (C,)`` beyond the largest friction at the others, and at the others ``(C,)``."""
     smeared = np.convolve(still, np.ones(2 * _FEWEST + 1), mode="same") > 0.0
     others = subject.part(~smeared)
     found = others.nominal
     left = (subject.measured - subject.regressor @ others.links(found)) / others.spread
     left -= np.einsum("nck,ck->nc", subject.friction, found.friction)
-    beyond = np.maximum(np.abs(left) - np.where(still[:, None], found.friction[:, 2], 0.0), 0.0)
+    rubbing = np.einsum("nck,ck->nc", others.friction[:, :, 1:3], found.friction[:, 1:3])
+    allowed = still[:, None] * np.where(own, np.max(np.abs(rubbing), axis=0), 0.0)
+    beyond = np.maximum(np.abs(left) - allowed, 0.0)
     inside, outside = (np.sqrt(np.mean(beyond[chosen] ** 2, axis=0)) for chosen in (still, ~smeared))
     return inside, np.maximum(outside, found.sigmas)
 
