@@ -130,7 +130,8 @@ def estimate(
         InputError: Nothing was measured, or settings or prior do not fit the model.
     """
     begin = time.perf_counter()
-    if summary.rows == 0:
+    summary = summary.measured()
+    if not np.any(summary.counts()):
         raise InputError("no usable rows: nothing was measured, or the robot never moved")
     whole = Problem(
         model,
