@@ -125,8 +125,8 @@ def unlike(estimate: Estimate, held_out: FloatArray) -> list[str]:
     named = ", ".join(f"'{estimate.channels[c]}' ({ratios[c]:.0f} times)" for c in np.flatnonzero(ratios > REASON))
     sentence = (
         f"what was held out is predicted far worse than what was fitted: {named}; the robot moves otherwise there, or "
-        "something has changed. If nothing has, fit all of it (--hold-out 0), and judge on another recording "
-        "(--validate)"
+        "something has changed. If nothing has, fit all of it (--hold-out 0, or one more bag), and judge on another "
+        "recording (--validate)"
     )
     return [sentence]
 

@@ -18,7 +18,7 @@ import numpy as np
 from geomid_ros.estimation.changed_links import ChangedLink, LinkEvidence, changed_links
 from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UNITS, UncertainInertia
-from geomid_ros.model.effects import KnownEffect, Quantity
+from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity
 
 CHANCE = 0.05
 """Probability that any of the numbers is said to differ if none does."""
@@ -166,7 +166,10 @@ def _effects(first: RobotValues, second: RobotValues) -> Iterator[Difference]:
 
 
 def _deviation(difference: Difference) -> float:
-    """Standard deviation of a difference; zero where a value is missing or neither is uncertain."""
+    """Standard deviation of a difference; zero where a value is missing or neither is uncertain. Friction that drifted
+    from one motion to the other differs."""
     if difference.first is None or difference.second is None:
         return 0.0
-    return math.hypot(*(value.std for value in (difference.first, difference.second) if math.isfinite(value.std)))
+    effect, values = EFFECTS.get(difference.effect), (difference.first, difference.second)
+    stds = [value.std if effect is None else effect.within_motion(value) for value in values]
+    return math.hypot(*filter(math.isfinite, stds))

@@ -164,8 +164,9 @@ class Effect(ABC):
 
     @classmethod
     def within_motion(cls, size: Quantity) -> float:
-        """The standard deviation of one motion, of a size whose own includes the drift to others."""
-        return float(np.sqrt(np.maximum(size.std**2 - (cls.drift * size.value) ** 2, 0.0)))
+        """The standard deviation of one motion, of a size whose own includes the drift to others, unless it is less."""
+        squared = size.std**2 - (cls.drift * size.value) ** 2
+        return float(np.sqrt(squared)) if squared >= 0.0 else size.std
 
     def is_absurd(self, coefficients: FloatArray) -> bool:
         """Whether no robot that works has it with these ``coefficients (k,)``, signs apart."""
