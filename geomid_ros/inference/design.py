@@ -24,14 +24,16 @@ USUAL_SHARE = 0.3
 class ChannelRows:
     """Whitened rows of a channel: ``columns (N, K + 1)`` with the target as the last, ``features (N, m)`` of a
     remainder in their ``block (m,)``, which are ``scale (m,)`` times those given: a draw of a block with variance 1 has
-    a mean square of 1; ``place`` of each term among the columns; ``before``: what is left unsure of the features'
-    coefficients by other recordings, see :class:`Remainder`."""
+    a mean square of 1; ``place`` of each term among the columns, and ``links (D,)`` of the inertial columns of all
+    channels, -1 where they are absent; ``before``: what is left unsure of the features' coefficients by other
+    recordings, see :class:`Remainder`."""
 
     columns: FloatArray
     features: FloatArray
     scale: FloatArray
     block: IntArray
     place: Mapping[Any, int]
+    links: IntArray
     before: FloatArray | None = None
 
     @staticmethod
@@ -40,13 +42,14 @@ class ChannelRows:
         features: FloatArray,
         block: IntArray,
         place: Mapping[Any, int],
+        links: IntArray,
         before: FloatArray | None = None,
     ) -> ChannelRows:
         """With features of any scale."""
         sizes = np.bincount(block, np.sum(features**2, axis=0)) / max(len(columns), 1)
         scale = 1.0 / np.sqrt(np.maximum(sizes, _LEAST_SIZE))[block]
         scaled = None if before is None else before / np.outer(scale, scale)
-        return ChannelRows(columns, features * scale, scale, block, place, scaled)
+        return ChannelRows(columns, features * scale, scale, block, place, links, scaled)
 
     @property
     def count(self) -> int:
@@ -260,7 +263,7 @@ class Design:
         own = [place for body in bodies for place in self._places_of_link(body).T]
         own += [self._places_of_term(term) for term in terms]
         found = np.full((len(self.channels), self.dimension + len(own) + 1), -2)
-        found[:, : self.dimension] = np.arange(self.dimension)
+        found[:, : self.dimension] = self._links
         if own:
             found[:, self.dimension : -1] = np.array(own).T
         return found
@@ -301,4 +304,9 @@ class Design:
 
     def _places_of_link(self, link: int) -> IntArray:
         """Places of a link's columns in each channel ``(C, 10)``."""
-        return np.tile(np.arange(10 * link, 10 * link + 10), (len(self.channels), 1))
+        return self._links[:, 10 * link : 10 * link + 10]
+
+    @cached_property
+    def _links(self) -> IntArray:
+        """Places of the inertial columns in each channel ``(C, dimension)``."""
+        return np.array([channel.links for channel in self.channels]).reshape(len(self.channels), self.dimension)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from geomid_ros.errors import InputError
+from geomid_ros.model.samples import PIECE
 from geomid_ros.signals.limits import LARGEST_NOISE_GAIN
 from geomid_ros.types import FloatArray, IntArray
 
@@ -70,7 +71,9 @@ def filtered(
     half = kernels.shape[1] // 2
     whole = np.pad(values, ((half, half), (0, 0)), mode="edge")
     if at is not None:
-        value, first, second = np.moveaxis(sliding_window_view(whole, 2 * half + 1, axis=0)[at] @ kernels.T, 2, 0)
+        windows, pieces = sliding_window_view(whole, 2 * half + 1, axis=0), range(0, max(len(at), 1), PIECE)
+        found = np.concatenate([windows[at[begin : begin + PIECE]] @ kernels.T for begin in pieces])
+        value, first, second = np.moveaxis(found, 2, 0)
         return value, first, second
     padded = GridValues()
     padded.extend(-half, whole)

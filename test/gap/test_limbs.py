@@ -20,12 +20,11 @@ PRIOR = Prior(inertias=np.tile(LINK, 2), spread=0.2, terms=(), values=np.zeros(0
 def channel(rng: np.random.Generator, link: int) -> ChannelRows:
     """Rows of a joint that carries one link alone, with viscous friction."""
     terms = [term for name in NAMES if name.terms[0].joints == (link,) for term in name.terms]
-    columns = np.zeros((ROWS, 21 + len(terms)))
-    columns[:, 10 * link : 10 * link + 10] = rng.normal(size=(ROWS, 10))
-    columns[:, 20:-1] = rng.normal(size=(ROWS, len(terms)))
-    columns[:, -1] = columns[:, 10 * link : 10 * link + 10] @ LINK + 0.3 * columns[:, 20] + rng.normal(size=ROWS)
-    places = {term: 20 + place for place, term in enumerate(terms)}
-    return ChannelRows.of(columns, np.zeros((ROWS, 0)), np.zeros(0, dtype=np.intp), places)
+    columns = rng.normal(size=(ROWS, 11 + len(terms)))
+    columns[:, -1] += columns[:, :10] @ LINK + 0.3 * columns[:, 10]
+    places, links = {term: 10 + place for place, term in enumerate(terms)}, np.full(20, -1)
+    links[10 * link : 10 * link + 10] = np.arange(10)
+    return ChannelRows.of(columns, np.zeros((ROWS, 0)), np.zeros(0, dtype=np.intp), places, links)
 
 
 def whole(current: JointFit) -> IntArray:

@@ -239,13 +239,15 @@ def design_of(
     for channel in range(rows.targets.shape[1]):
         terms = [term for term, by_channel in columns.items() if channel in by_channel]
         own = [columns[term][channel] for term in terms]
-        inertial, remainder = rows.coefficients[:, channel], features[channel]
+        felt, remainder = np.any(rows.coefficients[:, channel], axis=0), features[channel]
+        inertial = rows.coefficients[:, channel, felt]
         stacked = np.column_stack([inertial, *own, rows.targets[:, channel] - remainder.known, remainder.columns])
         white = noise[channel].whiten(stacked, runs_of(valid[:, channel], records.segment))
         place = {term: inertial.shape[1] + index for index, term in enumerate(terms)}
         first = inertial.shape[1] + len(own) + 1
         unsure = None if remainder.unsure is None else remainder.unsure / noise[channel].variances[-1]
-        channels.append(ChannelRows.of(white[:, :first], white[:, first:], remainder.block, place, unsure))
+        links = np.where(felt, np.cumsum(felt) - 1, -1)
+        channels.append(ChannelRows.of(white[:, :first], white[:, first:], remainder.block, place, links, unsure))
     return Design.of(channels, rows.coefficients.shape[2])
 
 
