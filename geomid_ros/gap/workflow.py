@@ -142,7 +142,7 @@ def find_gap(
         cutoff=settings.cutoff,
         gap=files.on_all,
         moving=files.gap.after,
-        located=located(bare, records, first, np.abs(bare.rows(records.samples).targets - first)),
+        located=located(bare, records, first, np.abs(_measured(bare, records) - first)),
         ranking=ranking(bare, analysis, named),
         trace=files.trace,
         bodies=bare.body_names,
@@ -212,6 +212,11 @@ def _silent(_: str, __: float) -> None:
     """No progress is shown."""
 
 
+def _measured(model: MeasurementModel, records: Records) -> FloatArray:
+    """What is measured at each channel ``(N, C)``."""
+    return model.predict(records.samples, model.nominal_parameters)[0]
+
+
 def _check(model: MeasurementModel, records: Records) -> None:
     """Refuse data of which nothing can be said."""
     if not records.dense or len(records.samples) < _FEWEST_ROWS:
@@ -219,7 +224,7 @@ def _check(model: MeasurementModel, records: Records) -> None:
             f"too short: {len(records.samples) if records.dense else 0} independent instants at the filter's cutoff, "
             f"at least {_FEWEST_ROWS} are needed; record half a minute of motion"
         )
-    if not any(np.any(np.isfinite(model.rows(piece).targets)) for piece in records.samples.in_pieces()):
+    if not np.any(np.isfinite(_measured(model, records))):
         names = ", ".join(channel.name for channel in model.channels)
         raise InputError(f"no effort or wrench is measured: at least one of these channels is needed: {names}")
     if np.all(records.samples.column(REST) > 0.5):
@@ -228,7 +233,7 @@ def _check(model: MeasurementModel, records: Records) -> None:
 
 def _check_held_out(model: MeasurementModel, held: Records) -> None:
     """Refuse held-out data that judge nothing."""
-    if not held.dense or not np.any(held.usable(model, model.rows(held.samples).targets)):
+    if not held.dense or not np.any(held.usable(model, _measured(model, held))):
         raise InputError(
             "nothing to judge on: in the data that are held out no joint whose effort is measured moves, and no wrench "
             "is measured, or they are too short; hold out more (--hold-out), or a recording in motion (--validate)"

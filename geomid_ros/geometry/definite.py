@@ -5,6 +5,7 @@ The compiled one leaves out what is zero, and stays zero: limbs know nothing of 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
 from types import ModuleType
 
@@ -12,7 +13,31 @@ import numpy as np
 from numpy.linalg import LinAlgError
 
 from geomid_ros.geometry import compiled
-from geomid_ros.types import FloatArray
+from geomid_ros.types import FloatArray, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Packed:
+    """A symmetric matrix ``(size, size)`` in little memory: the ``values`` of its lower triangle that are not zero, and
+    their ``places``."""
+
+    size: int
+    places: IntArray
+    values: FloatArray
+
+    @staticmethod
+    def of(matrix: FloatArray) -> Packed:
+        """Of a whole matrix."""
+        lower = np.tril(matrix).ravel()
+        places = np.flatnonzero(lower)
+        return Packed(len(matrix), places, lower[places])
+
+    @property
+    def whole(self) -> FloatArray:
+        """The whole matrix."""
+        found = np.zeros((self.size, self.size))
+        found.flat[self.places] = self.values
+        return found + np.tril(found, -1).T
 
 
 @cache

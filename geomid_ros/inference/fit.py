@@ -19,6 +19,7 @@ from geomid_ros.estimation.alike_prior import cost_of_own, likely_own
 from geomid_ros.estimation.link_spreads import cost_of_spreads, likely_spreads
 from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, fit_scales
 from geomid_ros.geometry import definite, pseudo_inertia
+from geomid_ros.geometry.definite import Packed
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.inference import prior as priors
 from geomid_ros.inference.design import BLOCKS, USUAL_SHARE, Design, Lack
@@ -37,7 +38,7 @@ class JointFit(Generic[Chosen, Term]):
         point, manifold: the D parameters: inertias of links and payloads, then the coefficients.
         score: minus twice the log marginal likelihood, with the parameters' penalty.
         squares: whitened sums of squares ``(C,)``.
-        information: Hessian ``(D, D)`` of half the score in tangent coordinates.
+        packed: the :attr:`information`; a search keeps hundreds of fits.
         weights: the prior's share of it ``(D,)``, what other recordings say apart.
         spreads: of the links' errors ``(links,)``, geodesic distances.
         inflation: factor on the variances of what other recordings say.
@@ -51,12 +52,17 @@ class JointFit(Generic[Chosen, Term]):
     manifold: ParameterManifold
     score: float
     squares: FloatArray
-    information: FloatArray
+    packed: Packed
     weights: FloatArray
     spreads: FloatArray
     inflation: float
     own_spreads: FloatArray
     changes: Mapping[Chosen, FloatArray]
+
+    @property
+    def information(self) -> FloatArray:
+        """Hessian ``(D, D)`` of half the score in tangent coordinates."""
+        return self.packed.whole
 
     @property
     def bodies(self) -> list[int]:
@@ -81,11 +87,6 @@ class JointFit(Generic[Chosen, Term]):
         """Inverse of the information ``(D, D)``."""
         return definite.inverse(self.information)
 
-    @cached_property
-    def jacobian(self) -> FloatArray:
-        """Derivative ``(D, D)`` of the parameters by the tangent coordinates."""
-        return self.manifold.whiten(self.point, np.eye(self.manifold.dimension))
-
     @property
     def covariance(self) -> FloatArray:
         """Of the parameters ``(D, D)``."""
@@ -96,7 +97,7 @@ class JointFit(Generic[Chosen, Term]):
             by_link = blocks @ links.reshape(len(blocks), 10, -1)
             return np.concatenate([by_link.reshape(links.shape), diagonal[:, None] * rest])
 
-        return moved(moved(self.inverse).T)
+        return moved(moved(definite.inverse(self.information)).T)
 
     def covariance_of(self, terms: Sequence[Term]) -> FloatArray:
         """Of some coefficients ``(k, k)``."""
@@ -248,7 +249,7 @@ def _free_fit(
         manifold=manifold,
         score=score,
         squares=profile.squares(point),
-        information=found.hessian,
+        packed=Packed.of(found.hessian),
         weights=found.objective.weights,
         spreads=spreads,
         inflation=inflation,
@@ -275,7 +276,7 @@ def unfitted(prior: Prior[Term]) -> JointFit[Any, Term]:
         manifold=manifold,
         score=np.inf,
         squares=np.zeros(0),
-        information=np.eye(size),
+        packed=Packed.of(np.eye(size)),
         weights=np.ones(size),
         spreads=prior.link_spreads,
         inflation=1.0,
@@ -327,8 +328,9 @@ def scattered(design: Design, found: JointFit[Chosen, Term]) -> JointFit[Chosen,
     for channel, own, variances, weight in zip(design.channels, places, design.variances, weights, strict=True):
         columns, residual = channel.whitened(vector, own, variances)
         for block, rows in enumerate(np.array_split(np.arange(len(residual)), BLOCKS)):
-            slopes[block] += weight * (residual[rows] @ columns[rows, :-1]) @ found.jacobian
+            slopes[block] += weight * (residual[rows] @ columns[rows, :-1])
+    slopes = found.manifold.whiten(found.point, slopes)
     moved = (slopes - np.mean(slopes, axis=0)) @ found.inverse
     squares = BLOCKS / (BLOCKS - 1.0) * np.sum(moved**2, axis=0)
     factors = np.sqrt(np.maximum(squares / np.diag(found.inverse), 1.0))
-    return replace(found, information=found.information / np.outer(factors, factors))
+    return replace(found, packed=Packed.of(found.information / np.outer(factors, factors)))

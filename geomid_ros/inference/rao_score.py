@@ -33,7 +33,7 @@ def score_tests(design: Design, current: JointFit[Chosen, Any], candidates: Sequ
     For fixed weights the step and the gain are those of the Gaussian model (Rao's score test); the gain is then taken
     from the sums of squares that the step leads to. Candidates of a limb with equally many columns are tested at once.
     """
-    limbs, tests = _limbs(current), dict[int, _Test[Chosen]]()
+    limbs, tests, covariance = _limbs(current), dict[int, _Test[Chosen]](), current.covariance
     every = np.append(limbs, _EVERY)  # of a channel with nothing but the target
     of_channel = [every[places[0]] for places in design.gather(current.bodies, current.terms).places]
     by_kind: dict[tuple[int, int], list[Chosen]] = {}
@@ -44,7 +44,7 @@ def score_tests(design: Design, current: JointFit[Chosen, Any], candidates: Sequ
     found: dict[Chosen, Trial[Chosen]] = {}
     for (limb, _), alike in by_kind.items():
         if limb not in tests:
-            tests[limb] = _Test(design, current, np.flatnonzero((limbs == limb) | (limb == _EVERY)))
+            tests[limb] = _Test(design, current, covariance, np.flatnonzero((limbs == limb) | (limb == _EVERY)))
         found |= tests[limb].of(alike)
     return [found[candidate] for candidate in candidates]
 
@@ -52,7 +52,8 @@ def score_tests(design: Design, current: JointFit[Chosen, Any], candidates: Sequ
 def _limbs(current: JointFit[Any, Any]) -> IntArray:
     """Of each parameter ``(D,)`` the first one with which it is connected, by rows or priors, through any others: what
     an arm has in common with no leg tells nothing of it."""
-    connected, first = current.information != 0.0, np.arange(len(current.information))
+    connected = current.information != 0.0
+    first = np.arange(len(connected))
     connected[current.manifold.links_blocks] = True
     before = first + 1
     while not np.array_equal(first, before):
@@ -69,12 +70,14 @@ class _Test(Generic[Chosen]):
     """What the score tests beside one fit share: G candidates of k columns in the C channels that have some of D
     parameters, and no others."""
 
-    def __init__(self, design: Design, current: JointFit[Chosen, Any], parameters: IntArray) -> None:
+    def __init__(
+        self, design: Design, current: JointFit[Chosen, Any], covariance: FloatArray, parameters: IntArray
+    ) -> None:
         self._design = design
         self._current = current
-        self._columns = np.append(parameters, len(current.information))  # with the target's
+        self._columns = np.append(parameters, len(covariance))  # with the target's
         self._vector = np.append(current.point.parameters, -1.0)[self._columns]
-        self._covariance = current.covariance[parameters[:, None], parameters]
+        self._covariance = covariance[parameters[:, None], parameters]
         products = design.gather(current.bodies, current.terms)
         place = np.full(products.size, -1)
         place[self._columns] = np.arange(len(self._columns))

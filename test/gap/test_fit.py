@@ -98,7 +98,8 @@ def test_what_is_known_of_a_recording_counts_as_if_it_were_fitted_again() -> Non
 
     def errors(found: JointFit) -> float:
         """Mean square of the distance from the fit to both, in its standard deviations."""
-        off = np.linalg.solve(both.jacobian, found.point.parameters - both.point.parameters)
+        jacobian = both.manifold.whiten(both.point, np.eye(both.manifold.dimension))
+        off = np.linalg.solve(jacobian, found.point.parameters - both.point.parameters)
         return float(off @ both.information @ off) / len(off)
 
     assert errors(again) < 0.15, "the remainder of both recordings is one, or one of each"

@@ -15,6 +15,7 @@ from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.judgement import written as written_module
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import find_gap
+from geomid_ros.geometry.definite import Packed
 from geomid_ros.inference.design import Design
 from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
@@ -70,7 +71,7 @@ def test_what_no_finding_says_is_as_it_was_given(beside_model: GapResult) -> Non
 
 def test_a_name_whose_written_size_may_be_nothing_is_none_and_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
     def unsure(_: Design, fit: NamesFit) -> NamesFit:
-        return replace(fit, information=1e-6 * fit.information)
+        return replace(fit, packed=Packed.of(1e-6 * fit.information))
 
     monkeypatch.setattr(written_module, "scattered", unsure)
     result = found(nominal=known())

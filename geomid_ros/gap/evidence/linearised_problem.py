@@ -194,14 +194,14 @@ class LinearisedProblem:
 
     def variance(self, columns: Columns, found: NamesFit) -> FloatArray:
         """Of the prediction ``(N, C)``, from the uncertainty of what was fitted."""
-        coefficients = self.rows.coefficients
-        again = [coefficients[:, :, 10 * carrier : 10 * carrier + 10] for carrier in found.bodies]
-        own = np.zeros((*coefficients.shape[:2], len(found.terms)))
-        for place, term in enumerate(found.terms):
-            for channel, column in columns[term].items():
-                own[:, channel, place] = column
-        jacobian = np.concatenate([coefficients, *again, own], axis=2)
-        return np.asarray(np.einsum("ncd,de,nce->nc", jacobian, found.covariance, jacobian, optimize=True))
+        covariance, variance = found.covariance, np.empty_like(self.rows.targets)
+        for channel in range(variance.shape[1]):  # one by one, as rows of all take much memory
+            links = self.rows.coefficients[:, channel]
+            again = [links[:, 10 * carrier : 10 * carrier + 10] for carrier in found.bodies]
+            own = [columns[term].get(channel, np.zeros(len(links))) for term in found.terms]
+            jacobian = np.column_stack([links, *again, *own])
+            variance[:, channel] = np.sum((jacobian @ covariance) * jacobian, axis=1)
+        return variance
 
 
 def term_columns(

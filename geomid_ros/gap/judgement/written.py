@@ -19,6 +19,7 @@ from geomid_ros.gap.judgement import naming
 from geomid_ros.gap.judgement.changed_links import with_given_spreads
 from geomid_ros.gap.judgement.verdict import beside_remainder, probability_by_size
 from geomid_ros.gap.result import LIKELY, Finding, LinkChange
+from geomid_ros.geometry.definite import Packed
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import fit, scattered
 from geomid_ros.inference.probability import probability_of_square
@@ -159,7 +160,7 @@ def _as_unsure(found: NamesFit, free: NamesFit) -> NamesFit:
     """A fit with standard deviations at least as large as those of one in which the links are as unsure as what other
     recordings say of them."""
     factors = np.sqrt(np.maximum(np.diag(free.inverse) / np.diag(found.inverse), 1.0))
-    return replace(found, information=found.information / np.outer(factors, factors))
+    return replace(found, packed=Packed.of(found.information / np.outer(factors, factors)))
 
 
 def _evidence(found: NamesFit, candidate: Candidate) -> float:
