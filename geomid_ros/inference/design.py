@@ -49,7 +49,7 @@ class ChannelRows:
         sizes = np.bincount(block, np.sum(features**2, axis=0)) / max(len(columns), 1)
         scale = 1.0 / np.sqrt(np.maximum(sizes, _LEAST_SIZE))[block]
         scaled = None if before is None else before / np.outer(scale, scale)
-        return ChannelRows(columns, features * scale, scale, block, place, links, scaled)
+        return ChannelRows(columns, features * scale, scale, block, place, links=links, before=scaled)
 
     @property
     def count(self) -> int:

@@ -247,7 +247,9 @@ def design_of(
         first = inertial.shape[1] + len(own) + 1
         unsure = None if remainder.unsure is None else remainder.unsure / noise[channel].variances[-1]
         links = np.where(felt, np.cumsum(felt) - 1, -1)
-        channels.append(ChannelRows.of(white[:, :first], white[:, first:], remainder.block, place, links, unsure))
+        channels.append(
+            ChannelRows.of(white[:, :first], white[:, first:], remainder.block, place, links=links, before=unsure)
+        )
     return Design.of(channels, rows.coefficients.shape[2])
 
 
