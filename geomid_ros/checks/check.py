@@ -147,11 +147,12 @@ class RecordingCheck:
 
     @property
     def unmeasured(self) -> list[str]:
-        """The joints whose efforts are missing at half of the instants or more, or zero at all: no driver measures that."""
+        """The joints whose efforts are missing at half of the instants or more, or exactly zero throughout."""
         samples, model = self.recorded, self._task.model
         if samples is None or not model.layout.efforts:
             return []
-        measured = (np.mean(np.isfinite(samples.effort), axis=0) >= HALF) & np.any(np.nan_to_num(samples.effort), axis=0)
+        there = np.mean(np.isfinite(samples.effort), axis=0) >= HALF
+        measured = there & np.any(np.nan_to_num(samples.effort), axis=0)
         return [name for name, is_told in zip(model.robot.joint_names, measured, strict=True) if not is_told]
 
 
