@@ -130,9 +130,10 @@ def estimate(
         InputError: Nothing was measured, or settings or prior do not fit the model.
     """
     begin = time.perf_counter()
-    summary = summary.measured()
-    if not np.any(summary.counts()):
+    if summary.rows == 0:
         raise InputError("no usable rows: nothing was measured, or the robot never moved")
+    measured = summary.measured()
+    summary = measured if np.any(measured.counts()) else summary
     whole = Problem(
         model,
         _pooled(model, summary),
