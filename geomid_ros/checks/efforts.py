@@ -11,7 +11,7 @@ import numpy as np
 
 from geomid_ros.checks.candidates import REASON, ROUNDS, TILT, Candidate, Judged
 from geomid_ros.checks.causes import Cause, gain_settings
-from geomid_ros.checks.evidence import FOLLOWS, LEAST_SIGMA
+from geomid_ros.checks.evidence import FOLLOWS, HALF, LEAST_SIGMA
 from geomid_ros.checks.subject import Subject
 from geomid_ros.model.robot import STANDARD_GRAVITY
 from geomid_ros.types import FloatArray
@@ -113,11 +113,13 @@ def _without_sign(subject: Subject) -> list[int]:
 
 
 def _expected(subject: Subject, channel: int) -> FloatArray:
-    """What an effort follows, of what is predicted and the speed of its joint ``(N,)``: by its magnitude, the constant
-    part of it included, which a weight has."""
+    """What an effort follows, of what is predicted and the speed of its joint ``(N,)``: by its magnitude. One that is
+    mostly a weight, as of a vertical axis, hardly changes with either."""
     effort, speed = np.abs(subject.measured[:, channel]), subject.samples.velocity[:, subject.joints[channel]]
-    both = (subject.predicted[:, channel], speed)
-    return max(both, key=lambda one: float(effort @ np.abs(one)) / max(float(np.linalg.norm(one)), 1e-300))
+    predicted = subject.predicted[:, channel]
+    if np.abs(np.mean(predicted)) > HALF * np.mean(effort):
+        return predicted
+    return max((predicted, speed), key=lambda one: float(np.nan_to_num(np.corrcoef(effort, np.abs(one))[0, 1])))
 
 
 def _gains(subject: Subject) -> Iterator[Candidate]:
