@@ -53,6 +53,7 @@ WRONG = {
     "zero": np.zeros_like,
     "in degrees": np.rad2deg,
     "late by a tenth of a second": lambda v: np.roll(v, 10, axis=0),
+    "late by a hundredth of a second": lambda v: np.roll(v, 1, axis=0),
     "an offset": lambda v: v + 0.5,
 }
 
