@@ -114,10 +114,10 @@ def _without_sign(subject: Subject) -> list[int]:
 
 def _expected(subject: Subject, channel: int) -> FloatArray:
     """What an effort follows, of what is predicted and the speed of its joint ``(N,)``: by its magnitude. One that is
-    mostly a weight, as of a vertical axis, hardly changes with either."""
+    always about as large, and mostly a weight, as of a vertical axis, hardly changes with either."""
     effort, speed = np.abs(subject.measured[:, channel]), subject.samples.velocity[:, subject.joints[channel]]
     predicted = subject.predicted[:, channel]
-    if np.abs(np.mean(predicted)) > HALF * np.mean(effort):
+    if min(np.abs(np.mean(predicted)), np.quantile(effort, _NEARLY)) > HALF * np.mean(effort):
         return predicted
     return max((predicted, speed), key=lambda one: float(np.nan_to_num(np.corrcoef(effort, np.abs(one))[0, 1])))
 

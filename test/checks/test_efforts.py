@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from estimation.arms import Case, arm, efforts, motion, samples, shipped, truth
 
 from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.check import JudgementTask, RecordingCheck
+from geomid_ros.checks.efforts import _without_sign
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -313,3 +316,19 @@ def test_an_effort_that_changes_for_half_of_the_time_is_judged() -> None:
     effort = of.samples.effort.copy()
     effort[len(effort) // 2 - 20 :, -1] = 0.0
     assert len(findings(of.model, replace(of.samples, effort=-effort))) > 0
+
+
+@pytest.mark.parametrize(("weight", "lost"), [(18.0, []), (0.1, [0])])
+def test_a_weight_on_a_vertical_axis_keeps_its_sign(weight: float, lost: list[int]) -> None:
+    """Its effort changes with the speed alone, as friction does, and is no magnitude; that of a joint without weight
+    is."""
+    speed = np.sin(np.arange(400) / 20.0)
+    rubbing = 4.0 * np.tanh(speed / 0.05)
+    measured = weight + rubbing if weight > 4.0 else np.abs(weight + rubbing)
+    subject: Any = SimpleNamespace(
+        measured=measured[:, None],
+        predicted=np.full((400, 1), weight),
+        samples=SimpleNamespace(velocity=speed[:, None]),
+        joints=[0],
+    )
+    assert _without_sign(subject) == lost

@@ -119,3 +119,19 @@ def test_a_joint_that_rests_again_and_again_while_others_move_is_sound(name: str
     effort = efforts(of.model.robot, of.true, stopping)
     own = samples(stopping, effort + 0.05 * rng.normal(size=effort.shape))
     assert findings(of.model, own) == ()
+
+
+def test_of_a_joint_that_waits_several_times_the_rubbing_of_others_says_nothing() -> None:
+    """As from point to point: others rub otherwise while it waits for them."""
+    of = case("arm7", 1)
+    moving = motion(np.random.default_rng(5), 7, 20.0)
+    waits = np.arange(len(moving)) % 500 < 150
+    held = np.maximum.accumulate(np.where(waits, 0, np.arange(len(moving))))
+    position, velocity, acceleration = moving.position.copy(), moving.velocity.copy(), moving.acceleration.copy()
+    position[:, 0] = position[held, 0]
+    velocity[waits, 0] = acceleration[waits, 0] = 0.0
+    stopping = Motion(position, velocity, acceleration)
+    effort = efforts(of.model.robot, of.true, stopping)
+    effort[:, 4] += 2.0 * np.std(effort[:, 4]) * waits * np.sin(np.arange(len(moving)) / 7.0)
+    found = findings(of.model, samples(stopping, effort))
+    assert "frozen" not in [finding.cause.kind for finding in found]

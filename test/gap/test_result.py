@@ -204,7 +204,9 @@ class TestPrior:
         np.testing.assert_allclose(found.spreads, [share[0], prior.spreads[1]], rtol=0.05)
 
     @pytest.mark.parametrize(("std", "expected"), [(0.0, 0.02), (0.001, 0.02), (0.02, 0.15), (np.inf, 0.02)])
-    def test_an_effect_beside_the_coefficients_is_as_unsure_as_its_motion_left_it(self, std: float, expected: float) -> None:
+    def test_an_effect_beside_the_coefficients_is_as_unsure_as_its_motion_says(
+        self, std: float, expected: float
+    ) -> None:
         beside = KnownEffect("load_friction", JOINTS[2], "", {"coefficient": Quantity(LOAD, std, "-")})
         records = Records.make([TRAIN], planted.CUTOFF)
         prior, _ = workflow._with_beside(BARE, records, self.prior(), [beside])
