@@ -17,6 +17,7 @@ from report.pages import Page
 import geomid_ros
 from geomid_ros.files.models.urdf import with_inertials
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.effects.effect import FRICTION_DRIFT
 from geomid_ros.simulation import SimulationOptions, simulate
 
 ARM7, LINK = BAGS / "arm7.urdf", "link6"
@@ -195,6 +196,19 @@ def test_a_link_of_other_parts_is_left_out_and_said(halves: tuple[Path, Path], t
     assert found.compared.not_compared == ("link7",)
     assert "link7" not in {each.place for each in found.compared.differences}
     assert "Not compared: link7" in done("compare", halves[0], other, "--out", tmp_path)
+
+
+def test_friction_that_drifted_differs(halves: tuple[Path, Path], tmp_path: Path) -> None:
+    """By no more than its own standard deviation, which holds the drift to any motion."""
+    both = []
+    for number, factor in enumerate((1.0, 1.2)):
+        effects = json.loads(halves[0].read_text())["effects"]
+        level = next(each for each in effects if each["name"] == "coulomb_friction" and each["joint"] == "joint2")
+        level["value"] *= factor
+        level["std"] = level["value"] * float(np.hypot(0.01, FRICTION_DRIFT))
+        both.append(changed_copy(halves[0], tmp_path / str(number), effects=effects))
+    found = geomid_ros.compare(*both)
+    assert [(each.place, each.parameter) for each in found.differing] == [("joint2", "level")]
 
 
 def test_what_counts_as_exact_or_was_fitted_is_said(halves: tuple[Path, Path], tmp_path: Path) -> None:

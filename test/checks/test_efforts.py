@@ -322,13 +322,21 @@ def test_an_effort_that_changes_for_half_of_the_time_is_judged() -> None:
 def test_a_weight_on_a_vertical_axis_keeps_its_sign(weight: float, lost: list[int]) -> None:
     """Its effort changes with the speed alone, as friction does, and is no magnitude; that of a joint without weight
     is."""
-    speed = np.sin(np.arange(400) / 20.0)
+    speed = np.sin(np.arange(400) / 20.0) + 0.3
     rubbing = 4.0 * np.tanh(speed / 0.05)
     measured = weight + rubbing if weight > 4.0 else np.abs(weight + rubbing)
     subject: Any = SimpleNamespace(
         measured=measured[:, None],
-        predicted=np.full((400, 1), weight),
+        predicted=weight + 1e-3 * np.cos(np.arange(400) / 9.0)[:, None],
         samples=SimpleNamespace(velocity=speed[:, None]),
         joints=[0],
     )
     assert _without_sign(subject) == lost
+
+
+def test_a_joint_whose_effort_is_always_zero_is_said_to_measure_none(robot: Case) -> None:
+    names = robot.model.robot.joint_names
+    effort = robot.samples.effort.copy()
+    effort[:, 1] = 0.0
+    assert checked(robot.model, replace(robot.samples, effort=effort)).unmeasured == [names[1]]
+    assert checked(robot.model, robot.samples).unmeasured == []

@@ -135,3 +135,22 @@ def test_of_a_joint_that_waits_several_times_the_rubbing_of_others_says_nothing(
     effort[:, 4] += 2.0 * np.std(effort[:, 4]) * waits * np.sin(np.arange(len(moving)) / 7.0)
     found = findings(of.model, samples(stopping, effort))
     assert "frozen" not in [finding.cause.kind for finding in found]
+
+
+def test_a_joint_that_waits_under_any_effort_that_its_friction_holds_is_sound() -> None:
+    """At rest friction is what the controller leaves, up to its largest."""
+    of = case("arm7", 1)
+    moving = motion(np.random.default_rng(6), 7, 20.0)
+    waits = np.arange(len(moving)) % 500 < 150
+    held = np.maximum.accumulate(np.where(waits, 0, np.arange(len(moving))))
+    position, velocity, acceleration = moving.position.copy(), moving.velocity.copy(), moving.acceleration.copy()
+    position[:, 0] = position[held, 0]
+    velocity[waits, 0] = acceleration[waits, 0] = 0.0
+    stopping = Motion(position, velocity, acceleration)
+    effort = efforts(of.model.robot, of.true, stopping)
+    largest = of.true.effects["coulomb_friction"][0] + of.true.effects["viscous_friction"][0] * np.max(
+        np.abs(velocity[:, 0])
+    )
+    effort[:, 0] += 0.9 * largest * waits * np.sign(np.sin(np.arange(len(moving)) / 700.0))
+    found = findings(of.model, samples(stopping, effort + 0.05 * np.random.default_rng(0).normal(size=effort.shape)))
+    assert "frozen" not in [finding.cause.kind for finding in found]
