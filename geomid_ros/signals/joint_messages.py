@@ -159,7 +159,7 @@ class JointReader:
                 raise RejectedError(missing)
             extra = next((name for name in names if name not in self._joints), None)
             if extra is not None:
-                self._note_once(f"joint '{extra}' is not one of the robot's: passed over")
+                self._note_once(f"joint '{extra}' is none of the robot's that move by themselves: passed over")
             self._names = names
             self._order = np.array([index[joint] for joint in self._joints], dtype=np.int64)
         return self._order

@@ -221,7 +221,7 @@ STREAMS = {
     ),
     "11-extra-joints": Stream(
         joints_only(lambda item, _: with_others(item)),
-        ("joint_states: joint 'finger' is not one of the robot's: passed over",),
+        ("joint_states: joint 'finger' is none of the robot's that move by themselves: passed over",),
         spare=lambda item, *_: item,
     ),
 }

@@ -146,7 +146,7 @@ def test_peculiarities_are_noted_once_and_not_without_end() -> None:
             own, message(2 + index, names=names, position=(0.1 * index, 0.0, 0.0), velocity=(), effort=(1.0, 2.0, 3.0))
         )
     assert len(notes) == len(NAMES) + 10
-    assert notes[1] == "joint 'extra 0' is not one of the robot's: passed over"
+    assert notes[1] == "joint 'extra 0' is none of the robot's that move by themselves: passed over"
 
 
 def test_numbers_below_a_thousand_million_are_plausible() -> None:
