@@ -120,9 +120,10 @@ def frozen_position(subject: Subject) -> Cause | None:
         if np.count_nonzero(still) >= _FEWEST and np.count_nonzero(~still) >= FEWEST + 2 * _FEWEST:
             changes = np.ptp(efforts[still], axis=0) > LEAST_SIGMA * np.ptp(efforts, axis=0)
             once = np.count_nonzero(np.diff(still.astype(np.int8), prepend=0) == 1) == 1
-            inside, outside = _left(subject, still, subject.joints == joint)
+            own = subject.joints == joint
+            inside, outside = _left(subject, still, own)
             surely = np.sqrt(1.0 + SURE * np.sqrt(2.0))  # of a pose, whose residuals are one number
-            off = (inside > surely * outside) & changes & (once | (subject.joints == joint))
+            off = (inside > surely * outside) & changes & (once | own)
             moving = np.ptp(positions[still], axis=0) > LEAST_SIGMA * np.ptp(positions, axis=0)
             if np.any(moving) and np.any(off):
                 return Cause.of("frozen", [subject.robot.joint_names[joint]], share=np.mean(still))

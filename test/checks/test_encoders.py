@@ -11,7 +11,7 @@ from estimation.arms import Case, Motion, efforts, motion, samples
 from checks.test_efforts import ROBOTS, case, findings, named
 from geomid_ros.checks.subject import Subject
 from geomid_ros.model.samples import Samples
-from geomid_ros.types import FloatArray
+from geomid_ros.types import BoolArray, FloatArray
 
 
 @pytest.fixture(params=ROBOTS, ids=str)
@@ -121,36 +121,36 @@ def test_a_joint_that_rests_again_and_again_while_others_move_is_sound(name: str
     assert findings(of.model, own) == ()
 
 
-def test_of_a_joint_that_waits_several_times_the_rubbing_of_others_says_nothing() -> None:
-    """As from point to point: others rub otherwise while it waits for them."""
-    of = case("arm7", 1)
-    moving = motion(np.random.default_rng(5), 7, 20.0)
+def waiting(seed: int, joint: int) -> tuple[Case, Motion, BoolArray]:
+    """An arm of which a joint stands exactly still, three times in ten, while the others move; and when it does."""
+    of, moving = case("arm7", 1), motion(np.random.default_rng(seed), 7, 20.0)
     waits = np.arange(len(moving)) % 500 < 150
     held = np.maximum.accumulate(np.where(waits, 0, np.arange(len(moving))))
     position, velocity, acceleration = moving.position.copy(), moving.velocity.copy(), moving.acceleration.copy()
-    position[:, 0] = position[held, 0]
-    velocity[waits, 0] = acceleration[waits, 0] = 0.0
-    stopping = Motion(position, velocity, acceleration)
+    position[:, joint] = position[held, joint]
+    velocity[waits, joint] = acceleration[waits, joint] = 0.0
+    return of, Motion(position, velocity, acceleration), waits
+
+
+def kinds(of: Case, stopping: Motion, effort: FloatArray) -> list[str]:
+    """The causes that are named."""
+    return [finding.cause.kind for finding in findings(of.model, samples(stopping, effort))]
+
+
+def test_of_a_joint_that_waits_several_times_the_rubbing_of_others_says_nothing() -> None:
+    """As from point to point: others rub otherwise while it waits for them."""
+    of, stopping, waits = waiting(5, 0)
     effort = efforts(of.model.robot, of.true, stopping)
-    effort[:, 4] += 2.0 * np.std(effort[:, 4]) * waits * np.sin(np.arange(len(moving)) / 7.0)
-    found = findings(of.model, samples(stopping, effort))
-    assert "frozen" not in [finding.cause.kind for finding in found]
+    effort[:, 4] += 2.0 * np.std(effort[:, 4]) * waits * np.sin(np.arange(len(waits)) / 7.0)
+    assert "frozen" not in kinds(of, stopping, effort)
 
 
 def test_a_joint_that_waits_under_any_effort_that_its_friction_holds_is_sound() -> None:
     """At rest friction is what the controller leaves, up to its largest."""
-    of = case("arm7", 1)
-    moving = motion(np.random.default_rng(6), 7, 20.0)
-    waits = np.arange(len(moving)) % 500 < 150
-    held = np.maximum.accumulate(np.where(waits, 0, np.arange(len(moving))))
-    position, velocity, acceleration = moving.position.copy(), moving.velocity.copy(), moving.acceleration.copy()
-    position[:, 0] = position[held, 0]
-    velocity[waits, 0] = acceleration[waits, 0] = 0.0
-    stopping = Motion(position, velocity, acceleration)
+    of, stopping, waits = waiting(6, 0)
     effort = efforts(of.model.robot, of.true, stopping)
-    largest = of.true.effects["coulomb_friction"][0] + of.true.effects["viscous_friction"][0] * np.max(
-        np.abs(velocity[:, 0])
-    )
-    effort[:, 0] += 0.9 * largest * waits * np.sign(np.sin(np.arange(len(moving)) / 700.0))
-    found = findings(of.model, samples(stopping, effort + 0.05 * np.random.default_rng(0).normal(size=effort.shape)))
-    assert "frozen" not in [finding.cause.kind for finding in found]
+    dry, viscous = (of.true.effects[name][0] for name in ("coulomb_friction", "viscous_friction"))
+    largest = dry + viscous * np.max(np.abs(stopping.velocity[:, 0]))
+    effort[:, 0] += 0.9 * largest * waits * np.sign(np.sin(np.arange(len(waits)) / 700.0))
+    noise = 0.05 * np.random.default_rng(0).normal(size=effort.shape)
+    assert "frozen" not in kinds(of, stopping, effort + noise)
