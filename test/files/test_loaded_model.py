@@ -186,16 +186,19 @@ def test_an_estimate_from_a_model_is_the_model_again(tmp_path: Path, common: lis
 
 def test_beside_a_model_friction_is_as_sure_as_the_motion_it_was_found_in(tmp_path: Path) -> None:
     """The drift to other motions, which its std includes, would hide changes of friction."""
+    coefficient = Quantity(0.3, 0.01, "N m s/rad")  # of an older file, without drift
     level, offset = Quantity(2.0, float(np.hypot(0.03, 2.0 * FRICTION_DRIFT)), "N m"), Quantity(0.7, 0.05, "N m")
     known = [
         KnownEffect("coulomb_friction", "joint1", "", {"level": level}),
         KnownEffect("effort_offset", "joint1", "", {"offset": offset}),
+        KnownEffect("viscous_friction", "joint1", "", {"coefficient": coefficient}),
     ]
     session = session_with(tmp_path, known)
     places = {(c.effect.name, c.place_name): place for place, c in enumerate(session.model.coefficients)}
     deviations = session.loaded.deviations(session.model)[len(session.model.nominal_inertias) :]
     assert deviations[places["coulomb_friction", "joint1"]] == pytest.approx(0.03, rel=1e-3)
     assert deviations[places["effort_offset", "joint1"]] == pytest.approx(0.05, rel=1e-3)
+    assert deviations[places["viscous_friction", "joint1"]] == pytest.approx(0.01)
     assert np.isnan(deviations[places["coulomb_friction", "joint2"]])
 
 
