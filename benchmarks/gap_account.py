@@ -40,6 +40,7 @@ from geomid_ros.errors import GeomidError
 from geomid_ros.files.models.effect_forms import is_body
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.model.effects import Effect, effect_class, values_of
+from geomid_ros.session.results import save
 from geomid_ros.session.written_simulation import write_found
 from geomid_ros.simulation import simulate
 
@@ -116,7 +117,7 @@ def account(run: Run, folder: Path) -> Account:
     model = None
     if run.known is not None:
         known = geomid_ros.identify(run.known, run.urdf)
-        known.session.save(folder / "known", known.estimate)
+        save(known.session, folder / "known", known.estimate)
         model = folder / "known" / "estimate.json"
     found = geomid_ros.find_gap(run.bags, run.urdf, model=model, validate=run.validate)
     write_found(folder / "gap", found.session, found.result)

@@ -22,6 +22,7 @@ from geomid_ros.files.bags.bag import Bag
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Topics, read_samples
+from geomid_ros.session.results import save
 from geomid_ros.session.session import Session
 from geomid_ros.simulation.options import Hidden, SimulationOptions
 from geomid_ros.simulation.recording import simulate
@@ -103,7 +104,7 @@ def _setups(folder: Path, bag: Path) -> list[tuple[str, Configuration, str]]:
     session = Session(urdf, Configuration(), _ROBOT)
     session.identifier.add(_samples(bag, session))
     before = session.identifier.solve()
-    session.save(folder, before)
+    save(session, folder, before)
     last = Configuration({"links": [before.links[-1].name], "model": str(folder / "estimate.json")})
     return [
         ("all links, joint efforts", Configuration(), urdf),

@@ -20,6 +20,7 @@ import geomid_ros
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity
+from geomid_ros.session.results import save
 from geomid_ros.session.written_simulation import write_found
 from geomid_ros.simulation import EFFECTS as HIDEABLE
 from geomid_ros.simulation import WRIST_FRAME, Hidden, SimulationOptions, simulate
@@ -119,7 +120,7 @@ class RoundTrip:
         model = None
         if self.planted.is_payload:
             bare = geomid_ros.identify(self.bag(3, bare=True), URDF, effects=[])
-            model, *_ = bare.session.save(self.folder / "bare", bare.estimate, bare.held_out_rms)
+            model, *_ = save(bare.session, self.folder / "bare", bare.estimate, bare.held_out_rms)
         return self._gap(1, model, "first")
 
     @cached_property
@@ -133,7 +134,7 @@ class RoundTrip:
         found = geomid_ros.identify(
             self.bag(2), URDF, model=self.model("first"), wrench=self.planted.wrench, hold_out=0.0
         )
-        found.session.save(self.folder / "identified", found.estimate, None)
+        save(found.session, self.folder / "identified", found.estimate, None)
         return found
 
     def _gap(self, motion: int, model: Path | None, out: str) -> geomid_ros.Gap:

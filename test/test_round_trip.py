@@ -16,6 +16,7 @@ from geomid_ros.options import silent
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import find_in_messages, gap_session
 from geomid_ros.session.recordings import Topics, read_samples
+from geomid_ros.session.results import save
 from geomid_ros.session.session import Session
 
 SECONDS = 12.0
@@ -59,7 +60,7 @@ def test_the_node_goes_on_from_it(trip: RoundTrip) -> None:
     with Bag(trip.bag(2)) as bag:
         for samples in read_samples(bag, session, session.pipeline, Topics("joint_states", "odom")):
             session.identifier.add(samples)
-    node, *_ = session.save(trip.folder / "node", session.identifier.solve())
+    node, *_ = save(session, trip.folder / "node", session.identifier.solve())
     by_command, by_node = (LoadedModel.read(str(path)).effects for path in (trip.model("identified"), node))
     assert [(e.effect, e.joint) for e in by_node] == [(e.effect, e.joint) for e in by_command]
     for one, other in zip(by_command, by_node, strict=True):

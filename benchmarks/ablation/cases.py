@@ -276,7 +276,7 @@ def _wrenches() -> Iterator[Case]:
                 training = Training(session)
                 training.add(samples)
                 training.end()
-                return {"said": _words("; ".join(finding.sentence for finding in session.findings))}
+                return {"said": _words("; ".join(finding.sentence for finding in session.review.findings))}
 
             yield Case("wrenches", f"{fault.name} {size}", run)
 
@@ -323,10 +323,10 @@ def _watch(what: str, seed: int) -> Figures:
 
 
 def _said(session: Session, samples: Samples) -> Figures:
-    session.check.add(samples)
-    session.judge()
-    findings = [(f.cause.kind, sorted(f.cause.places), f.sure) for f in session.findings]
-    return {"findings": str(sorted(findings, key=str)), "remarks": str(len(session.check.remarks))}
+    session.review.check.add(samples)
+    session.review.judge()
+    findings = [(f.cause.kind, sorted(f.cause.places), f.sure) for f in session.review.findings]
+    return {"findings": str(sorted(findings, key=str)), "remarks": str(len(session.review.check.remarks))}
 
 
 def _judged() -> Iterator[Case]:

@@ -56,24 +56,24 @@ def answer(planted: Recording, fault: Fault, size: Any) -> tuple[str, str]:
             session = judged(planted, planted.write(Path(folder) / "bag"))
         except GeomidError as error:
             return NAMED if fault.refused and fault.refused in str(error) else WRONG, str(error)
-    said = "; ".join(finding.sentence for finding in session.findings)
+    said = "; ".join(finding.sentence for finding in session.review.findings)
     if not fault.kind:
         accounts = session.pipeline.ledger.topics.values()
         reasons = [reason for account in accounts for reason in (*account.rejected, *account.noted)]
         return (NAMED if any(fault.noted in reason for reason in reasons) else SILENT), "; ".join(reasons)
     names = planted.robot.joint_names
     places = None if fault.joints is None else {names[place] for place in fault.joints(size)}
-    if fault.kind == "constant" and session.check.unmeasured:
-        return NAMED, f"not measured: {', '.join(session.check.unmeasured)}"
-    if not session.findings:
+    if fault.kind == "constant" and session.review.check.unmeasured:
+        return NAMED, f"not measured: {', '.join(session.review.check.unmeasured)}"
+    if not session.review.findings:
         return SILENT, said
-    for finding in session.findings:
+    for finding in session.review.findings:
         for cause in (finding.cause, *finding.rivals):
             right = cause.kind == fault.kind or (fault.said and fault.said in cause.sentence)
             if right and (places is None or set(cause.places) == places):
                 return (NAMED if finding.sure else SUSPECTED), said
     # That a joint is not explained names no cause.
-    named = [finding for finding in session.findings if finding.sure and finding.cause.kind != "unexplained"]
+    named = [finding for finding in session.review.findings if finding.sure and finding.cause.kind != "unexplained"]
     return (WRONG if named else SUSPECTED), said
 
 
@@ -127,10 +127,12 @@ def doubts(names: list[str]) -> list[dict[str, Any]]:
         for part, recording in sound(name):
             with tempfile.TemporaryDirectory(prefix="corruption-") as folder:
                 session = judged(recording, recording.write(Path(folder) / "bag"))
-            said = "; ".join(finding.sentence for finding in session.findings)
-            kept.append({"recording": name, "part": part, "said": said, "remarks": list(session.remarks)})
-            if said or session.remarks:
-                print(f"{'doubted' if said else 'remarked'}: {name}, {part}: {said or session.remarks}", flush=True)
+            said = "; ".join(finding.sentence for finding in session.review.findings)
+            kept.append({"recording": name, "part": part, "said": said, "remarks": list(session.review.remarks)})
+            if said or session.review.remarks:
+                print(
+                    f"{'doubted' if said else 'remarked'}: {name}, {part}: {said or session.review.remarks}", flush=True
+                )
     print(f"{sum(bool(each['said']) for each in kept)} of {len(kept)} sound recordings are doubted")
     return kept
 

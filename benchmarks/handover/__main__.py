@@ -36,6 +36,7 @@ from geomid_ros.exports.model import read_model
 from geomid_ros.exports.payload import each_link
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.urdf import with_inertials
+from geomid_ros.files.models.written_model import written_model
 from geomid_ros.model.effects import AtJoint
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.samples import Samples
@@ -106,7 +107,7 @@ def directions(samples: Samples) -> FloatArray:
 
 def offsets_beside(found: Identification, tool: str, joints: list[str]) -> FloatArray:
     """Offsets ``(joints,)`` of the efforts, as they stand beside the file."""
-    effects = found.session.written_model(found.estimate, tool).effects
+    effects = written_model(found.session.model, found.estimate, tool, found.session.loaded.effects).effects
     known = {own.joint: own.parameters["offset"].value for own in effects if own.effect == "effort_offset"}
     return np.array([known.get(name, 0.0) for name in joints])
 

@@ -94,7 +94,7 @@ class Gap:
     @property
     def status(self) -> int:
         """The exit status: 4 for a doubtful recording, or a description that predicts worse than the one given."""
-        judged = recording_verdict(self.session.findings)
+        judged = recording_verdict(self.session.review.findings)
         return STATUS[DOUBTFUL] if self.handover and self.handover.worse else judged.status
 
     @property
@@ -110,7 +110,11 @@ class Gap:
             "known": plain(session.loaded.effects),
             "not_simulated": self.not_simulated,
         }
-        remarks = {"causes": causes_entry(session.findings), "warnings": session.warnings(), "notes": session.notes}
+        remarks = {
+            "causes": causes_entry(session.review.findings),
+            "warnings": session.review.warnings(),
+            "notes": session.notes,
+        }
         judged = {self.reader: self.handover.entry} if self.handover else {}
         return document | remarks | {"handover": judged}
 
@@ -173,7 +177,7 @@ class Gap:
 
     def __repr__(self) -> str:
         """Reasons for doubt, the verdict, and a sentence for each finding."""
-        doubts = recording_verdict(self.session.findings).remarks
+        doubts = recording_verdict(self.session.review.findings).remarks
         sentences = [f"  {finding.sentence}" for finding in self.findings]
         return "\n".join([*doubts, f"Gap of {self.session.robot.name}: {verdict_sentence(self.result)}", *sentences])
 
@@ -194,12 +198,12 @@ def find_gap(options: GapOptions) -> Gap:
     notes: Sequence[str] = ()
     if parameters.gains:  # only a small delay is a column
         first = identify(options.bags, candidates=(), **shared(options, RecordingOptions)).session
-        parameters, notes = parameters.with_values({DELAY: first.configuration[DELAY]}), first.settled
+        parameters, notes = parameters.with_values({DELAY: first.configuration[DELAY]}), first.review.settled
     session, samples = robot.read(
         gap_session, parameters, lambda session: GapReader(session, recorded, options.progress).read(twins)
     )
-    session.settled.extend(note for note in notes if note not in session.settled)
-    session.check_description()
+    session.review.settled.extend(note for note in notes if note not in session.review.settled)
+    session.review.check_description()
     of_bags = GapReader(session, recorded, options.progress)
     sharp = of_bags.sharp()
     commands = of_bags.sharp(options.command) if options.command else []

@@ -19,6 +19,7 @@ from geomid_ros.model.channels import Channel
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, read_fitted
+from geomid_ros.session.results import document
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -67,12 +68,12 @@ class IdentificationSummary:
     @property
     def warnings(self) -> list[str]:
         """Warnings on the result, as sentences, in addition to the :attr:`verdict`."""
-        return self.session.warnings(self.estimate, self.verdict)
+        return self.session.review.warnings(self.estimate, self.verdict)
 
     @cached_property
     def verdict(self) -> Verdict:
         """Verdict on the result: ``usable``, ``doubtful`` or ``not converged``, with the reasons."""
-        judged = self.session.verdict(self.estimate, self.judged, self.held_out_rms)
+        judged = self.session.review.verdict(self.estimate, self.judged, self.held_out_rms)
         judged = replace(judged, warnings=(*judged.warnings, *self.handover.limited))
         worse = self.handover.worse
         return replace(judged, word=DOUBTFUL, reasons=(*judged.reasons, *worse)) if worse else judged
@@ -136,13 +137,13 @@ class IdentificationSummary:
     @property
     def document(self) -> dict[str, Any]:
         """All numbers, as ``estimate.json`` has them, but for where they are from."""
-        document = self.session.document(self.estimate, self.held_out_rms, self.verdict)
-        document["handover"][self.reader] |= self.handover.entry
+        found = document(self.session, self.estimate, self.held_out_rms, self.verdict)
+        found["handover"][self.reader] |= self.handover.entry
         if self.tracking is not None:
-            document["handover"][self.reader]["tracking"] = dict(self.tracking.rms)
+            found["handover"][self.reader]["tracking"] = dict(self.tracking.rms)
         model = self.session.model
         masses = model.nominal_inertias.reshape(-1, 10)[:, 0].tolist()
-        return document | {
+        return found | {
             "urdf_masses": dict(zip(model.body_names, masses, strict=True)),
             "channels": [self._channel(channel) for channel in model.channels if math.isfinite(self.rms[channel.name])],
             "telling": self._telling,

@@ -33,6 +33,7 @@ from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import gap_session, remainder_of
 from geomid_ros.session.options import PathLike
 from geomid_ros.session.recordings import Bags, read_bags
+from geomid_ros.session.results import identified_urdf
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import Training
 from geomid_ros.session.version import installed_version
@@ -51,7 +52,7 @@ class Identification(IdentificationSummary):
 
     def urdf(self) -> str:
         """The robot description with the identified inertias and friction; every other character is kept."""
-        return self.session.identified_urdf(self.estimate)
+        return identified_urdf(self.session, self.estimate)
 
     def plot(self) -> Figure:
         """Draw the bodies before and after, and the channels measured and predicted."""
@@ -153,7 +154,7 @@ class Identification(IdentificationSummary):
         try:
             return remainder_of(gap_session(urdf, written, source), self.bags, progress)
         except (GeomidError, np.linalg.LinAlgError) as error:
-            self.session.settled.append(f"{POSTERIOR}: without what the model leaves unexplained: {error}")
+            self.session.review.settled.append(f"{POSTERIOR}: without what the model leaves unexplained: {error}")
             return None
 
 
@@ -177,7 +178,7 @@ def identify(options: IdentifyOptions) -> Identification:
         session, (held_out, judged) = robot.read(
             make, parameters, lambda session: _read(session, recorded, options.progress)
         )
-        session.check_description()
+        session.review.check_description()
         options.progress("solving", 0.0)
         return session, held_out, judged, session.identifier.solve()
 
@@ -188,7 +189,7 @@ def identify(options: IdentifyOptions) -> Identification:
         parameters = parameters.with_values({DELAY: parameters[DELAY] + delay})
         session, held_out, judged, estimate = solved(parameters)
     if parameters[DELAY]:
-        session.settled.append(f"commands act {1e3 * parameters[DELAY]:.1f} ms after their stamps")
+        session.review.settled.append(f"commands act {1e3 * parameters[DELAY]:.1f} ms after their stamps")
     return Identification(
         session=session,
         bags=recorded,

@@ -35,7 +35,7 @@ def weigh_payload(options: PayloadOptions) -> Payload:
     session, (before, after) = robot.read(
         payload_session, parameters, lambda session: [_all(session, bags, options) for bags in both]
     )
-    session.check_description()
+    session.review.check_description()
     options.progress("solving", 0.0)
     return weigh_at(session, known or before, after, parameters["payload.frame"], parameters["payload.gain"])
 
@@ -50,5 +50,5 @@ def _all(session: Session, bags: Sequence[Path], options: PayloadOptions) -> Seq
     """All samples of some bags."""
     if not bags:
         return ()
-    session.judge_apart()
+    session.review.judge_apart()
     return read_fitted(session, Bags(fitted=bags, hold_out=0.0, topics=topics(options)), options.progress)

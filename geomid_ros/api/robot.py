@@ -63,7 +63,7 @@ class DescribedRobot(NamedTuple):
         """A session of this robot that ``make`` makes, and what is ``read`` for it; see
         :func:`~geomid_ros.session.recordings.read_with_locked`."""
         session, found = read_with_locked(lambda own: make(self.text, own, self.source), parameters, read)
-        session.settled.extend(self.notes)
+        session.review.settled.extend(self.notes)
         return session, found
 
 

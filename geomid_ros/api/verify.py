@@ -116,7 +116,7 @@ def read_to_judge(
 
 def doubts_of(session: Session) -> list[str]:
     """Why a model or the recordings that it was judged on are not to be believed."""
-    return [*filter(None, [session.loaded.doubt]), *recording_verdict(session.findings).reasons]
+    return [*filter(None, [session.loaded.doubt]), *recording_verdict(session.review.findings).reasons]
 
 
 def identified(session: Session) -> FloatArray:

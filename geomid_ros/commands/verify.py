@@ -36,7 +36,7 @@ def verify(**options: Any) -> None:
 def _show(found: geomid_ros.Verification) -> None:
     """Print channels and requirements."""
     console = results_console()
-    warnings = [sentence for sentence in found.session.warnings() if sentence not in found.doubts]
+    warnings = [sentence for sentence in found.session.review.warnings() if sentence not in found.doubts]
     print_remarks(console, {"DOUBTFUL": found.doubts, "Warning": warnings, "Note": found.session.notes})
     console.print(_channels(found))
     if found.outcomes:

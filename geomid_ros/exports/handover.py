@@ -19,7 +19,7 @@ from geomid_ros.files.models.effect_forms import coefficients_of, unsaid
 from geomid_ros.files.models.estimate_file import model_effects
 from geomid_ros.files.models.read_back import Attributes, ReadBack, read_urdf_back
 from geomid_ros.files.models.readers import ELEMENTS, URDF
-from geomid_ros.files.models.written_model import WrittenModel
+from geomid_ros.files.models.written_model import WrittenModel, written_model
 from geomid_ros.files.schema import entry
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import effect_class
@@ -28,6 +28,7 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.written_robot import load_mujoco
+from geomid_ros.session.results import with_inertias_of
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -56,12 +57,12 @@ class HandedOver:
     @cached_property
     def model(self) -> WrittenModel:
         """What is written."""
-        return self.session.written_model(self.estimate, self.reader)
+        return written_model(self.session.model, self.estimate, self.reader, self.session.loaded.effects)
 
     @cached_property
     def _whole(self) -> Whole:
         session = self.session
-        urdf = session.with_inertias_of(self.estimate, self.model)
+        urdf = with_inertias_of(session, self.estimate, self.model)
         robot = RobotToDescribe(
             urdf,
             Path(session.robot.source),

@@ -167,7 +167,7 @@ def summarise(text: str, source: str, configuration: Configuration, bags: Bags) 
     summary = BagSummary(
         fitted=session.identifier.memory(),
         held_out=_rows(session.model, held_out),
-        recorded=session.recorded,
+        recorded=session.review.recorded,
         locked=tuple(sorted(locked)),
         begin=begin,
         end=end,

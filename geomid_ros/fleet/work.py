@@ -24,6 +24,7 @@ from geomid_ros.fleet.kept import SUFFIX, BagSummary, RobotResults, Store, summa
 from geomid_ros.fleet.recordings import FleetBag, on_this_disk
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, Topics, with_locked
+from geomid_ros.session.results import save
 from geomid_ros.session.session import Session
 from geomid_ros.session.version import installed_version
 from geomid_ros.types import FloatArray
@@ -158,21 +159,21 @@ def solve(session: Session, summary: BagSummary) -> tuple[Estimate, FloatArray |
     Returns:
         The estimate, the RMS residual of each channel on what was held out, if anything was, and the verdict.
     """
-    session.read_elsewhere(summary.recorded)
+    session.review.read_elsewhere(summary.recorded)
     session.identifier.restore(summary.fitted)
     estimate = session.identifier.solve()
     judged = RowSummary(session.model.channels)
     judged.restore(summary.held_out)
     if not judged.rows:
-        return estimate, None, session.verdict(estimate)
+        return estimate, None, session.review.verdict(estimate)
     held_out = judged.rms(estimate.parameters)
-    return estimate, held_out, session.verdict(estimate, judged, held_out)
+    return estimate, held_out, session.review.verdict(estimate, judged, held_out)
 
 
 def _results(session: Session, estimate: Estimate, held_out: FloatArray | None, verdict: Verdict) -> RobotResults:
     """Its files, as ``geomid identify`` writes them, and what a population is made of."""
     with TemporaryDirectory(prefix="geomid_robot_") as folder:
-        files = session.save(Path(folder), estimate, held_out, verdict)
+        files = save(session, Path(folder), estimate, held_out, verdict)
         content = {file.name: file.read_bytes() for file in files}
     return RobotResults(files=content, evidence=RobotLikelihood.of(estimate))
 

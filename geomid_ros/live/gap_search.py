@@ -76,8 +76,8 @@ def look_for_gap(
     if before is None:
         own = gap_session(session.urdf, session.configuration, "robot_description")
         result = find_in_messages(own, messages, standing_of(own), progress)
-        return FoundGap(result, own.findings, own.warnings(), [*session.notes, *own.settled])
+        return FoundGap(result, own.review.findings, own.review.warnings(), [*session.notes, *own.review.settled])
     own = identified_session(session, before)
     result = find_in_messages(own, messages, lacking_in_messages(own, earlier, progress), progress)
     compared = f"{COMPARED}, of {before.rows_accepted} rows"
-    return FoundGap(result, own.findings, own.warnings(), session.notes, compared)
+    return FoundGap(result, own.review.findings, own.review.warnings(), session.notes, compared)

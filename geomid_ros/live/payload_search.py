@@ -74,9 +74,9 @@ def _weigh(session: Session, empty: Sequence[Accepted], loaded: Sequence[Accepte
         found = samples_of_messages(session.new_pipeline(), messages, stage, progress)
         if found is None:
             raise InputError(f"too little motion {what} the payload: move all joints for half a minute")
-        session.judge_apart()
-        session.check.add(found)
-        session.judge()
+        session.review.judge_apart()
+        session.review.check.add(found)
+        session.review.judge()
         samples.append(found)
     progress("solving", 0.0)
     frame, gain = session.configuration["payload.frame"], session.configuration["payload.gain"]

@@ -20,6 +20,7 @@ from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.live.threads import Activity, start_daemon, start_later
 from geomid_ros.live.worker import LONG, Worker
+from geomid_ros.session.results import save
 from geomid_ros.session.session import Session
 
 _PATIENCE = 0.4  # [s] for the last checkpoint
@@ -254,7 +255,7 @@ class Saving:
             return False, str(result)
         with self._one_at_a_time, self._activity.doing("saving"):
             try:
-                files = session.save(self._folder, result)
+                files = save(session, self._folder, result)
                 if (remainder := self._lacking_of(result)) is not None:
                     write_posterior(self._folder / POSTERIOR, result.posterior, remainder)
                 self._saved = result

@@ -206,8 +206,8 @@ class Solver:
     def _judge(self) -> None:
         """Judge the data as a whole when there are many new ones; before a solve, which may take long."""
         try:
-            if self._session.check.due:
-                self._session.judge()
+            if self._session.review.check.due:
+                self._session.review.judge()
         except Exception as error:  # noqa: BLE001 as below
             self._fail(error)
 
@@ -270,7 +270,7 @@ class Solver:
             rows, epoch, instants = self._session.identifier.rows, self._epoch, self._session.identifier.instants
         self._judge()
         try:
-            self._session.check_description()
+            self._session.review.check_description()
             estimate = self._finite(self._session.identifier.solve(warm))
             if self._keep(estimate, rows, epoch, warm):
                 self._earlier.append((instants, estimate))

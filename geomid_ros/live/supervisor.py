@@ -97,15 +97,15 @@ class Supervisor:
         session = Session(urdf, self._with_locked(absent), source, self._ledger, (URDF,))
         if self._solving:
             session.identifier.solve_with(self._solving.remote(EstimationTask.solve))
-            session.judge_with(self._solving.remote(JudgementTask.judge))
+            session.review.use(self._solving.remote(JudgementTask.judge))
         if self.worker is not None:
             self.worker.close()
             self._listener.carried(None)
         self._restore(session)
         self.worker, self._solves = Worker(session, self._configuration["solve_period"], self._listener), 0
         self._log.info(f"identifying {len(session.model.body_names)} links from {len(session.model.channels)} channels")
-        session.settled += [locked_note(absent)] if absent else []
-        for warning in (*session.warnings(), *session.settled):
+        session.review.settled += [locked_note(absent)] if absent else []
+        for warning in (*session.review.warnings(), *session.review.settled):
             self._log.warning(warning)
         self._absent, self._agreed = absent, time.monotonic()
 

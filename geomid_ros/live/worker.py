@@ -122,9 +122,9 @@ class Worker:
             active=active,
             problems=tuple(filter(None, (*self._sensors_left_out, *self._causes(sure=True), self._intake_is_late))),
             warnings=(
-                *self.session.warnings(self.solver.estimate),
+                *self.session.review.warnings(self.solver.estimate),
                 *self._causes(sure=False),
-                *self.session.remarks,
+                *self.session.review.remarks,
                 *filter(None, (self.solver.problem, self._solver_is_late, self._silence)),
             ),
             failures=failures,
@@ -152,7 +152,7 @@ class Worker:
     def _causes(self, *, sure: bool) -> list[str]:
         """What the recording as a whole seems to be."""
         left_out = self._wrenches.sentences
-        findings = [f for f in self.session.findings if left_out.keys().isdisjoint(f.cause.places)]
+        findings = [f for f in self.session.review.findings if left_out.keys().isdisjoint(f.cause.places)]
         return [finding.sentence for finding in findings if finding.sure == sure]
 
     @property
@@ -214,7 +214,7 @@ class Worker:
             return
         with self._lock:
             self._receipt_to_row.append(time.perf_counter() - received)
-        self.session.check.add(samples)
+        self.session.review.check.add(samples)
         if self._wrenches.take(new):
             self.solver.begin_anew()
         settled = Rows(new.coefficients, np.where(unsettled, np.nan, new.targets))
@@ -236,7 +236,7 @@ class Worker:
 
     def _forget(self) -> None:
         self.session.recent.clear()
-        self.session.forget_findings()
+        self.session.review.forget()
         self.solver.reset()
         self._rows_lost = Counter()
         self._wrenches = WrenchGuard(self.session)

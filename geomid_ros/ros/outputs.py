@@ -27,6 +27,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.model.se3 import quaternion
 from geomid_ros.monitoring.payload_watch import Carried
 from geomid_ros.ros.streaming import Streaming
+from geomid_ros.session.results import identified_urdf
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -79,7 +80,7 @@ class Outputs(Listener):
         stamp = self._node.get_clock().now().nanoseconds
         for link in estimate.links:
             self._inertias.publish(inertia_message(link.name, link.parameters, stamp))
-        self._identified.publish(String(data=session.identified_urdf(estimate)))
+        self._identified.publish(String(data=identified_urdf(session, estimate)))
         markers = [_marker(index, link, stamp) for index, link in enumerate(estimate.links)]
         self._ellipsoids.publish(MarkerArray(markers=markers))
 

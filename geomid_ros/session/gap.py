@@ -24,6 +24,7 @@ from geomid_ros.options import Progress, silent
 from geomid_ros.resimulation.resimulate import CUTOFF as SHARP_CUTOFF
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import HELD_OUT, Bags, divided, read_samples, samples_of_messages
+from geomid_ros.session.results import document
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import check_measured
 from geomid_ros.signals.messages import JOINT_STATES, Accepted, message_type, parse
@@ -80,7 +81,7 @@ def identified_session(session: Session, estimate: Estimate) -> Session:
     Raises:
         InputError: it cannot be a model.
     """
-    known = LoadedModel.of(EstimateFile.of(session.document(estimate), "the estimate so far"))
+    known = LoadedModel.of(EstimateFile.of(document(session, estimate), "the estimate so far"))
     values = {"effects": [], "candidates": [], "model": "", "prior": ""}
     return Session(session.urdf, session.configuration.with_values(values), "robot_description", loaded=known)
 
@@ -155,11 +156,11 @@ def standing_of(session: Session) -> StandingRemainder | None:
     found = read_remainder(path) if path.is_file() else None
     if found is None:
         without = f"{path}: has no remainder" if path.is_file() else f"{source}: no {POSTERIOR} beside it"
-        session.settled.append(f"{without}: changes are judged without it; identify again from bags to have it")
+        session.review.settled.append(f"{without}: changes are judged without it; identify again from bags to have it")
         return None
     names = tuple(channel.name for channel in session.model.channels)
     if (found.joints, found.channels) != (tuple(session.robot.joint_names), names):
-        session.settled.append(
+        session.review.settled.append(
             f"{path}: its remainder is of {', '.join(found.channels)}, here {', '.join(names)} are measured; changes "
             "are judged without it"
         )
@@ -198,8 +199,8 @@ def find_in_messages(
         InputError: too little was measured.
     """
     cutoff, samples = _samples_of(session, messages, progress)
-    session.check.add(samples)
-    session.judge()
+    session.review.check.add(samples)
+    session.review.judge()
     ((train, held_out),) = divided([samples], HELD_OUT)
     return find(session, Recordings(cutoff=cutoff, train=[train], held_out=[held_out]), standing, progress)
 
@@ -256,8 +257,8 @@ class GapReader:
         whole = [self._whole(path, cutoff) for path in fitted]
         twins = [self._whole(path, cutoff) for path in simulated]
         for samples in whole:
-            self.session.check.add(samples)
-        self.session.judge()
+            self.session.review.check.add(samples)
+        self.session.review.judge()
         for pair in zip(simulated, twins, fitted, whole, strict=False):
             _check_twin(self.session, *pair)
         parts = [part for samples in whole for part in divided([samples], self.bags.share)]

@@ -193,10 +193,10 @@ def _payload(link: str, found: Estimate, gain: float, shifted: Sequence[Estimate
         cannot_tell=tuple(compress(QUANTITIES, ~known[:10])),
         identified_moments=tuple(compress("xyz", known[10:])),
         rms=dict(zip(found.channels, found.rms.tolist(), strict=True)),
-        warnings=tuple(session.warnings()),
+        warnings=tuple(session.review.warnings()),
         notes=tuple(session.notes),
-        findings=session.findings,
-        verdict=recording_verdict(session.findings, "" if found.converged else found.reason),
+        findings=session.review.findings,
+        verdict=recording_verdict(session.review.findings, "" if found.converged else found.reason),
     )
 
 

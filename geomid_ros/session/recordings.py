@@ -176,7 +176,7 @@ def read_bags(
         kept: deque[Samples] = deque()
         boundary, first = 0, None
         for samples in _opened(path, session, pipeline, bags.topics, progress):
-            session.check.add(samples)
+            session.review.check.add(samples)
             first = first or samples.select(slice(1))
             boundary = max(boundary, _boundary(first, samples, bags.share))
             kept.append(samples)
@@ -188,14 +188,14 @@ def read_bags(
             fitted.add(early)
             held_out += [late] if len(late) else []
     fitted.check(bags.fitted)
-    session.judge()
-    session.findings += fitted.standing()
+    session.review.judge()
+    session.review.findings += fitted.standing()
     for path in bags.validate:
-        pipeline, check = session.new_pipeline(), session.new_check()
+        pipeline, check = session.new_pipeline(), session.review.new_check()
         for samples in _opened(path, session, pipeline, bags.topics, progress):
             check.add(samples)
             held_out.append(samples)
-        session.judge_validation(path.name, check, pipeline.ledger.topics)
+        session.review.judge_validation(path.name, check, pipeline.ledger.topics)
         session.pipeline.ledger.add(pipeline.ledger.topics)
     if not held_out and bags.holds_out:
         raise InputError(f"{', '.join(map(str, bags.fitted))}: too short, no data left to test on")
@@ -221,7 +221,7 @@ def read_samples(
 ) -> Iterator[Samples]:
     """The samples of a recording, as they become ready. Raises InputError when there are none."""
     names = _resolved_topics(bag, session, topics)
-    session.begin_recording(bag)
+    session.review.begin_recording(bag)
     total = bag.count(list(names))
     decoder = Decoder()
     done = ready = 0
@@ -333,7 +333,7 @@ def read_with_locked(
         if not joints:
             raise
     session = make(with_locked(configuration, joints))
-    session.settled.append(locked_note(joints))
+    session.review.settled.append(locked_note(joints))
     found = read(session)
     if heard := session.joints_heard.intersection(joints):
         raise InputError(

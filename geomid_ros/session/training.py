@@ -33,8 +33,8 @@ class Training:
 
     def end(self) -> None:
         """Let the session's findings name the sensors that are not as declared."""
-        named = {place for finding in self._session.findings for place in finding.cause.places}
-        self._session.findings += tuple(
+        named = {place for finding in self._session.review.findings for place in finding.cause.places}
+        self._session.review.findings += tuple(
             Finding(cause=Cause(kind="wrench", sentence=sentence, places=(topic,)))
             for topic, sentence in self._guard.sentences.items()
             if topic not in named

@@ -132,7 +132,7 @@ def _write(
     **judged: Any,
 ) -> list[Path]:
     by_name = dict(zip(session.model.body_names, inertias, strict=True))
-    gravity, findings = session.configuration.gravity, session.findings
+    gravity, findings = session.configuration.gravity, session.review.findings
     return write_model(folder, session.model, session.urdf, by_name, effects, gravity, findings=findings, **judged)
 
 

@@ -45,7 +45,7 @@ def test_it_is_an_error_in_the_same_words_until_a_reset() -> None:
         fed(worker)
         assert isinstance(solved(worker), Estimate)
         (sentence,) = worker.status(active=True).problems
-        assert sentence == of_bag.findings[0].sentence
+        assert sentence == of_bag.review.findings[0].sentence
         assert "effort_gain: 1.0" in sentence
         worker.reset()
         assert isinstance(solved(worker), GeomidError)
@@ -58,7 +58,7 @@ def test_a_remark_is_a_warning_in_the_same_words_until_a_reset() -> None:
     tilted = [1.5, -0.8, -9.66]
     of_bag = session(gravity=tilted)
     read_bags(of_bag, Bags(fitted=[BAGS / "arm3"]), lambda _: None)
-    (remark,) = of_bag.recorded.remarks
+    (remark,) = of_bag.review.recorded.remarks
     worker = Worker(session(gravity=tilted), 3600.0, Listener())
     try:
         fed(worker)

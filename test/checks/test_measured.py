@@ -41,7 +41,7 @@ def found(urdf: str, bag: str, settings: tuple[tuple[str, Any], ...]) -> tuple[F
     configuration = Configuration({key: list(v) if isinstance(v, tuple) else v for key, v in settings})
     session = Session(read_urdf(DATA / urdf), configuration, urdf)
     read_bags(session, Bags(fitted=[DATA / bag]), lambda _: None)
-    return session.findings
+    return session.review.findings
 
 
 def findings(urdf: str, bag: str, settings: Mapping[str, Any]) -> tuple[Finding, ...]:

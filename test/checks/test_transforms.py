@@ -73,7 +73,7 @@ def test_a_slide_in_millimetres_is_not_taken_for_lengths_of_the_urdf(slide: int,
     scales = np.where(np.arange(sound.position.shape[1]) == slide, 1000.0, 1.0)
     assert sound.velocity is not None
     wrong = replace(sound, position=scales * sound.position, velocity=scales * sound.velocity)
-    (finding,) = judged(wrong, wrong.write(tmp_path / "bag")).findings
+    (finding,) = judged(wrong, wrong.write(tmp_path / "bag")).review.findings
     assert (finding.cause.kind, finding.cause.places) == ("position", (sound.robot.joint_names[slide],))
 
 
@@ -96,9 +96,9 @@ def test_what_is_wrong_with_a_bag_that_is_judged_on_is_a_remark(tmp_path: Path) 
     wrong = replace(sound, effort=-sound.effort).write(tmp_path / "reversed")
     session = Session(sound.urdf, Configuration({}), "arm3.urdf")
     read_bags(session, Bags(fitted=[ARM3.bag], validate=[wrong]), lambda _: None)
-    assert session.findings == ()
-    (remark,) = session.remarks
+    assert session.review.findings == ()
+    (remark,) = session.review.remarks
     assert remark.startswith("reversed, which is judged on: the efforts of all joints are reversed")
     alone = Session(sound.urdf, Configuration({}), "arm3.urdf")
     read_bags(alone, Bags(fitted=[wrong]), lambda _: None)
-    assert [finding.cause.kind for finding in alone.findings] == ["sign"]
+    assert [finding.cause.kind for finding in alone.review.findings] == ["sign"]

@@ -132,7 +132,7 @@ def planted(source: str, fault: str, size: int, folder: Path) -> tuple[Recording
 def test_faults_are_told_before_anything_is_solved(
     source: str, fault: str, size: int, said: str, tmp_path: Path
 ) -> None:
-    assert said in judged(*planted(source, fault, size, tmp_path)).findings[0].sentence
+    assert said in judged(*planted(source, fault, size, tmp_path)).review.findings[0].sentence
 
 
 @pytest.mark.parametrize(("source", "fault", "size", "said"), AFTER)

@@ -30,7 +30,7 @@ def recorded() -> tuple[Session, Samples]:
     """The shipped arm with a sensor at its wrist."""
     session = Session(read_urdf(BAGS / "arm7.urdf"), Configuration().with_sensors([SENSOR]), "arm7.urdf")
     train = read_fitted(session, Bags(fitted=[BAGS / "arm7"], hold_out=0.0))
-    assert session.findings == ()
+    assert session.review.findings == ()
     return session, Samples.concatenate(train)
 
 

@@ -20,8 +20,10 @@ from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.read_back import ReadBack, read_urdf_back
 from geomid_ros.files.models.readers import READERS
 from geomid_ros.files.models.urdf import for_drake, with_inertials
+from geomid_ros.files.models.written_model import written_model
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.model.samples import Samples
+from geomid_ros.session.results import save
 from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.types import FloatArray
 
@@ -148,10 +150,10 @@ def test_what_a_file_cannot_say_casts_no_doubt_on_a_result_that_predicts_better(
 
 @pytest.mark.parametrize("reader", ["urdf", "mujoco", "drake"])
 def test_what_is_exported_later_is_what_was_fitted_then(reader: str, tmp_path: Path) -> None:
-    found().session.save(tmp_path, found().estimate)
+    save(found().session, tmp_path, found().estimate)
     model = read_model(tmp_path / "estimate.json", reader)
     assert model.fitted
-    written = found().session.written_model(found().estimate, reader)
+    written = written_model(found().session.model, found().estimate, reader, found().session.loaded.effects)
     for name, parameters in written.inertias.items():
         assert model.bodies[name].mass == pytest.approx(parameters[0], rel=1e-9)
     said = {(effect.effect, effect.joint): effect for effect in model.effects}
@@ -164,7 +166,7 @@ def test_what_is_exported_later_is_what_was_fitted_then(reader: str, tmp_path: P
 
 def test_an_earlier_estimate_is_exported_as_not_fitted(tmp_path: Path) -> None:
     """Its description has the estimate's own inertias."""
-    found().session.save(tmp_path, found().estimate)
+    save(found().session, tmp_path, found().estimate)
     document = json.loads((tmp_path / "estimate.json").read_text())
     del document["handover"]
     (tmp_path / "estimate.json").write_text(json.dumps(document))

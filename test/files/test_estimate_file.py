@@ -170,7 +170,7 @@ def test_a_model_of_a_doubtful_recording_is_told_first_with_all_reasons(tmp_path
     model = written(tmp_path, REVERSED, SHIFTED)
     entry = json.loads(model.read_text())["verdict"]
     assert entry == verdict_entry(recording_verdict([REVERSED, SHIFTED]), [REVERSED, SHIFTED])
-    first = session(model).warnings(verdict=recording_verdict((), warnings=["something else"]))[0]
+    first = session(model).review.warnings(verdict=recording_verdict((), warnings=["something else"]))[0]
     assert first == f"{model}: this model's verdict is 'doubtful': {REVERSED.sentence}; {SHIFTED.sentence}"
 
 

@@ -28,6 +28,7 @@ from geomid_ros.model.effects.effect import FRICTION_DRIFT
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import GRAVITY, Robot
 from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.results import save
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -167,7 +168,7 @@ def test_an_estimate_from_a_model_is_the_model_again(tmp_path: Path, common: lis
             session.model.body_names, session.robot.bodies, session.prior[:30].reshape(-1, 10), strict=True
         )
     )
-    session.save(tmp_path / "again", estimate_of(*links, effects=tuple(estimated(session))))
+    save(session, tmp_path / "again", estimate_of(*links, effects=tuple(estimated(session))))
     values = {"model": str(tmp_path / "again/estimate.json"), "effects": common, "candidates": [""]}
     again = Session(ARM, Configuration(values, "test"), "arm3.urdf")
     assert again.prior is not None

@@ -16,6 +16,7 @@ from geomid_ros.fleet.kept import BagSummary, summarise, total
 from geomid_ros.fleet.work import solve
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags
+from geomid_ros.session.results import document
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -66,7 +67,7 @@ def test_one_bag_is_identified_as_geomid_identify_does(bags: list[Path]) -> None
     np.testing.assert_allclose(estimate.posterior.covariance, expected.estimate.posterior.covariance, rtol=1e-6)
     np.testing.assert_allclose(held_out, expected.held_out_rms, rtol=1e-9)
     assert verdict == expected.verdict
-    found = again.document(estimate, held_out, verdict)
+    found = document(again, estimate, held_out, verdict)
     assert found["messages"] == expected.document["messages"]
     assert found["warnings"] == expected.document["warnings"]
     assert found["rows"] == expected.document["rows"]

@@ -17,6 +17,7 @@ from geomid_ros.live.inbox import Received
 from geomid_ros.live.status import Listener
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros.diagnostics import Diagnostics
+from geomid_ros.session.results import document
 
 from .rig import NOTHING, PATIENCE, SOLVE_PERIOD, Rig, Twin
 
@@ -65,7 +66,7 @@ class Direct(Rig):
         self.worker.final_estimate(answers.put)
         estimate = answers.get(timeout=PATIENCE)
         if isinstance(estimate, Estimate):
-            return self.session.document(estimate)
+            return document(self.session, estimate)
         assert str(estimate) == NOTHING
         return None
 

@@ -54,7 +54,7 @@ def session(messages: int = 400, **parameters: object) -> Session:
     result = Session(read_urdf(BAGS / "arm3.urdf"), Configuration({**NO_CHOICE, **parameters}), "arm3.urdf")
     for samples in parts(messages, result):
         result.identifier.add(samples)
-        result.check.add(samples)
+        result.review.check.add(samples)
     return result
 
 
@@ -99,8 +99,8 @@ def test_recordings_are_judged_there_and_alike(solving: SolvingProcess, monkeypa
     """By what the supervisor builds; here, judging would fail."""
     faulty = {"effort_gain": -1.0}
     alone = session(2000, **faulty)
-    alone.judge()
-    (expected,) = alone.findings
+    alone.review.judge()
+    (expected,) = alone.review.findings
     assert "effort_gain: 1.0" in expected.sentence
     supervisor = Supervisor(
         Configuration(faulty),
@@ -114,9 +114,9 @@ def test_recordings_are_judged_there_and_alike(solving: SolvingProcess, monkeypa
     with closing(supervisor.worker) as worker:
         monkeypatch.setattr(check, "judge_efforts", None)
         for joints in parts(2000, worker.session):
-            worker.session.check.add(joints)
-        worker.session.judge()
-        assert worker.session.findings == (expected,)
+            worker.session.review.check.add(joints)
+        worker.session.review.judge()
+        assert worker.session.review.findings == (expected,)
 
 
 def test_after_its_end_it_is_solved_here(solving: SolvingProcess) -> None:

@@ -106,7 +106,7 @@ def test_efforts_of_resting_joints_say_nothing_of_changes(quiet: Watched, monkey
         lambda _, stamps, rows: judged.update(zip(stamps.tolist(), rows.targets, strict=True)),
     )
     monkeypatch.setattr(
-        quiet.session.check,
+        quiet.session.review.check,
         "add",
         lambda samples: speeds.update(zip(samples.stamps.tolist(), abs(samples.velocity), strict=True)),
     )
@@ -302,7 +302,7 @@ def test_a_recording_is_judged_before_it_is_solved(quiet: Watched, monkeypatch: 
         done.append("solved")
         return solve(warm)
 
-    monkeypatch.setattr(type(quiet.session.check), "due", property(lambda _: True))
+    monkeypatch.setattr(type(quiet.session.review.check), "due", property(lambda _: True))
     monkeypatch.setattr(quiet.session, "judge", lambda: done.append("judged"))
     monkeypatch.setattr(quiet.session.identifier, "solve", solved)
     quiet.feed()

@@ -44,7 +44,7 @@ def test_recordings_are_judged_as_a_whole(session: Session, monkeypatch: pytest.
     """What is kept of a long one to find a delay depends on how much comes at once."""
     monkeypatch.setattr("geomid_ros.model.samples.PIECE", 100)
     judged: list[int] = []
-    monkeypatch.setattr(session.check, "add", lambda samples: judged.append(len(samples)))
+    monkeypatch.setattr(session.review.check, "add", lambda samples: judged.append(len(samples)))
     found = GapReader(session, Bags(fitted=[BAG], hold_out=SHARE)).read(())
     assert judged == [sum(map(len, (*found.train, *found.held_out)))]
 

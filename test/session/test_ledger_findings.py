@@ -26,6 +26,7 @@ from geomid_ros.live.worker import Worker
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, read_bags
+from geomid_ros.session.results import document
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import Training
 from geomid_ros.signals.joint_gate import CLOCK_SET, EARLY, SPIKE_OR_CONTACT
@@ -296,10 +297,10 @@ def test_a_fault_gets_the_same_answer_in_a_bag_and_in_a_node(name: str, tmp_path
     assert bool(case.refused) == bool(len(refused))
     assert any(case.noted in remark for remark in account.noted) or not case.noted
 
-    document = found.document(estimate)
-    assert document["messages"]["joint_states"]["rejected"] == dict(sorted(account.rejected.items()))
-    assert (document["verdict"]["result"] == "doubtful") == case.doubtful
-    said = [*document["verdict"]["reasons"], *document["warnings"]]
+    written = document(found, estimate)
+    assert written["messages"]["joint_states"]["rejected"] == dict(sorted(account.rejected.items()))
+    assert (written["verdict"]["result"] == "doubtful") == case.doubtful
+    said = [*written["verdict"]["reasons"], *written["warnings"]]
     for part in filter(None, (case.refused, case.cause, case.noted.removeprefix("driver error: "))):
         assert any(part in sentence for sentence in said), said
     if name == "85-nan-throughout":

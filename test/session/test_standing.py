@@ -38,13 +38,13 @@ def beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_it_is_that_of_the_file_beside_the_estimate(beside: Path) -> None:
     own = session(beside)
     assert standing_of(own) is KEPT
-    assert not own.settled
+    assert not own.review.settled
 
 
 def test_of_other_channels_it_is_not_used_and_that_is_told(beside: Path) -> None:
     own = session(beside, channel="current")
     assert standing_of(own) is None
-    assert [note.count("effort") + note.count("current") for note in own.settled] == [2]
+    assert [note.count("effort") + note.count("current") for note in own.review.settled] == [2]
 
 
 @pytest.mark.parametrize(("exists", "told"), [(True, "has no remainder"), (False, "no posterior.npz beside it")])
@@ -56,7 +56,7 @@ def test_that_there_is_none_is_told_once(
         monkeypatch.setattr("geomid_ros.session.gap.read_remainder", lambda _: None)
     own = session(tmp_path)
     assert standing_of(own) is None
-    (note,) = own.settled
+    (note,) = own.review.settled
     assert told in note
     assert "judged without it" in note
 
@@ -64,7 +64,7 @@ def test_that_there_is_none_is_told_once(
 def test_beside_a_description_alone_there_is_nothing_to_tell(tmp_path: Path) -> None:
     own = session(tmp_path, known=None)
     assert standing_of(own) is None
-    assert not own.settled
+    assert not own.review.settled
 
 
 def test_of_a_robot_with_an_imu_the_total_mass_is_known_no_better_than_gravity() -> None:

@@ -1,0 +1,234 @@
+"""What is known of the recordings that a session read, and whether an estimate of them can be used."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+
+from geomid_ros.checks.base import displaced_imu, never_lifted, turned_imu
+from geomid_ros.checks.causes import Cause, Finding
+from geomid_ros.checks.check import Judge, JudgementTask, RecordingCheck, efforts_alone
+from geomid_ros.checks.obvious import encoder_zeros
+from geomid_ros.checks.unexplained import unexplained
+from geomid_ros.checks.verdict import (
+    HEAVIER,
+    Verdict,
+    unlike,
+    verdict,
+    worse_channels,
+    worse_in_folds,
+    worse_on_rows,
+)
+from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimate import Estimate, LinkEstimate
+from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.files.bags.bag import Bag
+from geomid_ros.model.samples import Samples
+from geomid_ros.session.recording_facts import Recorded, faulty_streams, peculiarities
+from geomid_ros.session.setup import Setup
+from geomid_ros.session.solidity import impossible_links
+from geomid_ros.signals.ledger import Account, Ledger
+from geomid_ros.signals.messages import IMU, message_type
+from geomid_ros.types import FloatArray
+
+
+class Review:
+    """Checks of a robot's recordings as a whole, and what they found."""
+
+    def __init__(self, setup: Setup, ledger: Ledger) -> None:
+        """Know nothing yet of recordings of this ``setup``, whose messages the ``ledger`` counts."""
+        self._setup, self._model, self._robot, self._ledger = setup, setup.model, setup.robot, ledger
+        configuration, joints = setup.configuration, setup.robot.joint_names
+        named = {s.topic: name for name, s in zip(configuration["wrenches"], configuration.sensors, strict=True)}
+        gains = configuration.signals(joints).effort_gains(joints)
+        # Judged in another thread than rows are made in: pinocchio's buffers are not shared.
+        own = setup.model.with_gravity(setup.robot.gravity)
+        self.new_check = partial(RecordingCheck, JudgementTask(own, gains, named, setup.controller))
+        """Makes a check of other recordings of this robot."""
+        self.check = self.new_check()
+        """Told of all samples, it judges them as a whole."""
+        self.findings: tuple[Finding, ...] = ()
+        """What seems to be wrong with the recording as a whole."""
+        self.settled: list[str] = []
+        """What was settled for the user, in sentences."""
+        self._kept: tuple[Finding, ...] = ()  # of recordings that are judged apart
+        self._validated: tuple[str, ...] = ()  # sentences on recordings that are only judged on
+        self._forgotten: dict[str, Account] = {}  # what the ledger had counted when findings were forgotten
+        self._incomplete: list[str] = []  # sentences on the recordings that were read
+        self._unchecked: list[str] = []  # their names
+        self._imus: list[str] = []  # topics in the recordings
+        self._elsewhere = Recorded()  # of recordings that were read elsewhere
+
+    def judge(self) -> None:
+        """Judge the recording as a whole, by the samples that :attr:`check` was told of so far."""
+        check = self.check
+        found = check.findings()
+        if check is self.check:  # nothing was forgotten meanwhile
+            found = (*self._kept, *found, *faulty_streams(self._ledger.topics, self._forgotten))
+            found = (*(self._moving_base() if found else ()), *found)
+            self.findings = tuple({finding.sentence: finding for finding in found}.values())
+
+    def _moving_base(self) -> tuple[Finding, ...]:
+        """That the base may move, if it counts as fixed and an IMU was recorded."""
+        if self._robot.floating_base or not self._imus:
+            return ()
+        imu = self._imus[0]
+        sentence = (
+            f"the bag has an IMU ({imu}), and efforts are not those of a robot whose base is fixed: if the base moves, "
+            f"say so with --imu {imu}:FRAME and --contacts FOOT:RADIUS,..."
+        )
+        return (Finding(cause=Cause(kind="base", sentence=sentence, places=(imu,))),)
+
+    def use(self, judge: Judge) -> None:
+        """Judge by ``judge`` instead of :meth:`JudgementTask.judge`, in another process for example, before there are
+        samples."""
+        self.new_check = partial(self.new_check, judge=judge)
+        self.check = self.new_check()
+
+    def judge_validation(self, name: str, check: RecordingCheck, accounts: Mapping[str, Account]) -> None:
+        """Remark on a recording that is not fitted: what is wrong with it is no fault of the others.
+
+        Args:
+            name: of the recording.
+            check: that was told of its samples.
+            accounts: of its messages, by topic.
+        """
+        found = (*check.findings(), *faulty_streams(accounts, {}))
+        self._validated += tuple(f"{name}, which is judged on: {finding.sentence}" for finding in found)
+
+    def forget(self) -> None:
+        """Judge by the samples to come alone."""
+        self.check, self.findings, self._kept = self.new_check(), (), ()
+        self._forgotten = self._ledger.topics
+
+    def check_description(self) -> None:
+        """Refuse a URDF that can be no robot's: what is solved for from there says nothing, and may take for ever.
+
+        Raises:
+            InputError: the recordings so far have shown that.
+        """
+        for finding in self.findings:
+            if finding.cause.kind == "description":
+                raise InputError(f"{self._setup.source or self._robot.name}: {finding.cause.sentence}")
+
+    def judge_apart(self) -> None:
+        """Keep the findings so far, and judge the samples to come by themselves: what was changed on purpose between
+        two recordings is no fault of theirs."""
+        kept = self.findings
+        self.forget()
+        self.findings = self._kept = kept
+
+    def verdict(
+        self, estimate: Estimate, judged: Sequence[Samples] | RowSummary = (), held_out: FloatArray | None = None
+    ) -> Verdict:
+        """Whether an estimate can be used.
+
+        Args:
+            estimate: what was found.
+            judged: samples, or their rows, on which it is compared with the URDF; none to compare on its own rows.
+            held_out: RMS ``(channels,)`` of what it leaves on held-out data; None if nothing was held out.
+        """
+        if isinstance(judged, RowSummary):
+            worse = worse_in_folds(self._model, judged, estimate.parameters)
+        else:
+            worse = worse_channels(self._model, judged, estimate.parameters) if judged else worse_on_rows(estimate)
+        recorded = self.recorded
+        samples = () if isinstance(judged, RowSummary) else judged
+        named = any(finding.cause.kind != "unexplained" for finding in self.findings)
+        findings = self.findings if named else self._unexplained(estimate, samples) or self.findings
+        peculiar = [*peculiarities(recorded.accounts), *self.remarks]
+        if self._setup.base_topic == IMU:
+            peculiar += turned_imu(self._model, estimate)
+            findings = findings or displaced_imu(self._model, samples, estimate.parameters)
+        if (controller := self._setup.controller) is not None:
+            peculiar += encoder_zeros(controller, estimate.effects, self._robot.joint_names)
+        peculiar += never_lifted(self._model, estimate)
+        peculiar += [] if held_out is None else unlike(estimate, held_out)
+        impossible = tuple(impossible_links(self._setup.urdf, self._setup.source, self._suspects(estimate)))
+        return verdict(
+            estimate,
+            findings,
+            self._model,
+            worse=worse,
+            unmeasured=recorded.unmeasured,
+            peculiar=peculiar,
+            impossible=impossible,
+        )
+
+    def _suspects(self, estimate: Estimate) -> Iterator[LinkEstimate]:
+        """The links whose masses are far from the URDF's, but for those at the ends, which may carry what is not in
+        it."""
+        masses = self._model.nominal_inertias[::10]
+        for link, nominal in zip(estimate.links, masses, strict=True):
+            far = link.outlier or not nominal / HEAVIER <= link.mass <= nominal * HEAVIER
+            if far and len(self._robot.subtree(link.name)) > 1:
+                yield link
+
+    def _unexplained(self, estimate: Estimate, judged: Sequence[Samples]) -> tuple[Finding, ...]:
+        """That an estimate does not explain what some joints do, if so."""
+        if not efforts_alone(self._model):
+            return ()
+        return unexplained(self._model, judged, estimate.parameters, self.check.recorded)
+
+    def warnings(self, estimate: Estimate | None = None, verdict: Verdict | None = None) -> list[str]:
+        """What makes results doubtful, in sentences: of the model it began with, of an estimate and its verdict."""
+        judged = verdict.warnings if verdict is not None else ()
+        found = [
+            self._setup.loaded.doubt,
+            *judged,
+            *self._incomplete,
+            *self._robot.repaired.values(),
+            *([_massless(self._robot.massless)] if self._robot.massless else []),
+            self._setup.loaded.not_predicted if estimate is not None else "",
+        ]
+        return [*filter(None, found), *(estimate.warnings if estimate is not None else ())]
+
+    @property
+    def notes(self) -> list[str]:
+        """What is worth knowing, in sentences, and casts no doubt on results."""
+        names = ", ".join(dict.fromkeys(self._unchecked))
+        unchecked = [f"{names}: no CRCs; corruption cannot be detected"] if names else []
+        return [*self.settled, *unchecked]
+
+    def begin_recording(self, bag: Bag) -> None:
+        """Note that the samples to come are of another recording, and what is missing of it."""
+        self.check.begin_recording()
+        self._imus += [topic for topic, kind in bag.topics.items() if kind == message_type(IMU)]
+        self._incomplete += [warning for warning in bag.warnings if warning not in self._incomplete]
+        self._unchecked += [] if bag.checked else [bag.path.name]
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What to know of the recordings although nothing is wrong, in sentences."""
+        return (*self._elsewhere.remarks, *self.check.remarks, *self._validated)
+
+    @property
+    def recorded(self) -> Recorded:
+        """What is known of all recordings beside their samples."""
+        elsewhere = self._elsewhere
+        return Recorded(
+            accounts=self._ledger.topics,
+            findings=self.findings,
+            remarks=self.remarks,
+            unmeasured=(*elsewhere.unmeasured, *self.check.unmeasured),
+            incomplete=tuple(self._incomplete),
+            unchecked=tuple(self._unchecked),
+            settled=tuple(self.settled),
+        )
+
+    def read_elsewhere(self, recorded: Recorded) -> None:
+        """Take note of recordings that another session read, whose rows the identifier is given."""
+        self._elsewhere = recorded
+        self._ledger.add(recorded.accounts)
+        self.findings = self._kept = recorded.findings
+        self._incomplete += recorded.incomplete
+        self._unchecked += recorded.unchecked
+        self.settled += recorded.settled
+
+
+def _massless(links: Sequence[str]) -> str:
+    named = f"'{links[0]}'" + (f" (and {len(links) - 1} other links)" if len(links) > 1 else "")
+    return (
+        f"{named} moves without a mass in the URDF: it is not identified, and what it weighs is put down to other "
+        "links; give it an <inertial> ('geomid prior' does)"
+    )

@@ -1,0 +1,193 @@
+"""What description and configuration say of a robot: its model, and how messages become samples of it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from geomid_ros.errors import InputError
+from geomid_ros.files.models.loaded_model import LoadedModel
+from geomid_ros.model.absent_joints import lockable
+from geomid_ros.model.columns import Column
+from geomid_ros.model.controller import Controller
+from geomid_ros.model.imu import ImuMount
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import Robot
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.signals.ledger import Ledger
+from geomid_ros.signals.limits import ACCELEROMETER_BIAS
+from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, Accepted
+from geomid_ros.signals.pipeline import SignalPipeline, ignore
+from geomid_ros.signals.settings import SignalSettings
+from geomid_ros.signals.unitree import UnitreeMessages
+from geomid_ros.types import FloatArray
+
+
+class Setup:
+    """A robot, its model and its signals, as description, configuration and an earlier model say."""
+
+    def __init__(self, urdf: str, configuration: Configuration, source: str, loaded: LoadedModel | None = None) -> None:
+        """Build the model.
+
+        Args:
+            urdf: text of the robot description.
+            configuration: parameters.
+            source: where the description is from, for messages.
+            loaded: the model to start from; that of the configuration unless given.
+
+        Raises:
+            InputError: these do not fit together.
+        """
+        self.urdf = urdf
+        self.source = source
+        self.configuration = configuration
+        self.loaded = loaded or LoadedModel.read(configuration["model"])
+        sensors = self.loaded.sensors(configuration.sensors)
+        self._sensors = sensors
+        self.robot = self.read_robot(urdf, source)
+        self.controller = self._read_controller()
+        """That efforts are computed with; None if they are measured."""
+        effects = configuration.effects
+        model = MeasurementModel(
+            self.robot,
+            effects,
+            sensors,
+            configuration["links"] or None,
+            self.loaded.local_effects(effects),
+            candidates=configuration.candidates,
+            behind_gear=configuration.behind_gear(self.robot.joint_names),
+            contacts=configuration.contacts,
+            commanded=self.controller is not None,
+        )
+        self.model = model.with_known_loads(self.loaded.parameters(model))
+        self.joints_heard: set[str] = set()
+        """The names of joints in all messages."""
+
+    def _read_controller(self) -> Controller | None:
+        """The gains that efforts are computed with; None if they are measured. Raises InputError."""
+        try:
+            return Controller.of(self.configuration.gains, self.robot.joint_names, self.configuration["command.delay"])
+        except InputError as error:
+            raise InputError(f"{self.configuration.source}: command.gains: {error}") from error
+
+    def unitree(self) -> UnitreeMessages:
+        """What makes other messages of those of a Unitree robot. Raises InputError naming what is wrong with its
+        ``motors`` once there are such messages."""
+        configuration = self.configuration
+        return UnitreeMessages(configuration["motors"], self.robot.joint_names, self.controller, configuration.source)
+
+    def read_robot(self, urdf: str, source: str) -> Robot:
+        """The robot of a description with the same links and joints as this one's. Raises InputError naming the
+        ``source``."""
+        configuration = self.configuration
+        return Robot(
+            urdf,
+            floating_base=configuration.floating_base,
+            cuts=[sensor.frame for sensor in self._sensors if sensor.role == "mounted"],
+            locked_joints=configuration["locked_joints"],
+            gravity=self.loaded.gravity(configuration.gravity),
+            source=source,
+        )
+
+    @property
+    def prior(self) -> FloatArray | None:
+        """The parameters ``(D,)`` of an earlier estimate to start from, NaN where it has none; None without one."""
+        return self.loaded.parameters(self.model)
+
+    @property
+    def lockable(self) -> tuple[str, ...]:
+        """The joints that none of the messages so far names, if they may count as fixed at zero."""
+        return lockable(self.robot, frozenset(self.joints_heard), [sensor.frame for sensor in self.model.sensors])
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """The topics that data are expected on, as the pipeline calls them."""
+        base = (self.base_topic,) if self.robot.floating_base else ()
+        commands = () if self.controller is None else (COMMANDS,)
+        return (JOINT_STATES, *commands, *base, *(sensor.topic for sensor in self.model.sensors))
+
+    @property
+    def meaning(self) -> dict[str, Any]:
+        """What the rows depend on, by name, as JSON: rows of two sessions may be added up if they agree in it."""
+        loaded, joints = self.loaded, self.robot.joint_names
+        signals = loaded.signals(SignalSettings(), joints)
+        corrections = {
+            "effort_gain": signals.effort_gain,
+            "effort_delay": signals.effort_delay,
+            "wrench_offsets": [list(sensor.offset) for sensor in self.model.sensors],
+            "gravity": loaded.gravity(self.configuration.gravity).tolist(),
+            "effects": [[c.effect.name, c.place_name, vars(c.effect)] for c in self.model.coefficients],
+        }
+        urdf = hashlib.sha256(self.urdf.encode(errors="replace")).hexdigest()
+        return {"robot_description": urdf, **self.configuration.of_rows, "model": corrections}
+
+    @property
+    def effort_gains(self) -> FloatArray:
+        """Factors ``(joints,)`` from the messages' efforts to N m (or N), with what is known of the sensors."""
+        return self.signals.effort_gains(self.robot.joint_names)
+
+    @property
+    def signals(self) -> SignalSettings:
+        """The configuration's, with what is known of the sensors."""
+        joints = self.robot.joint_names
+        return self.loaded.signals(self.configuration.signals(joints), joints)
+
+    def new_pipeline(
+        self,
+        settings: SignalSettings | None = None,
+        effect_columns: tuple[Column, ...] | None = None,
+        on_accepted: Callable[[Accepted], None] = ignore,
+        ledger: Ledger | None = None,
+    ) -> SignalPipeline:
+        """A fresh pipeline, for another recording of the same robot.
+
+        Args:
+            settings: the configuration's, unless given.
+            effect_columns: the columns to compute; those of the model's effects, unless given.
+            on_accepted: called with every message that is accepted.
+            ledger: told what becomes of every message.
+        """
+        joints = self.robot.joint_names
+        return SignalPipeline(
+            joints,
+            floating_base=self.robot.floating_base,
+            sensors=self.model.sensors,
+            settings=self.loaded.signals(settings, joints) if settings else self.signals,
+            continuous=[joint.name for joint in self.robot.joints if joint.continuous],
+            turning=[joint.name for joint in self.robot.joints if joint.unit == "N m"],
+            limits=np.array([self.robot.speed_limits, self.robot.effort_limits]),
+            effect_columns=effect_columns or self.model.columns,
+            on_accepted=on_accepted,
+            ledger=ledger,
+            joints_heard=self.joints_heard,
+            mount=self._imu_mount,
+            loads=None if self.model.legs is None else self.model.legs.loads,
+            controller=self.controller,
+        )
+
+    @property
+    def base_topic(self) -> str:
+        """On which a floating base's motion comes, as the pipeline calls it."""
+        return IMU if self.configuration["imu.frame"] else ODOM
+
+    @property
+    def share_of_mass(self) -> float:
+        """By which the total mass differs between two recordings, a standard deviation: what accelerometers show
+        otherwise along gravity is taken for it. Zero without one."""
+        gravity = float(np.linalg.norm(self.robot.gravity))
+        return np.sqrt(2.0) * ACCELEROMETER_BIAS / gravity if self.base_topic == IMU else 0.0
+
+    @property
+    def _imu_mount(self) -> ImuMount | None:
+        """Where the IMU is. Raises InputError if it is not on the base."""
+        frame = self.configuration["imu.frame"]
+        if not frame:
+            return None
+        try:
+            placement = self.robot.base_placement(frame)
+        except InputError as error:
+            raise InputError(f"{self.configuration.source}: imu.frame: {error}") from error
+        return ImuMount(placement[:3, :3], placement[:3, 3], self.robot.gravity)
