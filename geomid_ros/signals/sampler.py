@@ -22,7 +22,7 @@ from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, Accep
 from geomid_ros.signals.periods import FEWEST, FEWEST_IN_BURSTS, RegularClock, in_bursts
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.signals.streams import Grid, HeldSegment, JointSegment, PoseSegment, Stream, VectorSegment
-from geomid_ros.signals.velocity_choice import VelocityChoice
+from geomid_ros.signals.velocity_check import VelocityCheck
 from geomid_ros.types import BoolArray, IntArray
 
 IN_BURSTS = driver_error(
@@ -70,7 +70,7 @@ class Sampler:
         self._effort_delay = settings.effort_delay_ns
         self._entries = Entries(effect_columns, len(continuous))
         self._ledger = ledger
-        self._velocity = VelocityChoice(len(continuous))
+        self._velocities = VelocityCheck(len(continuous))
         self._clock: RegularClock | None = None  # of joint messages whose stamps do not say when they were measured
         self._watched = np.zeros(0, dtype=np.int64)  # stamps of the last joint messages
         self._grid: Grid | None = None
@@ -233,10 +233,10 @@ class Sampler:
         count, joints = len(instants), len(self._continuous)
         parts = self._joint_stream.segment.filtered(instants)
         value, first, second = (part.reshape(count, 3, joints) for part in parts)
-        position = value[:, 0]
+        position, velocity, acceleration = value[:, 0], first[:, 0], second[:, 0]
         position[:, self._continuous] = np.remainder(position[:, self._continuous] + np.pi, 2.0 * np.pi) - np.pi
-        velocity, acceleration = self._velocity.choose(value[:, 1], first[:, 1], first[:, 0], second[:, 0])
-        if remark := self._velocity.remark():
+        self._velocities.add(value[:, 1], velocity)
+        if remark := self._velocities.remark():
             self._ledger.note(JOINT_STATES, remark)
         effort = self._streams[_EFFORTS].segment.filtered(instants)[0] if self._effort_delay else value[:, 2]
         effects, commands = self._joint_stream.segment.effects(instants), np.zeros((count, 4, 0))

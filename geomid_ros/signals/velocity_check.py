@@ -1,0 +1,79 @@
+"""Whether the messages' velocities are the derivatives of their positions."""
+
+
+from __future__ import annotations
+
+import numpy as np
+
+from geomid_ros.signals.ledger import Reason, driver_error
+from geomid_ros.types import BoolArray, FloatArray
+
+SCALED = Reason(
+    "velocities are the positions' derivatives but for a factor: do the stamps run too fast or too slow, or is their "
+    "unit another one? They are not used",
+    "told",
+)
+_UNITS_OF_SPEED = (180.0 / np.pi, 1000.0, 30.0 / np.pi, 0.5 / np.pi)  # degrees, mrad, 1/min, turns in a rad/s
+
+
+class VelocityCheck:
+    """Tells a wrong clock, or another unit, by the messages' velocities.
+
+    Samples move by their positions alone, as the effects' columns do: what differed between two motions, noise or a
+    delay, would tell the inertia of links from that of rotors, and from a carriage's mass.
+    """
+
+    _FEWEST = 100  # samples
+    _OFF = 0.05
+    _IN_PROPORTION = 0.99
+    _WRONG_CLOCK = 1.5  # a velocity that is off by less may be a gear's or a filter's
+
+    def __init__(self, joints: int) -> None:
+        self._sums = np.zeros((3, joints))  # of the velocity's square, its product with the derivative, of its square
+        self._known = np.zeros(joints, dtype=np.int64)
+        self._told = False
+
+    def add(self, given: FloatArray, derived: FloatArray) -> None:
+        """Take the messages' velocities ``(N, joints)``, NaN where there are none, and the positions' derivatives, both
+        filtered."""
+        known = np.isfinite(given)
+        own = np.where(known, given, 0.0)
+        self._sums += [np.sum(own**2, axis=0), np.sum(own * derived, axis=0), np.sum(known * derived**2, axis=0)]
+        self._known += np.sum(known, axis=0)
+
+    @property
+    def scaled(self) -> BoolArray:
+        """At which joints the messages' velocities are the derivatives but for a factor ``(joints,)``."""
+        given, both, derived = self._sums
+        told = (self._known >= self._FEWEST) & (both > 0.0) & (both**2 > self._IN_PROPORTION * given * derived)
+        return np.asarray(told & (np.abs(both - derived) > self._OFF * derived))
+
+    def remark(self) -> Reason | None:
+        """What is peculiar about the messages' velocities, said once."""
+        if self._told or not self.scaled.any():
+            return None
+        self._told = True
+        rate = self.common_rate()
+        return _wrong_clock(rate) if rate else SCALED
+
+    def common_rate(self) -> float:
+        """How many times the derivatives the messages' velocities are, if that is the same at all joints that tell and
+        no unit's factor; else 0."""
+        _, both, derived = self._sums
+        rates = both[self.scaled] / derived[self.scaled]
+        if len(rates) < 2:
+            return 0.0
+        alike = np.all(np.abs(rates / np.median(rates) - 1.0) < self._OFF)
+        sizes = np.abs(np.log(np.median(rates))) - np.abs(np.log(_UNITS_OF_SPEED))
+        of_unit = np.any(np.abs(sizes) < self._OFF)
+        far = abs(np.log(np.median(rates))) > np.log(self._WRONG_CLOCK)
+        every = far and np.all(self.scaled | (self._known < self._FEWEST) | ~(both > 0.0))
+        return float(np.median(rates)) if every and alike and not of_unit else 0.0
+
+
+def _wrong_clock(rate: float) -> Reason:
+    return driver_error(
+        f"stamps run {max(rate, 1.0 / rate):.3g} times too {'slow' if rate < 1.0 else 'fast'}: at all "
+        "joints the velocities are so many times as small or large as the positions' derivatives; stamp messages in "
+        "seconds, when they are measured"
+    )
