@@ -22,7 +22,7 @@ _BASES = (["-p", "floating_base:=true"], ["-p", "imu.frame:=LINK", "-p", "comman
 _SENSOR = ["-p", "wrenches:=['NAME']", "-p", "wrench.NAME.frame:=LINK"]
 
 _MEANINGS = {
-    "joint_states": "joints in any order; velocity is used if present and consistent with the position",
+    "joint_states": "joints in any order; they move by their positions, velocities tell wrong stamps and units",
     "robot_description": "the URDF, unless it is given as a parameter",
     "odom": "pose of a floating base, with `floating_base`",
     "joint_commands": "set-points of joints whose efforts are not measured, with `command.gains`",

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.estimation import choice
+from geomid_ros.estimation.coefficient_fit import CoefficientRows
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart
 from geomid_ros.estimation.identifier import Identifier
@@ -241,7 +242,7 @@ def columns(case: Case, *more: tuple[str, int]) -> IntArray:
 @pytest.mark.parametrize("effect", ["load_friction", "saturating_friction", "spring"])
 def test_the_marginal_likelihood_rises_with_a_planted_effect_and_falls_with_others(effect: str) -> None:
     case = planted("arm3", 1, effect)
-    rows = choice._Rows(problem(case))
+    rows = CoefficientRows(problem(case))
     without = rows.fit(columns(case))
     scores = {
         (name, joint): rows.fit(columns(case, (name, joint)), without).score
@@ -259,7 +260,7 @@ def test_the_marginal_likelihood_rises_with_a_planted_effect_and_falls_with_othe
 def test_spreads_of_links_are_their_distances_from_the_prior_and_what_is_unsure_of_them() -> None:
     """As in the fit that follows, roughly; the covariance by its principal directions."""
     case = planted("arm3", 1, "")
-    rows = choice._Rows(problem(case))
+    rows = CoefficientRows(problem(case))
     fitted = rows.fit(columns(case)).fit
     manifold, prior = fitted.objective.manifold, fitted.objective.profile.prior
     values, vectors = np.linalg.eigh(fitted.hessian)
@@ -275,7 +276,7 @@ def test_what_a_column_promises_is_what_a_fit_with_it_finds(effect: str) -> None
     """To first order, its gain in likelihood."""
     case = planted("arm3", 1, "")
     small = replace(case, samples=replace(case.samples, effort=case.samples.effort + 0.02 * added_to(case, effect)))
-    rows = choice._Rows(problem(small))
+    rows = CoefficientRows(problem(small))
     without = rows.fit(columns(small))
     (column,) = np.setdiff1d(columns(small, (effect, 1)), columns(small))
     larger = rows.fit(columns(small, (effect, 1)), without)
