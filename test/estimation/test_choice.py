@@ -30,6 +30,7 @@ SIZES = {
     "load_friction": 0.1,
     "stribeck_friction": 2.0,
     "saturating_friction": 2.0,
+    "presliding": 1.0,
     "quadratic_friction": 0.5,
     "spring": 3.0,
     "coupled_viscous_friction": 0.7,
@@ -51,6 +52,7 @@ def added(effect: str, joint: int, case: Case, clean: FloatArray) -> FloatArray:
         "load_friction": lambda: size * np.abs(load(case)[:, joint]) * np.tanh(v / 0.003),
         "stribeck_friction": lambda: size * sign(v) * np.exp(-((v / 0.12) ** 2)),
         "saturating_friction": lambda: size * np.tanh(v / 0.6),
+        "presliding": lambda: -2.0 * size * np.sign(v) * (v * a > 0.0) * np.exp(-(v**2) / np.abs(2.0 * a * 0.01)),
         "quadratic_friction": lambda: size * v * np.abs(v),
         "spring": lambda: size * q,
     }

@@ -25,6 +25,7 @@ from geomid_ros.model.effects import (
 )
 from geomid_ros.model.effects.backlash import CROSSINGS
 from geomid_ros.model.effects.coulomb_friction import SMOOTHINGS
+from geomid_ros.model.effects.presliding import DISTANCES
 from geomid_ros.model.effects.saturating_friction import SPEEDS as SETTING_IN
 from geomid_ros.model.effects.stribeck_friction import SPEEDS
 from geomid_ros.model.measurement import MeasurementModel
@@ -39,6 +40,7 @@ ALL = library.candidates(MODEL)
 VARIANTS = {
     "coulomb_friction": len(SMOOTHINGS),
     "saturating_friction": len(SETTING_IN) - 2,
+    "presliding": len(DISTANCES),
     "stribeck_friction": len(SPEEDS),
     "backlash": len(CROSSINGS),
 }

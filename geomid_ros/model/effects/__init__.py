@@ -47,6 +47,7 @@ DEFAULT_CANDIDATES = (
     "load_friction",
     "stribeck_friction",
     "saturating_friction",
+    "presliding",
     "spring",
     "coupled_viscous_friction",
     "coupled_coulomb_friction",
@@ -73,6 +74,7 @@ _FILES = (
     "command_delay",
     "saturating_friction",
     "quadratic_friction",
+    "presliding",
     "coupled_motor",
 )
 """The files of effects, in the order in which they are tried."""
