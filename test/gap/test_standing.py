@@ -90,6 +90,24 @@ def test_it_is_no_change() -> None:
     assert not named(standing(), [recorded(5)])
 
 
+@pytest.mark.parametrize("seed", [5, 8, 9])
+def test_it_leaves_nothing_unexplained(seed: int) -> None:
+    """Though it is many times the noise."""
+    found = find_gap(MODEL, [recorded(seed)], (), nominal=LINKS.ravel(), standing=standing())
+    assert found.verdict == "no gap"
+    assert found.moving[JOINT] > 10.0
+
+
+def test_a_change_beside_it_that_has_no_name_is_left_where_it_is() -> None:
+    """Cogging of the last joint, too."""
+    samples = recorded(6)
+    effort = samples.effort.copy()
+    effort[:, -1] += 0.5 * COGGING * np.sin(9.0 * samples.position[:, -1])
+    found = find_gap(MODEL, [replace(samples, effort=effort)], (), nominal=LINKS.ravel(), standing=standing())
+    assert found.verdict == "incomplete"
+    assert [(left.joint, left.depends_on) for left in found.unexplained] == [(MODEL.robot.joint_names[-1], "position")]
+
+
 def test_a_change_beside_it_is_named() -> None:
     assert list(named(standing(), [recorded(6, more=0.3)])) == [("coulomb_friction", MODEL.robot.joint_names[-1])]
 

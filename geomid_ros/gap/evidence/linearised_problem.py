@@ -52,7 +52,7 @@ class LinearisedProblem:
         standing: StandingRemainder | None = None,
     ) -> None:
         self.total = total
-        self._standing = standing
+        self.standing = standing
         self.floor = np.full(len(model.channels), np.inf) if floor is None else floor
         self.records = records.advanced(total.lag)
         gravity = total.gravity
@@ -122,10 +122,17 @@ class LinearisedProblem:
     @cached_property
     def features(self) -> list[Features]:
         """What the remainder of each channel may consist of."""
-        channels, known = range(len(self.model.channels)), self._standing
+        channels, known = range(len(self.model.channels)), self.standing
         basis = self.basis if known is None else known.basis
         found = [features(self.model, self.records, self.situation, channel, basis) for channel in channels]
         return found if known is None else known.beside(found)
+
+    @property
+    def expected(self) -> FloatArray:
+        """What the model is known to lack ``(N, C)``."""
+        if self.standing is None:
+            return np.zeros(self.rows.targets.shape)
+        return np.stack([own.known for own in self.features], axis=1)
 
     @cached_property
     def basis(self) -> Basis:

@@ -14,6 +14,7 @@ from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, root_m
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.result import GapErrors, Located, Trace
 from geomid_ros.inference.fit import unfitted
+from geomid_ros.inference.remainder import USUAL
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray
 
@@ -37,13 +38,17 @@ class HeldOut:
 
     @cached_property
     def gap(self) -> GapErrors:
-        """Of all channels, in units of the floor, at the instants that are judged on."""
+        """Of all channels, in units of the floor, at the instants that are judged on.
+
+        What a model is known to lack may be otherwise now by as much as usual, which is no gap.
+        """
         names = self._analysis.names
         variance = self._last.variance(self._last.columns(names.chosen, self._prior.terms), names)
         unsure = self._times_floor(np.sqrt(variance))
         fits = (self._untouched, self._analysis.bare, names)
         before, bare, after = (self.times_floor(found) for found in fits)
-        return GapErrors(before, bare, after, np.sqrt(1.0 + unsure**2))
+        known = (len(own.depends_on) if own.mean is not None else 0 for own in self._analysis.problem.features)
+        return GapErrors(before, bare, after, np.sqrt(1.0 + unsure**2 + USUAL * np.array([*known])))
 
     @cached_property
     def on_all(self) -> GapErrors:
@@ -55,10 +60,13 @@ class HeldOut:
 
     @cached_property
     def is_open(self) -> BoolArray:
-        """The channels ``(C,)`` whose gap is larger than noise and the uncertainty of all that was fitted explain."""
+        """The channels ``(C,)`` whose gap is larger than noise and the uncertainty of all that was fitted explain, be
+        it with what the model is known to lack or without: another motion may not tell of it here."""
         # A standard deviation from n values is itself uncertain by 1 / sqrt(2 n), relative.
         reached = REACHED * (1.0 + 2.0 / np.sqrt(2.0 * np.maximum(self.counts, 1.0))) * self.gap.expected
-        return np.asarray(np.nan_to_num(self.gap.after) >= np.nan_to_num(reached, nan=np.inf))
+        beside = self._times_floor(self._residual(self._analysis.names) - self._last.expected)
+        after = np.minimum(self.gap.after, beside)
+        return np.asarray(np.nan_to_num(after) >= np.nan_to_num(reached, nan=np.inf))
 
     @cached_property
     def trace(self) -> Trace:
@@ -93,7 +101,8 @@ class HeldOut:
         return self._times_floor(self._residual(found))
 
     def _problem(self, found: NamesFit) -> LinearisedProblem:
-        return LinearisedProblem(self._model, self._records, total_model(self._model, found), self._analysis.floor)
+        total, known = total_model(self._model, found), self._analysis.problem.standing
+        return LinearisedProblem(self._model, self._records, total, self._analysis.floor, known)
 
     def _residual(self, found: NamesFit) -> FloatArray:
         if found not in self._residuals:
