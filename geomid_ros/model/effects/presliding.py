@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +9,7 @@ from geomid_ros.model.effects.coulomb_friction import SMOOTHINGS
 from geomid_ros.model.effects.effect import FRICTION_DRIFT, Effect, JointEffect
 from geomid_ros.model.effects.parameters import EFFORT, ParameterForm
 from geomid_ros.model.effects.situation import JointMotion
+from geomid_ros.model.effects.stribeck_friction import dry_friction
 from geomid_ros.types import FloatArray
 
 DISTANCES = (1e-3, 3e-3, 1e-2, 3e-2)
@@ -46,6 +48,10 @@ class Presliding(JointEffect):
     def trials(cls) -> tuple[Effect, ...]:
         """The same."""
         return cls.variants()
+
+    def is_borne_out(self, beside: Mapping[Effect, float]) -> bool:
+        """Whether the joint has as much dry friction as keeps its sign."""
+        return bool(beside[self] <= np.max(dry_friction(beside)))
 
     def column(self, motion: JointMotion) -> FloatArray:
         v, a = motion.velocity, motion.acceleration

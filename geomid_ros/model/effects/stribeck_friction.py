@@ -18,6 +18,14 @@ _CURVE = np.geomspace(SMOOTHINGS[0], 2.0 * SPEEDS[-1], 100)  # [rad/s or m/s]
 _LARGEST_EXCESS = 4.0  # of the friction of a fast joint
 
 
+def dry_friction(beside: Mapping[Effect, float]) -> FloatArray:
+    """What the effects at a joint that level off, with their coefficients, add up to over a range of speeds."""
+    still = np.zeros(len(_CURVE))
+    motion = JointMotion(still, _CURVE, still)
+    dry = [c * e.column(motion) for e, c in beside.items() if isinstance(e, JointEffect) and e.levels_off]
+    return np.asarray(np.sum([still, *dry], axis=0))
+
+
 @dataclass(frozen=True)
 class StribeckFriction(JointEffect):
     """Dry friction that is larger at slow motion: effort ``sign(v) (level + excess exp(-(v / v_s)^2))``, v_s the
@@ -81,10 +89,7 @@ class StribeckFriction(JointEffect):
     def is_borne_out(self, beside: Mapping[Effect, float]) -> bool:
         """Whether dry friction falls with speed by more than half of the excess: otherwise it changes its shape near
         rest, or makes up for another friction."""
-        still = np.zeros(len(_CURVE))
-        motion = JointMotion(still, _CURVE, still)
-        dry = [c * e.column(motion) for e, c in beside.items() if isinstance(e, JointEffect) and e.levels_off]
-        friction = np.sum(dry, axis=0)
+        friction = dry_friction(beside)
         return bool(np.max(np.maximum.accumulate(friction) - friction) > 0.5 * beside[self])
 
     def column(self, motion: JointMotion) -> FloatArray:
