@@ -15,7 +15,14 @@ from geomid_ros.simulation import LINK_MASS
 Place = tuple[str, str]
 """An effect's name and its joint; for the whole robot the joint is empty."""
 
-_STANDING = ("coulomb_friction", "viscous_friction", "stribeck_friction", "rotor_inertia", "effort_offset")
+_STANDING = (
+    "coulomb_friction",
+    "viscous_friction",
+    "stribeck_friction",
+    "presliding",
+    "rotor_inertia",
+    "effort_offset",
+)
 _DELAY = ("effort_delay", "")
 _MOST_LATE = 2e-3  # s, an error of a delay that is no wrong name
 _LEAST_GAIN = 0.01  # a gain as far from one is true of a joint
