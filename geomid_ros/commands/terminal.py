@@ -75,9 +75,9 @@ def plain_table(title: str, texts: Sequence[str] = (), numbers: Sequence[str] = 
 
 
 def number_columns(table: Table, headings: Sequence[str]) -> None:
-    """Add columns of numbers."""
+    """Add columns of numbers, which are broken rather than cut where there is no room."""
     for heading in headings:
-        table.add_column(heading, justify="right", no_wrap=True)
+        table.add_column(heading, justify="right", overflow="fold")
 
 
 @contextmanager

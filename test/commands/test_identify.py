@@ -7,14 +7,17 @@ import re
 import subprocess
 import sys
 from functools import partial
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from files.recordings import BAGS, QUICK, Recorded, altered, recorded
+from rich.console import Console
 from test_new_effect import with_wrench
 
+from geomid_ros.commands.terminal import plain_table
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS, effect_class
@@ -216,6 +219,26 @@ def test_the_shape_of_dry_friction_stands_beside_its_level(run: tuple[str, Path,
     assert "smoothing" in table
     assert all(f" {smoothing:g} " in table for smoothing in shapes)
     assert "Coulomb friction" not in others
+
+
+def test_an_effect_of_two_numbers_stands_once(tmp_path: Path) -> None:
+    """All joints have Stribeck friction, and it is among the others, with its speed."""
+    options = ("--effects", "viscous_friction,coulomb_friction,rotor_inertia,effort_offset,stribeck_friction")
+    text = done(*identify("arm3", *options, *NO_CHOICE, "--no-report", "--out", tmp_path))
+    table, _, others = text.partition("Joint effects")[2].partition("RMS of the residual")[0].partition("Other effects")
+    assert "stribeck" not in table
+    assert others.count("Stribeck friction") == 3
+
+
+def test_a_narrow_table_loses_neither_names_nor_digits() -> None:
+    """What was cut is another number."""
+    table = plain_table("Joint effects", ["joint"], [f"friction {number}" for number in range(8)])
+    table.add_row("elbow", *(f"{12.5 + number:.3g} ± 1e+01" for number in range(8)))
+    output = StringIO()
+    Console(width=80, file=output).print(table)
+    printed = output.getvalue().split()
+    assert {"elbow", *(f"{12.5 + number:.3g}" for number in range(8))} <= {*printed}
+    assert printed.count("1e+01") == 8
 
 
 def test_an_effect_that_only_some_joints_have(tmp_path: Path) -> None:

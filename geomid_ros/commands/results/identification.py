@@ -102,8 +102,9 @@ def _known_table(weighed: Sequence[WeighedEstimate]) -> Table:
 
 
 def _at_every_joint(effects: Sequence[EffectEstimate]) -> list[EffectEstimate]:
-    """The effects that most joints have, for a table with a row for each joint."""
-    of_joints = [effect for effect in effects if EFFECTS[effect.name].place == "joint"]
+    """The effects of one number that most joints have, for a table with a row for each joint."""
+    kinds = {name: EFFECTS[name] for name in {effect.name for effect in effects}}
+    of_joints = [e for e in effects if kinds[e.name].place == "joint" and kinds[e.name].is_one_number()]
     joints, counts = {effect.joint for effect in of_joints}, Counter(effect.name for effect in of_joints)
     return [effect for effect in of_joints if 2 * counts[effect.name] > len(joints)]
 
