@@ -212,7 +212,13 @@ class Robot:
         """The moving links that are things and not frames, and have no mass, nor has what is fixed to them."""
         groups = [self._rigid_group(head, set(self._heads)) for head in self._heads]
         weightless = [group for group in groups if self.tree.inertials.keys().isdisjoint(group)]
-        return tuple(group[0] for group in weightless if self.tree.things.intersection(group))
+        return tuple(group[0] for group in weightless if self.tree.things & {*group} or self._reaches(group[0]))
+
+    def _reaches(self, link: str) -> bool:
+        """Whether a moving link carries a joint elsewhere than at its own: something is between them."""
+        model = self._model
+        own = model.frames[model.getFrameId(link, pin.BODY)].parentJoint
+        return any(np.any(model.jointPlacements[after].translation) for after in model.children[own])
 
     def _is_fixed(self, joint: urdf_tree.UrdfJoint) -> bool:
         return joint.type == "fixed" or joint.name in self._locked

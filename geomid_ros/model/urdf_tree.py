@@ -67,7 +67,7 @@ class UrdfTree:
         links, joints: In the file's order.
         root: The root link.
         inertials: Parameters ``(10,)`` of the links with a mass, in pinocchio's order about the link frame's origin.
-        things: Links with a shape or an <inertial>; others are frames.
+        things: Links with a shape or an <inertial>; others may be frames.
     """
 
     links: tuple[str, ...]

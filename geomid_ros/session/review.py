@@ -230,5 +230,5 @@ def _massless(links: Sequence[str]) -> str:
     named = f"'{links[0]}'" + (f" (and {len(links) - 1} other links)" if len(links) > 1 else "")
     return (
         f"{named} moves without a mass in the URDF: it is not identified, and what it weighs is put down to other "
-        "links; give it an <inertial> ('geomid prior' does)"
+        "links; give it an <inertial> ('geomid prior' computes it from shapes)"
     )

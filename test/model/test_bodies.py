@@ -92,6 +92,17 @@ def test_massless_links_are_no_unknowns() -> None:
     assert (len(robot.tree.links), len(masses(text)), len(robot.bodies)) == (37, 18, 18)
     assert set(robot.body_names) == set(masses(text))
     assert len(robot.joints) == 36
+    assert robot.massless == (), "nothing is between joints at one place"
+
+
+def test_a_link_that_carries_a_joint_elsewhere_is_missed_without_a_mass() -> None:
+    """The URDF has no shapes: that the arm is long says that it is no frame."""
+    root = ElementTree.fromstring(urdf("ur5_robot.urdf"))
+    for link in root.findall("link"):
+        for child in list(link):
+            if child.tag != "inertial" or link.get("name") == "upper_arm_link":
+                link.remove(child)
+    assert Robot(ElementTree.tostring(root, encoding="unicode")).massless == ("upper_arm_link",)
 
 
 CUTS = pytest.mark.parametrize(
