@@ -1,9 +1,11 @@
 """For tests of commands."""
 
+from pathlib import Path
+
 import pytest
 from matplotlib.figure import Figure
 
-from .running import undrawn
+from .running import WRIST, done, identify, undrawn
 
 
 @pytest.fixture
@@ -11,3 +13,22 @@ def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where nobody looks at them; what a module shares is drawn nevertheless."""
     undrawn(monkeypatch)
     monkeypatch.setattr("geomid_ros.report.excitation.motion_figure", lambda *_: Figure((1.0, 1.0)))
+
+
+def identified(folder: Path, *sensor: str) -> Path:
+    with pytest.MonkeyPatch.context() as patch:
+        undrawn(patch)
+        (folder / "printed").write_text(done(*identify("arm3", *sensor, "--out", folder)))
+    return folder
+
+
+@pytest.fixture(scope="session")
+def wrist(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of the small arm with the sensor at its wrist, and what was ``printed``: for tests that only read."""
+    return identified(tmp_path_factory.mktemp("wrist"), *WRIST)
+
+
+@pytest.fixture(scope="session")
+def torques(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same without the sensor."""
+    return identified(tmp_path_factory.mktemp("torques"))

@@ -18,7 +18,7 @@ from geomid_ros.commands.excite.learn import learn
 from geomid_ros.commands.excite.run import run
 from geomid_ros.files.trajectories import read_trajectory
 
-from .running import WRIST, done, identify, link, refused
+from .running import WRIST, done, link, read, refused
 from .test_help import LIBRARIES, loaded
 
 QUICK = ("--duration", "6", "--repeats", "2")
@@ -61,9 +61,9 @@ def test_the_files_say_the_same_motion(folder: Path) -> None:
     for ends in (velocity, acceleration):
         assert np.allclose(ends[[0, -1]], 0.0, atol=1e-6)
     assert np.allclose(position[:301], position[300:], atol=1e-9)
-    read = read_trajectory(folder / "trajectory.yaml")
-    assert np.array_equal(read.positions, position)
-    assert read.duration == 6.0
+    again = read_trajectory(folder / "trajectory.yaml")
+    assert np.array_equal(again.positions, position)
+    assert again.duration == 6.0
     table = np.loadtxt(folder / "trajectory.csv", delimiter=",", skiprows=1)
     assert np.allclose(table, np.column_stack([times, position, velocity, acceleration]))
     with AnyReader([folder / "trajectory_bag"], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as bag:
@@ -84,15 +84,14 @@ def test_the_report_says_margins_and_clearances(folder: Path) -> None:
     assert (folder / "excitation.png").stat().st_size > 10_000
 
 
-def test_what_a_wrench_sensor_told_is_known(tmp_path: Path) -> None:
+def test_what_a_wrench_sensor_told_is_known(wrist: Path, tmp_path: Path) -> None:
     """The sensor is recorded, so that a motion tells of what it carries, too."""
-    done(*identify("arm3", *WRIST, "--out", tmp_path))
-    command = ("excite", "--from", tmp_path / "estimate.json", "--urdf", BAGS / "arm3.urdf", *QUICK)
+    command = ("excite", "--from", wrist / "estimate.json", "--urdf", BAGS / "arm3.urdf", *QUICK)
     text = done(*command, *WRIST, "--out", tmp_path / "next")
     assert "Wrench offset " in text
     expected = json.loads((tmp_path / "next/excitation.json").read_text())["expected"]
     before, after = (expected[stage]["links"]["wrist_ft"]["mass"] for stage in ("before", "designed"))
-    known = link(json.loads((tmp_path / "estimate.json").read_text()), "wrist_ft")["std"]["mass"]
+    known = link(read(wrist), "wrist_ft")["std"]["mass"]
     assert before == pytest.approx(known, rel=1e-6)
     assert after < 0.8 * before  # joint efforts alone would tell of it in tens of grams, not in one
     assert "declare the same mounted wrench sensors" in refused(*command)

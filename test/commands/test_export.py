@@ -17,21 +17,7 @@ from files.recordings import BAGS, QUICK
 
 from geomid_ros.simulation import Hidden, SimulationOptions, simulate
 
-from .running import WRIST, done, geomid, identify, refused, undrawn
-
-
-@pytest.fixture(scope="module")
-def estimates(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """The small arm, with and without the sensor at its wrist."""
-    found = {}
-    with pytest.MonkeyPatch.context() as patch:
-        undrawn(patch)
-        for name, sensor in {"wrist": WRIST, "torques": ()}.items():
-            folder = tmp_path_factory.mktemp(name)
-            printed = done(*identify("arm3", *sensor, "--out", folder))
-            (folder / "printed").write_text(printed)
-            found[name] = folder / "estimate.json"
-    return found
+from .running import done, geomid, refused, undrawn
 
 
 def payload(output: str) -> tuple[float, np.ndarray, np.ndarray]:
@@ -40,12 +26,12 @@ def payload(output: str) -> tuple[float, np.ndarray, np.ndarray]:
     return mass, np.array(com), np.array(inertia)
 
 
-def test_the_tool_of_a_recording_becomes_a_payload(estimates: dict[str, Path]) -> None:
+def test_the_tool_of_a_recording_becomes_a_payload(wrist: Path) -> None:
     """The true one, within a few of the standard deviations that stand beside it."""
-    document = json.loads(estimates["wrist"].read_text())
+    document = json.loads((wrist / "estimate.json").read_text())
     (std,) = (link["std"] for link in document["links"] if link["name"] == "wrist_ft")
     truth = {link["name"]: link for link in json.loads((BAGS / "arm3.truth.json").read_text())["links"]}["tool"]
-    output = done("export", estimates["wrist"], "--for", "ur", "--frame", "tool", "--links", "wrist_ft")
+    output = done("export", wrist / "estimate.json", "--for", "ur", "--frame", "tool", "--links", "wrist_ft")
     mass, com, inertia = payload(output)
     assert abs(mass - truth["mass"]) < 4.0 * std["mass"]
     assert np.all(np.abs(com - truth["com"]) < 4.0 * np.array(std["com"]))
@@ -54,21 +40,21 @@ def test_the_tool_of_a_recording_becomes_a_payload(estimates: dict[str, Path]) -
     assert f"{mass:.5g} ± {std['mass']:.2g}" in output
 
 
-def test_what_the_torques_alone_do_not_show_is_refused(estimates: dict[str, Path]) -> None:
-    message = refused("export", estimates["torques"], "--for", "ur", "--frame", "wrist_ft")
+def test_what_the_torques_alone_do_not_show_is_refused(torques: Path) -> None:
+    message = refused("export", torques / "estimate.json", "--for", "ur", "--frame", "wrist_ft")
     assert "'link3' was identified as one body with tool" in message
-    message = refused("export", estimates["torques"], "--for", "franka", "--frame", "wrist_ft", "--links", "link3")
+    message = refused("export", torques / "estimate.json", "--for", "franka", "--frame", "wrist_ft", "--links", "link3")
     assert "the data hardly identify" in message
-    numbers = estimates["torques"].with_name("identified.urdf")
+    numbers = torques / "identified.urdf"
     assert "not known" in done("export", numbers, "--for", "franka", "--frame", "link3")
 
 
-def test_a_doubtful_model_is_refused_unless_it_is_forced(estimates: dict[str, Path], tmp_path: Path) -> None:
-    document = json.loads(estimates["wrist"].read_text())
+def test_a_doubtful_model_is_refused_unless_it_is_forced(wrist: Path, tmp_path: Path) -> None:
+    document = json.loads((wrist / "estimate.json").read_text())
     document["verdict"] |= {"result": "doubtful", "reasons": ["the efforts are reversed", "gravity is missing"]}
     model = tmp_path / "estimate.json"
     model.write_text(json.dumps(document))
-    (tmp_path / "identified.urdf").write_text(estimates["wrist"].with_name("identified.urdf").read_text())
+    (tmp_path / "identified.urdf").write_text((wrist / "identified.urdf").read_text())
     options = ("--for", "ur", "--frame", "tool", "--links", "wrist_ft")
     message = refused("export", model, *options)
     assert "this model's verdict is 'doubtful': the efforts are reversed; gravity is missing" in message
@@ -78,7 +64,7 @@ def test_a_doubtful_model_is_refused_unless_it_is_forced(estimates: dict[str, Pa
     said = f"Warning: {model}: this model's verdict is 'doubtful': the efforts are reversed; gravity is missing\n"
     assert result.stderr == said
     assert result.output.startswith(said)
-    assert result.stdout == done("export", estimates["wrist"], *options)
+    assert result.stdout == done("export", wrist / "estimate.json", *options)
 
 
 def written(estimate: Path, reader: str) -> dict[str, list[dict[str, Any]]]:
@@ -88,10 +74,10 @@ def written(estimate: Path, reader: str) -> dict[str, list[dict[str, Any]]]:
     return entry
 
 
-def test_the_identified_urdf_has_the_friction_that_was_fitted_for_it(estimates: dict[str, Path]) -> None:
+def test_the_identified_urdf_has_the_friction_that_was_fitted_for_it(torques: Path) -> None:
     """As pinocchio reads it; and what it cannot hold is said."""
-    robot = pin.buildModelFromXML(estimates["torques"].with_name("identified.urdf").read_text())
-    effects = written(estimates["torques"], "urdf")["effects"]
+    robot = pin.buildModelFromXML((torques / "identified.urdf").read_text())
+    effects = written(torques / "estimate.json", "urdf")["effects"]
     for name, found in {"viscous_friction": robot.damping, "coulomb_friction": robot.friction}.items():
         expected = np.zeros(3)
         for known in (known for known in effects if known["effect"] == name):
@@ -99,22 +85,24 @@ def test_the_identified_urdf_has_the_friction_that_was_fitted_for_it(estimates: 
             expected[robot.joints[robot.getJointId(known["joint"])].idx_v] = parameter["value"]
         assert np.all(expected)
         np.testing.assert_allclose(found, expected, rtol=1e-8)
-    printed = estimates["torques"].with_name("printed").read_text()
+    printed = (torques / "printed").read_text()
     assert "Not representable in identified.urdf: rotor inertia" in printed
 
 
-def test_a_file_of_ones_own_is_printed_with_what_was_identified(estimates: dict[str, Path], tmp_path: Path) -> None:
+def test_a_file_of_ones_own_is_printed_with_what_was_identified(torques: Path, tmp_path: Path) -> None:
     mujoco = pytest.importorskip("mujoco")
-    own = tmp_path / "own.xml"
+    estimate, own = torques / "estimate.json", tmp_path / "own.xml"
     own.write_text(geomid("export", BAGS / "arm3.urdf", "--for", "mujoco").stdout)
-    result = geomid("export", estimates["torques"], "--for", "mujoco", "--into", own)
+    result = geomid("export", estimate, "--for", "mujoco", "--into", own)
     assert result.exit_code == 0
     found = mujoco.MjModel.from_xml_string(result.stdout)
-    for link in written(estimates["torques"], "mjcf_joints")["links"]:
+    for link in written(estimate, "mjcf_joints")["links"]:
         assert found.body(link["name"]).mass[0] == pytest.approx(link["mass"])
-    assert geomid("export", estimates["torques"], "--for", "drake", "--into", own).exit_code == 2
+    assert geomid("export", estimate, "--for", "drake", "--into", own).exit_code == 2
     own.write_text("<mujoco>")
-    assert "MuJoCo cannot read this model" in refused("export", estimates["torques"], "--for", "mujoco", "--into", own)
+    assert "MuJoCo cannot read this model" in refused(
+        "export", estimate, "--for", "mujoco", "--into", own
+    )
 
 
 def test_what_was_picked_up_is_found_by_the_torques(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

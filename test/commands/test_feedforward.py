@@ -11,19 +11,15 @@ import yaml
 from excitation.motions import Motion, lively
 from files.recordings import BAGS
 
-from .running import done, identify, refused, undrawn
+from .running import done, refused
 
 URDF = BAGS / "arm3.urdf"
 JOINTS = ("joint1", "joint2", "joint3")
 
 
-@pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("model")
-    with pytest.MonkeyPatch.context() as patch:
-        undrawn(patch)
-        done(*identify("arm3", "--candidates", "none", "--no-report", "--out", out))
-    return out / "estimate.json"
+@pytest.fixture
+def model(torques: Path) -> Path:
+    return torques / "estimate.json"
 
 
 def sent(folder: Path, motion: Motion | None = None, joints: tuple[str, ...] = JOINTS) -> Path:

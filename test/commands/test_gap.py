@@ -159,7 +159,7 @@ def test_nothing_hidden_is_nothing_found(tmp_path: Path) -> None:
     assert read(tmp_path / "out")["findings"] == []
 
 
-def test_beside_a_model_a_joint_may_be_without_efforts(tmp_path: Path) -> None:
+def test_beside_a_model_a_joint_may_be_without_efforts(torques: Path, tmp_path: Path) -> None:
     def silent(item: Recorded) -> Recorded:
         if item.topic != "/joint_states":
             return item
@@ -167,9 +167,7 @@ def test_beside_a_model_a_joint_may_be_without_efforts(tmp_path: Path) -> None:
             effort=np.where([name == "joint2" for name in item.message.name], np.nan, item.message.effort)
         )
 
-    identified = tmp_path / "identified"
-    done("identify", BAGS / "arm3", "--urdf", URDF, "--out", identified, "--no-report")
-    arguments = "--urdf", URDF, "--model", identified / "estimate.json", "--out", tmp_path / "out"
+    arguments = "--urdf", URDF, "--model", torques / "estimate.json", "--out", tmp_path / "out"
     done("gap", altered(BAGS / "arm3", tmp_path / "bag", silent), *arguments, "--no-report")
     assert not (tmp_path / "out/report.html").exists()
     judged = {name for name, size in read(tmp_path / "out")["floor"].items() if size is not None}

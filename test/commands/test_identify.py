@@ -26,6 +26,7 @@ from geomid_ros.simulation import SimulationOptions, simulate
 
 from .running import NO_CHOICE, WRIST, done, geomid, identify, link, read, refused, undrawn
 
+ROBOT = "arm7"
 TABLES = {"links.csv", "effects.csv", "channels.csv"}
 DRAWN = {"identification.png", "report.html"}
 FILES = {"estimate.json", "identified.urdf", "effects.yaml", "posterior.npz", *DRAWN, *TABLES}
@@ -34,15 +35,15 @@ EXPLAINED = 0.5  # at least so much of the URDF's error on held-out data is gone
 WRITTEN = 1e-8  # relative: the URDF has nine digits
 
 
-@pytest.fixture(scope="module", params=["arm3", "arm7"])
-def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, str]:
-    """Robot, folder and output of an identification with the wrist's sensor."""
-    out = tmp_path_factory.mktemp(request.param) / "new/out"
-    return request.param, out, done(*identify(request.param, *WRIST, "--out", out))
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Folder and output of an identification with the wrist's sensor."""
+    out = tmp_path_factory.mktemp("run") / "new/out"
+    return out, done(*identify(ROBOT, *WRIST, "--out", out))
 
 
-def test_it_writes_what_it_says(run: tuple[str, Path, str]) -> None:
-    _, out, output = run
+def test_it_writes_what_it_says(run: tuple[Path, str]) -> None:
+    out, output = run
     assert {path.name for path in out.iterdir()} == FILES
     for name in FILES:
         assert str(out / name) in output
@@ -62,37 +63,37 @@ def test_without_a_report_nothing_is_drawn(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == FILES - DRAWN
 
 
-def test_the_tool_is_found(run: tuple[str, Path, str]) -> None:
-    robot, out, _ = run
-    truth = {entry["name"]: entry for entry in json.loads((BAGS / f"{robot}.truth.json").read_text())["links"]}
+def test_the_tool_is_found(run: tuple[Path, str]) -> None:
+    out, _ = run
+    truth = {entry["name"]: entry for entry in json.loads((BAGS / f"{ROBOT}.truth.json").read_text())["links"]}
     tool = link(read(out), "wrist_ft")
     assert tool["mass"] == pytest.approx(truth["tool"]["mass"], rel=TOOL_MASS)
     assert tool["merged"] == ["tool"]
     assert abs(tool["mass"] - truth["tool"]["mass"]) < 5.0 * tool["std"]["mass"]
 
 
-def test_held_out_data_are_predicted_better(run: tuple[str, Path, str]) -> None:
+def test_held_out_data_are_predicted_better(run: tuple[Path, str]) -> None:
     """On data that were not used: the table's column of what is explained."""
-    robot, _, output = run
+    _, output = run
     lines = map(str.rstrip, output.partition("on held-out data")[2].splitlines())
     rows = [line.split() for line in lines if " % " in line]
-    assert len(rows) == {"arm3": 9, "arm7": 13}[robot]
+    assert len(rows) == 13
     assert all(float(row[row.index("%") - 1]) >= 100.0 * EXPLAINED for row in rows), output
 
 
-def test_the_estimate_is_whole(run: tuple[str, Path, str]) -> None:
-    robot, out, text = run
+def test_the_estimate_is_whole(run: tuple[Path, str]) -> None:
+    out, text = run
     document = read(out)
     account = document["messages"]["joint_states"]
     count = account["received"]
     assert (account["accepted"], account["rejected"]) == (count, {})
     assert f"joint_states: {count} of {count} messages used" in text
-    assert count == sum(item.topic == "/joint_states" for item in recorded(BAGS / robot))
+    assert count == sum(item.topic == "/joint_states" for item in recorded(BAGS / ROBOT))
     assert document["verdict"] == {"result": "usable", "reasons": [], "causes": []}
     assert document["converged"] is True
     assert document["rows"]["accepted"] > 1000
     assert document["rms"]["held_out"].keys() == document["rms"]["nominal"].keys()
-    joints = Robot(read_urdf(BAGS / f"{robot}.urdf")).joint_names
+    joints = Robot(read_urdf(BAGS / f"{ROBOT}.urdf")).joint_names
     at_joints = [name for name in DEFAULT_EFFECTS if effect_class(name).place == "joint"]
     of_joints = {(name, joint) for name in at_joints for joint in joints}
     found = {(entry["name"], entry["joint"]) for entry in document["effects"]}
@@ -107,8 +108,8 @@ def test_the_estimate_is_whole(run: tuple[str, Path, str]) -> None:
         assert np.linalg.eigvalsh(entry["inertia"])[0] > 0.0
 
 
-def test_the_urdf_holds_what_was_fitted_for_it(run: tuple[str, Path, str]) -> None:
-    _, out, _ = run
+def test_the_urdf_holds_what_was_fitted_for_it(run: tuple[Path, str]) -> None:
+    out, _ = run
     bodies = {body.name: body for body in Robot(read_urdf(out / "identified.urdf"), cuts=["wrist_ft"]).bodies}
     for entry in read(out)["handover"]["urdf"]["links"]:
         body = bodies[entry["name"]]
@@ -146,12 +147,6 @@ def small(tmp_path: Path, *arguments: str | Path, status: int = 0) -> dict[str, 
         )
     assert document == read(tmp_path)
     return document
-
-
-@pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """The small arm's estimate without options."""
-    return small(tmp_path_factory.mktemp("plain"))
 
 
 @pytest.fixture(scope="module")
@@ -210,9 +205,9 @@ def test_the_node_s_file_says_the_same_as_options(tmp_path: Path) -> None:
     assert options_win["sigma"].keys() == from_file["sigma"].keys()
 
 
-def test_the_shape_of_dry_friction_stands_beside_its_level(run: tuple[str, Path, str]) -> None:
+def test_the_shape_of_dry_friction_stands_beside_its_level(run: tuple[Path, str]) -> None:
     """Where it is not the usual one; it is no other effect for that."""
-    _, out, text = run
+    out, text = run
     table, _, others = text.partition("Joint effects")[2].partition("RMS of the residual")[0].partition("Other effects")
     shapes = [entry["smoothing"] for entry in read(out)["effects"] if "smoothing" in entry]
     assert shapes
@@ -271,8 +266,7 @@ def values(document: dict[str, Any]) -> dict[tuple[str, str, str], float]:
     return found
 
 
-@pytest.mark.parametrize("run", ["arm3"], indirect=True)
-def test_an_offset_of_the_sensor_is_found_by_default(run: tuple[str, Path, str], tmp_path: Path) -> None:
+def test_an_offset_of_the_sensor_is_found_by_default(wrist: Path, tmp_path: Path) -> None:
     """Added to a recording: the tool weighs the same, and the offsets differ by what was added."""
     planted = dict(zip(("fx", "fy", "fz", "tx", "ty", "tz"), (3.0, -2.0, 16.0, 0.4, -0.3, 0.2), strict=True))
 
@@ -282,7 +276,7 @@ def test_an_offset_of_the_sensor_is_found_by_default(run: tuple[str, Path, str],
 
     bag = altered(BAGS / "arm3", tmp_path / "bag", off)
     done("identify", bag, "--urdf", BAGS / "arm3.urdf", *WRIST, "--out", tmp_path / "out")
-    before, after = read(run[1]), read(tmp_path / "out")
+    before, after = read(wrist), read(tmp_path / "out")
     assert link(after, "wrist_ft")["mass"] == pytest.approx(link(before, "wrist_ft")["mass"], rel=TOOL_MASS)
     for axis, size in planted.items():
         key = "wrench_offset", "/wrench", axis
@@ -302,9 +296,9 @@ def test_a_reversed_sensor_is_named_and_its_rows_are_left_out(tmp_path: Path) ->
     assert "no minus before the role" in told
 
 
-def test_a_doubtful_model_to_start_from_is_told_first(plain: dict[str, Any], tmp_path: Path) -> None:
+def test_a_doubtful_model_to_start_from_is_told_first(torques: Path, tmp_path: Path) -> None:
     model = tmp_path / "before.json"
-    model.write_text(json.dumps(plain | {"verdict": {"result": "not converged", "reasons": ["300 steps"]}}))
+    model.write_text(json.dumps(read(torques) | {"verdict": {"result": "not converged", "reasons": ["300 steps"]}}))
     said = f"{model}: this model's verdict is 'not converged': 300 steps"
     text = done(*identify("arm3", "--model", model, "--out", tmp_path / "out"))
     assert text.lstrip().startswith("Warning: ")

@@ -49,8 +49,9 @@ def test_every_option_that_takes_names_takes_them_in_the_same_way() -> None:
     )
 
 
-@pytest.mark.parametrize("text", ["", " ", "link1,,link2", "link1,"])
-@pytest.mark.parametrize("option", EMPTY)
+@pytest.mark.parametrize(
+    ("option", "text"), [*((option, "link1,") for option in EMPTY), *(("links", each) for each in ("", " ", "a,,b"))]
+)
 def test_an_empty_name_is_refused(option: str, text: str) -> None:
     *arguments, name = EMPTY[option]
     message = " ".join(refused(*arguments, name, text).split())

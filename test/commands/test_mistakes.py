@@ -1,9 +1,13 @@
-"""Mistakes as people type them: each is answered with what to do, by status 2 or by a doubt that names its cause."""
+"""Mistakes as people make them: each is answered with what to do, by status 2 and no files or by a doubt that names its
+cause."""
 
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +18,7 @@ import pytest
 from files.recordings import BAGS, TYPES, Recorded, altered, recorded, write_bag
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from .running import done, geomid, refused, undrawn
+from .running import geomid, refused, undrawn
 
 BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
 ARM3 = URDF.read_text()
@@ -72,6 +76,21 @@ def with_text(name: str, text: str, *arguments: str | Path) -> Callable[[Path], 
     return make
 
 
+def with_urdf(change: Callable[[str], str]) -> Callable[[Path], Arguments]:
+    """``geomid identify`` with the small arm's URDF changed."""
+    return with_text("changed.urdf", change(ARM3), BAG, "--urdf")
+
+
+def with_pipe(folder: Path) -> Arguments:
+    os.mkfifo(folder / "pipe")
+    return "identify", BAG, "--urdf", folder / "pipe"
+
+
+def as_xacro(text: str) -> str:
+    declared = text.replace("<robot", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"', 1)
+    return declared.replace("<link", '<xacro:arg name="a" default="1"/><link', 1)
+
+
 def configured(text: str) -> Callable[[Path], Arguments]:
     return with_text("robot.yaml", f"/**: {{ros__parameters: {text}}}", BAG, *ROBOT, "--config")
 
@@ -83,16 +102,6 @@ def seconds(command: str, count: float) -> Callable[[Path], Arguments]:
         messages = recorded(BAG)
         end = messages[0].time + count * 1e9
         return command, write_bag(folder / "bag", [item for item in messages if item.time < end]), *ROBOT
-
-    return make
-
-
-def exported(*arguments: str) -> Callable[[Path], Arguments]:
-    """``geomid export`` of an estimate without a tool."""
-
-    def make(folder: Path) -> Arguments:
-        done("identify", BAG, *ROBOT, "--out", folder / "model")
-        return ("export", folder / "model/estimate.json", *arguments)
 
     return make
 
@@ -140,8 +149,6 @@ REFUSED: dict[str, tuple[Callable[[Path], Arguments], str]] = {
         typed(*ROBOT, "--validate", BAG),
         r"given twice\. .*without --validate the end of each bag",
     ),
-    "38 type": (configured("{filter: {cutoff: fast}}"), r"robot.yaml: filter.cutoff is 'fast', expected a number"),
-    "39 no such file": (typed(*ROBOT, "--config", "no.yaml"), r"no.yaml: the parameter file cannot be read"),
     "41 hidden effect": (
         lambda folder: ("simulate", folder / "bag", "--hide", "coulomb:joint2"),
         r"unknown effect 'coulomb'. Did you mean 'coulomb_friction'\?",
@@ -151,8 +158,7 @@ REFUSED: dict[str, tuple[Callable[[Path], Arguments], str]] = {
         r"unknown joint 'joint9'. Did you mean 'joint\d'\?",
     ),
     "43 exists": (existing, r"bag exists already. Choose another name or delete it first"),
-    "44 no payload": (exported("--for", "ur"), r"Name it with --frame: base_link"),
-    "45 no data": (exported("--for", "ur", "--frame", "link2"), r"the data hardly identify.*Record a motion"),
+    "44 no payload": (lambda _: ("export", URDF, "--for", "ur"), r"Name it with --frame: base_link"),
     "52 robot": (
         lambda folder: ("simulate", folder / "bag", "--robot", "panda"),
         r"Valid: arm3, arm7, path/to/your.urdf",
@@ -163,14 +169,58 @@ REFUSED: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     ),
     "gain": (typed(*ROBOT, "--gain", "joint2=fast"), r"'joint2=fast' is not of the form \[JOINT=\]FACTOR"),
     "lock": (typed(*ROBOT, "--lock", "finger"), r"unknown joint to lock 'finger'.*joint1"),
+    "unknown option": (typed(*ROBOT, "--ouput", "x"), "--ouput.*--out"),
+    # bags
+    "no such bag": (lambda folder: ("identify", BAG, folder / "nowhere", *ROBOT), "nowhere: no such bag"),
+    "no odometry": (typed(*ROBOT, "--floating-base", "--wrench", "/wrench:odom:external"), "no topic /odom.*--odom"),
+    "a tf_prefix": (
+        on(joints(name=lambda names: [f"left_{name}" for name in names])),
+        r"joint 'joint1' is missing: the messages' names have the prefix 'left_'. Give the URDF with it",
+    ),
+    # robot descriptions
+    "a prefix in the URDF": (
+        with_urdf(lambda text: text.replace('name="joint', 'name="left_joint')),
+        r"joint 'left_joint1' is missing: the URDF's names have the prefix 'left_', the messages' do not",
+    ),
+    "none recorded": (
+        on(lambda item: None if item.topic == "/robot_description" else item, "--cutoff", "3"),
+        r"bag: no robot description is recorded \(robot_description, std_msgs/msg/String\); name a file with --urdf",
+    ),
+    "a pipe": (with_pipe, "pipe: not a regular file; expected a robot description"),
+    "a device": (typed("--urdf", "/dev/zero"), "/dev/zero: not a regular file"),
+    "a bag": (typed("--urdf", BAG / "arm3.mcap"), r"arm3.mcap: the robot description cannot be read"),
+    "SDF": (
+        with_urdf(lambda _: "<sdf/>"),
+        r"changed.urdf: not a URDF, its root element is <sdf>.*URDF or xacro that it",
+    ),
+    "MJCF": (with_urdf(lambda _: "<mujoco/>"), r"changed.urdf: not a URDF.*MJCF.*Give the robot's URDF"),
+    "xacro": (with_urdf(as_xacro), r"changed.urdf: a xacro file.*: xacro \S*changed.urdf > robot.urdf"),
+    "xacro without its namespace": (
+        with_urdf(lambda text: text.replace("<link", "<xacro:arg/><link", 1)),
+        r"changed.urdf: a xacro file.*: xacro \S*changed.urdf > robot.urdf",
+    ),
+    "no mass at all": (
+        with_urdf(lambda text: re.sub("<inertial>.*?</inertial>", "", text, flags=re.DOTALL)),
+        r"changed.urdf: no moving link has a mass.*'geomid prior URDF --mass KG'",
+    ),
+    # what does not fit the robot or the recording
+    "wrench's frame": (typed(*ROBOT, "--wrench", "/wrench:wrist:mounted"), r"unknown link 'wrist'.*'wrist_ft'"),
+    "gain of no joint": (configured("{joint: {elbow: {effort_gain: 2}}}"), r"joint .*'elbow'.*joint1, joint2, joint3"),
+    "cutoff too high": (
+        configured("{filter: {cutoff: 90}}"),
+        r"cutoff of 90 Hz is too high for data at 100 Hz: set the parameter filter.cutoff \(--cutoff\) to 40 or less",
+    ),
+    "no such model": (typed(*ROBOT, "--model", "no.json"), r"no.json: the model cannot be read"),
 }
 
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_it_is_refused_with_what_to_do(case: str, tmp_path: Path) -> None:
     make, words = REFUSED[case]
-    text = refused(*make(tmp_path))
+    command, *arguments = make(tmp_path)
+    text = refused(command, *arguments, *(("--out", tmp_path / "out") if command == "identify" else ()))
     assert re.search(words, text.strip()), text
+    assert not (tmp_path / "out").exists()
 
 
 def half_of(item: Recorded) -> Recorded:
@@ -228,3 +278,45 @@ def test_a_bag_of_humble_is_read(tmp_path: Path) -> None:
     result = geomid("identify", tmp_path / "humble", *ROBOT, "--json", "--out", tmp_path / "out")
     assert (result.exit_code, result.stderr) == (0, "")
     assert json.loads(result.stdout)["converged"] is True
+
+
+def test_a_file_as_folder_for_results_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "results"
+    path.write_text("of last year")
+    assert "--out" in refused("identify", BAG, *ROBOT, "--out", path)
+    assert path.read_text() == "of last year"
+    assert "cannot be written" in refused("identify", BAG, *ROBOT, "--out", path / "below")
+
+
+def test_results_of_before_stay_when_there_are_no_new_ones(tmp_path: Path) -> None:
+    (tmp_path / "estimate.json").write_text("of last year")
+    refused("identify", BAG, *ROBOT, "--out", tmp_path, "--effects", "friction")
+    assert [path.name for path in tmp_path.iterdir()] == ["estimate.json"]
+    assert (tmp_path / "estimate.json").read_text() == "of last year"
+
+
+def test_no_traceback_in_a_process_of_its_own(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "geomid_ros", "identify", str(tmp_path / "nowhere"), "--urdf", str(URDF)]
+    result = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert (result.returncode, result.stdout) == (2, "")
+    assert result.stderr == f"Error: {tmp_path / 'nowhere'}: no such bag\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("megabytes", "module"),
+    [(200, "geomid_ros"), (400, "geomid_ros"), (300, "geomid_ros.ros.main")],
+)
+def test_too_little_memory_is_said_in_one_sentence(megabytes: int, module: str) -> None:
+    """Whichever of the libraries finds no room, or would hang."""
+    if module != "geomid_ros":
+        pytest.importorskip("rclpy")
+    code = (
+        f"import resource, runpy, sys; resource.setrlimit(resource.RLIMIT_AS, ({megabytes}_000_000,) * 2);"
+        f"sys.argv = ['geomid', 'identify', {str(BAG)!r}, '--urdf', {str(URDF)!r}, '--out', '/nowhere/out'];"
+        f"runpy.run_module({module!r}, run_name='__main__')"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=300)
+    assert "Traceback" not in result.stderr
+    assert result.returncode == 2
+    assert result.stderr.splitlines()[-1].endswith("check limits such as ulimit -v")

@@ -7,15 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from commands.running import BAGS, done, geomid, identify, refused
+from commands.running import BAGS, done, geomid, refused
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
 
-def test_an_estimate_stands_for_the_empty_recording(tmp_path: Path) -> None:
-    geomid(*identify("arm3", "--out", tmp_path / "arm"))
-    arm = tmp_path / "arm" / "estimate.json"
-    found = json.loads(geomid("payload", arm, BAGS / "arm3", "--frame", "tool", "--json").stdout)
+def test_an_estimate_stands_for_the_empty_recording(torques: Path) -> None:
+    found = json.loads(geomid("payload", torques / "estimate.json", BAGS / "arm3", "--frame", "tool", "--json").stdout)
     assert found["frame"] == "tool"
     assert found["quantities"]["mass"] < 0.05
     urdf = BAGS / "arm3.urdf"
@@ -23,9 +21,9 @@ def test_an_estimate_stands_for_the_empty_recording(tmp_path: Path) -> None:
     assert both["quantities"]["mass"] < 0.05
 
 
-def test_an_estimate_without_its_posterior_is_refused(tmp_path: Path) -> None:
-    geomid(*identify("arm3", "--out", tmp_path))
-    (tmp_path / "posterior.npz").unlink()
+def test_an_estimate_without_its_posterior_is_refused(torques: Path, tmp_path: Path) -> None:
+    for name in ("estimate.json", "identified.urdf"):
+        (tmp_path / name).write_bytes((torques / name).read_bytes())
     message = refused("payload", tmp_path / "estimate.json", BAGS / "arm3")
     assert f"{tmp_path / 'estimate.json'}: there is no posterior.npz beside it" in message
     assert "identify again" in message

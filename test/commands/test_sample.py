@@ -12,20 +12,16 @@ import pinocchio as pin
 import pytest
 import yaml
 
-from .running import WRIST, done, geomid, identify, refused, undrawn
+from .running import geomid, refused
 
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 4 3\nf 1 2 4\nf 2 3 4\n"
 FEW = ("-n", "12")
 
 
-@pytest.fixture(scope="module")
-def estimate(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture
+def estimate(wrist: Path) -> Path:
     """The small arm with the sensor at its wrist."""
-    folder = tmp_path_factory.mktemp("wrist")
-    with pytest.MonkeyPatch.context() as patch:
-        undrawn(patch)
-        done(*identify("arm3", *WRIST, "--out", folder))
-    return folder / "estimate.json"
+    return wrist / "estimate.json"
 
 
 def robots(estimate: Path, out: Path, *more: str) -> list[dict]:

@@ -211,11 +211,7 @@ def pose(document: dict[str, Any]) -> str:
 
 CRAFTED: dict[str, Callable[[dict[str, Any], dict[str, Any]], Any]] = {
     "has format 1": lambda d, _: d.update(format=1),
-    "summary.rows is not given": lambda d, _: rows_of(d).pop("rows"),
     r"factors\[0\]\[0\] is .*, expected an array": lambda d, v: v.update(x=v.pop(first(d))),
-    "instants is 1.5, expected a count": lambda d, _: rows_of(d).update(instants=1.5),
-    "last_stamp is 9223372036854775808, expected a count": lambda d, _: d["memory"].update(last_stamp=2**63),
-    r"accounts is \[\], expected an object": lambda d, _: d.update(accounts=[]),
     "meanings.late is 'x', expected": lambda d, _: d["meanings"].update(late="x"),
     "does not say what": lambda d, _: d.update(meaning=None),
     "another robot": lambda d, _: d["meaning"].update(robot_description="0"),
@@ -230,9 +226,7 @@ CRAFTED: dict[str, Callable[[dict[str, Any], dict[str, Any]], Any]] = {
     "11 numbers are no triangle": lambda d, v: v.update({first(d): np.zeros(11)}),
     "numbers are no triangle": lambda d, _: rows_of(d)["factors"][0][0].update(shape=[2**31, 2**32]),
     "rows of channel 'joint1' are": lambda d, _: rows_of(d)["factors"][0].__setitem__(0, d["memory"]["last_pose"]),
-    "cannot reshape": lambda d, _: d["memory"]["last_pose"].update(shape=[4]),
     "not enough values": lambda d, _: d["memory"]["last_pose"].update(triangle=True),
-    "last_pose is .*, expected an array": lambda d, v: v[pose(d)].__setitem__(0, np.nan),
     "pose of shape": lambda d, v: (v.update({pose(d): np.zeros(4)}), d["memory"]["last_pose"].update(shape=[4])),
     "an estimate of 3 parameters": lambda d, _: d["warm"].update(parameters=d["memory"]["last_pose"]),
 }
@@ -258,21 +252,16 @@ class TestCrafted:
         "header",
         [
             b"",
-            b"[]",
             b"\xff\xfe",
             b"[" * 100_000,
-            b"1" * 100_000,
-            b'{"__metadata__": 1}',
             b'{"__metadata__": {"document": 1}}',
             b'{"__metadata__": {}, "x": []}',
             b'{"__metadata__": {}, "x": {"dtype": "F64", "shape": [1], "data_offsets": [0, 1e999]}}',
             b'{"__metadata__": {}, "x": {"dtype": "F64", "shape": [2], "data_offsets": [0, 8]}}',
             b'{"__metadata__": {}, "x": {"dtype": "F64", "shape": [0], "data_offsets": [8, 0]}}',
-            b'{"__metadata__": {}, "x": {"dtype": "F64", "shape": [99], "data_offsets": [0, 792]}}',
-            b'{"__metadata__": {}, "x": {"dtype": "I64", "shape": [1], "data_offsets": [0, 8]}}',
             b'{"__metadata__": {"document": "' + b"[" * 100_000 + b'"}}',
         ],
-        ids=range(14),
+        ids=range(9),
     )
     def test_headers(self, header: bytes) -> None:
         with pytest.raises(InputError):
@@ -283,7 +272,7 @@ class TestCrafted:
             with pytest.raises(InputError, match="header"):
                 read(signed(length.to_bytes(8, "little") + b"{}"))
 
-    @settings(max_examples=300, deadline=None)
+    @settings(max_examples=100, deadline=None)
     @given(st.data())
     def test_nothing_but_our_own_errors(self, data: st.DataObject) -> None:
         """Bytes replaced in the header, or anything at all."""

@@ -37,8 +37,8 @@ _both = "../session/test_ledger_findings.py::test_a_fault_gets_the_same_answer_i
 _disk = "test_catalogue_failures.py::test_a_disk_that_cannot_be_written_stops_nothing[{}]".format
 _BAGS = "../files/test_bag_faults.py"
 _NAMES = "../commands/test_names.py::test_"
-_REFUSALS_TEST = "../commands/test_refusals.py::test_"
-_REFUSALS = _REFUSALS_TEST + "bad_input_is_refused"
+_MISTAKES = "../commands/test_mistakes.py::test_"
+_REFUSALS = _MISTAKES + "it_is_refused_with_what_to_do"
 _SOLVING = "test_solving_process.py::test_"
 _DESCRIPTION = "test_description.py::test_"
 _ENDINGS = "test_endings.py::test_"
@@ -147,7 +147,7 @@ CATALOGUE = (
     Fault(99, "ROS 1 bags; lz4; a folder of bags", "X with the command that converts; read; read", (_bags("the_command_for_a_bag_of_ros_1_makes_one_that_is_read"), _bags("lz4_is_read"), _bags("a_folder_of_bags_is_all_of_them"))),
     Fault(100, "files of a split bag listed in another order", "read by time", (_bags("files_listed_in_another_order_are_read_by_time"),)),
     Fault(101, "`~/save` under load", "response within five seconds, with the last estimate or the reason why not", (_FAILURES + "101_saving_under_load_is_answered", _console("101_what_takes_too_long_is_said"))),
-    Fault(102, "too little memory", "X in one sentence", (_REFUSALS_TEST + "too_little_memory_is_said_in_one_sentence",)),
+    Fault(102, "too little memory", "X in one sentence", (_MISTAKES + "too_little_memory_is_said_in_one_sentence",)),
     Fault(103, "names with terminal, HTML or formula markup", "shown as plain text", (_NAMES + "markup_is_shown_as_it_is", _NAMES + "html_is_text_in_a_report")),
     Fault(104, "control characters and line ends in names and frames", "shown as escape codes, in terminal, log and diagnostics", (_NAMES + "what_cannot_be_printed_is_shown_as_codes", _console("108_104_all_messages_refused_is_said_on_the_console"), _console("104_a_frame_id_is_printable"))),
     Fault(105, "a pipe or a device in place of a file", "X naming it", (_REFUSALS,)),
