@@ -96,12 +96,7 @@ def chosen(found: Estimate) -> list[EffectEstimate]:
 @pytest.mark.parametrize(
     ("name", "joint", "effect"),
     # Joints 5 and 6 of the large arm are its wrist; no axes of the small one meet.
-    [
-        (name, joint + effect.startswith("coupled"), effect)
-        for name, joint in (("arm3", 1), ("arm7", 3))
-        for effect in DEFAULT_CANDIDATES
-        if name == "arm7" or not effect.startswith("coupled")
-    ],
+    [("arm3", 1, "spring"), *(("arm7", 3 + effect.startswith("coupled"), effect) for effect in DEFAULT_CANDIDATES)],
 )
 def test_a_planted_effect_is_found_where_it_is(name: str, joint: int, effect: str) -> None:
     case = planted(name, joint, effect)
@@ -128,7 +123,7 @@ def test_a_motor_that_turns_parallel_joints_is_told_from_an_inertia_by_the_prior
     np.testing.assert_allclose(found.rms, NOISE, rtol=0.1)
 
 
-@pytest.mark.parametrize("smoothing", SMOOTHINGS)
+@pytest.mark.parametrize("smoothing", [SMOOTHINGS[0], SMOOTHINGS[-1]])
 def test_dry_friction_has_its_shape_and_passes_for_nothing_else(smoothing: float) -> None:
     """It turns within a speed that nobody told; beside it there is no Stribeck friction."""
     case = planted("arm3", 1, "")
@@ -141,10 +136,9 @@ def test_dry_friction_has_its_shape_and_passes_for_nothing_else(smoothing: float
     assert chosen(found) == []
 
 
-@pytest.mark.parametrize("smoothing", [0.004, 0.015])
-def test_dry_friction_of_a_shape_that_is_not_tried_passes_for_nothing_else(smoothing: float) -> None:
+def test_dry_friction_of_a_shape_that_is_not_tried_passes_for_nothing_else() -> None:
     """Hundreds of times the noise are left of it near rest; in motion its level is found all the same."""
-    case = planted("arm3", 1, "")
+    case, smoothing = planted("arm3", 1, ""), 0.004
     speeds, levels = case.samples.velocity, case.true.effects["coulomb_friction"] + 10.0
     change = levels * np.tanh(speeds / smoothing) - (levels - 10.0) * np.tanh(speeds / 0.02)
     found = identifier(case.with_efforts(case.samples.effort + change)).solve()
@@ -180,7 +174,7 @@ def test_what_no_robot_has_is_not_taken(effect: str, size: float, monkeypatch: p
 
 def test_hardly_anything_is_taken_where_there_is_nothing() -> None:
     """Three standard deviations are one in 400 for a single candidate by chance."""
-    cases = [("arm3", 1, seed) for seed in range(6)] + [("arm7", 3, seed) for seed in range(2)]
+    cases = [("arm3", 1, seed) for seed in range(4)] + [("arm7", 3, 0)]
     taken = [chosen(identifier(planted(name, joint, "", seed)).solve()) for name, joint, seed in cases]
     assert sum(map(len, taken)) <= 1
 
@@ -241,7 +235,7 @@ def columns(case: Case, *more: tuple[str, int]) -> IntArray:
     return np.concatenate([np.arange(first), first + np.sort(own)])
 
 
-@pytest.mark.parametrize("effect", ["load_friction", "saturating_friction", "spring"])
+@pytest.mark.parametrize("effect", ["load_friction", "spring"])
 def test_the_marginal_likelihood_rises_with_a_planted_effect_and_falls_with_others(effect: str) -> None:
     case = planted("arm3", 1, effect)
     rows = CoefficientRows(problem(case))
@@ -273,18 +267,15 @@ def test_spreads_of_links_are_their_distances_from_the_prior_and_what_is_unsure_
     np.testing.assert_allclose(fitted.scales, expected, rtol=0.02)
 
 
-@pytest.mark.parametrize("effect", ["load_friction", "saturating_friction", "spring"])
-def test_what_a_column_promises_is_what_a_fit_with_it_finds(effect: str) -> None:
+def test_what_a_column_promises_is_what_a_fit_with_it_finds() -> None:
     """To first order, its gain in likelihood."""
-    case = planted("arm3", 1, "")
-    small = replace(case, samples=replace(case.samples, effort=case.samples.effort + 0.02 * added_to(case, effect)))
+    case, effect = planted("arm3", 1, ""), "saturating_friction"
+    small = replace(
+        case, samples=replace(case.samples, effort=case.samples.effort + 0.02 * added(effect, 1, case, case.noiseless))
+    )
     rows = CoefficientRows(problem(small))
     without = rows.fit(columns(small))
     (column,) = np.setdiff1d(columns(small, (effect, 1)), columns(small))
     larger = rows.fit(columns(small, (effect, 1)), without)
     (gain,) = without.gains(np.array([column]))
     assert gain == pytest.approx(without.score - larger.score, rel=0.3)
-
-
-def added_to(case: Case, effect: str) -> FloatArray:
-    return added(effect, 1, case, case.noiseless)

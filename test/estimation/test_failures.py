@@ -78,7 +78,6 @@ def motionless(noise: float) -> Callable[[Case], Case]:
 
 TROUBLES = {
     "one sample": only(slice(0, 1)),
-    "two samples": only(slice(0, 2)),
     "fewer rows than parameters": only(slice(0, 8)),
     "zero efforts": measuring(np.zeros_like),
     "tiny efforts": measuring(lambda effort: 1e-200 * effort),
@@ -92,17 +91,20 @@ TROUBLES = {
     "every sample twice": only(np.repeat(np.arange(300), 2)),
     "motionless": motionless(0.0),
     "nearly motionless": motionless(1e-3),
-    "noise alone": measuring(lambda effort: np.random.default_rng(0).normal(size=effort.shape)),
 }
 
 
-@pytest.mark.parametrize("objective", ["residual", "geodesic"])
-@pytest.mark.parametrize("trouble", TROUBLES)
+HARD = ("fewer rows than parameters", "reversed efforts", "absurd outliers", "nearly motionless")
+
+
+@pytest.mark.parametrize(
+    ("trouble", "objective"), [*((one, "residual") for one in TROUBLES), *((one, "geodesic") for one in HARD)]
+)
 def test_troubles_end_in_a_sound_estimate(trouble: str, objective: str) -> None:
     assert_sound(solved(TROUBLES[trouble](arm("arm3", 0, seconds=4)), objective=objective))
 
 
-@pytest.mark.parametrize("silent", [(0,), (2,), (0, 1)])
+@pytest.mark.parametrize("silent", [(2,), (0, 1)])
 def test_channels_that_are_never_measured(silent: tuple[int, ...]) -> None:
     case = arm("arm3", 0, seconds=4)
     effort = case.samples.effort.copy()
@@ -126,7 +128,7 @@ def test_a_joint_that_never_moves_does_not_get_a_friction_of_tonnes() -> None:
     assert max(abs(effect.value) for effect in found.effects) < 10.0
 
 
-@pytest.mark.parametrize("gamma", [1e-15, 1e-12, 1e-9, 1e3, 1e12])
+@pytest.mark.parametrize("gamma", [1e-15, 1e12])
 def test_extreme_weights_of_the_prior(gamma: float) -> None:
     assert_sound(solved(arm("arm3", 0, seconds=4), gamma=gamma))
 
@@ -143,12 +145,8 @@ def test_configured_sigmas(sigma: float) -> None:
     ("settings", "named"),
     [
         ({"gamma": 0.0}, "gamma"),
-        ({"gamma": -1.0}, "gamma"),
-        ({"gamma": np.nan}, "gamma"),
         ({"gamma": np.inf}, "gamma"),
         ({"sigma": {"joint1": 0.0}}, "sigma of 'joint1'"),
-        ({"sigma": {"joint1": -1.0}}, "sigma of 'joint1'"),
-        ({"sigma": {"joint1": np.nan}}, "sigma of 'joint1'"),
         ({"sigma": {"jiont1": 1.0}}, "Did you mean 'joint1'"),
         ({"objective": "residuals"}, "Did you mean 'residual'"),
         ({"solver": "newton"}, "trust_region"),

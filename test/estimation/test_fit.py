@@ -26,7 +26,6 @@ from geomid_ros.types import FloatArray
 from .arms import Case, Truth, arm, efforts
 
 NOISE = 0.05
-SEEDS = pytest.mark.parametrize("seed", range(2))
 
 
 def problem(case: Case, gamma: float | None = None) -> Problem:
@@ -54,8 +53,7 @@ def distances(found: Fit, links: FloatArray) -> FloatArray:
     return np.array([spd.distance(a, pseudo_inertia.from_parameters(b)) for a, b in zip(own, links, strict=True)])
 
 
-@SEEDS
-@pytest.mark.parametrize("wrong", [2, 4])
+@pytest.mark.parametrize(("wrong", "seed"), [(2, 0), (4, 1)])
 def test_a_link_that_is_wrong_alone_is_let_go_and_the_others_stay(wrong: int, seed: int) -> None:
     """Its mass is thrice the URDF's. Its spread grows, that of the others does not; one spread for all links, found
     from the same data, would loosen them, too."""
@@ -74,12 +72,11 @@ def test_a_link_that_is_wrong_alone_is_let_go_and_the_others_stay(wrong: int, se
     assert distances(found, links)[wrong] < 0.6 * wide, "what of it the motion tells is found"
 
 
-@SEEDS
-def test_rows_at_rest_get_their_own_noise(seed: int) -> None:
+def test_rows_at_rest_get_their_own_noise() -> None:
     """Where friction may have any value, at rest, rows are trusted less; those in motion no less for it."""
-    case = halting("arm3", seed)
+    case = halting("arm3", 0)
     rest = case.samples.velocity == 0.0
-    noise = np.random.default_rng(seed).normal(size=rest.shape) * np.where(rest, 1.0, NOISE)
+    noise = np.random.default_rng(0).normal(size=rest.shape) * np.where(rest, 1.0, NOISE)
     case = case.with_efforts(case.noiseless + noise)
     found = fitted(case)
     counts, sigmas = (each.reshape(REGIMES, -1) for each in (found.problem.counts, found.sigmas))
@@ -175,7 +172,7 @@ def test_the_score_is_the_density_of_what_was_measured() -> None:
     assert found.score == pytest.approx(expected, abs=0.05)
 
 
-@pytest.mark.parametrize(("seed", "wrong"), [(7, 6), (2, 6), (6, 2)])
+@pytest.mark.parametrize(("seed", "wrong"), [(7, 6), (6, 2)])
 def test_of_two_minima_the_more_likely_is_taken(seed: int, wrong: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """A link is six times as heavy, motors cog, and 2.5 s of motion tell little: beside the effects that were chosen
     there are two minima, one is reached from the prior, the other from where the choice ended. What is unsure goes from
@@ -240,7 +237,7 @@ def test_what_was_fitted_first_is_known_to_its_own_size_at_best() -> None:
     assert np.max(own) > 2.0 * USUAL_SPREAD_OF_REALS
 
 
-@pytest.mark.parametrize("fast", [0, 5, 60])
+@pytest.mark.parametrize("fast", [0, 5])
 def test_rows_of_slow_motion_stand_for_those_of_fast_motion_where_these_are_few(fast: int) -> None:
     """A few instants of a start-up do not say how sure a robot's efforts are that creeps then."""
     case = arm("arm3", 0, seconds=20)
@@ -254,8 +251,7 @@ def test_rows_of_slow_motion_stand_for_those_of_fast_motion_where_these_are_few(
     np.testing.assert_allclose(identifier.solve().sigmas, NOISE, rtol=0.15)
 
 
-@pytest.mark.parametrize("rows", [12, 25, 33, 36, 45])
-@pytest.mark.parametrize("slow", [1, 4, 12])
+@pytest.mark.parametrize(("rows", "slow"), [(12, 1), (25, 4), (36, 12), (45, 1)])
 def test_few_rows_of_all_kinds_are_no_proof_of_an_exact_sensor(rows: int, slow: int) -> None:
     case = arm("arm3", 0, seconds=20)
     chosen = np.random.default_rng(rows).choice(len(case.samples), rows, replace=False)

