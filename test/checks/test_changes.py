@@ -153,11 +153,10 @@ def test_friction_that_warms_up_is_no_fault(robot: Case) -> None:
 
 
 @pytest.mark.parametrize("leaned_on", [False, True])
-@pytest.mark.parametrize("seed", range(21, 23))
-def test_a_robot_that_stands_at_first_is_no_fault(seed: int, leaned_on: bool) -> None:
+def test_a_robot_that_stands_at_first_is_no_fault(leaned_on: bool) -> None:
     """Stiction holds what it likes, also while somebody leans on the robot now and then."""
-    rng = np.random.default_rng(seed)
-    of = arm("arm3", seed, seconds=SECONDS)
+    rng = np.random.default_rng(1)
+    of = arm("arm3", 1, seconds=SECONDS)
     moving = motion(rng, 3, SECONDS)
     still = np.mean(moving.position, axis=0) * np.ones((700, 1))  # amid all other poses
     stands = samples(

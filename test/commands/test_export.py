@@ -100,9 +100,7 @@ def test_a_file_of_ones_own_is_printed_with_what_was_identified(torques: Path, t
         assert found.body(link["name"]).mass[0] == pytest.approx(link["mass"])
     assert geomid("export", estimate, "--for", "drake", "--into", own).exit_code == 2
     own.write_text("<mujoco>")
-    assert "MuJoCo cannot read this model" in refused(
-        "export", estimate, "--for", "mujoco", "--into", own
-    )
+    assert "MuJoCo cannot read this model" in refused("export", estimate, "--for", "mujoco", "--into", own)
 
 
 def test_what_was_picked_up_is_found_by_the_torques(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -28,11 +28,10 @@ def own(every: FloatArray) -> ChannelProducts:
     )
 
 
-@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.usefixtures("either")
-def test_they_are_those_of_all_columns(seed: int) -> None:
+def test_they_are_those_of_all_columns() -> None:
     """Sums of squares, and weighted sums of products, of some columns, by the rows themselves."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(1)
     every = rows(rng)
     columns = np.flatnonzero(rng.random(SIZE - 1) < 0.7)
     products, left = own(every).select(columns), every[:, :, [*columns, SIZE - 1]]

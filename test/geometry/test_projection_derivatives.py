@@ -15,7 +15,6 @@ from .planes import (
     ALL,
     LINK,
     POSITIVE,
-    SEEDS,
     SHAPES,
     beyond,
     neighbourhood,
@@ -70,31 +69,27 @@ def check_hessian(manifold: ParameterManifold, point: Point, rows: FloatArray, t
 
 
 @SHAPES
-@SEEDS
-def test_gradient_within_the_neighbourhood(manifold: ParameterManifold, seed: int) -> None:
-    check_gradient(manifold, *neighbourhood(seed, manifold))
+def test_gradient_within_the_neighbourhood(manifold: ParameterManifold) -> None:
+    check_gradient(manifold, *neighbourhood(1, manifold))
 
 
 @pytest.mark.parametrize("status", [NO_ROOT_LOW, NO_ROOT_HIGH])
 @SHAPES
-@SEEDS
-def test_gradient_beyond_the_neighbourhood(manifold: ParameterManifold, seed: int, status: int) -> None:
-    check_gradient(manifold, *beyond(seed, manifold, status))
+def test_gradient_beyond_the_neighbourhood(manifold: ParameterManifold, status: int) -> None:
+    check_gradient(manifold, *beyond(1, manifold, status))
 
 
 @SHAPES
-@SEEDS
-def test_hessian_within_the_neighbourhood(manifold: ParameterManifold, seed: int) -> None:
-    point, rows, targets = problem(seed, manifold, 10, 0.4)
+def test_hessian_within_the_neighbourhood(manifold: ParameterManifold) -> None:
+    point, rows, targets = problem(1, manifold, 10, 0.4)
     assert np.all(project(manifold, point, rows, targets).status == ROOT)
     check_hessian(manifold, point, rows, targets)
 
 
 @pytest.mark.parametrize("status", [NO_ROOT_LOW, NO_ROOT_HIGH])
 @SHAPES
-@SEEDS
-def test_hessian_beyond_the_neighbourhood(manifold: ParameterManifold, seed: int, status: int) -> None:
-    check_hessian(manifold, *beyond(seed, manifold, status))
+def test_hessian_beyond_the_neighbourhood(manifold: ParameterManifold, status: int) -> None:
+    check_hessian(manifold, *beyond(1, manifold, status))
 
 
 @pytest.mark.parametrize("inside", [1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-15, 0.0])
@@ -105,10 +100,9 @@ def test_hessian_up_to_the_end_of_the_neighbourhood(inside: float) -> None:
     assert found.direction[0, 0] ** 2 + found.curvature[0, 0] == pytest.approx(1.0, abs=1e-5)
 
 
-@SEEDS
-def test_hessian_of_rows_with_repeated_eigenvalues(seed: int) -> None:
+def test_hessian_of_rows_with_repeated_eigenvalues() -> None:
     """X-bar proportional to the identity plus a rank-one part: the divided differences' limits."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(1)
     point = LINK.point(bodies.links(rng, 1)[0])
     for eigenvalues in ([1.0, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, -0.7], [1.0, 1.0, -1.0, -1.0], [0.0, 0.0, 1.0, 1.0]):
         vectors = np.linalg.qr(rng.normal(size=(4, 4)))[0]
@@ -117,10 +111,9 @@ def test_hessian_of_rows_with_repeated_eigenvalues(seed: int) -> None:
         check_hessian(LINK, point, row[None], np.array([row @ point.parameters + 0.3]))
 
 
-@SEEDS
-def test_weights_sum_the_rows_curvatures(seed: int) -> None:
-    point, rows, targets = neighbourhood(seed, ALL, 6)
-    weights, normals = np.random.default_rng(seed).uniform(0.1, 5.0, size=len(rows)), ALL.whiten(point, rows)
+def test_weights_sum_the_rows_curvatures() -> None:
+    point, rows, targets = neighbourhood(1, ALL, 6)
+    weights, normals = np.random.default_rng(1).uniform(0.1, 5.0, size=len(rows)), ALL.whiten(point, rows)
     together = projection.project(ALL, point, normals, targets, weights).curvature
     singly = [one(ALL, point, row, target).curvature for row, target in zip(rows, targets, strict=True)]
     np.testing.assert_allclose(together, np.einsum("n,nij->ij", weights, singly), rtol=0, atol=ROUNDING)

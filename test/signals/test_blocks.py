@@ -145,9 +145,8 @@ def test_a_pause_of_frozen_messages_is_a_pause() -> None:
 
 
 @pytest.mark.parametrize("merge", [False, True], ids=["one publisher", "two publishers"])
-@pytest.mark.parametrize("seed", range(2))
-def test_random_faults_in_random_blocks(seed: int, merge: bool) -> None:
-    assert_blocks_do_not_matter(np.random.default_rng(seed), merge=merge)
+def test_random_faults_in_random_blocks(merge: bool) -> None:
+    assert_blocks_do_not_matter(np.random.default_rng(1), merge=merge)
 
 
 def assert_blocks_do_not_matter(rng: np.random.Generator, *, merge: bool) -> None:

@@ -11,10 +11,9 @@ from geomid_ros.excitation.running.approach import stopping_accelerations, way_b
 JOINTS = ("a", "b", "c")
 
 
-@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("first", [0.5, 9.0])
-def test_the_way_to_the_start_is_slow_and_at_rest_at_both_ends(seed: int, first: float) -> None:
-    random = np.random.default_rng(seed)
+def test_the_way_to_the_start_is_slow_and_at_rest_at_both_ends(first: float) -> None:
+    random = np.random.default_rng(1)
     here, there = random.uniform(-3.0, 3.0, (2, 3))
     limits = np.array([first, 3.0, np.inf])
     way = way_by(JOINTS, [here, there], limits)
@@ -31,10 +30,9 @@ def test_the_way_to_the_start_is_slow_and_at_rest_at_both_ends(seed: int, first:
     assert np.all(np.diff(positions, axis=0) * (there - here) >= -1e-12), "it goes straight there"
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_the_way_to_rest_decelerates_uniformly(seed: int) -> None:
+def test_the_way_to_rest_decelerates_uniformly() -> None:
     """By the cubic that a controller makes of where it is and the one point."""
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(1)
     position, velocity = random.normal(0.0, 1.0, (2, 3))
     most = np.array([1.0, 4.0, 9.0])
     way = way_to_rest(JOINTS, position, velocity, most)
