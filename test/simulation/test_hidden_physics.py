@@ -176,13 +176,10 @@ def flanks(entry: dict[str, Any], turned: float, rate: float) -> float:
 
 
 @pytest.mark.parametrize(("effect", "law"), [("joint_elasticity", elastic), ("backlash", flanks)])
-@pytest.mark.parametrize("joint", ["joint1", "joint2", "joint3"])
-def test_a_gear_that_gives(
-    effect: str, law: Callable[[dict[str, Any], float, float], float], joint: str, tmp_path: Path
-) -> None:
+def test_a_gear_that_gives(effect: str, law: Callable[[dict[str, Any], float, float], float], tmp_path: Path) -> None:
     """At any state the link obeys the rigid body's equation under the gear's effort, and the rotor its own."""
     options = replace(OPTIONS, duration=0.5)
-    s = situation(Hidden(effect, joint), tmp_path, options)
+    s = situation(Hidden(effect, "joint2"), tmp_path, options)
     plant, model, at = s.run.robot.plant, s.run.independent.model, s.index()
     data, rng = model.createData(), np.random.default_rng(5)
     play = int(plant.driven[at]) + 1

@@ -9,7 +9,6 @@ import pytest
 
 from geomid_ros.simulation.motion import FADE_IN, RunTrace
 from geomid_ros.simulation.options import SimulationOptions
-from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.recording import closed_loop, record
 from geomid_ros.simulation.robot import build_robot
 from geomid_ros.simulation.robots import WRIST_FRAME
@@ -44,16 +43,6 @@ def test_dry_friction_never_exceeds_its_coefficient(run: Run) -> None:
 def test_wrench_is_what_the_arm_applies_to_the_tool(run: Run) -> None:
     expected = run.independent.carried_wrench(run.trace, WRIST_FRAME, "tool")
     np.testing.assert_allclose(run.trace.wrench, expected, rtol=0.0, atol=EXACT)
-
-
-def test_wrench_at_rest_points_up_and_weighs_the_tool() -> None:
-    robot = build_robot(replace(QUICK, wrench_frame=WRIST_FRAME))
-    held = np.zeros(len(robot.joints))
-    effort = Plant(robot.nominal, robot.bodies).inverse_dynamics(held, held, held)
-    np.testing.assert_allclose(robot.plant.acceleration(held, held, effort), 0.0, atol=1e-9)
-    tool = next(body for body in robot.bodies if body.name == "tool")
-    assert np.linalg.norm(robot.plant.wrench()[:3]) == pytest.approx(9.81 * tool.mass, rel=1e-9)
-    assert robot.plant.wrench()[2] > 0.9 * 9.81 * tool.mass
 
 
 def test_a_row_belongs_to_one_instant() -> None:
