@@ -23,19 +23,6 @@ def dense(motion: ExcitingMotion) -> np.ndarray:
     return motion.at(np.linspace(0.0, motion.form.duration, 6001))[0]
 
 
-def test_a_feasible_motion_holds_all_limits() -> None:
-    feasibility = TASK.feasibility
-    motion = random_feasible(feasibility, TASK.form, np.random.default_rng(1))
-    position = dense(motion)
-    low, high = feasibility.limits.position.T
-    assert np.all((position >= low) & (position <= high))
-    for order, limit in enumerate(feasibility.limits.derivatives, 1):
-        assert np.all(np.abs(np.diff(position, order, axis=0)) * 1000.0**order <= limit * (1.0 + 1e-3))
-    assert feasibility.collision is not None
-    assert np.all(feasibility.collision.distances(position) >= feasibility.clearances - 1e-6)
-    assert np.ptp(position) > 0.2
-
-
 def test_the_lower_bounds_of_distances_hold_and_are_close() -> None:
     feasibility = TASK.feasibility
     motion = random_feasible(feasibility, TASK.form, np.random.default_rng(7))

@@ -27,7 +27,6 @@ pytestmark = pytest.mark.usefixtures("either")
 
 ON_THE_PLANE = 1e-11  # residual over the row's dual norm
 ROUNDING = 1e-9
-REALS = ParameterManifold(0, 0, np.array([0.1, 20.0, 3.0]))
 
 
 @SHAPES
@@ -94,27 +93,6 @@ def test_a_general_optimiser_finds_the_same_point(manifold: ParameterManifold) -
         assert abs(residual(result.x)) <= 1e-7
         assert found.half_squared[k] == pytest.approx(result.fun, rel=1e-5, abs=1e-7)
         np.testing.assert_allclose(found.tangent[k], result.x, rtol=0, atol=1e-3)
-
-
-def test_a_real_row_is_an_orthogonal_projection() -> None:
-    rng = np.random.default_rng(1)
-    point, row, target = bodies.point(rng, REALS), rng.normal(size=3), 50.0 * rng.normal()
-    found = one(REALS, point, row, target)
-    normal = row * REALS.scales
-    distance = (target - row @ point.reals) / np.linalg.norm(normal)
-    assert found.status[0] == ROOT
-    assert found.half_squared[0] == pytest.approx(0.5 * distance**2, rel=ROUNDING)
-    np.testing.assert_allclose(found.tangent[0], distance * normal / np.linalg.norm(normal), rtol=ROUNDING)
-
-
-@pytest.mark.parametrize("ratio", [1e-8, 0.1, 0.9, 1.0, 1.1, 2.0, 2.7])
-def test_a_positive_row_moves_the_coefficient_to_its_value(ratio: float) -> None:
-    point = POSITIVE.point(np.array([0.02]))
-    for sign in (1.0, -1.0):
-        found = one(POSITIVE, point, np.array([sign * 3.0]), sign * 3.0 * 0.02 * ratio)
-        assert found.status[0] == ROOT
-        assert found.tangent[0, 0] == pytest.approx(np.log(ratio), rel=1e-5, abs=ROUNDING)
-        assert found.half_squared[0] == pytest.approx(0.5 * np.log(ratio) ** 2, rel=1e-5, abs=ROUNDING)
 
 
 @pytest.mark.parametrize("count", [1, 4])

@@ -12,14 +12,12 @@ from geomid_ros.geometry.projection import NO_ROOT_HIGH, NO_ROOT_LOW, ROOT
 from . import bodies
 from .planes import (
     ALL,
-    LINK,
     SHAPES,
     neighbourhood,
     norms,
     one,
     problem,
     project,
-    row_of,
 )
 
 pytestmark = pytest.mark.usefixtures("either")
@@ -107,19 +105,3 @@ def test_the_distance_to_a_hyperplane_has_no_frame_and_no_units() -> None:
     there = project(moved, moved.point(linear @ point.parameters), rows @ np.linalg.inv(linear), targets)
     np.testing.assert_array_equal(there.status, here.status)
     np.testing.assert_allclose(there.half_squared, here.half_squared, rtol=1e-6, atol=1e-9)
-
-
-def test_a_link_with_a_diagonal_normal_is_four_positives() -> None:
-    """A diagonal X-bar is four positive coefficients: the links' and the positives' formulas agree."""
-    rng = np.random.default_rng(1)
-    eigenvalues, positives = rng.normal(size=4), ParameterManifold(0, 4, np.zeros(0))
-    link = LINK.point(pseudo_inertia.to_parameters(np.eye(4)))
-    row = row_of(link, np.diag(eigenvalues))
-    target = float(eigenvalues.sum()) + 0.5 * np.linalg.norm(eigenvalues)
-    as_link, as_positives = (
-        one(LINK, link, row, target),
-        one(positives, positives.point(np.ones(4)), eigenvalues, target),
-    )
-    assert as_link.status[0] == as_positives.status[0]
-    assert as_link.half_squared[0] == pytest.approx(as_positives.half_squared[0], rel=ROUNDING)
-    np.testing.assert_allclose(as_link.tangent[0, :4], as_positives.tangent[0], rtol=0, atol=ROUNDING)

@@ -73,18 +73,6 @@ def test_every_massive_link_that_moves_is_in_one_body(name: str, floating: bool)
     assert sum(body.parameters[0] for body in robot.bodies) == pytest.approx(total, rel=ROUNDING)
 
 
-def test_inertias_may_be_given_in_axes_of_their_own() -> None:
-    """Roll, pitch and yaw of an <inertial>, in that order about fixed axes, as pinocchio reads them."""
-    text = urdf("ur5_robot.urdf")
-    old = '<origin rpy="0 0 0" xyz="0.0 0.0 0.28"/>'
-    assert text.count(old) > 0
-    text = text.replace(old, '<origin rpy="0.3 -1.1 2.0" xyz="0.1 -0.2 0.28"/>')
-    model = Reference(text).model
-    for body in Robot(text).bodies:
-        values = model.inertias[body.joint].toDynamicParameters()
-        np.testing.assert_allclose(body.parameters, values, rtol=0, atol=ROUNDING * np.max(np.abs(values)))
-
-
 def test_massless_links_are_no_unknowns() -> None:
     """The human's spherical joints are made of links without a mass: half of all its links."""
     text = urdf("human.urdf")

@@ -34,17 +34,6 @@ def assert_equal(actual: FloatArray, expected: FloatArray) -> None:
 
 
 @FIXED
-def test_nominal_parameters_give_the_efforts_of_the_urdf(name: str) -> None:
-    robot = Robot(urdf(name))
-    model = MeasurementModel(robot, [])
-    samples = random_samples(robot, seed=1)
-    measured, predicted = model.predict(samples, model.nominal_inertias)
-    assert_equal(predicted, Reference(urdf(name)).inverse_dynamics(samples, robot.joint_names)[1])
-    np.testing.assert_array_equal(measured, samples.effort)
-    assert [channel.name for channel in model.channels] == list(robot.joint_names)
-
-
-@FIXED
 def test_any_bodies_give_the_efforts_of_a_robot_made_of_them(name: str) -> None:
     robot = Robot(urdf(name))
     parameters = random_parameters(robot, seed=2)
