@@ -15,7 +15,7 @@ from sensor_msgs.msg import JointState
 from .direct import Direct
 from .in_motion import InMotion, in_time, noisy
 from .observer import MATCHING, plenty
-from .rig import ERROR, GOOD, OK, WARN, Rig
+from .rig import ERROR, OK, WARN, Rig
 from .spoiling import later, stamp_of
 from .stage import description
 
@@ -121,49 +121,6 @@ def test_48_a_motion_of_one_joint_leaves_links_untold_and_names_them(direct: Dir
     direct.assert_same_as_twin()
     begin = len(direct.arrays)
     direct.link_says(begin, "link2", OK, "mass")
-
-
-LARGEST = 100.0  # [N m] more than the arm ever needs
-
-
-def cut_off(messages: list[Recorded]) -> list[Recorded]:
-    """An effort too large for its sensor for a third of the time: then it reads the same for long."""
-    efforts = [abs(item.message.effort[0]) for item in messages if item.topic == "/joint_states"]
-    gain = LARGEST / np.quantile(efforts, 0.7)
-
-    def cut(item: Recorded) -> Recorded:
-        effort = item.message.effort.copy()
-        effort[0] = np.clip(gain * effort[0], -LARGEST, LARGEST)
-        return item.changed(effort=effort)
-
-    return [cut(item) if item.topic == "/joint_states" else item for item in messages]
-
-
-def test_41_a_saturated_effort_costs_the_messages_that_have_it_for_long(direct: Direct) -> None:
-    before, after = direct.begin()
-    direct.feed(before)
-    direct.published()
-    begin, since, last = len(direct.arrays), 0, stamp_of(before[-1])
-    spared: list[Recorded] = []
-    messages = cut_off(after)
-    for item in messages:
-        if item.topic == "/joint_states":
-            full = abs(item.message.effort[0]) == LARGEST
-            since = (since or stamp_of(item)) if full else 0
-            if full and stamp_of(item) - since >= 50_000_000:
-                if stamp_of(item) - last <= 500_000_000:
-                    continue
-            else:
-                last = stamp_of(item)
-        spared.append(item)
-    assert 10 < len(messages) - len(spared) < 100
-    direct.send(messages)
-    direct.twin.feed(spared)
-    direct.settled(begin)
-    direct.says(begin, None, "joint_states rejected: effort of 'joint2' saturated")  # an error where only such came
-    direct.assert_same_as_twin()
-    direct.feed(direct.shifted(later(item, 2 * SECOND) for item in GOOD[900:1100]))
-    direct.assert_same_as_twin()
 
 
 TWO = "joint_states has 2 publishers"

@@ -1,7 +1,6 @@
 """Real set-ups: the ready configurations with the messages of robots whose bodies are known, over DDS.
 
-Elsewhere: namespaces, remapping and two nodes side by side (test_namespaces), descriptions that are late, changed or
-latched (test_description), stamps that jump (test_catalogue_streams).
+Elsewhere: descriptions that are late, changed or latched (test_description), stamps that jump (test_catalogue_streams).
 """
 
 from __future__ import annotations
@@ -234,18 +233,3 @@ def test_a_quadruped_without_force_sensors(stage: Stage) -> None:
 def total(links: dict[str, dict[str, Any]]) -> float:
     """The mass of all links."""
     return float(sum(link["mass"] for link in links.values()))
-
-
-def test_a_person_on_a_force_plate(stage: Stage) -> None:
-    """Nobody measures efforts, and that is no error."""
-    text = urdf("human_description/robots/human.urdf")
-    robot = InMotion(text, duration=15.0, rate=30.0, seed=1, floating_base=True, swing=0.4)
-    nothing = np.zeros((len(robot.stamps), 0))
-    states = [item.changed(velocity=nothing[0], effort=nothing[0]) for item in robot.joint_states(robot.efforts())]
-    plate = robot.wrenches("/force_plate/wrench", "force_plate", noisy(robot.on_ground(), 1.0, seed=2))
-    setup = Setup(stage, CONFIG / "force_plate.yaml", text)
-    setup.publish(in_time(states, robot.odometry(), plate))
-    setup.told()
-    links = setup.saved()
-    assert_masses_are_true(links, robot.truth)
-    assert total(links) == pytest.approx(sum(body[0] for body in robot.truth.values()), rel=2e-3)
