@@ -88,15 +88,6 @@ def test_keywords_are_parameters_and_win_over_the_configuration() -> None:
     }
 
 
-def test_a_cutoff_is_that_of_the_parameter() -> None:
-    """The same result by the keyword as by the configuration."""
-    by_name = geomid_ros.identify(BAG, URDF, cutoff=8.0, effects=[])
-    by_file = geomid_ros.identify(BAG, URDF, config={"filter.cutoff": 8.0}, effects=[])
-    usual = geomid_ros.identify(BAG, URDF, effects=[])
-    masses = [[link.mass for link in found.links] for found in (by_name, by_file, usual)]
-    assert masses[0] == masses[1] != masses[2]
-
-
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [

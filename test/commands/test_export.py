@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import ast
 import json
-import re
-from dataclasses import replace
-from importlib.metadata import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from files.recordings import BAGS, QUICK
+from files.recordings import BAGS
 
-from geomid_ros.simulation import Hidden, SimulationOptions, simulate
-
-from .running import done, geomid, refused, undrawn
+from .running import done, geomid, refused
 
 
 def payload(output: str) -> tuple[float, np.ndarray, np.ndarray]:
@@ -103,26 +98,6 @@ def test_a_file_of_ones_own_is_printed_with_what_was_identified(torques: Path, t
     assert "MuJoCo cannot read this model" in refused("export", estimate, "--for", "mujoco", "--into", own)
 
 
-def test_what_was_picked_up_is_found_by_the_torques(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The arm alone, then the last link alone from there on: their difference is what was hidden at the flange."""
-    pytest.importorskip("mujoco")
-    undrawn(monkeypatch)
-    recording = SimulationOptions(robot="arm7", duration=15.0, seed=5, longest_step=QUICK, hide=())
-    simulate(tmp_path / "bare", recording)
-    simulate(tmp_path / "held", replace(recording, hide=(Hidden("payload", "flange"),)))
-    arm, held = tmp_path / "arm", tmp_path / "arm_held"
-    done("identify", tmp_path / "bare", "--urdf", BAGS / "arm7.urdf", "--effects", "none", "--out", arm)
-    start = ("--urdf", arm / "identified.urdf", "--model", arm / "estimate.json", "--links", "link7")
-    done("identify", tmp_path / "held", *start, "--effects", "none", "--out", held)
-    without = ("--frame", "flange", "--without", arm / "estimate.json")
-    mass, com, inertia = payload(done("export", held / "estimate.json", "--for", "ur", *without))
-    truth = json.loads((tmp_path / "held.truth.json").read_text())["effects"][0]["parameters"]
-    assert mass == pytest.approx(truth["mass"], rel=2e-3)
-    np.testing.assert_allclose(com, [truth[f"com_{axis}"] for axis in "xyz"], atol=5e-4)
-    expected = [truth[key] for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")]
-    np.testing.assert_allclose(inertia, expected, atol=0.1 * expected[0])
-
-
 def test_what_is_asked_for_must_make_sense(tmp_path: Path) -> None:
     urdf = BAGS / "arm3.urdf"
     assert "Did you mean 'tool'?" in refused("export", urdf, "--for", "ur", "--frame", "tol")
@@ -138,39 +113,3 @@ def test_what_is_asked_for_must_make_sense(tmp_path: Path) -> None:
         (["--into", "robot.xml"], "into is a file of MuJoCo's"),
     ):
         assert said in refused("export", urdf, "--for", "gazebo", *wrong)
-
-
-def test_the_hand_of_a_panda_by_the_mass_matrix(tmp_path: Path) -> None:
-    """What it adds to pinocchio's joint-space inertia is that of the exported body at the flange."""
-    (source,) = (file for file in files("example-robot-data") or () if file.as_posix().endswith("/panda.urdf"))
-    text = Path(str(source.locate())).read_text()
-    bare = re.sub(
-        r'(<link name="panda_(hand|leftfinger|rightfinger)">.*?)<inertial>.*?</inertial>', r"\1", text, flags=re.DOTALL
-    )
-    urdf, reference = tmp_path / "panda.urdf", tmp_path / "bare.urdf"
-    urdf.write_text(text)
-    reference.write_text(bare)
-    output = done("export", urdf, "--for", "ur", "--frame", "panda_link8")
-    assert (
-        done("export", urdf, "--for", "ur", "--frame", "panda_link8", "--without", reference).splitlines()[-9:]
-        == (output.splitlines()[-9:])
-    )
-    assert "with these joints at zero: panda_finger_joint1, panda_finger_joint2" in output
-    mass, com, (xx, yy, zz, xy, xz, yz) = payload(output)
-    body = pin.Inertia(mass, com, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
-    position = np.random.default_rng(0).uniform(-1.0, 1.0, 7)
-    with_hand, jacobian = mass_matrix(text, position)
-    without, _ = mass_matrix(bare, position)
-    np.testing.assert_allclose(with_hand - without, jacobian.T @ body.matrix() @ jacobian, atol=1e-9)
-
-
-def mass_matrix(urdf: str, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Joint-space inertia ``(7, 7)`` and the flange's Jacobian ``(6, 7)``, the fingers closed."""
-    model = pin.buildModelFromXML(urdf)
-    model = pin.buildReducedModel(model, [8, 9], np.zeros(9))
-    data = model.createData()
-    matrix = pin.crba(model, data, position)
-    upper = np.triu(matrix)
-    flange = model.getFrameId("panda_link8")
-    jacobian = pin.computeFrameJacobian(model, data, position, flange, pin.LOCAL)
-    return upper + np.triu(upper, 1).T, jacobian

@@ -315,17 +315,6 @@ def test_a_fit_that_did_not_converge_says_so_first(tmp_path: Path, monkeypatch: 
     assert read(tmp_path)["verdict"]["reasons"] == [f"the solver did not converge: {read(tmp_path)['reason']}"]
 
 
-def test_a_gain_of_the_wrong_sign_is_named_with_its_mending(tmp_path: Path) -> None:
-    parameters = tmp_path / "reversed.yaml"
-    parameters.write_text("/**: {ros__parameters: {effort_gain: -1.0}}")
-    result = geomid(*identify("arm3", "--config", parameters, "--out", tmp_path / "out"))
-    assert result.exit_code == 4, result.output
-    document = read(tmp_path / "out")
-    assert document["verdict"]["result"] == "doubtful"
-    assert document["verdict"]["causes"][0]["settings"] == {"effort_gain": 1.0}
-    assert "effort_gain: 1.0" in " ".join(result.stdout.split())
-
-
 def test_a_weighed_mass_is_told_and_written(tmp_path: Path) -> None:
     weighed = ("--known", "total=9:0.5", "--known", "link2+link3=4:1")
     text = done(*identify("arm3", *WRIST, *NO_CHOICE, *weighed, "--out", tmp_path))

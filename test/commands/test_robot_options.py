@@ -119,13 +119,6 @@ def test_options_win_over_the_parameter_file(tmp_path: Path) -> None:
     assert links(tmp_path / "file") == links(tmp_path / "options") != links(tmp_path / "wrong")
 
 
-@pytest.mark.parametrize("command", ["identify", "gap", "payload"])
-def test_commands_that_read_bags_have_the_same_options(command: str) -> None:
-    text = done(command, "--help")
-    for option in ("--urdf", "--xacro-arg", "--config", "--cutoff", "--gravity", "--gain ", "--lock", "--wrench"):
-        assert option in text
-
-
 def test_a_description_in_a_namespace_is_found(tmp_path: Path) -> None:
     renamed = altered(BAG, tmp_path / "bag", lambda item: replace(item, topic=f"/cell{item.topic}"))
     options = ("--joint-topic", "cell/joint_states", *NO_CHOICE, "--out", tmp_path)

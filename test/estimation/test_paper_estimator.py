@@ -109,14 +109,6 @@ def test_rows_without_a_projection_are_set_aside_and_counted() -> None:
     assert distance(case, found.parameters, solution(case, 1e-2)) < SAME
 
 
-def test_one_sigma_serves_all_and_results_are_read_only() -> None:
-    case = problem(0, LINKS)
-    one = solve_rows(case.rows, case.targets, 0.3, case.prior_table)
-    all_alike = solve_rows(case.rows, case.targets, np.full(len(case.rows), 0.3), case.prior_table)
-    np.testing.assert_array_equal(one.parameters, all_alike.parameters)
-    assert not one.parameters.flags.writeable
-
-
 @pytest.mark.parametrize(
     ("change", "named"),
     [
@@ -204,8 +196,3 @@ def test_remark_3_has_no_rows_to_set_aside_and_minimises_residuals() -> None:
     least = value(np.zeros(manifold.dimension))
     steps = 1e-4 * np.eye(manifold.dimension)
     assert all(value(sign * step) > least for step in steps for sign in (1.0, -1.0))
-
-
-def test_an_unknown_objective_is_refused() -> None:
-    with pytest.raises(InputError, match="objective 'entropy'"):
-        solve_rows(np.eye(1, 10), np.ones(1), np.ones(1), ROD, objective="entropy")

@@ -227,18 +227,6 @@ def solved(case: Case, coefficients: FloatArray, targets: FloatArray, gamma: flo
     return estimate(case.model, summary, EstimatorSettings(gamma=gamma))
 
 
-def test_a_link_that_the_motion_does_not_excite_says_so() -> None:
-    """The first link turns about a vertical axis: only its inertia about that axis can be felt, with the rotor's."""
-    case = arm("arm3", 0)
-    rows = case.model.rows(case.samples)
-    first, *_, last = solved(case, rows.coefficients, rows.targets).links
-    assert first.from_data < 0.05
-    assert set(first.cannot_tell) == set(QUANTITIES)
-    assert first.mass == pytest.approx(case.model.nominal_inertias[0], rel=0.01)
-    assert last.from_data > 0.3
-    assert "mass" not in last.cannot_tell
-
-
 # --- how often it is right ------------------------------------------------------------------------------------------
 
 

@@ -7,20 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import BufferSettings, Identifier
-from geomid_ros.geometry import pseudo_inertia, spd
-from geomid_ros.model.effects import identifiable
-from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.robot import Robot
 from geomid_ros.model.weighed_masses import WeighedMass
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 
-from .arms import ALL_EFFECTS, Case, Motion, arm, efforts, samples, shipped
-from .frames import rewritten
+from .arms import Case, Motion, arm, efforts, shipped
 
 STD = 0.02  # of the scales [kg]
 
@@ -92,30 +86,6 @@ def test_a_scale_of_great_precision_is_obeyed() -> None:
     assert found.converged
 
 
-def test_to_weigh_a_robot_is_not_to_move_it() -> None:
-    case = arm("arm3", 1)
-    with pytest.raises(InputError, match="no usable rows"):
-        Identifier(case.model, EstimatorSettings(known=(weighed(20.0),))).solve()
-
-
-def test_frames_and_units_do_not_matter() -> None:
-    length, mass = 100.0, 1000.0
-    case, other = arm("arm3", 0, seconds=10), rewritten(shipped("arm3"), 0, length, mass)
-    robot = Robot(other.urdf, gravity=np.array([0.0, 0.0, -9.81 * length]))
-    model = MeasurementModel(robot, [identifiable()[effect] for effect in ALL_EFFECTS])
-    truth = true_total(case)
-    here = solved(case, weighed(truth))
-    there = Identifier(model, EstimatorSettings(known=(weighed(mass * truth, mass * STD),)))
-    moving = Motion(case.samples.position, case.samples.velocity, case.samples.acceleration)
-    there.add(samples(moving, mass * length**2 * case.samples.effort))
-    found = there.solve()
-    assert found.gamma == pytest.approx(here.gamma, rel=1e-6)
-    assert found.known[0].std == pytest.approx(mass * here.known[0].std, rel=1e-6)
-    for one, two in zip(here.links, found.links, strict=True):
-        expected = pseudo_inertia.from_parameters(other.parameters(one.name, one.parameters))
-        assert spd.distance(expected, pseudo_inertia.from_parameters(two.parameters)) < 1e-6
-
-
 def test_live_and_from_a_bag_alike() -> None:
     """The node solves now and then while samples come; the last solve, for all data, is that of a bag."""
     case = arm("arm3", 5, seconds=10)
@@ -132,10 +102,3 @@ def test_live_and_from_a_bag_alike() -> None:
     np.testing.assert_allclose(pieces.parameters, whole.parameters, rtol=1e-6, atol=1e-9)
     assert abs(total(case, pieces) - truth) < 0.05
     assert pieces.links[-1].mass == pytest.approx(last, abs=0.02)
-
-
-def test_a_mistake_is_found_before_anything_is_read() -> None:
-    with pytest.raises(InputError, match="unknown link of a weighed mass 'link9'"):
-        Session(shipped("arm3"), Configuration({"known": ["link9=2:1"]}), "arm3.urdf")
-    with pytest.raises(InputError, match=r"robot.yaml: the weighed mass 'link3=2' is not of the form"):
-        Configuration({"known": ["link3=2"]}, "robot.yaml")

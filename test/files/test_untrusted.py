@@ -119,21 +119,15 @@ def test_yaml_beyond_the_limits_is_refused(case: str, tmp_path: Path) -> None:
     [
         ("1e-3", 1e-3),
         ("-.5", -0.5),
-        ("12", 12),
         ("0x1F", 31),
-        ("+7.", 7.0),
         ("yes", True),
-        ("Off", False),
         ("~", None),
-        ("", None),
         (".inf", float("inf")),
         ("1:30", "1:30"),
         ("2001-02-30", "2001-02-30"),
-        ("1_000", "1_000"),
         ("'1'", "1"),
         ("1:" * 300_000 + "1", "1:" * 300_000 + "1"),
         ("<<", "<<"),
-        ("=", "="),
     ],
 )
 def test_yaml_is_read_as_rcl_reads_it(text: str, value: object, tmp_path: Path) -> None:

@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import os
-import threading
-from collections.abc import Iterator
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import fsspec
@@ -106,31 +102,6 @@ def test_bags_in_an_object_store(folder: Path) -> None:
     assert not copied.exists()
     with pytest.raises(GeomidError, match=r"no such bag|cannot be copied"), on_this_disk("memory:///fleet/absent"):
         pass
-
-
-@pytest.fixture
-def served(folder: Path) -> Iterator[str]:
-    """The address of the folder on a web server."""
-
-    class Silent(SimpleHTTPRequestHandler):
-        def log_message(self, *_: object) -> None:
-            pass
-
-    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Silent, directory=str(folder)))
-    thread = threading.Thread(target=server.serve_forever)
-    thread.start()
-    yield f"http://127.0.0.1:{server.server_port}"
-    server.shutdown()
-    thread.join()
-    server.server_close()
-
-
-def test_bags_on_a_web_server(served: str) -> None:
-    pytest.importorskip("aiohttp")
-    assert found(f"{served}/left/") == EVERY[:2]
-    bag = find_bags(f"{served}/left/")[1]
-    with on_this_disk(bag.url) as path, Bag(path) as opened:
-        assert opened.count(["/joint_states"]) > 100
 
 
 def test_a_bag_on_this_disk_stays_where_it_is() -> None:

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pinocchio as pin
 import pytest
-from files.recordings import TYPES
-from rosbags.rosbag2 import StoragePlugin, Writer
 
-import geomid_ros
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.model.dynamics import Dynamics
@@ -60,9 +55,6 @@ def description(masses: dict[str, float], follow: bool = True) -> str:
 
 
 MASSES = {"lift": 2.0, "turn": 1.5, "grip": 0.6, "other_finger": 0.6, "crank": 0.9, "crank_of_crank": 0.4}
-
-NOISE = 0.02  # [N m, N] of an effort; the filter leaves less
-STILL = {"locked_joints": ["grip"]}  # the gripper does not move in the recording
 
 
 class Whole:
@@ -157,43 +149,6 @@ def test_in_the_mjcf_they_are_tied_to_their_masters() -> None:
         ("crank", "turn"): (0.2, 0.5),
         ("crank_of_crank", "turn"): (pytest.approx(0.0), -0.25),
     }
-
-
-def test_a_recording_without_them_is_used(tmp_path: Path) -> None:
-    """The masters' efforts tell what all weigh; what was planted is found again, from a description that is wrong."""
-    whole = Whole()
-    kind = "sensor_msgs/msg/JointState"
-    classes = TYPES.types
-    noise = np.random.default_rng(5)
-    rates = np.array([[2.1, 3.3, 1.3], [1.7, 2.6, 3.9]])
-    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        connection = writer.add_connection("/joint_states", kind, typestore=TYPES)
-        for index in range(4000):
-            time = 0.005 * index
-            q = np.sum(np.sin(rates * time), axis=0) * [0.6, 0.6, 0.0]
-            v = np.sum(rates * np.cos(rates * time), axis=0) * [0.6, 0.6, 0.0]
-            a = np.sum(-(rates**2) * np.sin(rates * time), axis=0) * [0.6, 0.6, 0.0]
-            position, velocity = whole.motion(q, v)
-            _, acceleration = whole.motion(q, a)
-            full = pin.rnea(whole.model, whole.data, position, velocity, acceleration)
-            effort = np.zeros(3)
-            for name, master in MASTERS.items():
-                effort[master] += FACTORS[name] * full[whole.model.joints[whole.model.getJointId(name)].idx_v]
-            effort += noise.normal(scale=NOISE, size=3)
-            stamp = 1_700_000_000_000_000_000 + 5_000_000 * index
-            header = classes["std_msgs/msg/Header"](
-                classes["builtin_interfaces/msg/Time"](*divmod(stamp, 1_000_000_000)), ""
-            )
-            message = classes[kind](header, ["lift", "turn", "grip"], q, v, effort)
-            writer.write(connection, stamp, bytes(TYPES.serialize_cdr(message, kind)))
-    wrong = {name: mass * (1.5 if name == "crank" else 1.0) for name, mass in MASSES.items()}
-    found = geomid_ros.identify(tmp_path / "bag", description(wrong), effects=[], config=STILL)
-    accounts = found.session.pipeline.ledger.topics
-    assert all(account.rejected.total() == 0 for account in accounts.values())
-    assert found.rms_nominal["turn"] > 5.0 * NOISE
-    assert max(found.rms.values()) < NOISE
-    truth = geomid_ros.identify(tmp_path / "bag", description(MASSES), effects=[], config=STILL)
-    assert max(truth.rms_nominal.values()) < NOISE
 
 
 def test_no_effect_is_at_a_joint_that_follows() -> None:

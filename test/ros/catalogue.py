@@ -138,7 +138,7 @@ CATALOGUE = (
     Fault(90, "messages are accepted, but yield no rows", "W asking to check the clocks of the topics", (_console("90_messages_of_which_nothing_comes_are_a_warning"),)),
     Fault(91, "the solving process is killed", "restarted, after increasing pauses if it ends without a result, W; no message is lost", (_SOLVING + "91_a_node_whose_process_is_killed_goes_on", _SOLVING + "a_process_that_is_killed_is_replaced", _SOLVING + "one_that_ends_in_every_solve_is_started_after_pauses")),
     Fault(92, "slow solves now and then", "each that hangs is ended and begun anew", (_console("92_what_hung_is_told_until_there_is_an_estimate"),)),
-    Fault(93, "a mimic joint that is not in the messages", "follows its master, whose effort drives both", ("../model/test_mimic.py::test_the_masters_efforts_make_the_energy_grow", "../model/test_mimic.py::test_a_recording_without_them_is_used", _console("93_a_mimic_joint_is_not_waited_for"))),
+    Fault(93, "a mimic joint that is not in the messages", "follows its master, whose effort drives both", ("../model/test_mimic.py::test_the_masters_efforts_make_the_energy_grow", _console("93_a_mimic_joint_is_not_waited_for"))),
     Fault(94, "tf_prefix", "R E naming the prefix", (_message("15-prefixed-names"), _REFUSALS)),
     Fault(95, "an infinite speed", "R W", (_message("95-infinite-speed"), _both("95-infinite-speeds"))),
     Fault(96, "thousands of messages at once after silence", "taken", (f"{_FAILURES}96_a_burst_of_thousands_after_silence_is_taken",)),

@@ -31,7 +31,6 @@ SHARED = Path(__file__).parents[3] / "shared" / "data"
 RECORDINGS = {
     "simulated": (BAGS / "arm7", BAGS / "arm7.urdf"),
     "ur10": (SHARED / "ur10_unisa_rosbag2/ur10_exciting_trajectory", SHARED / "ur10_unisa_rosbag2/ur10.urdf"),
-    "lwr4": (SHARED / "kuka_lwr4_hw/measurements_1", SHARED / "kuka_lwr4_hw/kuka_lwr4.urdf"),
 }
 FIRST = 300  # message that is spoiled
 
