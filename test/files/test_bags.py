@@ -14,8 +14,6 @@ from geomid_ros.signals.limits import MOST_WAITING
 
 from .recordings import BAGS, altered, recorded, write_bag
 
-UR10 = Path(__file__).parents[3] / "shared/data/ur10_unisa_rosbag2"
-
 
 def read(path: Path) -> list[tuple[str, int, str]]:
     """Everything in a bag, as texts that can be compared."""
@@ -84,14 +82,6 @@ def test_types_that_are_not_built_in_cost_only_their_topic(tmp_path: Path) -> No
         assert sum(1 for _ in opened.messages(["/wrench"])) == 800
         with pytest.raises(InputError, match="/robot_description"):
             list(opened.messages(["/robot_description"]))
-
-
-@pytest.mark.skipif(not UR10.is_dir(), reason="the measured data are not beside this repository")
-def test_a_measured_db3_as_its_driver_recorded_it() -> None:
-    with Bag(UR10 / "raw/ur10_exciting_trajectory.db3") as bag:
-        topic = bag.find_topic("joint_states", "sensor_msgs/msg/JointState", "--joint-topic")
-        messages = [message for _, _, message in bag.messages([topic])]
-    assert len(messages) == 3441
 
 
 def test_batches_are_no_longer_than_streams_wait_for_each_other(monkeypatch: pytest.MonkeyPatch) -> None:

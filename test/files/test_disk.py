@@ -117,13 +117,6 @@ def test_a_folder_that_cannot_be_made_is_named(path: Path) -> None:
     assert path.read_text() == BEFORE
 
 
-def test_a_folder_in_the_file_s_place_stays(tmp_path: Path) -> None:
-    (tmp_path / "file").mkdir()
-    with pytest.raises(GeomidError, match="cannot be written"):
-        write_text(tmp_path / "file", "new")
-    assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
-
-
 def fail_midway(folder: Path) -> None:
     with staged(folder) as stage:
         write_text(stage / "a", "other")

@@ -7,7 +7,6 @@ import hashlib
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -178,11 +177,3 @@ def test_simulated_again(drawn: Draw) -> None:
     assert "before 10.9" in text
     assert "No resimulation" not in text
     assert "No resimulation: MuJoCo has the day off." in drawn(PAGES["ambiguous"]).text
-
-
-def test_the_page_is_whole_or_not_there(tmp_path: Path) -> None:
-    page = gap_page("named", ARM[:2])
-    broken = replace(page, rigid=page.rigid[:3])
-    with pytest.raises(ValueError, match="broadcast"):
-        write_gap_page(tmp_path / "report.html", broken)
-    assert list(tmp_path.iterdir()) == []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import struct
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,6 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from geomid_ros.errors import GeomidError
 from geomid_ros.report import sheet
 from geomid_ros.report.drawing import identification_figure
 from geomid_ros.report.ellipsoids import BodyDrawing, Ellipsoid
@@ -87,31 +85,6 @@ def test_every_input_gives_a_whole_picture(name: str, tmp_path: Path) -> None:
     identification_picture(tmp_path / "p.png", "title $", bodies, series, "note $ " * 200)
     assert is_whole_picture(tmp_path / "p.png")
     assert [file.name for file in tmp_path.iterdir()] == ["p.png"]
-
-
-def test_same_input_gives_same_bytes(tmp_path: Path) -> None:
-    for name in ("a.png", "b.png"):
-        identification_picture(tmp_path / name, "title", chain(5), channels(4), "note")
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-
-
-def test_nothing_is_left_when_the_place_is_taken(tmp_path: Path) -> None:
-    (tmp_path / "p.png").mkdir()
-    with pytest.raises(GeomidError, match=r"p\.png"):
-        identification_picture(tmp_path / "p.png", "title", chain(1), channels(1), "note")
-    assert [file.name for file in tmp_path.iterdir()] == ["p.png"]
-
-
-def test_failing_write_leaves_the_old_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "p.png").write_text("old")
-
-    def full(descriptor: int) -> None:
-        raise OSError(28, "no space left on device", descriptor)
-
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(GeomidError, match="no space"):
-        identification_picture(tmp_path / "p.png", "title", chain(1), channels(1), "note")
-    assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("p.png", "old")]
 
 
 def test_the_most_improved_channels_are_shown_in_their_order() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from excitation.motions import Motion, bump, lively
+from excitation.motions import Motion, bump
 from files.recordings import BAGS, Recorded, recorded
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -234,12 +234,3 @@ def refused_motion(stage: Stage, **changes: Any) -> str:
     process = stage.start("geomid_ros", "excite", "run", path)
     assert status(stage, process) == 2
     return process.output.partition("Error: ")[2]
-
-
-def test_from_a_urdf_to_an_identified_robot(stage: Stage) -> None:
-    """The simulated robot's inertias are a fifth larger than the URDF's."""
-    controller(stage, start=0.0)
-    process = excite(stage, lively(JOINTS, 12.0, 0.4), *FAST, *PATIENT, "--identify")
-    assert status(stage, process) == 0, process.output
-    assert (stage.folder / "out/run1_identified/estimate.json").exists()
-    assert "Links" in process.output
