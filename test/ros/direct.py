@@ -19,7 +19,8 @@ from geomid_ros.live.worker import Worker
 from geomid_ros.ros.diagnostics import Diagnostics
 from geomid_ros.session.results import document
 
-from .rig import NOTHING, PATIENCE, SOLVE_PERIOD, Rig, Twin
+from .rig import NOTHING, SOLVE_PERIOD, Rig, Twin
+from .waiting import PATIENCE
 
 
 class Direct(Rig):

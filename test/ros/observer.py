@@ -19,8 +19,9 @@ from std_srvs.srv import Trigger
 
 from geomid_ros.live.saving import SLOW
 
+from .waiting import PATIENCE
+
 T = TypeVar("T")
-PATIENCE = 300.0  # [s] for what must come some time: the machine may be busy
 MATCHING = 1.0  # [s] a subscriber knows of a publisher a little later than the publisher of it
 BETWEEN_MESSAGES = 0.75e-3  # [s]
 TOGETHER = 20  # messages

@@ -26,6 +26,7 @@ from .observer import BETWEEN_MESSAGES, MATCHING, latched, plenty
 from .processes import Process
 from .spoiling import later
 from .stage import KINDS, NO_CHOICE, WRIST, Stage, description, messages, staged
+from .waiting import PATIENCE
 
 SAME = 1e-9  # relative: with the bad messages, and without
 BETWEEN_CASES = 100_000_000_000  # [ns] of the stamps
@@ -33,7 +34,6 @@ GOOD = messages()
 BEFORE, AFTER = GOOD[300:600], GOOD[600:900]
 NOTHING = "no usable rows: nothing was measured, or the robot never moved"
 SOLVE_PERIOD = 0.8  # [s] solving takes most of a node's time: more often than once a case or two it need not
-PATIENCE = 300.0  # [s] for diagnostics, on a busy machine
 FLAT_WRIST = {f"wrench.wrist.{key}": value for key, value in WRIST["wrench"]["wrist"].items()}
 
 

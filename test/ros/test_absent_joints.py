@@ -20,8 +20,8 @@ from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.ledger import Ledger
 
 from .stage import NO_CHOICE, messages
+from .waiting import PATIENCE
 
-PATIENCE = 180.0
 STATES = [item for item in messages() if item.topic == "/joint_states"][:300]
 ARM, FINGER = ("joint1", "joint2", "joint3"), "finger_joint1"
 

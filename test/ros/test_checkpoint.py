@@ -8,7 +8,6 @@ import json
 import os
 import signal
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -34,6 +33,7 @@ from geomid_ros.session.session import Session
 
 from .observer import latched
 from .stage import KINDS, NO_CHOICE, WRIST, Stage, description, messages
+from .waiting import PATIENCE, wait_until
 
 ARM3 = {**WRIST, **NO_CHOICE, "robot_description": description("arm3"), "solve_period": 0.5}
 FLAT = {**NO_CHOICE, "wrenches": ["wrist"], "wrench.wrist.topic": "/wrench", "wrench.wrist.frame": "wrist_ft"}
@@ -41,7 +41,6 @@ MESSAGES = messages()
 HALF = len(MESSAGES) // 2
 EACH = HALF // 2  # messages of either topic in half of the bag
 SOON = 0.05  # [s]
-PATIENCE = 300.0  # [s] on a busy machine
 
 
 def keeping(folder: Path, period: float = 0.5) -> dict[str, Any]:
@@ -156,13 +155,6 @@ def test_without_a_place_for_checkpoints_it_estimates(stage: Stage, tmp_path: Pa
     told(stage, lambda status, _: status.level == DiagnosticStatus.ERROR and "file" in status.message, "an error")
     assert node.end() == 0
     assert (tmp_path / "file").read_text() == "in the way"
-
-
-def wait_until(look: Callable[[], object]) -> None:
-    end = time.monotonic() + PATIENCE
-    while not look():
-        assert time.monotonic() < end
-        time.sleep(0.005)
 
 
 def rows_safe(checkpoints: Checkpoints) -> object:

@@ -15,8 +15,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 
 from .processes import Process
 from .stage import NO_CHOICE, WRIST, Stage, description
+from .waiting import PATIENCE
 
-PATIENCE = 300.0  # [s] on a busy machine
 URDF = {"robot_description": description("arm3"), **WRIST, **NO_CHOICE}
 
 

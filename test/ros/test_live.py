@@ -153,12 +153,6 @@ def test_the_last_inertias_are_the_saved_ones(live: Live) -> None:
     assert [message.header.frame_id for message in live.inertias[:number]] == live.links
 
 
-def test_who_comes_late_gets_all_links(live: Live) -> None:
-    assert {message.header.frame_id for message in live.late_inertias} == set(live.links)
-    assert live.late_descriptions[-1].data == live.descriptions[-1].data
-    assert len(live.late_markers) == 1
-
-
 def test_the_published_description_is_the_identified_urdf(live: Live) -> None:
     assert live.descriptions[-1].data == live.urdf
     bodies = {body.name: body for body in Robot(live.urdf, cuts=["wrist_ft"]).bodies}

@@ -28,7 +28,6 @@ from .stage import KINDS, NO_CHOICE, WRIST, Stage, description, messages
 
 HALF = messages()[:800]
 ARM3 = description("arm3")
-SHIPPED = Path(__file__).parents[2] / "config/geomid.yaml"
 SINGLE = [parameter for parameter in PARAMETERS if "*" not in parameter.name]
 
 
@@ -83,12 +82,9 @@ def test_a_node_that_is_refused_is_gone_at_once(stage: Stage, monkeypatch: pytes
 # Variables of the environment, ROS arguments, and what the one message must hold.
 CANNOT_START: dict[str, tuple[dict[str, str], tuple[str, ...], tuple[str, ...]]] = {
     "no keystore": ({"ROS_SECURITY_KEYSTORE": "{folder}/nowhere"}, (), ("{folder}/nowhere",)),
-    "keystore not named": ({}, (), ("ROS_SECURITY_KEYSTORE is not set",)),
     "empty keystore": ({"ROS_SECURITY_KEYSTORE": "{folder}"}, (), ("ROS_SECURITY_KEYSTORE is {folder}",)),
     "parameter": ({}, ("-p", "x"), ("'-p x'",)),
-    "remapping": ({}, ("-r", "x"), ("'-r x'",)),
     "QoS": ({}, ("-p", "qos_overrides./joint_states.subscription.reliability:=good"), ("'joint_states'", "`good`")),
-    "depth": ({}, ("-p", "qos_overrides./joint_states.subscription.depth:=-1"), ("'joint_states'", "qos_overrides")),
 }
 
 
@@ -211,14 +207,3 @@ def test_what_rows_depend_on_changes_after_stop_and_reset(stage: Stage, out: Pat
     assert document["rows"]["accepted"] == twin.identifier.rows
     masses = [link["mass"] for link in document["links"]]
     np.testing.assert_allclose(masses, [link.mass for link in twin.identifier.solve().links], rtol=1e-6)
-
-
-def test_the_shipped_file(stage: Stage) -> None:
-    """It starts the node, and gives what the node has without it."""
-    arguments = ("--ros-args", "--params-file", SHIPPED, "-p", "use_sim_time:=true", "-r", "__ns:=/with")
-    process = stage.start("geomid_ros.ros.main", *arguments)
-    stage.node({}, "-r", "__ns:=/without", name="without/geomid")
-    stage.serving(process, "with/geomid")
-    names = [parameter.name for parameter in SINGLE]
-    assert get(stage, names, "/with") == get(stage, names, "/without")
-    stage.observer.diagnostics(lambda *_: True, "diagnostics while simulated time stands still", "with/geomid")

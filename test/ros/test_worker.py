@@ -27,8 +27,8 @@ from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 
 from .stage import NO_CHOICE, messages
+from .waiting import PATIENCE, wait_until
 
-PATIENCE = 300.0
 STATES = [item for item in messages() if item.topic == "/joint_states"]
 JOINTS = [item.raw for item in STATES]
 SOON, NEVER = 0.01, 3600.0  # [s] periods of the solver
@@ -411,10 +411,3 @@ def test_the_time_from_receipt_to_row_counts_from_the_callback_on(quiet: Watched
     later = quiet.worker.status(active=True).receipt_to_row[len(before) :]
     assert len(later) > 0
     assert min(later) > 0.2
-
-
-def wait_until(look: Any) -> None:
-    end = time.monotonic() + PATIENCE
-    while not look():
-        assert time.monotonic() < end
-        time.sleep(0.005)

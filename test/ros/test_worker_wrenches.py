@@ -30,6 +30,7 @@ from geomid_ros.session.session import Session
 
 from .in_motion import SECOND, START, InMotion, in_time, noisy
 from .stage import NO_CHOICE
+from .waiting import PATIENCE, wait_until
 
 SECONDS, RATE = 42.0, 50.0
 TARED, BACK = 26.0, 33.0  # [s]
@@ -47,7 +48,6 @@ VALUES = {
     "wrench.wrist.topic": "/wrist",
     "wrench.wrist.frame": "wrist_ft",
 }
-PATIENCE = 180.0
 SAME = 1e-8
 Change = Callable[[float, np.ndarray], np.ndarray]  # of a wrench, or efforts, at a time
 
@@ -294,10 +294,3 @@ def test_what_was_solved_for_before_a_change_was_noticed_chooses_nothing(working
     assert working.worker.solver.changed_sensors == ("/wrist",)
     assert working.worker.solver._warm_start() is None
     assert working.worker.estimate is not None, "there is none better yet"
-
-
-def wait_until(look: Callable[[], bool]) -> None:
-    end = time.monotonic() + PATIENCE
-    while not look():
-        assert time.monotonic() < end
-        time.sleep(0.005)
