@@ -88,14 +88,14 @@ def test_a_sensor_is_set_to_zero(robot: Case) -> None:
         assert float(size) == pytest.approx(-np.std(robot.samples.effort[:, joint]), rel=0.3)
 
 
-@pytest.mark.parametrize("at_first", [True, False])
+@pytest.mark.parametrize(("robot", "at_first"), [(ROBOTS[0], True), (ROBOTS[1], False)], indirect=["robot"])
 def test_gravity_is_compensated_for_a_part_of_the_time(robot: Case, at_first: bool) -> None:
     whole, without = felt(robot, robot.true), felt(robot, robot.true, (0.0, 0.0, 0.0))
     effort = np.where(later(robot) != at_first, without, whole)
     assert "gravity" in changed(robot, replace(robot.samples, effort=effort), "switched").sentence
 
 
-@pytest.mark.parametrize("mass", [1.0, -1.0])
+@pytest.mark.parametrize(("robot", "mass"), [(ROBOTS[0], 1.0), (ROBOTS[1], -1.0)], indirect=["robot"])
 def test_something_is_taken_up_or_put_down(robot: Case, mass: float) -> None:
     heavy = loaded(robot.true, 1.0)
     first, second = (robot.true, heavy) if mass > 0.0 else (heavy, robot.true)
@@ -175,7 +175,11 @@ def test_a_robot_that_stands_at_first_is_no_fault(leaned_on: bool) -> None:
     assert findings(of, replace(stands, effort=measured)) == ()
 
 
-@pytest.mark.parametrize(("factor", "place"), [(1000.0, 0.25), (0.05, 0.5), (-1.0, 0.8), (-30.0, 0.25)])
+@pytest.mark.parametrize(
+    ("robot", "factor", "place"),
+    [(ROBOTS[0], 1000.0, 0.25), (ROBOTS[1], 0.05, 0.5), (ROBOTS[0], -1.0, 0.8), (ROBOTS[1], -30.0, 0.25)],
+    indirect=["robot"],
+)
 def test_efforts_in_another_unit_from_some_instant_on(robot: Case, factor: float, place: float) -> None:
     effort = robot.samples.effort.copy()
     effort[round(place * len(effort)) :] *= factor

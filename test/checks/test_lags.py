@@ -36,7 +36,7 @@ def with_lags(of: Case, late: list[int]) -> Samples:
     return replace(whole.select(inside), effort=effort)
 
 
-@pytest.mark.parametrize("late", [LATE, -LATE])
+@pytest.mark.parametrize(("robot", "late"), [(ROBOTS[0], LATE), (ROBOTS[1], -LATE)], indirect=["robot"])
 def test_all_efforts_are_late_or_early(robot: Case, late: int) -> None:
     cause = named(robot, with_lags(robot, [late] * len(robot.model.robot.joints)))
     assert cause.kind == "late"

@@ -36,7 +36,11 @@ def moved(own: Samples, scales: FloatArray | float, rate: float = 1.0) -> Sample
     )
 
 
-@pytest.mark.parametrize(("size", "unit"), [(0.5 / np.pi, "revolutions"), (2048.0 / np.pi, "steps of 4096 a turn")])
+@pytest.mark.parametrize(
+    ("robot", "size", "unit"),
+    [(ROBOTS[0], 0.5 / np.pi, "revolutions"), (ROBOTS[1], 2048.0 / np.pi, "steps of 4096 a turn")],
+    indirect=["robot"],
+)
 def test_positions_are_in_another_unit(robot: Case, size: float, unit: str) -> None:
     cause = named(robot.model, moved(robot.samples, size))
     assert cause.kind == "position"
@@ -58,7 +62,7 @@ def test_a_clock_that_runs_too_slow_is_named() -> None:
     assert "2 times as slow: with 2 times the time between messages" in cause.sentence
 
 
-@pytest.mark.parametrize("size", [0.0, 9810.0])
+@pytest.mark.parametrize(("robot", "size"), [(ROBOTS[0], 0.0), (ROBOTS[1], 9810.0)], indirect=["robot"])
 def test_gravity_is_in_another_unit(robot: Case, size: float) -> None:
     model = robot.model.with_gravity(np.array([0.0, 0.0, -size]))
     cause = named(model, robot.samples)
@@ -66,15 +70,14 @@ def test_gravity_is_in_another_unit(robot: Case, size: float) -> None:
     assert cause.settings["gravity"] == pytest.approx([0.0, 0.0, -9.81], abs=1.5)
 
 
-@pytest.mark.parametrize("slide", [4])
-def test_a_slide_in_millimetres_is_not_taken_for_lengths_of_the_urdf(slide: int, tmp_path: Path) -> None:
+def test_a_slide_in_millimetres_is_not_taken_for_lengths_of_the_urdf(tmp_path: Path) -> None:
     """A slide that is said to be hundreds of metres out makes no URDF long."""
     sound = simulated(RAIL, 0)
-    scales = np.where(np.arange(sound.position.shape[1]) == slide, 1000.0, 1.0)
+    scales = np.where(np.arange(sound.position.shape[1]) == 4, 1000.0, 1.0)
     assert sound.velocity is not None
     wrong = replace(sound, position=scales * sound.position, velocity=scales * sound.velocity)
     (finding,) = judged(wrong, wrong.write(tmp_path / "bag")).review.findings
-    assert (finding.cause.kind, finding.cause.places) == ("position", (sound.robot.joint_names[slide],))
+    assert (finding.cause.kind, finding.cause.places) == ("position", (sound.robot.joint_names[4],))
 
 
 def test_what_one_of_two_recordings_shows_is_a_remark(robot: Case) -> None:

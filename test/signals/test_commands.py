@@ -54,7 +54,7 @@ def expected(stamps: IntArray, late: float) -> FloatArray:
     return KP * (wanted - motion.derivative(stamps, 0)) - KD * motion.derivative(stamps, 1)
 
 
-@pytest.mark.parametrize("period", [0.002, 0.01, 0.04])
+@pytest.mark.parametrize("period", [0.002, 0.04])
 def test_a_command_holds_until_the_next_one(period: float) -> None:
     """On average it is half of the time between commands old."""
     found = feed(controlled(), in_time(states(), commands(regular(period, 8.0))))
@@ -78,9 +78,8 @@ def test_feed_forward_adds_and_reported_efforts_are_kept() -> None:
     assert plain.commands.shape == (len(plain), 4, 3)
 
 
-@pytest.mark.parametrize("period", [0.0015, HOLD])
-def test_blocks_of_any_size_make_the_same_samples(period: float) -> None:
-    messages = in_time(states(), commands(jittered(period, 8.0)))
+def test_blocks_of_any_size_make_the_same_samples() -> None:
+    messages = in_time(states(), commands(jittered(0.0015, 8.0)))
     one, many = controlled(), controlled()
     for message in messages:
         one.push(message)
