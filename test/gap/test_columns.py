@@ -3,13 +3,11 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from scipy.interpolate import CubicSpline
 
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.inference.fit import unfitted
-from geomid_ros.model.effects import AtJoint, OnRobot
-from geomid_ros.model.effects.effort_delay import EffortDelay
+from geomid_ros.model.effects import AtJoint
 from geomid_ros.model.effects.effort_gain import EffortGain
 from geomid_ros.model.effects.gravity_tilt import GravityTilt
 from geomid_ros.model.effects.joint_elasticity import JointElasticity
@@ -39,16 +37,6 @@ def agree(column: FloatArray, expected: FloatArray, share: float) -> None:
     assert np.linalg.norm(column - expected) < share * np.linalg.norm(expected)
 
 
-def test_tilt(problem: LinearisedProblem) -> None:
-    columns = GravityTilt().columns(problem.situation, OnRobot())
-    samples, step = problem.records.samples, 1e-5
-    for axis in range(2):
-        turned = pin.exp3(step * np.eye(3)[axis]).T @ problem.model.robot.gravity
-        tilted = planted.rigid(problem.total.inertias, turned)
-        difference = tilted(samples.position, samples.velocity, samples.acceleration) - efforts(problem)
-        agree(columns[:, :, axis], difference / step, 1e-4)
-
-
 def test_turned_gravity_is_that_of_the_turned_base() -> None:
     gravity = np.array([0.3, -0.2, -9.8])
     expected = pin.exp3(np.array([0.7, -0.4, 0.0])).T @ gravity
@@ -69,16 +57,6 @@ def test_elasticity(problem: LinearisedProblem) -> None:
     (chosen,) = problem.records.chosen
     expected = (dynamics(*bent) - dynamics(*exact))[chosen] / compliance
     agree(JointElasticity().columns(problem.situation, AtJoint(JOINT))[20:-20, :, 0], expected[20:-20], 0.05)
-
-
-def test_delay(problem: LinearisedProblem) -> None:
-    delay = 1e-3
-    times, *exact = planted.motion(5, 40.0)
-    whole = planted.rigid(problem.total.inertias)(*exact)
-    (chosen,) = problem.records.chosen
-    late = CubicSpline(times, whole)(times - delay)
-    column = EffortDelay().columns(problem.situation, OnRobot())[:, :, 0]
-    agree(column, ((late - whole) / delay)[chosen], 0.05)
 
 
 def test_gain_and_load_friction(problem: LinearisedProblem) -> None:

@@ -1,6 +1,5 @@
 """The joint fit and its score test: against exact fits, and where they must be blind."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -8,15 +7,12 @@ import pytest
 
 from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.gap import candidates as library
-from geomid_ros.gap.candidates import Candidate
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.evidence.noise import Autoregression
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import JointFit, fit, unfitted
-from geomid_ros.inference.rao_score import score_test
-from geomid_ros.types import FloatArray
 
 from . import planted
 
@@ -44,39 +40,6 @@ def design() -> Design:
 @pytest.fixture(scope="module")
 def bare(design: Design) -> JointFit:
     return fit(design, planted.prior(), [])
-
-
-def named(effect: str, joint: int) -> Candidate:
-    return next(c for c in CANDIDATES if c.name == effect and c.joint == joint)
-
-
-RANDOM = np.random.default_rng(3)
-KNOWN = LinksInformation(RANDOM.normal(scale=30.0, size=(12, 30)), RANDOM.normal(size=12))
-
-
-@pytest.mark.parametrize("known", [None, KNOWN], ids=["one recording", "others, too"])
-def test_the_fit_is_a_minimum(design: Design, known: LinksInformation | None) -> None:
-    """Steps away from it, with the spread that it found, raise the score."""
-    found = fit(design, replace(planted.prior(), known=known), [named("viscous_friction", 1)], spread=0.2)
-    rng = np.random.default_rng(0)
-    for _ in range(5):
-        direction = rng.standard_normal(found.manifold.dimension)
-        direction *= 0.3 / np.sqrt(direction @ found.information @ direction)
-        for sign in (1.0, -1.0):
-            assert objective(design, found, sign * direction, known) > objective(design, found, 0.0 * direction, known)
-
-
-def objective(design: Design, found: JointFit, tangent: FloatArray, known: LinksInformation | None) -> float:
-    """The posterior without the spread's own terms, from its definition."""
-    point = found.manifold.exp(found.point, tangent)
-    vector = np.append(point.parameters, -1.0)
-    squares = design.gather(found.bodies, found.terms).squares(vector)
-    links = found.manifold.log(found.manifold.point(np.append(MODEL.nominal_inertias, point.reals)), point)[:-1]
-    inertias = vector[:30] - MODEL.nominal_inertias
-    off = np.zeros(1) if known is None else known.residuals + known.rows @ inertias
-    return float(
-        design.counts @ np.log(squares) + np.sum((links.reshape(-1, 10) / found.spreads[:, None]) ** 2) + off @ off
-    )
 
 
 def said(found: JointFit, design: Design) -> LinksInformation:
@@ -137,26 +100,6 @@ def test_a_payload_is_reached_from_afar() -> None:
     body = pseudo_inertia.to_parameters(found.point.pseudo_inertias)[-1]
     stds = np.sqrt(np.diag(found.covariance)[found.manifold.link(found.manifold.links - 1)])
     assert np.all(np.abs(body[:4] - 0.8 * np.array([1.0, *centre])) < 3.0 * stds[:4])
-
-
-@pytest.mark.parametrize(("effect", "joint"), [("viscous_friction", 1), ("coulomb_friction", 1), ("effort_offset", 2)])
-def test_the_score_test_foretells_the_exact_fit(design: Design, bare: JointFit, effect: str, joint: int) -> None:
-    candidate = named(effect, joint)
-    gain = score_test(design, bare, candidate).gain
-    exact = bare.score - fit(design, planted.prior(), [candidate], bare, bare.spreads).score
-    assert abs(gain - exact) < 0.02 * abs(exact) + 0.5
-
-
-def test_separability_is_one_beside_the_inertias_and_none_within(design: Design) -> None:
-    """No inertia imitates viscous friction; the rotor of the first, upright joint is an inertia of its link."""
-    free = fit(design, planted.prior(), [], spread=2.0)
-    separable: Mapping[tuple[str, int], float] = {
-        (effect, joint): score_test(design, free, named(effect, joint)).separability
-        for effect, joint in (("viscous_friction", 0), ("viscous_friction", 1), ("rotor_inertia", 0))
-    }
-    assert separable["viscous_friction", 0] > 0.85
-    assert separable["viscous_friction", 1] > 0.85
-    assert separable["rotor_inertia", 0] < 0.02
 
 
 def test_the_spread_of_the_inertias_is_found(design: Design, bare: JointFit) -> None:

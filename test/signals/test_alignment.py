@@ -18,7 +18,6 @@ from geomid_ros.types import IntArray
 from .feeding import (
     JOINTS,
     START,
-    Motion,
     assert_same,
     balanced,
     completed,
@@ -180,30 +179,6 @@ def test_effort_gains_make_newton_metres(gain: float | dict[str, float]) -> None
     factors = np.full(3, gain) if isinstance(gain, float) else np.array([1.0, -2.5, 1.0])
     np.testing.assert_allclose(scaled.effort, plain.effort * factors, rtol=0, atol=1e-11)
     np.testing.assert_array_equal(scaled.position, plain.position)
-
-
-@pytest.mark.parametrize("low", [-np.pi, 0.0], ids=["-pi to pi", "0 to 2 pi"])
-def test_a_continuous_joint_may_be_reported_within_one_turn(low: float) -> None:
-    """It turns without end at 4 rad/s; its message jumps by a turn each time, its motion does not."""
-    stamps = regular(0.01, 8.0)
-    motion = Motion()
-    position = motion.derivative(stamps, 0)
-    position[:, 1] += 4.0 * (stamps - START) * 1e-9
-    wrapped = position.copy()
-    wrapped[:, 1] = np.remainder(position[:, 1] - low, 2.0 * np.pi) + low
-    assert np.count_nonzero(np.abs(np.diff(wrapped[:, 1])) > np.pi) > 3
-    messages = joint_messages(stamps, motion)
-    settings = SignalSettings(period=0.01)
-    results = []
-    for values in (position, wrapped):
-        moved = [replace(message, position=row) for message, row in zip(messages, values, strict=True)]
-        results.append(feed(SignalPipeline(JOINTS, settings=settings, continuous=["elbow"]), moved))
-    straight, jumping = results
-    np.testing.assert_allclose(np.exp(1j * jumping.position), np.exp(1j * straight.position), rtol=0, atol=1e-12)
-    np.testing.assert_allclose(jumping.velocity, straight.velocity, rtol=0, atol=1e-11)
-    np.testing.assert_allclose(jumping.acceleration, straight.acceleration, rtol=0, atol=1e-9)
-    assert np.all(np.abs(jumping.position[:, 1]) <= np.pi)
-    np.testing.assert_array_equal(jumping.position[:, [0, 2]], straight.position[:, [0, 2]])
 
 
 @pytest.mark.parametrize("topic", ["/wrench", "joint_states", "odom"])

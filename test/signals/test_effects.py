@@ -52,16 +52,6 @@ def test_a_column_is_what_an_effort_of_that_effect_becomes(effect: int) -> None:
     assert np.max(np.abs(samples.column(COLUMNS[effect]) - samples.effort)) < 0.02 * np.max(np.abs(truth))
 
 
-def test_friction_on_the_filtered_motion_would_not_do() -> None:
-    """The sign of the filtered velocity jumps where the filtered friction passes smoothly."""
-    stamps, motion = regular(0.008, 8.0), Motion()
-    friction = np.tanh(motion.derivative(stamps, 1) / 0.02)
-    samples = feed(pipeline(), with_efforts(stamps, friction))
-    rough = columns(samples.position, samples.velocity, samples.acceleration)[:, :, 1]
-    assert np.max(np.abs(rough - samples.effort)) > 0.3
-    assert np.max(np.abs(samples.column(COLUMNS[1]) - samples.effort)) < 0.02
-
-
 def test_columns_are_not_filtered_across_a_gap() -> None:
     messages = joint_messages(regular(0.008, 8.0))
     sides = [

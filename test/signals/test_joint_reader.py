@@ -154,43 +154,21 @@ def test_numbers_below_a_thousand_million_are_plausible() -> None:
     assert plausible(values).tolist() == [True, True, True, False, False, False, False, False]
 
 
-class TestParts:
-    """Messages of two publishers, of joints a and c every STEP, of joint b every two and a half."""
+def test_a_joint_comes_with_the_same_others() -> None:
+    """From one publisher of several."""
 
-    SECOND = 1_000_000_000
+    def new_reader(part: tuple[str, ...]) -> JointReader:
+        return JointReader(part, np.ones(len(part)), np.zeros(len(part), dtype=bool), MAX_GAP, lambda _: None)
 
-    def parts(self) -> JointParts:
-        def new_reader(part: tuple[str, ...]) -> JointReader:
-            return JointReader(part, np.ones(len(part)), np.zeros(len(part), dtype=bool), MAX_GAP, lambda _: None)
-
-        return JointParts(("a", "b", "c"), MAX_GAP, self.SECOND, new_reader, lambda _: None)
-
-    def fed(self, parts: JointParts, left: Sequence[int], right: Sequence[int]) -> dict[int, np.ndarray]:
-        """What becomes of messages with these stamps, in their order, by the stamp; their numbers are the stamps, those
-        of joint b twice as large."""
-        joints = parts.part(("a", "c")), parts.part(("b",))
-        messages = sorted([*((stamp, 0) for stamp in left), *((stamp, 1) for stamp in right)])
-        found = {}
-        for stamp, place in messages:
-            numbers = np.full(3 * len(joints[place]), (1.0 + place) * stamp)
-            found |= {then: whole.reshape(3, 3) for then, whole in parts.add(joints[place], stamp, numbers)}
-        return found
-
-    def stamps(self, step: int, begin: int = 0, end: int = 2 * SECOND) -> list[int]:
-        return list(range(begin + START, end + START + 1, step))
-
-    def test_a_joint_comes_with_the_same_others(self) -> None:
-        parts = self.parts()
-        parts.part(("a", "c"))
-        with pytest.raises(RejectedError, match="joint 'c' comes with others than before"):
-            parts.part(("b", "c"))
-        with pytest.raises(RejectedError, match="none of the robot's joints"):
-            parts.part(("x",))
-        with pytest.raises(RejectedError, match="no joint names"):
-            parts.part(())
-
-    def test_two_of_three_joints_are_not_the_robot(self) -> None:
-        assert self.fed(self.parts(), self.stamps(STEP), []) == {}
+    parts = JointParts(("a", "b", "c"), MAX_GAP, 100 * STEP, new_reader, lambda _: None)
+    parts.part(("a", "c"))
+    for names, said in (
+        ("bc", "joint 'c' comes with others than before"),
+        ("x", "none of the"),
+        ("", "no joint names"),
+    ):
+        with pytest.raises(RejectedError, match=said):
+            parts.part(tuple(names))
 
 
 def test_efforts_that_are_held_are_the_driver_s_fault_and_told_once() -> None:

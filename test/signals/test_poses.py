@@ -103,19 +103,6 @@ def test_quaternions_may_be_rounded() -> None:
         np.testing.assert_allclose(getattr(rounded, kind), getattr(plain, kind), rtol=0, atol=1e-9)
 
 
-def test_velocity_and_acceleration_belong_to_the_pose() -> None:
-    """Differences of the filtered poses themselves give the velocities, and theirs the accelerations."""
-    samples = flown(wandering)
-    step = float(np.diff(seconds(samples.stamps))[0])
-    poses = [pin.XYZQUATToSE3(pose) for pose in samples.base_pose]
-    differences = [pin.log6(a.actInv(c)).vector / (2.0 * step) for a, c in zip(poses[:-2], poses[2:], strict=True)]
-    size = np.max(np.abs(samples.base_velocity))
-    np.testing.assert_allclose(differences, samples.base_velocity[1:-1], rtol=0, atol=0.02 * size)
-    rates = np.gradient(samples.base_velocity, step, axis=0)[1:-1]
-    size = np.max(np.abs(rates))
-    np.testing.assert_allclose(rates, samples.base_acceleration[1:-1], rtol=0, atol=0.02 * size)
-
-
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 0.0999, 0.1001, 1.0, 3.0, 3.1415])
 def test_the_logarithm_is_pinocchios(angle: float) -> None:
     """Near and far, across the switch to the series, whatever the quaternions' signs."""
