@@ -22,6 +22,14 @@ def either(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> N
         pytest.skip("built without a compiler: python setup.py build_ext --inplace")
 
 
+@pytest.fixture
+def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where nobody looks at them; what a module shares is drawn nevertheless."""
+    from commands.running import undrawn  # noqa: PLC0415 few tests need it
+
+    undrawn(monkeypatch)
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     """For ``make quick``."""
     parser.addoption("--one-case", action="store_true", help="run every parametrized test with its first case only")

@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from commands.running import done, undrawn
+from commands.running import done
 from files.recordings import QUICK
 
 from geomid_ros.simulation import WRIST_FRAME, Hidden, SimulationOptions, simulate
 from geomid_ros.simulation.robots import robot_description
+
+pytestmark = pytest.mark.usefixtures("without_pictures")
 
 PERIOD = 5.0
 ARM3 = SimulationOptions(
@@ -35,12 +37,6 @@ CASES = {
 }
 WRIST = ("--wrench", f"/wrench:{WRIST_FRAME}:mounted")
 PAYLOAD = Hiding(replace(ARM7, seed=14), (Hidden("payload", "tool", 1.5),))
-
-
-@pytest.fixture(autouse=True)
-def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Numbers are judged here."""
-    undrawn(monkeypatch)
 
 
 def recorded(hiding: Hiding, folder: Path, *more: str) -> Path:

@@ -48,6 +48,7 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let results be written without pictures, where nobody looks at them: to draw takes longer than all the rest."""
     monkeypatch.setattr("geomid_ros.report.drawing.draw_identification", lambda *_: Figure((1.0, 1.0)))
     monkeypatch.setattr("geomid_ros.api.gap.write_gap_page", lambda *_: None)
+    monkeypatch.setattr("geomid_ros.report.excitation.motion_figure", lambda *_: Figure((1.0, 1.0)))
 
 
 def identify(robot: str, *arguments: str | Path) -> tuple[str | Path, ...]:

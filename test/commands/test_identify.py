@@ -26,6 +26,8 @@ from geomid_ros.simulation import SimulationOptions, simulate
 
 from .running import NO_CHOICE, WRIST, done, geomid, identify, link, read, refused, undrawn
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 ROBOT = "arm7"
 TABLES = {"links.csv", "effects.csv", "channels.csv"}
 DRAWN = {"identification.png", "report.html"}
@@ -116,12 +118,6 @@ def test_the_urdf_holds_what_was_fitted_for_it(run: tuple[Path, str]) -> None:
         assert body.merged == ()
         assert body.parameters[0] == pytest.approx(entry["mass"], rel=WRITTEN)
         np.testing.assert_allclose(body.parameters[1:4], entry["mass"] * np.array(entry["com"]), atol=1e-8)
-
-
-@pytest.fixture(autouse=True)
-def without_picture(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drawing takes longer than all the rest; the fixtures of the module draw nevertheless."""
-    undrawn(monkeypatch)
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,9 @@ import pytest
 from files.recordings import BAGS, TYPES, Recorded, altered, recorded, write_bag
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from .running import geomid, refused, undrawn
+from .running import geomid, refused
+
+pytestmark = pytest.mark.usefixtures("without_pictures")
 
 BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
 ARM3 = URDF.read_text()
@@ -26,12 +28,6 @@ OTHER = ("--urdf", BAGS / "arm7.urdf")
 ROBOT = ("--urdf", URDF)
 DEGREES = 180.0 / np.pi
 Arguments = Sequence[str | Path]
-
-
-@pytest.fixture(autouse=True)
-def without_picture(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drawing takes longer than all the rest."""
-    undrawn(monkeypatch)
 
 
 def typed(*arguments: str | Path) -> Callable[[Path], Arguments]:

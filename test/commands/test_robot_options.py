@@ -17,7 +17,9 @@ import geomid_ros
 from geomid_ros.files.models import xacro
 from geomid_ros.simulation import SimulationOptions, simulate
 
-from .running import NO_CHOICE, done, geomid, read, refused, undrawn
+from .running import NO_CHOICE, done, geomid, read, refused
+
+pytestmark = pytest.mark.usefixtures("without_pictures")
 
 BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
 ARM3 = URDF.read_text()
@@ -25,12 +27,6 @@ FINGER = """<link name="finger{n}"><inertial><mass value="{mass}"/><inertia ixx=
   iyz="0" izz="1e-4"/></inertial></link><joint name="finger_joint{n}" type="prismatic"><origin xyz="0 0 0.1"/>
   <parent link="{parent}"/><child link="finger{n}"/><axis xyz="1 0 0"/>
   <limit lower="0" upper="0.04" effort="20" velocity="0.2"/>{mimic}</joint>"""
-
-
-@pytest.fixture(autouse=True)
-def without_picture(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drawing takes longer than all the rest."""
-    undrawn(monkeypatch)
 
 
 def with_gripper(mass: float = 0.05, parent: str = "tool") -> str:

@@ -463,13 +463,9 @@ class TestCrafted:
         assert "/\\x1b[2Jgone" in shown
 
 
+@pytest.mark.usefixtures("without_pictures")
 class TestAsFound:
     """Cases 98 to 100, and 106: recordings as people have them."""
-
-    @pytest.fixture(autouse=True)
-    def without_pictures(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        """Nobody looks at them."""
-        undrawn(monkeypatch)
 
     @pytest.mark.parametrize("checksums", [True, False])
     def test_it_is_said_that_nothing_is_checked(self, checksums: bool, tmp_path: Path) -> None:
