@@ -122,18 +122,6 @@ def test_dry_friction_is_exact_while_a_joint_moves(arm: Robot, name: str, parame
         assert data.qfrc_constraint[rotor] == pytest.approx(-2.0 * np.sign(velocity), rel=1e-6)
 
 
-def test_a_joint_at_rest_sticks(arm: Robot) -> None:
-    model = compiled(mjcf(arm, {}, [effect("coulomb_friction", "joint1", level=2.0)]))
-    data = mujoco.MjData(model)
-    for effort, moves in ((1.9, False), (2.2, True)):
-        mujoco.mj_resetData(model, data)
-        model.opt.gravity[:] = 0.0
-        for _ in range(500):
-            data.ctrl[model.actuator("joint1").id] = effort
-            mujoco.mj_step(model, data)
-        assert (abs(data.joint("joint1").qpos[0]) > 0.05) == moves, "a soft constraint creeps a little"
-
-
 @pytest.mark.parametrize("given", [None, (0.0, 1.0, -9.7)])
 def test_a_tilt_turns_gravity(arm: Robot, given: tuple[float, ...] | None) -> None:
     straight = np.array(given or (0.0, 0.0, -9.81))

@@ -60,23 +60,6 @@ def test_a_force_plate_feels_the_whole_robot(name: str, foot: str, other_foot: s
     np.testing.assert_array_equal(measured, samples.wrenches[:, 0, [3, 4, 2]])
 
 
-@FLOATING
-def test_one_contact_sensor_carries_the_robot(name: str, foot: str, other_foot: str) -> None:
-    """Its six axes are the base's equation in its own frame; joints feel it through the leg."""
-    del other_foot
-    robot = Robot(urdf(name), floating_base=True)
-    model = MeasurementModel(robot, [], [WrenchSensor("/foot", foot, "external")])
-    reference = Reference(urdf(name), floating_base=True)
-    samples = random_samples(robot, seed=3, sensors=1)
-    base = reference.inverse_dynamics(samples, robot.joint_names)[0]
-    placements = [reference.placement(samples, i, robot.joint_names, foot) for i in range(len(samples))]
-    to_foot = [
-        placement.actInv(pin.XYZQUATToSE3(pose)) for placement, pose in zip(placements, samples.base_pose, strict=True)
-    ]
-    predicted = model.predict(samples, model.nominal_inertias)[1]
-    assert_equal(predicted[:, -6:], in_frames(base, to_foot))
-
-
 def standing(
     reference: Reference, samples: Samples, joints: tuple[str, ...], feet: tuple[str, str]
 ) -> tuple[dict[str, FloatArray], FloatArray]:
