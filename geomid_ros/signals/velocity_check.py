@@ -1,6 +1,5 @@
 """Whether the messages' velocities are the derivatives of their positions."""
 
-
 from __future__ import annotations
 
 import numpy as np

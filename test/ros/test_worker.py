@@ -303,7 +303,7 @@ def test_a_recording_is_judged_before_it_is_solved(quiet: Watched, monkeypatch: 
         return solve(warm)
 
     monkeypatch.setattr(type(quiet.session.review.check), "due", property(lambda _: True))
-    monkeypatch.setattr(quiet.session, "judge", lambda: done.append("judged"))
+    monkeypatch.setattr(quiet.session.review, "judge", lambda: done.append("judged"))
     monkeypatch.setattr(quiet.session.identifier, "solve", solved)
     quiet.feed()
     answers: queue.Queue[Estimate | GeomidError] = queue.Queue()

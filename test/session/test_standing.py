@@ -23,7 +23,7 @@ def session(folder: Path, known: object = True, channel: str = "effort") -> Any:
         loaded=SimpleNamespace(source=str(folder / "estimate.json"), known=known),
         robot=SimpleNamespace(joint_names=["shoulder"]),
         model=SimpleNamespace(channels=[SimpleNamespace(name=channel)]),
-        settled=[],
+        review=SimpleNamespace(settled=[]),
     )
 
 
