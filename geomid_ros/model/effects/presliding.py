@@ -12,7 +12,7 @@ from geomid_ros.model.effects.situation import JointMotion
 from geomid_ros.model.effects.stribeck_friction import dry_friction
 from geomid_ros.types import FloatArray
 
-DISTANCES = (1e-3, 3e-3, 1e-2, 3e-2)
+DISTANCES = (3e-3, 1e-2, 3e-2)
 """[rad or m] over which dry friction may change its sign."""
 
 
