@@ -50,8 +50,8 @@ class Presliding(JointEffect):
         return cls.variants()
 
     def is_borne_out(self, beside: Mapping[Effect, float]) -> bool:
-        """Whether the joint has as much dry friction as keeps its sign."""
-        return bool(beside[self] <= np.max(dry_friction(beside)))
+        """Whether the joint has as much dry friction as keeps its sign, but for the drift of both."""
+        return bool(beside[self] <= (1.0 + self.drift) * np.max(dry_friction(beside)))
 
     def column(self, motion: JointMotion) -> FloatArray:
         v, a = motion.velocity, motion.acceleration
