@@ -156,9 +156,7 @@ def estimate(
 
     kept = None if warm is None else _kept(model, warm)
     if warm is None or kept is None or warm.effects_alone:
-        coupled = _coupled(settings, whole)
-        beside = whole if coupled is None else coupled.problem_at(coupled.problem.prior_point, coupled.trusted)
-        choice = choose(beside, kept)
+        choice = choose(_at_prior(settings, whole), kept)
         columns = choice.columns
         result = _estimate(columns, model, fitted(columns, None, choice), settings)
         while len(unsure := _unsure(model, result, columns)):
@@ -168,7 +166,13 @@ def estimate(
     else:
         columns = kept
         result = _estimate(columns, model, fitted(columns, warm), settings)
-    within = fit_files(model, columns, settings.files, lambda held: fitted(held, None)[0])
+
+    def chosen(held: IntArray, begun: IntArray) -> IntArray:
+        problem = subproblem(whole, held)
+        choice = choose(_at_prior(settings, problem), np.searchsorted(held, begun))
+        return np.asarray(held[choice.columns])
+
+    within = fit_files(model, columns, settings.files, chosen, lambda held: fitted(held, None)[0])
     return replace(result, within=within, seconds=time.perf_counter() - begin)
 
 
@@ -177,6 +181,12 @@ def _coupled(settings: EstimatorSettings, problem: Problem) -> CoupledPrior | No
     if settings.population is not None:
         return PopulationPrior.of(settings.population, problem)
     return AlikePrior.of(settings.alike, problem) if settings.alike and problem.given is None else None
+
+
+def _at_prior(settings: EstimatorSettings, problem: Problem) -> Problem:
+    """The problem beside what couples its prior, there."""
+    coupled = _coupled(settings, problem)
+    return problem if coupled is None else coupled.problem_at(coupled.problem.prior_point, coupled.trusted)
 
 
 def _beside(prior: CoupledPrior | None, problem: Problem, solve: Callable[..., Fit]) -> tuple[Fit, Iterable[str]]:

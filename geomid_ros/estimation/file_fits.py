@@ -20,7 +20,11 @@ from geomid_ros.types import FloatArray, IntArray, frozen
 
 
 def fit_files(
-    model: MeasurementModel, chosen: IntArray, files: Mapping[str, tuple[str, ...]], fitted: Callable[[IntArray], Fit]
+    model: MeasurementModel,
+    chosen: IntArray,
+    files: Mapping[str, tuple[str, ...]],
+    choose: Callable[[IntArray, IntArray], IntArray],
+    fitted: Callable[[IntArray], Fit],
 ) -> dict[str, FloatArray]:
     """Parameters ``(D,)`` of the minimum within each of the ``files``; zero where a file holds nothing.
 
@@ -28,14 +32,16 @@ def fit_files(
         model: with all its coefficients.
         chosen: the parameters that the estimate has, by their columns.
         files: by who reads it, a file's elements (:meth:`~geomid_ros.model.effects.ParameterForm.said_by`).
+        choose: of the columns that a file can hold those that the rows ask for, from those among them that are chosen
+            on: what stands in for an effect that a file lacks is another one.
         fitted: the fit of the parameters of some columns.
     """
     found: dict[tuple[int, ...], FloatArray] = {}
     within = {}
     for reader, elements in files.items():
-        columns = held_columns(model, chosen, elements)
-        key = tuple(columns.tolist())
-        if key not in found:
+        held = held_columns(model, np.arange(model.dimension), elements)
+        if (key := tuple(held.tolist())) not in found:
+            columns = choose(held, held_columns(model, chosen, elements))
             parameters = np.zeros(model.dimension)
             parameters[columns] = fitted(columns).point.parameters
             found[key] = frozen(parameters)
@@ -43,13 +49,13 @@ def fit_files(
     return within
 
 
-def held_columns(model: MeasurementModel, chosen: IntArray, elements: Collection[str]) -> IntArray:
-    """The ``chosen`` parameters that a file with these ``elements`` holds, and errors of sensors, by their columns; of
+def held_columns(model: MeasurementModel, columns: IntArray, elements: Collection[str]) -> IntArray:
+    """Those of some parameters that a file with these ``elements`` holds, and errors of sensors, by their columns; of
     effects in their usual shape, as no file says another."""
     first = len(model.nominal_inertias)
-    own = [(column, model.coefficients[column - first]) for column in chosen.tolist() if column >= first]
-    held = [model.usual_shapes[c.mechanism] for _, c in own if _is_held(c, elements)]
-    return np.array([*chosen[chosen < first].tolist(), *held], dtype=np.int64)
+    own = [model.coefficients[column - first] for column in columns.tolist() if column >= first]
+    held = {model.usual_shapes[c.mechanism] for c in own if _is_held(c, elements)}
+    return np.array([*columns[columns < first].tolist(), *sorted(held)], dtype=np.int64)
 
 
 def _is_held(coefficient: Coefficient, elements: Collection[str]) -> bool:
