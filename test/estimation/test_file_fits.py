@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings
-from geomid_ros.estimation.file_fits import held_columns
+from geomid_ros.estimation.file_fits import fit_files, held_columns
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.files.models.readers import ELEMENTS
+from geomid_ros.model.effects import identifiable
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -106,3 +109,27 @@ def with_damping(case: Case, damping: float) -> Case:
     effects = list(dict.fromkeys(c.effect for c in case.model.coefficients))
     model = MeasurementModel(Robot(claimed), effects)
     return Case(model, case.samples, case.noiseless, case.truth, case.true)
+
+
+def test_of_all_that_a_file_holds_the_rows_choose_anew() -> None:
+    """Beside an effect that it lacks they asked for no spring; within the file they may."""
+    case = arm("arm3", 1, noise=0.05)
+    extra = [identifiable()[name] for name in ("stribeck_friction", "spring")]
+    model = MeasurementModel(case.model.robot, case.model.places.common, candidates=extra)
+    names = ["", *(coefficient.effect.name for coefficient in model.coefficients)]
+    first = len(model.nominal_inertias)
+    chosen = np.array([k for k in range(model.dimension) if k < first or names[k - first + 1] != "spring"])
+    asked: list[set[str]] = []
+
+    def choose(held: FloatArray, begun: FloatArray) -> FloatArray:
+        asked.extend({names[max(column - first + 1, 0)] for column in columns} for columns in (held, begun))
+        return held
+
+    def fitted(columns: FloatArray) -> Any:
+        return SimpleNamespace(point=SimpleNamespace(parameters=np.ones(len(columns))))
+
+    within = fit_files(model, chosen, {"mujoco": ELEMENTS["mujoco"]}, choose, fitted)["mujoco"]
+    held, begun = asked
+    assert (held - begun, "stribeck_friction" in held) == ({"spring"}, False)
+    springs = [k for k in range(first, model.dimension) if names[k - first + 1] == "spring"]
+    np.testing.assert_array_equal(within[springs], 1.0)
