@@ -137,8 +137,6 @@ class JointGate(Gate):
         if stamps[0] <= self._stamp:
             self._late = int(stamps[0])
             return in_order(stamps, numbers, whole=whole)
-        if leaping := self._position_leaps(stamps, numbers):
-            return Answer(noted=Reason(leaping, "told"), begins=True)
         return Answer()
 
     @staticmethod
@@ -174,15 +172,6 @@ class JointGate(Gate):
             if jumps.any()
             else ""
         )
-
-    def _position_leaps(self, stamps: IntArray, numbers: FloatArray) -> str:
-        """A position that goes on elsewhere, farther than the joint can move: of a simulation that was reset, of an
-        encoder that was frozen, or lost its count."""
-        reach = self._elapsed(stamps, 0) * self._speed
-        far = self._distance(numbers[0, 0], self._last[-1, 0])
-        leaps = (far > reach) & (far > CLEAR * np.maximum(self._largest_step(self._last), self._largest_step(numbers)))
-        joint = self._joints[int(np.argmax(np.where(leaps, far, 0.0)))]
-        return f"position of '{joint}' leaps farther than it can move: a new segment begins" if leaps.any() else ""
 
     def _effort_spikes(self, numbers: FloatArray, length: int) -> str:
         """The effort that leaves what is usual, and comes back."""

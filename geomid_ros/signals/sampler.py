@@ -243,7 +243,10 @@ class Sampler:
         if self._controller is not None:
             own, rates, _ = (part.reshape(count, 3, -1) for part in self._streams[COMMANDS].segment.filtered(instants))
             commands = np.concatenate([own, effort[:, None]], axis=1)
-            effort = self._controller.efforts(own, value[:, 0], velocity)
+            # A controller acts on the velocity that its driver sends.
+            sent = np.isfinite(value[:, 1]) & ~self._velocities.scaled
+            acted_on = np.where(sent, value[:, 1], velocity)
+            effort = self._controller.efforts(own, value[:, 0], acted_on)
             for column in self._entries.columns:
                 if isinstance(column, PlacedColumn) and column.effect.place == "commands":
                     effects[:, self._entries.of(column)[0]] = self._controller.rate(rates)

@@ -30,7 +30,7 @@ SIZES = {
     "load_friction": 0.1,
     "stribeck_friction": 2.0,
     "saturating_friction": 2.0,
-    "presliding": 1.0,
+    "presliding": 0.3,
     "quadratic_friction": 0.5,
     "spring": 3.0,
     "coupled_viscous_friction": 0.7,

@@ -19,10 +19,9 @@ from unittest.mock import patch
 import numpy as np
 
 from geomid_ros.estimation.identifier import EstimationTask, Identifier
-from geomid_ros.live import inbox, supervisor
+from geomid_ros.live import inbox, saving, supervisor
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros import main
-from geomid_ros.session.session import Session
 from geomid_ros.signals.pipeline import SignalPipeline
 
 VARIABLE = "GEOMID_TEST_FAULT"
@@ -173,7 +172,7 @@ def run() -> None:
     plant(Worker, "take", {"callback fails": with_wrenches(fail), "callback shuts down": with_wrenches(shut_down)})
     plant(Worker, "recent_messages", {"service fails": fail})
     plant(os, "fsync", {"disk full": full, "disk read-only": read_only, "disk slow": slowly, "everything hangs": hang})
-    plant(Session, "save", {"saving fails": fail})
+    plant(saving, "save", {"saving fails": fail})
     inbox.MOST_AT_ONCE = AT_ONCE
     watch = Watch()
     supervisor.Supervisor.restart_what_hangs = lambda self: watch(self)  # noqa: PLW0108 an object is no method

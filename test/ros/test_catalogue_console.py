@@ -340,7 +340,7 @@ class Slow:
     def final_estimate(self, done: Any) -> None:
         """Takes for ever."""
 
-    def save(self, folder: Path, estimate: Any) -> list[Path]:
+    def save(self, _: Any, folder: Path, estimate: Any) -> list[Path]:
         self.saved.append(estimate)
         return [folder / "estimate.json"]
 
@@ -356,6 +356,7 @@ def test_101_what_takes_too_long_is_said(estimate: Any, monkeypatch: pytest.Monk
     monkeypatch.setattr(saving, "_LATEST", 5.0)
     answers: queue.SimpleQueue[tuple[bool, str]] = queue.SimpleQueue()
     worker: Any = Slow(estimate)
+    monkeypatch.setattr(saving, "save", worker.save)
     saving.Saving(str(tmp_path)).begin_when_solved(worker, answers.put)
     success, message = answers.get(timeout=30.0)
     assert success == (estimate is not None)

@@ -162,26 +162,6 @@ def test_what_is_refused_does_not_depend_on_how_many_come_at_once(fault: str) ->
     assert sum(expected[1].values()) >= 12
 
 
-LEAPS = "leaps farther than it can move: a new segment begins"
-
-
-def test_a_position_that_leaps_begins_a_segment(recording: Recording) -> None:
-    """As of a simulation that was reset: nothing is refused, what is far from the leap is as it was, and no sample
-    moves across it."""
-    expected, _, before = recording.read()
-    recording.position[700:, recording.joint] += 1.5
-    samples, refused, noted = recording.read()
-    new = [note for note in noted if note not in before]
-    assert (refused, new) == ({}, [f"position of '{recording.names[recording.joint]}' {LEAPS}"])
-    shift = np.where(expected.stamps < recording.stamps[700], 0.0, 1.5)
-    common, own, whole = np.intersect1d(samples.stamps, expected.stamps, return_indices=True)
-    assert len(common) == len(samples) > 0.8 * len(expected)
-    joint = recording.session.robot.joint_names.index(recording.names[recording.joint])
-    apart = samples.position[own, joint] - expected.position[whole, joint]
-    np.testing.assert_allclose(apart, shift[whole], atol=1e-9)
-    np.testing.assert_allclose(samples.velocity[own], expected.velocity[whole], atol=1e-8)
-
-
 def test_a_driver_that_wraps_is_unwrapped(recording: Recording) -> None:
     """In the middle of the joint's way; no other number changes, and it is said."""
     expected, _, noted = recording.read()
