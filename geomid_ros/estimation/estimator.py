@@ -161,8 +161,8 @@ def estimate(
         result = _estimate(columns, model, fitted(columns, None, choice), settings)
         while len(unsure := _unsure(model, result, columns)):
             columns = np.setdiff1d(columns, unsure)
-            begun = WarmStart(result.parameters, spreads=result.spreads)
-            result = _estimate(columns, model, fitted(columns, begun), settings)
+            # What goes leaves no trace: there may be another minimum where it led.
+            result = _estimate(columns, model, fitted(columns, None, choice), settings)
     else:
         columns = kept
         result = _estimate(columns, model, fitted(columns, warm), settings)
