@@ -28,24 +28,35 @@ class VelocityCheck:
     _WRONG_CLOCK = 1.5  # a velocity that is off by less may be a gear's or a filter's
 
     def __init__(self, joints: int) -> None:
-        self._sums = np.zeros((3, joints))  # of the velocity's square, its product with the derivative, of its square
-        self._known = np.zeros(joints, dtype=np.int64)
+        self._sums = np.zeros((4, joints))  # as of _moments
         self._told = False
 
-    def add(self, given: FloatArray, derived: FloatArray) -> None:
-        """Take the messages' velocities ``(N, joints)``, NaN where there are none, and the positions' derivatives, both
-        filtered."""
-        known = np.isfinite(given)
-        own = np.where(known, given, 0.0)
-        self._sums += [np.sum(own**2, axis=0), np.sum(own * derived, axis=0), np.sum(known * derived**2, axis=0)]
-        self._known += np.sum(known, axis=0)
+    def add(self, given: FloatArray, derived: FloatArray) -> BoolArray:
+        """Take velocities of samples, filtered.
+
+        Args:
+            given: those of the messages ``(N, joints)``, NaN where there are none.
+            derived: the positions' derivatives ``(N, joints)``.
+
+        Returns:
+            Where a message's velocity is the derivative, but for noise, by the samples until then ``(N, joints)``.
+        """
+        sums = np.cumsum(np.concatenate([self._sums[:, None], _moments(given, derived)], axis=1), axis=1)
+        self._sums = sums[:, -1]
+        _, _, both, square = later = sums[:, 1:]
+        alike = (both > square / self._WRONG_CLOCK) & (both < square * self._WRONG_CLOCK)
+        return np.asarray(np.isfinite(given) & alike & ~self._scaled(later))
+
+    def _scaled(self, sums: FloatArray) -> BoolArray:
+        """At which joints velocities are the derivatives but for a factor, by sums ``(4, ...)``."""
+        known, given, both, derived = sums
+        told = (known >= self._FEWEST) & (both > 0.0) & (both**2 > self._IN_PROPORTION * given * derived)
+        return np.asarray(told & (np.abs(both - derived) > self._OFF * derived))
 
     @property
     def scaled(self) -> BoolArray:
         """At which joints the messages' velocities are the derivatives but for a factor ``(joints,)``."""
-        given, both, derived = self._sums
-        told = (self._known >= self._FEWEST) & (both > 0.0) & (both**2 > self._IN_PROPORTION * given * derived)
-        return np.asarray(told & (np.abs(both - derived) > self._OFF * derived))
+        return self._scaled(self._sums)
 
     def remark(self) -> Reason | None:
         """What is peculiar about the messages' velocities, said once."""
@@ -58,7 +69,7 @@ class VelocityCheck:
     def common_rate(self) -> float:
         """How many times the derivatives the messages' velocities are, if that is the same at all joints that tell and
         no unit's factor; else 0."""
-        _, both, derived = self._sums
+        known, _, both, derived = self._sums
         rates = both[self.scaled] / derived[self.scaled]
         if len(rates) < 2:
             return 0.0
@@ -66,8 +77,16 @@ class VelocityCheck:
         sizes = np.abs(np.log(np.median(rates))) - np.abs(np.log(_UNITS_OF_SPEED))
         of_unit = np.any(np.abs(sizes) < self._OFF)
         far = abs(np.log(np.median(rates))) > np.log(self._WRONG_CLOCK)
-        every = far and np.all(self.scaled | (self._known < self._FEWEST) | ~(both > 0.0))
+        every = far and np.all(self.scaled | (known < self._FEWEST) | ~(both > 0.0))
         return float(np.median(rates)) if every and alike and not of_unit else 0.0
+
+
+def _moments(given: FloatArray, derived: FloatArray) -> FloatArray:
+    """Whether a velocity is given, its square, its product with the derivative, the derivative's square where it is
+    given: all ``(4, N, joints)``."""
+    known = np.isfinite(given)
+    own = np.where(known, given, 0.0)
+    return np.stack([known, own**2, own * derived, known * derived**2])
 
 
 def _wrong_clock(rate: float) -> Reason:

@@ -123,10 +123,7 @@ def test_efforts_of_resting_joints_say_nothing_of_changes(quiet: Watched, monkey
 def test_changes_are_looked_for_as_soon_as_there_are_rows_enough(quiet: Watched) -> None:
     """Not at the end of a period: this one never ends."""
     quiet.feed()
-    wait_until(lambda: quiet.worker.status(active=True).queue == quiet.session.pipeline.held)
-    instants = quiet.session.identifier.instants
-    assert instants > 5 * BLOCK
-    wait_until(lambda: instants - quiet.worker.solver.detector.judged < BLOCK)
+    wait_until(lambda: 5 * BLOCK < quiet.session.identifier.instants < quiet.worker.solver.detector.judged + BLOCK)
 
 
 def test_without_rows_the_answer_is_an_error(quiet: Watched) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -40,11 +43,17 @@ def commands(stamps: IntArray, ahead: float = 0.0, forward: float = 0.0) -> list
     ]
 
 
-def states(*, efforts: bool = False) -> list[Message]:
+def states(*, efforts: bool = False) -> list[JointMessage]:
     measured = joint_messages(STAMPS, velocity=True)
     if efforts:
         return list(measured)
     return [JointMessage(m.stamp, m.names, m.position, m.velocity, ()) for m in measured]
+
+
+def with_velocities(change: Callable[[FloatArray], FloatArray], sent: list[Message] | None = None) -> list[Message]:
+    """States and commands, the states' velocities changed."""
+    changed = [replace(message, velocity=change(message.velocity)) for message in states()]
+    return in_time(changed, sent or commands(regular(HOLD, 8.0)))
 
 
 def expected(stamps: IntArray, late: float) -> FloatArray:
@@ -79,7 +88,8 @@ def test_feed_forward_adds_and_reported_efforts_are_kept() -> None:
 
 
 def test_blocks_of_any_size_make_the_same_samples() -> None:
-    messages = in_time(states(), commands(jittered(0.0015, 8.0)))
+    noise = np.random.default_rng(1)  # so much that first samples are not told from another kind of velocity
+    messages = with_velocities(lambda v: v + noise.normal(scale=5.0, size=3), commands(jittered(0.0015, 8.0)))
     one, many = controlled(), controlled()
     for message in messages:
         one.push(message)
@@ -89,6 +99,26 @@ def test_blocks_of_any_size_make_the_same_samples() -> None:
     assert found[0] is not None
     assert found[1] is not None
     np.testing.assert_array_equal(found[0].effort, found[1].effort)
+
+
+def test_the_controller_acts_on_the_velocities_that_are_sent() -> None:
+    """Their noise is in the motors' efforts, and not in the motion of samples."""
+    noise = np.random.default_rng(0)
+    noisy, smooth = (
+        feed(controlled(cutoff=20.0), with_velocities(lambda v, size=size: v + noise.normal(scale=size, size=3)))
+        for size in (0.3, 0.0)
+    )
+    spread = np.std(noisy.effort - smooth.effort, axis=0)
+    np.testing.assert_allclose(spread, KD * spread[0] / KD[0], rtol=0.3)
+    assert 0.1 < spread[0] / KD[0] < 0.3
+    np.testing.assert_array_equal(noisy.velocity, smooth.velocity)
+
+
+@pytest.mark.parametrize("factor", [0.0, -1.0, 0.8, 180.0 / np.pi])
+def test_velocities_of_another_kind_are_not_acted_on(factor: float) -> None:
+    wrong, right = (feed(controlled(), with_velocities(lambda v, by=by: by * v)) for by in (factor, 1.0))
+    half = len(right) // 2  # by then a small factor is told
+    np.testing.assert_allclose(wrong.effort[half:], right.effort[half:], atol=0.02)
 
 
 @pytest.mark.parametrize(

@@ -24,10 +24,8 @@ _AFTER, _INERTIAS, _BEFORE = "█", "▓", "░"
 def show(found: Gap) -> None:
     """Print the verdict, what was found, the gap of every channel, candidates, and what to record next."""
     console = results_console()
-    result = found.result
-    print_verdict(
-        console, recording_verdict(found.session.review.findings), found.session.review.warnings(), found.session.notes
-    )
+    result, review = found.result, found.session.review
+    print_verdict(console, recording_verdict(review.findings), review.warnings(), found.session.notes)
     say(console, result.verdict.upper(), f"  {gap_words.verdict_sentence(result)}")
     for sentence in gap_words.in_short(result):
         say(console, "", sentence)
