@@ -210,7 +210,7 @@ def solved_for(watched: Watched) -> list[int]:
 
 def end_of_period(watched: Watched) -> int:
     """Let the solver look whether there is anything to do; returns the rows there are."""
-    wait_until(lambda: watched.worker.status(active=True).queue == watched.session.pipeline.held)
+    wait_until(lambda: not watched.worker._inbox.unfinished)
     watched.worker.solver._solve_for_new_rows()
     return watched.session.identifier.rows
 
