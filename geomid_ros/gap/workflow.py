@@ -126,13 +126,15 @@ def find_gap(
     named = findings(bare, analysis)
     kept = written(bare, records, analysis, named, links)
     files = HeldOut(bare, held, replace(analysis, names=kept.found))
+    # The inertias of drawings are wrong on any robot; those of a model that was identified, or simulates, are not.
+    is_named = bool(kept.findings or (kept.links and (prior.identified or simulated)))
     report("judging", 1.0)
     said = {term for candidate in kept.found.chosen for term in candidate.terms}
     untouched = unfitted(prior)
     problem = LinearisedProblem(bare, records, total_model(bare, untouched))
     first = problem.residual(problem.columns((), prior.terms), untouched)
     return GapResult(
-        verdict=verdict(analysis, files, named=bool(kept.findings)),
+        verdict=verdict(analysis, files, named=is_named),
         findings=kept.findings,
         links=kept.links,
         unexplained=unexplained(bare, analysis, files),

@@ -131,14 +131,14 @@ def verdict_sentence(result: GapResult) -> str:
     moving = ratio(worst(result.moving))
     fall = f"the worst channel falls from {ratio(before)} to {ratio(after)} times the noise floor"
     fall += f" ({moving} while joints move)" if moving != ratio(after) else ""
-    named = _named(result.findings)
+    named = _named(result)
     missing = _missing(not_explained(result))
     if result.verdict == "no gap":
         if before <= REACHED * after:
             return f"No gap found: the model explains the measurement to within {ratio(after)} times the noise floor."
         return f"No effect is missing. Corrected link inertias close the gap: {fall}."
     if result.verdict == "named":
-        return f"Found: {named}. With {'it' if len(result.findings) == 1 else 'them'}, {fall}."
+        return f"Found: {named}. With {'it' if len(result.findings) + len(result.links) == 1 else 'them'}, {fall}."
     if result.verdict == "incomplete":
         rest = f"A residual remains {missing}" if missing else f"A residual remains: {fall}"
         return f"Found: {named or 'no effect'}. {rest}."
@@ -218,15 +218,16 @@ def not_explained(result: GapResult) -> list[tuple[str, float, str]]:
     return [(joint, gaps[joint], _listed(list(dict.fromkeys(on)))) for joint, on in variables.items()]
 
 
-def _named(findings: Sequence[Finding]) -> str:
-    """The findings, each effect once with all places where it acts; of many, the surest."""
+def _named(result: GapResult) -> str:
+    """The findings, each effect once with all places where it acts, of many the surest; and the links that changed."""
+    findings, changed = result.findings, [f"a change of link '{change.link}'" for change in result.links]
     if len(findings) > FEW:
         first = [f"{effect_name(f.effect)} {place(f.joint, f.link)}" for f in findings[:MOST_LISTED]]
-        return f"{len(findings)} effects, most certainly {_listed(first)}"
+        return _listed([f"{len(findings)} effects, most certainly {_listed(first)}", *changed])
     places: dict[str, list[str]] = {}
     for finding in findings:
         places.setdefault(effect_name(finding.effect), []).append(place(finding.joint, finding.link))
-    return _listed([f"{effect} {_listed(where)}" for effect, where in places.items()])
+    return _listed([*(f"{effect} {_listed(where)}" for effect, where in places.items()), *changed])
 
 
 def _listed(parts: Sequence[str]) -> str:

@@ -157,6 +157,7 @@ def test_of_a_payload_whose_mass_is_not_told_the_first_moment_is_said() -> None:
     (change,) = result.links
     assert not result.findings
     assert (change.link, change.confidence) == (planted.model().body_names[1], "confident")
+    assert result.verdict == "named"
     for axis, true in zip("xz", PAYLOAD * centre[[0, 2]], strict=True):
         moment = change.moment[f"m {axis}"]
         assert abs(moment.value - true) < 3.0 * moment.std
@@ -246,6 +247,7 @@ def test_a_link_is_heavier_by_a_payload_that_the_simulator_lacks_and_its_frictio
     assert result.findings == ()
     (change,) = result.links
     assert (change.link, change.joint, change.confidence) == ("link3", "joint3", "confident")
+    assert result.verdict == "named"
     assert abs(change.mass.value - PAYLOAD) < 3.0 * change.mass.std
     assert change.mass.std < 0.1 * PAYLOAD
     assert "more than" in change.sentence

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from files.gaps import gap_result
 
+from geomid_ros.gap.result import LinkChange
 from geomid_ros.model.effects import Quantity
 from geomid_ros.report.gap_words import (
     in_short,
@@ -54,6 +55,15 @@ def test_of_many_findings_the_surest_are_named() -> None:
     many = replace(result, findings=(finding, *(replace(finding, joint=f"toe{k}") for k in range(5))))
     first = "Coulomb friction at knee, Coulomb friction at toe0 and Coulomb friction at toe1"
     assert verdict_sentence(many).startswith(f"Found: 6 effects, most certainly {first}. With them, ")
+
+
+def test_links_that_changed_are_named() -> None:
+    result = gap_result("named", JOINTS)
+    change = LinkChange("thigh", "hip", Quantity(0.5, 0.01, "kg"), was=2.0, loss=50.0, probability=1.0)
+    assert verdict_sentence(replace(result, findings=(), links=(change,))).startswith(
+        "Found: a change of link 'thigh'. With it, "
+    )
+    assert "knee and a change of link 'thigh'. With them, " in verdict_sentence(replace(result, links=(change,)))
 
 
 @pytest.mark.parametrize(
