@@ -9,7 +9,7 @@ import numpy as np
 
 from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.gap.judgement.held_out import REACHED
-from geomid_ros.gap.result import Confidence, Finding, GapResult, Ranked, Rival, Unexplained
+from geomid_ros.gap.result import Confidence, Finding, GapResult, LinkChange, Ranked, Rival, Unexplained
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
 from geomid_ros.types import FloatArray
 
@@ -162,13 +162,14 @@ def in_short(result: GapResult) -> list[str]:
     """What a person reads first, at most four sentences beside the verdict's: what is sure and how large it is, what
     else there may be, what is left, and what to do."""
     gains = _common_gain(result)
-    said = [(finding.confidence, _sized(finding)) for finding in result.findings if finding not in gains]
+    named: list[Finding | LinkChange] = [*(f for f in result.findings if f not in gains), *result.links]
+    named.sort(key=lambda each: -each.loss)
+    said = [(each.confidence, _sized(each) if isinstance(each, Finding) else each.sentence) for each in named]
     if gains:
         sure = all(finding.confidence == "confident" for finding in gains)
         low, *_, high = sorted(finding.parameters["gain"].value for finding in gains)
         what = f"efforts of all joints {low:.3g} to {high:.3g} times as large"
         said.insert(0, ("confident" if sure else "tentative", what))
-    said += [(change.confidence, change.sentence) for change in result.links]
     left = [f"{joint} {ratio(times)} times the floor, depends on {on}" for joint, times, on in not_explained(result)]
     record = to_record(result)
     sentences = {

@@ -59,11 +59,14 @@ def test_of_many_findings_the_surest_are_named() -> None:
 
 def test_links_that_changed_are_named() -> None:
     result = gap_result("named", JOINTS)
-    change = LinkChange("thigh", "hip", Quantity(0.5, 0.01, "kg"), was=2.0, loss=50.0, probability=1.0)
+    change = LinkChange("thigh", "hip", Quantity(0.5, 0.01, "kg"), was=2.0, loss=1e6, probability=1.0)
     assert verdict_sentence(replace(result, findings=(), links=(change,))).startswith(
         "Found: a change of link 'thigh'. With it, "
     )
-    assert "knee and a change of link 'thigh'. With them, " in verdict_sentence(replace(result, links=(change,)))
+    both = replace(result, links=(change,))
+    assert "knee and a change of link 'thigh'. With them, " in verdict_sentence(both)
+    first, *_ = in_short(both)
+    assert first.startswith("Sure: link 'thigh' weighs 0.5 ± 0.02 kg more"), "its loss is the larger one"
 
 
 @pytest.mark.parametrize(
