@@ -129,8 +129,7 @@ def relative_doubt(
     design: Design, found: JointFit[Any, Any], columns: Hypothesis[Any] | int, values: FloatArray
 ) -> float:
     """The relative standard deviation of ``values (k,)`` of a hypothesis's columns, or of a link's, that comes from
-    what their channels lack beside a fit: a part of it may lie along them. Where other recordings have told what is
-    lacking, no more than along any of the directions that are left to its change.
+    what their channels lack beside a fit: a part of it may lie along them.
 
     Least squares weigh what each channel says by the power that the columns have there; what channels lack may have
     one cause.
@@ -140,13 +139,7 @@ def relative_doubt(
 
 def _lacking(design: Design, found: JointFit[Any, Any]) -> FloatArray:
     """Of what each channel lacks beside a fit, the part that may lie along any columns: a sum of squares ``(C,)``."""
-    lacks = zip(design.channels, found.remainders(design), strict=True)
-    return np.array(
-        [
-            (_ALONG**2 if channel.before is None else 1.0 / max(lack.freedom, 1.0)) * lack.power
-            for channel, lack in lacks
-        ]
-    )
+    return np.array([_ALONG**2 * lack.power for lack in found.remainders(design)])
 
 
 def _doubt(
