@@ -158,7 +158,7 @@ class RecordingCheck:
         return [name for name, is_told in zip(model.robot.joint_names, measured, strict=True) if not is_told]
 
 
-def judge_efforts(model: MeasurementModel, kept: Kept, gains: FloatArray, *, whole: bool) -> Judgement:
+def judge_efforts(model: MeasurementModel, kept: Kept, gains: FloatArray, *, whole: bool = True) -> Judgement:
     """What the efforts of a recording seem to be.
 
     Args:
