@@ -147,18 +147,6 @@ def test_what_no_links_explain_is_told_in_the_end(
     assert said in verdict.reasons[0]
 
 
-def test_a_joint_that_friction_could_hold_still_does_not_stop_at_once(tmp_path: Path) -> None:
-    """Any effort at rest may be friction's; at the ends of a frozen stretch none turns the joint so fast."""
-    recording = Recording.read(SOURCES["arm7"])
-    speed = np.gradient(recording.position[:, 0], recording.stamps)
-    effort = recording.effort + 5.0 * np.outer(speed + np.tanh(speed / 0.02), np.arange(7) == 0)
-    rubbing = replace(recording, effort=effort)
-    assert judged(rubbing, rubbing.write(tmp_path / "sound")).review.findings == ()
-    frozen = PLANT["position frozen"](rubbing, (0, 0.15))
-    finding = judged(frozen, frozen.write(tmp_path / "frozen")).review.findings[0]
-    assert (finding.cause.kind, finding.cause.places) == ("frozen", ("joint1",))
-
-
 @pytest.mark.parametrize(("fault", "size"), [("positions leap", 0.5), ("two robots", 0), ("two robots", 1)])
 def test_where_positions_leap_nothing_is_said_to_begin(fault: str, size: Any, tmp_path: Path) -> None:
     """Another recording does, perhaps of another robot: no unit changes, and nothing is picked up."""
