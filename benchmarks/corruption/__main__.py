@@ -50,23 +50,28 @@ def answer(planted: Recording, fault: Fault, size: Any) -> tuple[str, str]:
     """What is said of a recording in which a fault of a size is planted: how right that is, and the sentences."""
     with tempfile.TemporaryDirectory(prefix="corruption-") as folder:
         try:
-            if fault.doubted:
-                reasons = identified(planted, planted.write(Path(folder) / "bag")).verdict.reasons
-                return (NAMED if reasons else SILENT), "; ".join(reasons)
-            session = judged(planted, planted.write(Path(folder) / "bag"))
+            return _answer(planted, fault, size, planted.write(Path(folder) / "bag"))
         except GeomidError as error:
             return NAMED if fault.refused and fault.refused in str(error) else WRONG, str(error)
+
+
+def _answer(planted: Recording, fault: Fault, size: Any, bag: Path) -> tuple[str, str]:
+    if fault.doubted:
+        reasons = identified(planted, bag).verdict.reasons
+        return (NAMED if reasons else SILENT), "; ".join(reasons)
+    session = judged(planted, bag)
     said = "; ".join(finding.sentence for finding in session.review.findings)
     if not fault.kind:
         accounts = session.pipeline.ledger.topics.values()
-        reasons = [reason for account in accounts for reason in (*account.rejected, *account.noted)]
-        return (NAMED if any(fault.noted in reason for reason in reasons) else SILENT), "; ".join(reasons)
+        noted = [reason for account in accounts for reason in (*account.rejected, *account.noted)]
+        return (NAMED if any(fault.noted in reason for reason in noted) else SILENT), "; ".join(noted)
     names = planted.robot.joint_names
     places = None if fault.joints is None else {names[place] for place in fault.joints(size)}
     if fault.kind == "constant" and session.review.check.unmeasured:
         return NAMED, f"not measured: {', '.join(session.review.check.unmeasured)}"
-    if not session.review.findings:
-        return SILENT, said
+    if not session.review.findings:  # the result may be doubted
+        reasons = identified(planted, bag).verdict.reasons
+        return (SUSPECTED if reasons else SILENT), "; ".join(reasons)
     for finding in session.review.findings:
         for cause in (finding.cause, *finding.rivals):
             right = cause.kind == fault.kind or (fault.said and fault.said in cause.sentence)

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy.signal import savgol_filter
 
-from benchmarks.corruption.recording import ARM3, SOURCES, Recording
+from benchmarks.corruption.recording import ARM3, JOINTS, SOURCES, Recording
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray, IntArray
@@ -300,6 +300,22 @@ def _two_robots(recording: Recording, which: int) -> Recording:
     return replace(recording, position=position, velocity=None, effort=effort)
 
 
+def _leaping(recording: Recording, seconds: float) -> Recording:
+    """Five times so many seconds are missing, which no stamp says."""
+    count, skipped = len(recording.stamps), round(seconds / np.median(np.diff(recording.stamps)))
+    whole = count - 5 * skipped
+    places = np.arange(whole) + skipped * (6 * np.arange(whole) // whole)
+    return replace(
+        recording,
+        source=replace(recording.source, wrench=""),
+        messages=[entry for entry in recording.messages if entry[1] == JOINTS][:whole],
+        stamps=recording.stamps[:whole],
+        position=recording.position[places],
+        velocity=None if recording.velocity is None else recording.velocity[places],
+        effort=recording.effort[places],
+    )
+
+
 def _parallel_drive(recording: Recording, joint: int) -> Recording:
     """The motor of a joint carries the next joint's effort, too."""
     effort = recording.effort.copy()
@@ -522,6 +538,7 @@ FAULTS = [
     Fault(row=0, name="copied efforts", plant=_copied, sizes=(1, 2, -1), kind="stream"),
     Fault(row=111, name="axis of the URDF", plant=_other_axis, sizes=(1, 2), doubted=True),
     Fault(row=112, name="two robots", plant=_two_robots, sizes=(0, 1), doubted=True),
+    Fault(row=125, name="positions leap", plant=_leaping, sizes=(0.3, 0.5, 1.0), kind="stream"),
     Fault(row=113, name="parallel drive", plant=_parallel_drive, sizes=(1, 2), doubted=True),
     Fault(row=113, name="position turned round", plant=_turned_round, sizes=(1, 2, 3), doubted=True),
     Fault(

@@ -19,7 +19,7 @@ from geomid_ros.checks.instants import FEWEST, Instants, Kept, Stretch
 from geomid_ros.checks.obvious import frozen_position, held_efforts, impossible_description, wrong_gains
 from geomid_ros.checks.subject import Subject
 from geomid_ros.checks.transforms import transforms
-from geomid_ros.checks.unexplained import badly_explained, hint
+from geomid_ros.checks.unexplained import badly_explained, hint, rms
 from geomid_ros.checks.wrenches import WrenchSensorCheck, can_be_judged
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.controller import Controller
@@ -30,11 +30,12 @@ from geomid_ros.types import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Excerpt:
-    """What is kept of recordings: a few instants of all of them, and a ``stretch``, the last instants at which
-    something moved; None if there were none."""
+    """What is kept of recordings: a few instants of all of them; a ``stretch``, the last instants at which something
+    moved, None if there were none; and whether they are ``whole``, no positions leap."""
 
     kept: Kept
     stretch: Samples | None
+    whole: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,18 +64,18 @@ class JudgementTask:
 
     def judge(self, excerpt: Excerpt) -> Judgement:
         """What a recording seems to be, by an excerpt of it."""
-        judged = self._joints(excerpt.kept)
+        judged = self._joints(excerpt.kept, excerpt.whole)
         if judged.findings:  # a motion that is not the robot's would be the sensors' fault, too
             return judged
         wrong = (self._wrench(sensor, excerpt) for sensor in self.model.mounted)
         return replace(judged, findings=tuple(chain.from_iterable(wrong)))
 
-    def _joints(self, kept: Kept) -> Judgement:
+    def _joints(self, kept: Kept, whole: bool) -> Judgement:
         robot, legs = self.model.robot, self.model.legs
         if self.controller and (others := wrong_gains(self.controller, kept.samples, robot.joint_names)):
             return Judgement(others)
         if efforts_alone(self.model):
-            return judge_efforts(self.model, kept, self.gains)
+            return judge_efforts(self.model, kept, self.gains, whole=whole)
         if legs is None:
             return Judgement()
         return Judgement((*carried_weight(legs, kept.samples), *unnamed_feet(robot, legs, kept.samples)))
@@ -130,12 +131,13 @@ class RecordingCheck:
         """Whether half of what is known came after it was judged last: seldom, as time goes on."""
         return len(self._instants) >= FEWEST and self._instants.taken > 2.0 * self._judged_at
 
-    def findings(self) -> tuple[Finding, ...]:
-        """What seems to be wrong with the recording as a whole."""
+    def findings(self, *, whole: bool = True) -> tuple[Finding, ...]:
+        """What seems to be wrong with the recording; not what begins meanwhile, if it is not ``whole``: where positions
+        leap another recording begins, which may be of another robot."""
         kept, self._judged_at = self._instants.kept, self._instants.taken
         if kept is None:
             return ()
-        judgement = self._judge(self._task, Excerpt(kept, self._stretch.samples))
+        judgement = self._judge(self._task, Excerpt(kept, self._stretch.samples, whole))
         self.remarks = judgement.remarks
         return judgement.findings
 
@@ -156,13 +158,14 @@ class RecordingCheck:
         return [name for name, is_told in zip(model.robot.joint_names, measured, strict=True) if not is_told]
 
 
-def judge_efforts(model: MeasurementModel, kept: Kept, gains: FloatArray) -> Judgement:
+def judge_efforts(model: MeasurementModel, kept: Kept, gains: FloatArray, *, whole: bool = True) -> Judgement:
     """What the efforts of a recording seem to be.
 
     Args:
         model: of the robot.
         kept: a few instants of the recording.
         gains: ``(joints,)`` factors that the messages' efforts were multiplied by.
+        whole: whether something may begin meanwhile.
     """
     subject = Subject.of(model.robot, kept, gains)
     moves = np.std(kept.samples.velocity, axis=0) > STILL
@@ -172,22 +175,22 @@ def judge_efforts(model: MeasurementModel, kept: Kept, gains: FloatArray) -> Jud
     found = (Finding(cause=Cause.of("constant", names)),) if names else ()
     if np.count_nonzero(subject.is_moving) < FEWEST:
         return Judgement(found)
-    judged = _judged(subject)
+    judged = _judged(subject, whole)
     return replace(judged, findings=(*found, *judged.findings))
 
 
-def _judged(subject: Subject) -> Judgement:
+def _judged(subject: Subject, whole: bool) -> Judgement:
     """What is wrong with efforts that change, and what to know of them."""
     plain = impossible_description(subject) or frozen_position(subject)
     if plain is not None:
         return Judgement((Finding(cause=plain),))
     remarks: tuple[str, ...] = (MODEL,) if is_model(subject) else ()
     held = tuple(Finding(cause=cause) for cause in held_efforts(subject))
-    decision = _decided(subject)
+    decision = _decided(subject, whole)
     if decision.finding is None and decision.level is not None:
         remarks += (decision.level.sentence,)
         subject = subject.under(np.array(decision.level.settings["gravity"]))
-        decision = _decided(subject)
+        decision = _decided(subject, whole)
     named = held if decision.finding is None else (*held, decision.finding)
     found = named or _unexplained(subject) or contradicted(decision.doubted, decision.count)
     if not found and decision.doubted:
@@ -196,10 +199,10 @@ def _judged(subject: Subject) -> Judgement:
     return Judgement(found, remarks)
 
 
-def _decided(subject: Subject) -> Decision:
+def _decided(subject: Subject, whole: bool) -> Decision:
     """What explains efforts better than that they are as they should be."""
     throughout, count = transforms(subject)
-    others = [*changes(subject), *lags(subject)]
+    others = [*(changes(subject) if whole else ()), *lags(subject)]
     tried = [Tried.of(candidate, subject) for candidate in (*throughout, *others)]
     decision = decide(tried, count + len(others), subject.nominal)
     if np.all(decision.sigmas > FOLLOWS):
@@ -213,7 +216,7 @@ def _unexplained(subject: Subject) -> tuple[Finding, ...]:
     curved = subject.flexible.nominal.sigmas > FOLLOWS
     left = np.where(curved, subject.measured - subject.explained(subject.nominal), np.nan)
     channels = [*zip(subject.names, subject.units, strict=True)]
-    return badly_explained(channels, left, subject.spread, partial(hint, subject), allowed=FOLLOWS)
+    return badly_explained(channels, rms(left), subject.spread, partial(hint, subject), allowed=FOLLOWS)
 
 
 def is_model(subject: Subject) -> bool:

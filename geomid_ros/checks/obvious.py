@@ -23,7 +23,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.types import BoolArray, FloatArray
 
 _SAME = 1e-6  # of a range: what changes less stays exactly the same
-_FEWEST = 5  # instants in a row, and at the ends of a stretch, where a filter smears the step that follows
+_FEWEST = 5  # instants in a row, and half of those at the ends of a stretch that a filter smears
 
 
 def impossible_description(subject: Subject) -> Cause | None:
@@ -106,7 +106,8 @@ def held_efforts(subject: Subject) -> list[Cause]:
 
 
 def frozen_position(subject: Subject) -> Cause | None:
-    """A joint whose position is exactly the same for a while, while others move and efforts are not those of that pose.
+    """A joint whose position is exactly the same for a while, while others move and efforts are not those of that pose,
+    or it stops and goes on as no effort makes it.
 
     The links are fitted to the other instants, and predict these. Where a joint really stands still, its brake holds it
     without any effort, or its effort is off by no more friction than it has elsewhere. Where it does so several times,
@@ -116,12 +117,14 @@ def frozen_position(subject: Subject) -> Cause | None:
     positions, efforts = subject.samples.position, subject.measured
     for joint, position in enumerate(positions.T):
         same = np.abs(np.diff(position)) <= _SAME * np.ptp(position)
-        still = np.append(False, same) & np.append(same, False) & subject.is_moving  # filters smear the ends
-        if np.count_nonzero(still) >= _FEWEST and np.count_nonzero(~still) >= FEWEST + 2 * _FEWEST:
+        still = np.append(False, same) & np.append(same, False) & subject.is_moving
+        # A filter smears the step that follows, and is smeared by it.
+        around = np.convolve(still, np.ones(4 * _FEWEST + 1), mode="same") > 0.0
+        if np.count_nonzero(still) >= _FEWEST and 2 * np.count_nonzero(~around) >= FEWEST:
             changes = np.ptp(efforts[still], axis=0) > LEAST_SIGMA * np.ptp(efforts, axis=0)
             once = np.count_nonzero(np.diff(still.astype(np.int8), prepend=0) == 1) == 1
             own = subject.joints == joint
-            inside, outside = _left(subject, still, own)
+            inside, outside = _left(subject, still, around, own)
             surely = np.sqrt(1.0 + SURE * np.sqrt(2.0))  # of a pose, whose residuals are one number
             off = (inside > surely * outside) & changes & (once | own)
             moving = np.ptp(positions[still], axis=0) > LEAST_SIGMA * np.ptp(positions, axis=0)
@@ -130,19 +133,20 @@ def frozen_position(subject: Subject) -> Cause | None:
     return None
 
 
-def _left(subject: Subject, still: BoolArray, own: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """The RMS of what links and friction, fitted to the other instants, leave of efforts: at these instants, for the
-    joint's ``own (C,)`` beyond the largest friction at the others, and at the others ``(C,)``."""
-    smeared = np.convolve(still, np.ones(2 * _FEWEST + 1), mode="same") > 0.0
-    others = subject.part(~smeared)
+def _left(subject: Subject, still: BoolArray, around: BoolArray, own: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """The RMS of what links and friction, fitted to instants that are not ``around`` those at which a joint is
+    ``still``, leave of efforts: at these or around them, where it is still beyond the largest friction for its
+    ``own (C,)``, and at the others ``(C,)``."""
+    others = subject.part(~around)
     found = others.nominal
     left = (subject.measured - subject.regressor @ others.links(found)) / others.spread
     left -= np.einsum("nck,ck->nc", subject.friction, found.friction)
     rubbing = np.einsum("nck,ck->nc", others.friction[:, :, 1:3], found.friction[:, 1:3])
     allowed = still[:, None] * np.where(own, np.max(np.abs(rubbing), axis=0), 0.0)
     beyond = np.maximum(np.abs(left) - allowed, 0.0)
-    inside, outside = (np.sqrt(np.mean(beyond[chosen] ** 2, axis=0)) for chosen in (still, ~smeared))
-    return inside, np.maximum(outside, found.sigmas)
+    parts = (still, around & subject.is_moving, ~around)
+    inside, at_ends, outside = (np.sqrt(np.mean(beyond[part] ** 2, axis=0)) for part in parts)
+    return np.maximum(inside, at_ends), np.maximum(outside, found.sigmas)
 
 
 def wrong_gains(controller: Controller, samples: Samples, joints: Sequence[str]) -> tuple[Finding, ...]:

@@ -29,7 +29,7 @@ _ELSE = (
 
 def badly_explained(
     channels: Sequence[tuple[str, str]],
-    residuals: FloatArray,
+    left: FloatArray,
     variation: FloatArray,
     hint: Callable[[str, float], str],
     *,
@@ -40,13 +40,13 @@ def badly_explained(
 
     Args:
         channels: name and unit of the effort of each of C joints.
-        residuals: ``(N, C)`` what is left of the efforts, NaN where that is not judged.
+        left: ``(C,)`` RMS of what is left of the efforts.
         variation: ``(C,)`` standard deviations of the efforts.
         hint: says what to look at, by a joint's name and the share of its effort's variation that is left.
         before: ``(C,)`` RMS of what the input's file leaves, infinite where that is not known.
         allowed: share of the variation that may be left.
     """
-    left, units = rms(residuals), [unit for _, unit in channels]
+    units = [unit for _, unit in channels]
     share = left / np.maximum(variation, np.finfo(float).tiny)
     large = left > LEAST_SIGMA * largest_of_unit(variation, units)
     bad = large & ((share > allowed) | (left > WORSE * before))
@@ -108,29 +108,42 @@ def unexplained(
 
     Args:
         model: of the robot.
-        batches: samples to judge on; none for ``recorded``.
+        batches: samples that were held out; none if there are none.
         parameters: the identified ones ``(D,)``.
-        recorded: instants of all that was recorded, which say how far efforts vary; None if there are none.
+        recorded: instants of all that was recorded, which is judged too; None if there are none.
     """
-    judged = list(batches) or ([recorded] if recorded is not None else [])
+    both = np.column_stack([parameters, model.nominal_parameters])
+    told = (list(batches), [] if recorded is None else [recorded])
+    judged = [_left(model, samples, both) for samples in told if samples]
     if not judged:
         return ()
+    variation = np.max([variation for _, variation in judged], axis=0)
+    if recorded is not None:
+        variation = np.maximum(variation, deviations(recorded.effort))
+    channels = [(model.channels[channel].name, model.channels[channel].unit) for channel in model.layout.efforts]
+    found = (
+        badly_explained(
+            channels,
+            left[:, 0],
+            variation,
+            lambda *of: _ELSE if recorded is None else hint(Subject.of_all(model.robot, recorded), *of),
+            before=left[:, 1],
+        )
+        for left, _ in judged
+    )
+    return next(filter(None, found), ())
+
+
+def _left(model: MeasurementModel, judged: Sequence[Samples], both: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The RMS ``(C, 2)`` of what two sets of parameters ``(D, 2)`` leave of the efforts of joints that move, and the
+    standard deviations of these efforts ``(C,)``."""
     efforts = model.layout.efforts
-    both = np.column_stack([parameters, model.nominal_parameters])
     pairs = [model.predict(samples, both) for samples in judged]
     residuals = np.concatenate([(measured[:, :, None] - predicted)[:, efforts] for measured, predicted in pairs])
     velocity, effort = (np.concatenate([getattr(each, name) for each in judged]) for name in ("velocity", "effort"))
     residuals = np.where(moving(velocity)[:, :, None], residuals, np.nan)
-    variation = deviations(np.where(np.isfinite(residuals[:, :, 0]), effort, np.nan))
-    if recorded is not None:
-        variation = np.maximum(variation, deviations(recorded.effort))
-    return badly_explained(
-        [(model.channels[channel].name, model.channels[channel].unit) for channel in efforts],
-        residuals[:, :, 0],
-        variation,
-        lambda *of: _ELSE if recorded is None else hint(Subject.of_all(model.robot, recorded), *of),
-        before=rms(residuals[:, :, 1]),
-    )
+    left = np.stack([rms(of_one) for of_one in np.moveaxis(residuals, 2, 0)], axis=1)
+    return left, deviations(np.where(np.isfinite(residuals[:, :, 0]), effort, np.nan))
 
 
 def rms(residuals: FloatArray) -> FloatArray:

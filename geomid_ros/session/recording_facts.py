@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from itertools import chain
 
 from geomid_ros.checks.causes import Cause, Finding
+from geomid_ros.signals.joint_gate import LEAP
 from geomid_ros.signals.ledger import Account, Ledger, Reason, meaning_of
 
 
@@ -67,6 +68,11 @@ def faulty_streams(accounts: Mapping[str, Account], before: Mapping[str, Account
             if isinstance(remark, Reason) and remark.meaning == "driver error"
         ]
     return found
+
+
+def is_whole(accounts: Mapping[str, Account]) -> bool:
+    """Whether no positions leap, by the accounts of all topics."""
+    return not any(LEAP in account.noted for account in accounts.values())
 
 
 def peculiarities(accounts: Mapping[str, Account]) -> list[str]:

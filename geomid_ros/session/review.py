@@ -24,7 +24,7 @@ from geomid_ros.estimation.estimate import Estimate, LinkEstimate
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.model.samples import Samples
-from geomid_ros.session.recording_facts import Recorded, faulty_streams, peculiarities
+from geomid_ros.session.recording_facts import Recorded, faulty_streams, is_whole, peculiarities
 from geomid_ros.session.setup import Setup
 from geomid_ros.session.solidity import impossible_links
 from geomid_ros.signals.ledger import Account, Ledger
@@ -62,9 +62,10 @@ class Review:
     def judge(self) -> None:
         """Judge the recording as a whole, by the samples that :attr:`check` was told of so far."""
         check = self.check
-        found = check.findings()
+        topics = self._ledger.topics
+        found = check.findings(whole=is_whole(topics))
         if check is self.check:  # nothing was forgotten meanwhile
-            found = (*self._kept, *found, *faulty_streams(self._ledger.topics, self._forgotten))
+            found = (*self._kept, *found, *faulty_streams(topics, self._forgotten))
             found = (*(self._moving_base() if found else ()), *found)
             self.findings = tuple({finding.sentence: finding for finding in found}.values())
 
@@ -93,7 +94,7 @@ class Review:
             check: that was told of its samples.
             accounts: of its messages, by topic.
         """
-        found = (*check.findings(), *faulty_streams(accounts, {}))
+        found = (*check.findings(whole=is_whole(accounts)), *faulty_streams(accounts, {}))
         self._validated += tuple(f"{name}, which is judged on: {finding.sentence}" for finding in found)
 
     def forget(self) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from geomid_ros.signals.admission import FEW, Answer, Gate
 from geomid_ros.signals.effort_sizes import SpikeHeights
-from geomid_ros.signals.ledger import Reason
+from geomid_ros.signals.ledger import Reason, driver_error
 from geomid_ros.signals.limits import CLEAR, FASTEST, FINEST, SHORTEST_CONTACT
 from geomid_ros.signals.periods import FEWEST
 from geomid_ros.types import BoolArray, FloatArray, IntArray
@@ -24,6 +24,10 @@ EARLY = "stamp ahead of its time"
 SPIKE = "is a spike"
 SPIKE_OR_CONTACT = "is a spike, or a contact that messages as slow cannot tell from one"
 CLOCK_SET = Reason("clock set: a new segment begins", "told")
+LEAP = driver_error(
+    "positions leap farther than joints can move: a simulation was reset, an encoder was frozen or lost its count, or "
+    "recordings were joined; a new segment begins"
+)
 _USUAL_STEP = 1.9  # periods between two stamps, above which one may be ahead
 _TOO_FAST = 1.5  # times the limit
 _LEAST_SET = 20e-3  # [s] that a clock is set by
@@ -137,7 +141,7 @@ class JointGate(Gate):
         if stamps[0] <= self._stamp:
             self._late = int(stamps[0])
             return in_order(stamps, numbers, whole=whole)
-        return Answer()
+        return Answer(noted=LEAP, begins=True) if self._position_leaps(stamps, numbers) else Answer()
 
     @staticmethod
     def _spike(effort: str, count: int, elapsed: float) -> Answer:
@@ -172,6 +176,13 @@ class JointGate(Gate):
             if jumps.any()
             else ""
         )
+
+    def _position_leaps(self, stamps: IntArray, numbers: FloatArray) -> bool:
+        """Whether a position goes on elsewhere, farther than the joint can move."""
+        reach = self._elapsed(stamps, 0) * self._speed
+        far = self._distance(numbers[0, 0], self._last[-1, 0])
+        usual = np.maximum(self._largest_step(self._last), self._largest_step(numbers))
+        return bool(np.any((far > reach) & (far > CLEAR * usual)))
 
     def _effort_spikes(self, numbers: FloatArray, length: int) -> str:
         """The effort that leaves what is usual, and comes back."""

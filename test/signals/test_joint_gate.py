@@ -17,7 +17,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.signals.decoding import Decoder
-from geomid_ros.signals.joint_gate import CLOCK_SET, EARLY, SPIKE_OR_CONTACT
+from geomid_ros.signals.joint_gate import CLOCK_SET, EARLY, LEAP, SPIKE_OR_CONTACT
 from geomid_ros.signals.limits import PATIENCE
 from geomid_ros.signals.messages import JOINT_STATES, Block
 from geomid_ros.signals.pipeline import UNDECIDED
@@ -160,6 +160,22 @@ def test_what_is_refused_does_not_depend_on_how_many_come_at_once(fault: str) ->
         assert_equal(samples, expected[0])
         assert (refused, noted) == expected[1:]
     assert sum(expected[1].values()) >= 12
+
+
+def test_a_position_that_leaps_begins_a_segment(recording: Recording) -> None:
+    """As of a simulation that was reset: nothing is refused, what is far from the leap is as it was, and no sample
+    moves across it."""
+    expected, _, before = recording.read()
+    recording.position[700:, recording.joint] += 1.5
+    samples, refused, noted = recording.read()
+    assert (refused, [note for note in noted if note not in before]) == ({}, [LEAP])
+    shift = np.where(expected.stamps < recording.stamps[700], 0.0, 1.5)
+    common, own, whole = np.intersect1d(samples.stamps, expected.stamps, return_indices=True)
+    assert len(common) == len(samples) > 0.8 * len(expected)
+    joint = recording.session.robot.joint_names.index(recording.names[recording.joint])
+    apart = samples.position[own, joint] - expected.position[whole, joint]
+    np.testing.assert_allclose(apart, shift[whole], atol=1e-9)
+    np.testing.assert_allclose(samples.velocity[own], expected.velocity[whole], atol=1e-8)
 
 
 def test_a_driver_that_wraps_is_unwrapped(recording: Recording) -> None:
