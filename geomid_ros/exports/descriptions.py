@@ -30,8 +30,8 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray
 
 if TYPE_CHECKING:
-    from geomid_ros.exports.inertial import Export
     from geomid_ros.exports.model import Model
+    from geomid_ros.exports.payload import Export
 
 _MOVEIT_NOTE = (
     "What reads it: MoveIt plans by limits alone; its DynamicsSolver, and ros2_control's controllers that compute",

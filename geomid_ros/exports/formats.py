@@ -30,14 +30,12 @@ from typing import NamedTuple
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.exports.inertial import Export
+from geomid_ros.exports.payload import Export
 from geomid_ros.geometry.pseudo_inertia import INERTIA_NAMES
 from geomid_ros.types import FloatArray
 
 DIGITS = 9
 """Of numbers in a description."""
-SAME = 1e-6
-"""Relative difference of one number in two files of fewer digits."""
 _DIAGONAL_FIRST = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 _UR_LARGEST = 133.0  # [kg m^2]

@@ -11,22 +11,26 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UncertainInertia
-from geomid_ros.exports.formats import SAME
-from geomid_ros.files.models.effect_forms import coefficient, effects_of_dynamics, is_body, joint_attributes
+from geomid_ros.files.models.effect_forms import (
+    QUANTITY_NAMES,
+    coefficient,
+    effects_of_dynamics,
+    is_body,
+    joint_attributes,
+)
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.readers import URDF
 from geomid_ros.files.models.urdf import joint_frames, read_urdf, with_inertials
 from geomid_ros.files.models.written_model import written_for
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
-from geomid_ros.model.effects.parameters import COM_ENTRIES
 from geomid_ros.model.robot import GRAVITY
 from geomid_ros.model.urdf_tree import UrdfTree, parse, read_numbers, read_xml
 from geomid_ros.types import FloatArray
 
+SAME = 1e-6
+"""Relative difference of one number in two files of fewer digits."""
 _URDF = "identified.urdf"
-# A payload's parameters in the order of the quantities.
-_PAYLOAD = ("mass", *COM_ENTRIES, *pseudo_inertia.INERTIA_NAMES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,6 +195,6 @@ def _found_payloads(
     for effect in effects:
         name = f"{effect.link}_payload"
         if is_body(effect) and name in bodies:
-            std = [effect.parameters[key].std if key in effect.parameters else np.nan for key in _PAYLOAD]
+            std = [effect.parameters[key].std if key in effect.parameters else np.nan for key in QUANTITY_NAMES]
             found[name] = UncertainInertia(parameters=bodies[name].parameters, std=np.array(std))
     return found

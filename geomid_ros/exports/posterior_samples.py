@@ -17,17 +17,16 @@ import yaml
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.exports.descriptions import DESCRIPTIONS, as_described
-from geomid_ros.exports.formats import JSON, SAME
-from geomid_ros.exports.model import Model, read_model
+from geomid_ros.exports.formats import JSON
+from geomid_ros.exports.model import SAME, Model, read_model
 from geomid_ros.exports.patch_mjcf import OwnMjcf, read_own_mjcf
-from geomid_ros.files.models.effect_forms import by_parameter
+from geomid_ros.files.models.effect_forms import QUANTITY_NAMES, by_parameter
 from geomid_ros.files.models.estimate_file import link_entry
 from geomid_ros.files.models.posterior import beside, read_posterior
 from geomid_ros.files.models.sidecar import effects_entries
 from geomid_ros.files.models.urdf import with_inertials
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
-from geomid_ros.model.effects.parameters import COM_ENTRIES
 from geomid_ros.types import FloatArray
 
 BAND = (0.025, 0.975)
@@ -240,9 +239,8 @@ def _quantities(robots: DrawnRobots) -> dict[str, FloatArray]:
 
 
 def _links(robots: DrawnRobots) -> dict[str, Any]:
-    names = ("mass", *COM_ENTRIES, *pseudo_inertia.INERTIA_NAMES)
     return {
-        link: {name: _band(values) for name, values in zip(names, quantities.T, strict=True)}
+        link: {name: _band(values) for name, values in zip(QUANTITY_NAMES, quantities.T, strict=True)}
         for link, quantities in _quantities(robots).items()
     }
 

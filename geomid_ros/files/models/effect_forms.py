@@ -12,6 +12,9 @@ from geomid_ros.model.effects.parameters import COM_ENTRIES
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
+QUANTITY_NAMES = ("mass", *COM_ENTRIES, *pseudo_inertia.INERTIA_NAMES)
+"""A payload's parameters, in the order of :func:`~geomid_ros.geometry.pseudo_inertia.quantities_of`."""
+
 
 def is_body(effect: KnownEffect) -> bool:
     """Whether it is a body that a link carries."""
@@ -82,14 +85,9 @@ def unsaid(effects: Iterable[KnownEffect], files: Iterable[str]) -> list[str]:
     return [what + (f" of {', '.join(places)}" if any(places) else "") for what, places in found.items()]
 
 
-def payload_quantities(payload: Mapping[str, float]) -> FloatArray:
-    """A payload's values as quantities ``(10,)``, see :func:`~geomid_ros.geometry.pseudo_inertia.quantities_of`."""
-    return np.array([payload[name] for name in ("mass", *COM_ENTRIES, *pseudo_inertia.INERTIA_NAMES)])
-
-
 def payload_parameters(payload: Mapping[str, float]) -> FloatArray:
     """Inertial parameters ``(10,)`` of a payload about its link's origin, from its values."""
-    return pseudo_inertia.parameters_of(payload_quantities(payload))
+    return pseudo_inertia.parameters_of(np.array([payload[name] for name in QUANTITY_NAMES]))
 
 
 def turned_gravity(gravity: FloatArray, effects: Iterable[KnownEffect]) -> FloatArray:
