@@ -27,7 +27,7 @@ from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.model.effects import effect_class
 from geomid_ros.model.samples import Samples
 from geomid_ros.options import Progress, silent, takes
-from geomid_ros.report.identification_page import IdentificationPage, write_identification_page
+from geomid_ros.report.identification_page import write_identification_page
 from geomid_ros.report.series import Series, series_of
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import gap_session, remainder_of
@@ -94,7 +94,7 @@ class Identification(IdentificationSummary):
             InputError: the file cannot be written.
         """
         file = EstimateFile.of(self._document(command), "estimate.json")
-        write_identification_page(Path(path), IdentificationPage(file, self._series))
+        write_identification_page(Path(path), file, self._series)
         return Path(path)
 
     def save(
