@@ -62,7 +62,7 @@ class WrittenRobot:
         self._holding, self._load_friction, self._usual_load = np.zeros(count), np.zeros(count), np.zeros(count)
         self._of_motion: list[tuple[Effect, Place, Values]] = []
         self._of_sensors: dict[str, list[tuple[SensorEffect, Values]]] = {}
-        for known in read_sidecar(files.effects).effects if files.effects else ():
+        for known in read_sidecar(files.effects).effects:
             effect = effect_class(known.effect).from_values(values_of(known))
             if isinstance(effect, SensorEffect):
                 self._of_sensors.setdefault(known.joint, []).append((effect, values_of(known)))

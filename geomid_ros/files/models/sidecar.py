@@ -31,7 +31,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.disk import write_text
 from geomid_ros.files.models.effect_forms import is_coefficient
 from geomid_ros.files.parameter_file import read_yaml
-from geomid_ros.files.schema import FORMAT, check_form, plain, structured
+from geomid_ros.files.schema import FORMAT, check, check_form, plain, structured
 from geomid_ros.model.effects import EFFECTS, KnownEffect, ParameterForm, Quantity, effect_class
 
 _PLACES = {
@@ -56,8 +56,9 @@ class Sidecar:
     effects: tuple[KnownEffect, ...]
 
 
-def check_effect(effect: KnownEffect, where: str) -> KnownEffect:
-    """The effect that a file has. Raises InputError beginning with ``where`` if it cannot be."""
+@check.register
+def _check_effect(effect: KnownEffect, where: str) -> None:
+    """Refuse an effect of a file that cannot be. Raises InputError beginning with ``where``."""
     if effect.effect not in EFFECTS:
         raise InputError(f"{where}: {unknown_name('effect', effect.effect, EFFECTS)}")
     cls, where = EFFECTS[effect.effect], f"{where} ({effect.effect})"
@@ -72,7 +73,6 @@ def check_effect(effect: KnownEffect, where: str) -> KnownEffect:
     for name, form in forms.items():
         if name not in effect.parameters and not form.optional:
             raise InputError(f"{where}: parameters: {name} is not given")
-    return effect
 
 
 def _check_quantity(given: Quantity, form: ParameterForm, where: str) -> None:
@@ -130,8 +130,6 @@ def read_sidecar(path: Path) -> Sidecar:
     document = read_yaml(path, "file of effects")
     check_form(document, ("effects",), f"{path}:", "file of effects")
     sidecar = structured(Sidecar, document, f"{path}:")
-    for index, effect in enumerate(sidecar.effects):
-        check_effect(effect, f"{path}: effects[{index}]")
     for (name, place), count in Counter((own.effect, own.link or own.joint) for own in sidecar.effects).items():
         if count > 1:
             raise InputError(f"{path}: {name} is said twice at '{place}'")

@@ -29,7 +29,7 @@ from geomid_ros.files.models.estimate_file import (
 )
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.readers import ELEMENTS
-from geomid_ros.files.models.sidecar import check_effect, effects_entries, write_sidecar
+from geomid_ros.files.models.sidecar import effects_entries, write_sidecar
 from geomid_ros.files.models.urdf import with_effects, with_inertials
 from geomid_ros.files.schema import FORMAT, plain
 from geomid_ros.model.coefficients import Coefficient
@@ -42,10 +42,10 @@ ESTIMATE, URDF, MJCF, EFFECTS_FILE = "estimate.json", "identified.urdf", "identi
 
 @dataclass(frozen=True)
 class ModelFiles:
-    """An MJCF and, if there is one, its sidecar of effects."""
+    """An MJCF and its sidecar of effects."""
 
     mjcf: Path
-    effects: Path | None = None
+    effects: Path
 
     @staticmethod
     def of(folder: Path) -> ModelFiles:
@@ -177,6 +177,4 @@ def written_for(file: EstimateFile, reader: str) -> WrittenModel | None:
     found = next((file.handover[name] for name in alike if name in file.handover), None)
     if found is None:
         return None
-    where = f"{file.source}: handover for {reader}"
-    effects = [check_effect(each, f"{where}: effects[{index}]") for index, each in enumerate(found.effects)]
-    return WrittenModel(inertias_of(found.links, where), tuple(effects))
+    return WrittenModel(inertias_of(found.links, f"{file.source}: handover for {reader}"), found.effects)
