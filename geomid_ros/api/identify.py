@@ -18,10 +18,10 @@ from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.files.disk import staged, write_json, write_text
+from geomid_ros.files.models.effects_file import write_sidecar
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.files.models.readers import READERS
-from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.model.effects import effect_class

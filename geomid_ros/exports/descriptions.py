@@ -22,7 +22,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 from geomid_ros.exports import formats
-from geomid_ros.files.models.effect_forms import joint_attributes, unsaid
+from geomid_ros.files.models.effects_file import joint_attributes, unsaid
 from geomid_ros.files.models.readers import ELEMENTS
 from geomid_ros.files.models.urdf import for_drake, for_gazebo, with_effects
 from geomid_ros.model.effects import KnownEffect

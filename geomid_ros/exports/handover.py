@@ -15,7 +15,7 @@ from geomid_ros.checks.unexplained import WORSE
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.exports.descriptions import DESCRIPTIONS, RobotToDescribe, Whole
-from geomid_ros.files.models.effect_forms import coefficients_of, unsaid
+from geomid_ros.files.models.effects_file import coefficients_of, unsaid
 from geomid_ros.files.models.estimate_file import model_effects
 from geomid_ros.files.models.read_back import Attributes, ReadBack, read_urdf_back
 from geomid_ros.files.models.readers import ELEMENTS, URDF

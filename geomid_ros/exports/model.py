@@ -11,7 +11,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UncertainInertia
-from geomid_ros.files.models.effect_forms import (
+from geomid_ros.files.models.effects_file import (
     QUANTITY_NAMES,
     coefficient,
     effects_of_dynamics,
@@ -79,7 +79,7 @@ def read_model(path: Path, reader: str = "") -> Model:
 
     Args:
         path: the file.
-        reader: who is to read it, of :data:`~geomid_ros.files.models.effect_forms.ELEMENTS`, for the model that was
+        reader: who is to read it, of :data:`~geomid_ros.files.models.effects_file.ELEMENTS`, for the model that was
             fitted within what its files hold; empty for the estimate itself.
 
     Raises:

@@ -20,10 +20,9 @@ from geomid_ros.exports.descriptions import DESCRIPTIONS, as_described
 from geomid_ros.exports.formats import JSON
 from geomid_ros.exports.model import SAME, Model, read_model
 from geomid_ros.exports.patch_mjcf import OwnMjcf, read_own_mjcf
-from geomid_ros.files.models.effect_forms import QUANTITY_NAMES, by_parameter
+from geomid_ros.files.models.effects_file import QUANTITY_NAMES, by_parameter, effects_entries
 from geomid_ros.files.models.estimate_file import link_entry
 from geomid_ros.files.models.posterior import beside, read_posterior
-from geomid_ros.files.models.sidecar import effects_entries
 from geomid_ros.files.models.urdf import with_inertials
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class

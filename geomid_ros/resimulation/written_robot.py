@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.files.models.sidecar import read_sidecar
+from geomid_ros.files.models.effects_file import read_sidecar
 from geomid_ros.files.models.written_model import ModelFiles
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import Effect, Motion, Place, SensorEffect, Values, effect_class, joints_of, values_of

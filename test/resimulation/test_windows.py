@@ -12,7 +12,7 @@ from files.effects import PAYLOAD, effect
 from model.robots import with_values
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.models.effect_forms import payload_parameters
+from geomid_ros.files.models.effects_file import payload_parameters
 from geomid_ros.files.models.urdf import with_effects
 from geomid_ros.files.models.written_model import ModelFiles
 from geomid_ros.gap.result import GapResult

@@ -15,7 +15,7 @@ from geomid_ros.checks.verdict import USABLE
 from geomid_ros.commands.terminal import lines, number_columns, plain_table, print_verdict, results_console, say
 from geomid_ros.estimation.estimate import EffectEstimate, LinkEstimate, WeighedEstimate
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES
-from geomid_ros.files.models.effect_forms import is_coefficient
+from geomid_ros.files.models.effects_file import is_coefficient
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.model.effects import EFFECTS, KnownEffect
 from geomid_ros.report import gap_words, identification_page

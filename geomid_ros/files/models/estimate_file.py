@@ -24,8 +24,7 @@ from geomid_ros.estimation.estimate import (
     WeighedEstimate,
 )
 from geomid_ros.estimation.uncertain_inertia import UncertainInertia
-from geomid_ros.files.models.effect_forms import coefficient, combined, continued, is_coefficient
-from geomid_ros.files.models.sidecar import coefficient_entry
+from geomid_ros.files.models.effects_file import coefficient, coefficient_entry, combined, continued, is_coefficient
 from geomid_ros.files.schema import (
     FORMAT,
     Matrix,

@@ -15,7 +15,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 
-from geomid_ros.files.models.effect_forms import is_body, joint_attributes, payload_parameters, turned_gravity
+from geomid_ros.files.models.effects_file import is_body, joint_attributes, payload_parameters, turned_gravity
 from geomid_ros.files.models.mjcf_shapes import Shapes, words
 from geomid_ros.files.models.urdf import JointFrame, joint_frames
 from geomid_ros.files.models.xml_edits import Edit, descendants_of, edited, insertion, with_attributes

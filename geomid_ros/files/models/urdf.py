@@ -16,7 +16,7 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 
 from geomid_ros.files.disk import read_text
-from geomid_ros.files.models.effect_forms import is_body, joint_attributes, payload_parameters
+from geomid_ros.files.models.effects_file import is_body, joint_attributes, payload_parameters
 from geomid_ros.files.models.xml_edits import Edit, Span, children_of, edited, end_of_tag, insertion, with_attributes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, values_of

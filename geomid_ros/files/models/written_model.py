@@ -20,7 +20,7 @@ from geomid_ros.checks.causes import Finding
 from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.disk import write_json, write_text
-from geomid_ros.files.models.effect_forms import combined, continued
+from geomid_ros.files.models.effects_file import combined, continued, effects_entries, write_sidecar
 from geomid_ros.files.models.estimate_file import (
     EstimateFile,
     inertias_of,
@@ -29,7 +29,6 @@ from geomid_ros.files.models.estimate_file import (
 )
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.readers import ELEMENTS
-from geomid_ros.files.models.sidecar import effects_entries, write_sidecar
 from geomid_ros.files.models.urdf import with_effects, with_inertials
 from geomid_ros.files.schema import FORMAT, plain
 from geomid_ros.model.coefficients import Coefficient
@@ -70,7 +69,7 @@ def write_model(
     ``gravity (3,)`` is that of a base which stands straight; ``findings`` are what seems to be wrong with the recording
     that the model is from, ``noise`` its floor by channel and its cutoff, if known; ``folded``: by how much attributes
     of joints differ in URDF and MJCF, which cannot say all friction. Of effects that are there twice, see
-    :func:`~geomid_ros.files.models.effect_forms.combined`.
+    :func:`~geomid_ros.files.models.effects_file.combined`.
     """
     effects = combined(effects)
     alone = _with_folded(effects, folded)
