@@ -19,6 +19,7 @@ from trimesh.units import unit_conversion
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.disk import read_bytes
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model import shapes
 from geomid_ros.model.shape_prior import Solid
 from geomid_ros.model.urdf_tree import origin_of, read_numbers
@@ -171,9 +172,8 @@ def _primitive(geometry: Element, tag: str, where: str) -> _Shape | None:
 
 def _placement(element: Element, where: str) -> FloatArray:
     """The ``<origin>`` of a shape, ``(4, 4)``."""
-    placement = np.eye(4)
-    placement[:3, 3], placement[:3, :3] = origin_of(element, where)
-    return placement
+    position, axes = origin_of(element, where)
+    return pseudo_inertia.change_of_frame(axes, position)
 
 
 class MeshFinder:

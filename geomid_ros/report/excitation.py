@@ -44,6 +44,7 @@ def excitation_document(found: Excitation) -> dict[str, Any]:
     feasibility, margins, limits = found.task.feasibility, found.margins, found.task.feasibility.limits
     kinds = ("velocity", "acceleration", "jerk", "effort")
     posterior, learning = found.task.knowledge.posterior, found.learning
+    pairs = feasibility.collision.pairs if feasibility.collision else ()
     stages = {name: getattr(learning, name) for name in ("before", "designed", "random", "twice", "random_twice")}
     return {
         "format": FORMAT,
@@ -54,13 +55,8 @@ def excitation_document(found: Excitation) -> dict[str, Any]:
         "used": {kind: by_channel(feasibility.names, getattr(margins, kind)) for kind in kinds},
         "to_position_limit": by_channel(feasibility.names, margins.position),
         "distances": [
-            {"first": pair.first, "second": pair.second, "at_least": float(distance), "clearance": float(clearance)}
-            for pair, distance, clearance in zip(
-                feasibility.collision.pairs if feasibility.collision else (),
-                margins.distance,
-                feasibility.clearances,
-                strict=True,
-            )
+            entry(pair, "first", "second") | {"at_least": float(distance), "clearance": float(clearance)}
+            for pair, distance, clearance in zip(pairs, margins.distance, feasibility.clearances, strict=True)
         ],
         "not_watched": [[pair.first, pair.second] for pair in found.task.not_watched],
         "expected": {
@@ -81,7 +77,7 @@ def excitation_document(found: Excitation) -> dict[str, Any]:
 
 def _effects(found: Excitation, stage: Expected) -> list[dict[str, Any]]:
     return [
-        {"name": effect.name, "place": effect.place, "parameter": effect.parameter, "std": float(std)}
+        entry(effect, "name", "place", "parameter") | {"std": float(std)}
         for effect, std in zip(found.task.knowledge.posterior.effects, stage.effects, strict=True)
     ]
 

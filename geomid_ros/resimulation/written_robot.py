@@ -15,6 +15,7 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.models.effects_file import read_sidecar
 from geomid_ros.files.models.written_model import ModelFiles
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import Effect, Motion, Place, SensorEffect, Values, effect_class, joints_of, values_of
 from geomid_ros.model.effects.situation import place_named
@@ -281,11 +282,10 @@ def body_frames(path: Path) -> BodyFrames:
     single = [index for index in range(model.njnt) if model.jnt_type[index] in of_one_axis]
     data.qpos[model.jnt_qposadr[single]] = 0.0
     mujoco.mj_kinematics(model, data)
-    bodies = {}
-    for index in range(1, model.nbody):
-        placed = np.eye(4)
-        placed[:3, :3], placed[:3, 3] = data.xmat[index].reshape(3, 3), data.xpos[index]
-        bodies[model.body(index).name] = placed
+    bodies = {
+        model.body(index).name: pseudo_inertia.change_of_frame(data.xmat[index].reshape(3, 3), data.xpos[index])
+        for index in range(1, model.nbody)
+    }
     joints = {model.joint(index).name: np.array([data.xanchor[index], data.xaxis[index]]) for index in single}
     masses = {name: float(model.body(name).mass[0]) for name in bodies}
     return BodyFrames(bodies, masses, joints)
