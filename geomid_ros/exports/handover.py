@@ -71,15 +71,16 @@ class HandedOver:
         """Texts of the files by name: the description, and what stands beside it."""
         return {self.name: self._whole.text, **self._whole.beside}
 
-    def lacks(self, joint: str) -> list[str]:
-        """What the estimate has at a joint and the file cannot say, in words."""
-        effects = model_effects(self.estimate, self.session.loaded.effects)
-        return unsaid([effect for effect in effects if joint in effect.joint.split("+")], ELEMENTS[self.reader])
-
     def judged(self, batches: Sequence[Samples], found: Mapping[str, float]) -> JudgedFile:
         """How well it predicts samples, of which all that was ``found`` leaves this RMS by channel. Raises InputError
         where the program does not take the file."""
-        lacks = {channel.name: self.lacks(channel.name) for channel in self.session.model.channels}
+        effects = model_effects(self.estimate, self.session.loaded.effects)
+        lacks = {
+            channel.name: unsaid(
+                [own for own in effects if channel.name in own.joint.split("+")], ELEMENTS[self.reader]
+            )
+            for channel in self.session.model.channels
+        }
         return judge(
             self.session, self.reader, self._whole, batches, found, errors=self._errors_of_sensors, lacks=lacks
         )
@@ -109,7 +110,7 @@ class JudgedFile:
         corrected: of the file, with the errors of sensors that stand beside it.
         given: of the description that it is from.
         found: of all that was found, also what the file cannot say.
-        lacks: what the estimate has there and the file cannot say, in words.
+        lacks: what the estimate has there and the file cannot say, in words; not of channels where that is not known.
     """
 
     name: str
@@ -148,7 +149,7 @@ class JudgedFile:
                 yield name, sentence
 
     def _why(self, channel: str) -> str:
-        lacks = self.lacks[channel]
+        lacks = self.lacks.get(channel)
         return f" (it cannot hold {'; '.join(lacks)})" if lacks else ""
 
     @property
@@ -178,7 +179,7 @@ def judge(
         batches: samples to judge on.
         found: RMS of what all that was found leaves of them, by channel.
         errors: parameters ``(D,)`` of the errors of sensors that stand beside it.
-        lacks: what the estimate has and the description cannot say, by joint.
+        lacks: what the estimate has and the description cannot say, by channel.
 
     Raises:
         InputError: the program does not take it.
@@ -190,22 +191,21 @@ def judge(
         written = read_urdf_back(session.read_robot(whole.text, name), reader, whole.beside)
     given = read_urdf_back(session.robot, URDF if reader == MUJOCO else reader)
     channels = [channel.name for channel in session.model.channels]
-    kinds = (written, None), (written, errors), (given, None)
+    none = np.zeros(session.model.dimension)
+    kinds = (written, none), (written, none if errors is None else errors), (given, none)
     alone, corrected, before = (
         dict(zip(channels, own, strict=True)) for own in _rms(session.model, batches, kinds).tolist()
     )
-    said = {channel: lacks.get(channel, ()) for channel in channels}
     return JudgedFile(
-        name=name, program=program, alone=alone, corrected=corrected, given=before, found=found, lacks=said
+        name=name, program=program, alone=alone, corrected=corrected, given=before, found=found, lacks=lacks
     )
 
 
 def _rms(
-    model: MeasurementModel, batches: Sequence[Samples], kinds: Sequence[tuple[ReadBack, FloatArray | None]]
+    model: MeasurementModel, batches: Sequence[Samples], kinds: Sequence[tuple[ReadBack, FloatArray]]
 ) -> FloatArray:
     """RMS ``(kinds, channels)`` of what descriptions leave, each with what parameters ``(D,)`` say beside it."""
-    beside = [np.zeros(model.dimension) if own is None else own for _, own in kinds]
-    parameters = np.column_stack([read.parameters(model) + own for (read, _), own in zip(kinds, beside, strict=True)])
+    parameters = np.column_stack([read.parameters(model) + beside for read, beside in kinds])
     squares, counts = np.zeros((len(kinds), len(model.channels))), np.zeros(len(model.channels))
     for samples in batches:
         measured, predicted = model.predict(samples, parameters)
