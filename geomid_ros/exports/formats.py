@@ -25,14 +25,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.exports.payload import Export
 from geomid_ros.geometry.pseudo_inertia import INERTIA_NAMES
 from geomid_ros.types import FloatArray
+
+if TYPE_CHECKING:
+    from geomid_ros.exports.payload import Export
 
 DIGITS = 9
 """Of numbers in a description."""
