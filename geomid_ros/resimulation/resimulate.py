@@ -78,8 +78,7 @@ def resimulate(
     efforts, judged = np.concatenate([part.samples.effort for part in parts]), _judged_joints(parts)
     robots = loaded_robots((before, after), model.robot.joint_names, efforts)
     for robot in robots:
-        for joint in np.flatnonzero(~judged):
-            robot.prescribe(int(joint))
+        robot.prescribe(~judged)
     errors = Errors(model, noise)
     runs = [_simulated(part, errors, *robots) for part in parts]
     floor = root_mean_square([run.noise for run in runs])

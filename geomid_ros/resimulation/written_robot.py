@@ -90,9 +90,10 @@ class WrittenRobot:
         """The MJCF's time step [s]."""
         return float(self.model.opt.timestep)
 
-    def prescribe(self, joint: int) -> None:
-        """Let a joint follow its measured motion: :meth:`driving_effort` accelerates it as measured."""
-        self.model.dof_armature[self.dofs[joint]] = _IMMOVABLE
+    def prescribe(self, joints: BoolArray) -> None:
+        """Let these ``joints (J,)`` follow their measured motion: :meth:`driving_effort` accelerates them as
+        measured."""
+        self.model.dof_armature[self.dofs[joints]] = _IMMOVABLE
         self.mujoco.mj_setConst(self.model, self.mujoco.MjData(self.model))
 
     @contextmanager

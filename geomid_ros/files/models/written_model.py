@@ -119,11 +119,6 @@ class WrittenModel:
     inertias: Mapping[str, FloatArray]
     effects: tuple[KnownEffect, ...]
 
-    @property
-    def of_robot(self) -> list[KnownEffect]:
-        """The effects without errors of sensors."""
-        return [effect for effect in self.effects if not effect_class(effect.effect).of_sensor]
-
 
 def written_model(
     model: MeasurementModel, estimate: Estimate, reader: str, known: Sequence[KnownEffect] = ()
