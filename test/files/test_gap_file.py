@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
+from geomid_ros.errors import InputError
 from geomid_ros.files.disk import write_json
 from geomid_ros.files.models.estimate_file import by_channel
 from geomid_ros.files.models.gap_file import GapFile, gap_document, is_open, page_entries
@@ -112,6 +113,9 @@ def test_it_is_read_again() -> None:
     read = GapFile.of(document, "gap.json")
     assert (read.findings, read.links, read.result.verdict) == (result.findings, result.links, result.verdict)
     assert read.result.corrected_floor.tolist() == pytest.approx(result.corrected_floor.tolist())
+    document["findings"][0]["effect"] = "springs"
+    with pytest.raises(InputError, match=r"^gap\.json: findings\[0\]: unknown effect 'springs'"):
+        GapFile.of(document, "gap.json")
 
 
 URDF = (BAGS / "arm3.urdf").read_text(encoding="utf-8")
