@@ -37,7 +37,7 @@ from benchmarks.blind.realistic.judging import Size, _sizes
 from benchmarks.blind.realistic.running import _recorded
 from benchmarks.measured_data import DATA
 from geomid_ros.errors import GeomidError
-from geomid_ros.files.models.effect_forms import is_body
+from geomid_ros.files.models.effects_file import is_body
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.model.effects import Effect, effect_class, values_of
 from geomid_ros.session.results import save

@@ -16,9 +16,9 @@ from geomid_ros.api.verify import doubts_of, identified, read_to_judge
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.comparison import Difference, RobotValues, compared
-from geomid_ros.exports.inertial import Summand, total
 from geomid_ros.exports.model import Model, read_model
-from geomid_ros.files.models.effect_forms import coefficients_of
+from geomid_ros.exports.payload import Summand, total
+from geomid_ros.files.models.effects_file import coefficients_of
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.schema import entry, plain

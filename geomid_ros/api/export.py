@@ -10,10 +10,9 @@ from geomid_ros.api.robot import entries
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.exports.descriptions import DESCRIPTIONS, Whole, described
 from geomid_ros.exports.formats import CONTROLLERS
-from geomid_ros.exports.inertial import Export
 from geomid_ros.exports.model import Model, read_model
 from geomid_ros.exports.patch_mjcf import into_mjcf
-from geomid_ros.exports.payload import attached, chosen, difference, each_link
+from geomid_ros.exports.payload import Export, attached, chosen, difference, each_link
 from geomid_ros.files.models.readers import INTO
 from geomid_ros.options import takes
 from geomid_ros.session.options import PathLike, Texts

@@ -12,7 +12,7 @@ from geomid_ros.checks.verdict import DOUBTFUL, Verdict
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
 from geomid_ros.estimation.suggested_motions import suggested_motions
 from geomid_ros.exports.handover import HandedOver, JudgedFile
-from geomid_ros.files.models.effect_forms import unsaid
+from geomid_ros.files.models.effects_file import unsaid
 from geomid_ros.files.models.estimate_file import model_effects
 from geomid_ros.files.models.readers import ELEMENTS, URDF
 from geomid_ros.model.channels import Channel

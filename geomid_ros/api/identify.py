@@ -18,16 +18,16 @@ from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.files.disk import staged, write_json, write_text
+from geomid_ros.files.models.effects_file import write_sidecar
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.files.models.readers import READERS
-from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.model.effects import effect_class
 from geomid_ros.model.samples import Samples
 from geomid_ros.options import Progress, silent, takes
-from geomid_ros.report.identification_page import IdentificationPage, write_identification_page
+from geomid_ros.report.identification_page import write_identification_page
 from geomid_ros.report.series import Series, series_of
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import gap_session, remainder_of
@@ -94,7 +94,7 @@ class Identification(IdentificationSummary):
             InputError: the file cannot be written.
         """
         file = EstimateFile.of(self._document(command), "estimate.json")
-        write_identification_page(Path(path), IdentificationPage(file, self._series))
+        write_identification_page(Path(path), file, self._series)
         return Path(path)
 
     def save(

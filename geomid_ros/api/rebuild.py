@@ -14,7 +14,7 @@ from geomid_ros.files.models.estimate_file import OF_PAGE, EstimateFile
 from geomid_ros.files.models.gap_file import Errors, GapFile, read_gap
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.report.gap_page import GapPage, Kind, SimulatedAgain, write_gap_page
-from geomid_ros.report.identification_page import IdentificationPage, write_identification_page
+from geomid_ros.report.identification_page import write_identification_page
 from geomid_ros.session.options import PathLike
 
 _GAP, _ESTIMATE, _PAGE = "gap.json", "estimate.json", "report.html"
@@ -52,7 +52,7 @@ def rebuild_report(folder: PathLike, *, out: PathLike | None = None) -> list[Pat
         if missing := [key for key in OF_PAGE if key not in estimate.document]:
             raise InputError(f"{missing[0]} is not given")
         found = tables(estimate.document)
-        write_identification_page(page, IdentificationPage(estimate))
+        write_identification_page(page, estimate)
     return [page, *write_tables(target, found)]
 
 

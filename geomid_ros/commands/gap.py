@@ -31,7 +31,7 @@ def gap(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **option
     description for --for. The exit status is 4 if the recording is doubtful, or if that description predicts a channel
     worse than the given one.
     """
-    from geomid_ros.commands.results import gap as results
+    from geomid_ros.commands import gap_results
     from geomid_ros.files.models.gap_file import is_open
 
     with progress_bar() as progress:
@@ -40,7 +40,7 @@ def gap(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **option
     if as_json:
         click.echo(json.dumps(found.document, indent=2))
     else:
-        results.show(found)
+        gap_results.show(found)
         print_written(files, out, report=report)
         if is_open(found.result):
             arguments = ("--urdf", options["urdf"] or "ROBOT.urdf", "--settle", out / "gap.json")

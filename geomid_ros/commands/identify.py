@@ -29,7 +29,7 @@ def identify(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **o
     result is tested on held-out data: the end of each bag, or the bags of --validate. The exit status is 4 if it is
     doubtful, for example if the written file predicts a channel worse than the given description.
     """
-    from geomid_ros.commands.results import identification
+    from geomid_ros.commands import identify_results
     from geomid_ros.commands.terminal import print_written, progress_bar
 
     with progress_bar() as progress:
@@ -38,7 +38,7 @@ def identify(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **o
     if as_json:
         click.echo(files[0].read_text(encoding="utf-8"), nl=False)
     else:
-        identification.show(found)
+        identify_results.show(found)
         print_written(files, out, report=report)
         if found.not_written:
             click.echo(one_line(found.not_written))

@@ -15,7 +15,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.session.options import PackageOptions
 
 if TYPE_CHECKING:
-    from geomid_ros.files.shapes.shapes import ShapeReader
+    from geomid_ros.files.shapes import ShapeReader
     from geomid_ros.model.robot import Robot
     from geomid_ros.model.shape_prior import LinkPrior, ShapePrior, Solid
     from geomid_ros.model.urdf_tree import UrdfTree
@@ -47,8 +47,7 @@ def prior(urdf: Path, mass: float, keep: list[str] | None, package_path: dict[st
     """
     from geomid_ros.files.disk import write_text
     from geomid_ros.files.models.urdf import read_urdf, with_inertials
-    from geomid_ros.files.shapes.meshes import MeshFinder
-    from geomid_ros.files.shapes.shapes import ShapeReader
+    from geomid_ros.files.shapes import ShapeReader
     from geomid_ros.model.robot import Robot
     from geomid_ros.model.shape_prior import ShapedUrdf, shape_prior
 
@@ -58,7 +57,7 @@ def prior(urdf: Path, mass: float, keep: list[str] | None, package_path: dict[st
     for name in kept:
         if name not in robot.links:
             raise unknown_name("link to keep", name, robot.links)
-    reader = ShapeReader(MeshFinder(urdf, package_path), str(urdf))
+    reader = ShapeReader(urdf, package_path)
     solids = _solids(reader, {name: link for name, link in robot.links.items() if name not in kept})
     robot.check_staying(solids)
     result = shape_prior(robot.inertials, solids, mass, str(urdf))

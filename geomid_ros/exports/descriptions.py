@@ -22,7 +22,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 from geomid_ros.exports import formats
-from geomid_ros.files.models.effect_forms import joint_attributes, unsaid
+from geomid_ros.files.models.effects_file import joint_attributes, unsaid
 from geomid_ros.files.models.readers import ELEMENTS
 from geomid_ros.files.models.urdf import for_drake, for_gazebo, with_effects
 from geomid_ros.model.effects import KnownEffect
@@ -30,8 +30,8 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray
 
 if TYPE_CHECKING:
-    from geomid_ros.exports.inertial import Export
     from geomid_ros.exports.model import Model
+    from geomid_ros.exports.payload import Export
 
 _MOVEIT_NOTE = (
     "What reads it: MoveIt plans by limits alone; its DynamicsSolver, and ros2_control's controllers that compute",
@@ -138,7 +138,7 @@ def _mujoco(robot: RobotToDescribe) -> Whole:
     # What only an MJCF needs takes as long to import as all else.
     from geomid_ros.files.models.mjcf import mjcf  # noqa: PLC0415
     from geomid_ros.files.models.mjcf_shapes import mjcf_shapes  # noqa: PLC0415
-    from geomid_ros.files.shapes.meshes import MeshFinder  # noqa: PLC0415
+    from geomid_ros.files.shapes import MeshFinder  # noqa: PLC0415
 
     shapes = mjcf_shapes(robot.urdf, str(robot.path), MeshFinder(robot.path, robot.packages).find)
     missing = list(dict.fromkeys(shapes.missing))

@@ -25,19 +25,19 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.exports.inertial import Export
 from geomid_ros.geometry.pseudo_inertia import INERTIA_NAMES
 from geomid_ros.types import FloatArray
 
+if TYPE_CHECKING:
+    from geomid_ros.exports.payload import Export
+
 DIGITS = 9
 """Of numbers in a description."""
-SAME = 1e-6
-"""Relative difference of one number in two files of fewer digits."""
 _DIAGONAL_FIRST = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 _UR_LARGEST = 133.0  # [kg m^2]

@@ -7,27 +7,21 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
 from geomid_ros.checks.unexplained import WORSE
-from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.exports.descriptions import DESCRIPTIONS, RobotToDescribe, Whole
-from geomid_ros.files.models.effect_forms import coefficients_of, unsaid
+from geomid_ros.exports.read_back import ReadBack, read_mjcf_back, read_urdf_back
+from geomid_ros.files.models.effects_file import coefficients_of, unsaid
 from geomid_ros.files.models.estimate_file import model_effects
-from geomid_ros.files.models.read_back import Attributes, ReadBack, read_urdf_back
 from geomid_ros.files.models.readers import ELEMENTS, URDF
 from geomid_ros.files.models.written_model import WrittenModel, written_model
 from geomid_ros.files.schema import entry
-from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import effect_class
-from geomid_ros.model.effects.situation import pair_name
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.resimulation.written_robot import load_mujoco
 from geomid_ros.session.results import with_inertias_of
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
@@ -77,15 +71,16 @@ class HandedOver:
         """Texts of the files by name: the description, and what stands beside it."""
         return {self.name: self._whole.text, **self._whole.beside}
 
-    def lacks(self, joint: str) -> list[str]:
-        """What the estimate has at a joint and the file cannot say, in words."""
-        effects = model_effects(self.estimate, self.session.loaded.effects)
-        return unsaid([effect for effect in effects if joint in effect.joint.split("+")], ELEMENTS[self.reader])
-
     def judged(self, batches: Sequence[Samples], found: Mapping[str, float]) -> JudgedFile:
         """How well it predicts samples, of which all that was ``found`` leaves this RMS by channel. Raises InputError
         where the program does not take the file."""
-        lacks = {channel.name: self.lacks(channel.name) for channel in self.session.model.channels}
+        effects = model_effects(self.estimate, self.session.loaded.effects)
+        lacks = {
+            channel.name: unsaid(
+                [own for own in effects if channel.name in own.joint.split("+")], ELEMENTS[self.reader]
+            )
+            for channel in self.session.model.channels
+        }
         return judge(
             self.session, self.reader, self._whole, batches, found, errors=self._errors_of_sensors, lacks=lacks
         )
@@ -115,7 +110,7 @@ class JudgedFile:
         corrected: of the file, with the errors of sensors that stand beside it.
         given: of the description that it is from.
         found: of all that was found, also what the file cannot say.
-        lacks: what the estimate has there and the file cannot say, in words.
+        lacks: what the estimate has there and the file cannot say, in words; not of channels where that is not known.
     """
 
     name: str
@@ -154,7 +149,7 @@ class JudgedFile:
                 yield name, sentence
 
     def _why(self, channel: str) -> str:
-        lacks = self.lacks[channel]
+        lacks = self.lacks.get(channel)
         return f" (it cannot hold {'; '.join(lacks)})" if lacks else ""
 
     @property
@@ -184,7 +179,7 @@ def judge(
         batches: samples to judge on.
         found: RMS of what all that was found leaves of them, by channel.
         errors: parameters ``(D,)`` of the errors of sensors that stand beside it.
-        lacks: what the estimate has and the description cannot say, by joint.
+        lacks: what the estimate has and the description cannot say, by channel.
 
     Raises:
         InputError: the program does not take it.
@@ -196,22 +191,21 @@ def judge(
         written = read_urdf_back(session.read_robot(whole.text, name), reader, whole.beside)
     given = read_urdf_back(session.robot, URDF if reader == MUJOCO else reader)
     channels = [channel.name for channel in session.model.channels]
-    kinds = (written, None), (written, errors), (given, None)
+    none = np.zeros(session.model.dimension)
+    kinds = (written, none), (written, none if errors is None else errors), (given, none)
     alone, corrected, before = (
         dict(zip(channels, own, strict=True)) for own in _rms(session.model, batches, kinds).tolist()
     )
-    said = {channel: lacks.get(channel, ()) for channel in channels}
     return JudgedFile(
-        name=name, program=program, alone=alone, corrected=corrected, given=before, found=found, lacks=said
+        name=name, program=program, alone=alone, corrected=corrected, given=before, found=found, lacks=lacks
     )
 
 
 def _rms(
-    model: MeasurementModel, batches: Sequence[Samples], kinds: Sequence[tuple[ReadBack, FloatArray | None]]
+    model: MeasurementModel, batches: Sequence[Samples], kinds: Sequence[tuple[ReadBack, FloatArray]]
 ) -> FloatArray:
     """RMS ``(kinds, channels)`` of what descriptions leave, each with what parameters ``(D,)`` say beside it."""
-    beside = [np.zeros(model.dimension) if own is None else own for _, own in kinds]
-    parameters = np.column_stack([read.parameters(model) + own for (read, _), own in zip(kinds, beside, strict=True)])
+    parameters = np.column_stack([read.parameters(model) + beside for read, beside in kinds])
     squares, counts = np.zeros((len(kinds), len(model.channels))), np.zeros(len(model.channels))
     for samples in batches:
         measured, predicted = model.predict(samples, parameters)
@@ -221,50 +215,3 @@ def _rms(
         squares += np.nansum((measured[:, :, None] - predicted) ** 2, axis=0).T
         counts += np.count_nonzero(np.isfinite(measured), axis=0)
     return np.sqrt(np.divide(squares, counts, out=np.full_like(squares, np.nan), where=counts > 0))
-
-
-_PAYLOAD = "/payload"
-
-
-def read_mjcf_back(text: str, robot: Robot) -> ReadBack:
-    """The bodies and joints of an MJCF of ``robot``, as MuJoCo has compiled them.
-
-    Raises:
-        InputError: MuJoCo is not installed, or does not take it.
-    """
-    mujoco = load_mujoco()
-    try:
-        model = mujoco.MjModel.from_xml_string(text)
-    except ValueError as error:
-        raise InputError(f"the written MJCF: MuJoCo does not take it ({error})") from error
-    inertias: dict[str, FloatArray] = {}
-    for index in range(1, model.nbody):
-        name = model.body(index).name.removesuffix(_PAYLOAD)
-        inertias[name] = inertias.get(name, np.zeros(10)) + _parameters(mujoco, model, index)
-    attributes: Attributes = {}
-    for name in robot.joint_names:
-        joint = model.joint(name)
-        (dof,), (place,) = joint.dofadr, joint.qposadr
-        attributes[name, "joint/damping"] = float(model.dof_damping[dof])
-        attributes[name, "joint/frictionloss"] = float(model.dof_frictionloss[dof])
-        attributes[name, "joint/armature"] = float(model.dof_armature[dof])
-        attributes[name, "joint/stiffness"] = float(joint.stiffness[0])
-        attributes[name, "joint/springref"] = float(model.qpos_spring[place])
-    for index in range(model.ntendon):
-        first, second = model.wrap_objid[model.tendon_adr[index] :][:2]
-        pair = pair_name(model.joint(first).name, model.joint(second).name)
-        attributes[pair, "tendon/coef"] = float(model.wrap_prm[model.tendon_adr[index] + 1])
-        for key in ("damping", "frictionloss", "armature"):
-            place = pair, f"tendon/{key}"
-            attributes[place] = attributes.get(place, 0.0) + float(np.ravel(getattr(model, f"tendon_{key}")[index])[0])
-    own = {"world_link": "world"}
-    return ReadBack("mujoco", {own.get(name, name): value for name, value in inertias.items()}, attributes)
-
-
-def _parameters(mujoco: Any, model: Any, index: int) -> FloatArray:
-    """Parameters ``(10,)`` of a body about its frame's origin."""
-    rotation = np.zeros(9)
-    mujoco.mju_quat2Mat(rotation, model.body_iquat[index])
-    axes = rotation.reshape(3, 3)
-    inertia = axes @ np.diag(model.body_inertia[index]) @ axes.T
-    return pseudo_inertia.assemble(model.body_mass[index], model.body_ipos[index], inertia)

@@ -5,28 +5,33 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UncertainInertia
-from geomid_ros.exports.formats import SAME
-from geomid_ros.files.models.effect_forms import coefficient, effects_of_dynamics, is_body, joint_attributes
+from geomid_ros.files.models.effects_file import (
+    QUANTITY_NAMES,
+    coefficient,
+    effects_of_dynamics,
+    is_body,
+    joint_attributes,
+)
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.readers import URDF
 from geomid_ros.files.models.urdf import joint_frames, read_urdf, with_inertials
 from geomid_ros.files.models.written_model import written_for
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
-from geomid_ros.model.effects.parameters import COM_ENTRIES
 from geomid_ros.model.robot import GRAVITY
 from geomid_ros.model.urdf_tree import UrdfTree, parse, read_numbers, read_xml
 from geomid_ros.types import FloatArray
 
+SAME = 1e-6
+"""Relative difference of one number in two files of fewer digits."""
 _URDF = "identified.urdf"
-# A payload's parameters in the order of the quantities.
-_PAYLOAD = ("mass", *COM_ENTRIES, *pseudo_inertia.INERTIA_NAMES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,29 +41,37 @@ class Model:
     Attributes:
         source: The file.
         tree: The URDF's.
-        placements: Homogeneous matrices ``(4, 4)`` of all links in the root's frame, with all joints at zero.
         bodies: The links with a mass.
-        estimated: The links that were identified.
-        doubt: Why it should not be used, in a sentence; empty if nothing speaks against it.
         urdf: The description with the inertias, and the file that it is from.
         effects: What was found beside these, without the payloads that are links of the URDF.
         known: all effects of the estimate, those that its reader cannot hold included.
+        estimated: The links that were identified.
+        doubt: Why it should not be used, in a sentence; empty if nothing speaks against it.
         gravity: ``(3,)`` [m/s^2] where the base stands straight.
         fitted: Whether bodies and effects were fitted for who is to read them.
     """
 
     source: str
     tree: UrdfTree
-    placements: Mapping[str, FloatArray]
     bodies: Mapping[str, UncertainInertia]
-    estimated: tuple[str, ...]
-    doubt: str
     urdf: str
     urdf_path: Path
     effects: tuple[KnownEffect, ...]
     known: tuple[KnownEffect, ...]
+    estimated: tuple[str, ...] = ()
+    doubt: str = ""
     gravity: FloatArray = field(default_factory=GRAVITY.copy)
     fitted: bool = True
+
+    @cached_property
+    def placements(self) -> dict[str, FloatArray]:
+        """Homogeneous matrices ``(4, 4)`` of all links in the root's frame, with all joints at zero."""
+        joints = {joint.child: joint for joint in joint_frames(self.urdf, str(self.urdf_path))}
+        placements = {self.tree.root: np.eye(4)}
+        for link in self.tree.subtree(self.tree.root)[1:]:
+            placed = pseudo_inertia.change_of_frame(joints[link].rotation, joints[link].position)
+            placements[link] = placements[joints[link].parent] @ placed
+        return placements
 
     def placement(self, link: str, frame: str) -> FloatArray:
         """The homogeneous matrix ``(4, 4)`` from a link's coordinates to those of the link ``frame``."""
@@ -75,7 +88,7 @@ def read_model(path: Path, reader: str = "") -> Model:
 
     Args:
         path: the file.
-        reader: who is to read it, of :data:`~geomid_ros.files.models.effect_forms.ELEMENTS`, for the model that was
+        reader: who is to read it, of :data:`~geomid_ros.files.models.readers.ELEMENTS`, for the model that was
             fitted within what its files hold; empty for the estimate itself.
 
     Raises:
@@ -102,7 +115,6 @@ def read_model(path: Path, reader: str = "") -> Model:
     return Model(
         source=source,
         tree=tree,
-        placements=_placements(text, tree, str(urdf)),
         bodies=bodies,
         estimated=tuple(link.name for link in file.links),
         doubt=file.doubt,
@@ -121,10 +133,7 @@ def _of_urdf(path: Path) -> Model:
     return Model(
         source=str(path),
         tree=tree,
-        placements=_placements(text, tree, str(path)),
         bodies=_urdf_bodies(tree),
-        estimated=(),
-        doubt="",
         urdf=text,
         urdf_path=path,
         effects=effects,
@@ -146,15 +155,6 @@ def _dynamics(urdf: str, source: str, found: Sequence[KnownEffect]) -> list[Know
                 unit = units[joint.get("type") == "prismatic"]
                 effects += [coefficient(effect, name, Quantity(value, math.nan, unit))] if value > 0.0 else []
     return effects
-
-
-def _placements(urdf: str, tree: UrdfTree, source: str) -> dict[str, FloatArray]:
-    joints = {joint.child: joint for joint in joint_frames(urdf, source)}
-    placements = {tree.root: np.eye(4)}
-    for link in tree.subtree(tree.root)[1:]:
-        placed = pseudo_inertia.change_of_frame(joints[link].rotation, joints[link].position)
-        placements[link] = placements[joints[link].parent] @ placed
-    return placements
 
 
 def _urdf_bodies(tree: UrdfTree) -> dict[str, UncertainInertia]:
@@ -191,6 +191,6 @@ def _found_payloads(
     for effect in effects:
         name = f"{effect.link}_payload"
         if is_body(effect) and name in bodies:
-            std = [effect.parameters[key].std if key in effect.parameters else np.nan for key in _PAYLOAD]
+            std = [effect.parameters[key].std if key in effect.parameters else np.nan for key in QUANTITY_NAMES]
             found[name] = UncertainInertia(parameters=bodies[name].parameters, std=np.array(std))
     return found

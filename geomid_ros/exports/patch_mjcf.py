@@ -13,7 +13,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.exports.descriptions import Whole, not_said
 from geomid_ros.exports.model import Model
 from geomid_ros.files.disk import read_text
-from geomid_ros.files.models.effect_forms import joint_attributes
+from geomid_ros.files.models.effects_file import joint_attributes
 from geomid_ros.files.models.mjcf import with_identified
 from geomid_ros.files.models.urdf import joint_frames
 from geomid_ros.geometry import pseudo_inertia

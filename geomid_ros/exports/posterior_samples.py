@@ -17,17 +17,15 @@ import yaml
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.exports.descriptions import DESCRIPTIONS, as_described
-from geomid_ros.exports.formats import JSON, SAME
-from geomid_ros.exports.model import Model, read_model
+from geomid_ros.exports.formats import JSON
+from geomid_ros.exports.model import SAME, Model, read_model
 from geomid_ros.exports.patch_mjcf import OwnMjcf, read_own_mjcf
-from geomid_ros.files.models.effect_forms import by_parameter
+from geomid_ros.files.models.effects_file import QUANTITY_NAMES, by_parameter, effects_entries
 from geomid_ros.files.models.estimate_file import link_entry
 from geomid_ros.files.models.posterior import beside, read_posterior
-from geomid_ros.files.models.sidecar import effects_entries
 from geomid_ros.files.models.urdf import with_inertials
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
-from geomid_ros.model.effects.parameters import COM_ENTRIES
 from geomid_ros.types import FloatArray
 
 BAND = (0.025, 0.975)
@@ -54,52 +52,48 @@ class DrawnRobots:
 
     def __iter__(self) -> Iterator[Model]:
         """Each robot that was asked for in turn."""
-        return map(self._robot, self.parameters[: self.count])
+        return map(self._robot, range(self.count))
 
-    def _robot(self, parameters: FloatArray) -> Model:
-        """The model with these parameters ``(D,)``."""
-        links = dict(
-            zip(self.posterior.links, parameters[: 10 * len(self.posterior.links)].reshape(-1, 10), strict=True)
-        )
+    @property
+    def links(self) -> dict[str, FloatArray]:
+        """Parameters ``(N, 10)`` of the links by name."""
+        return {name: self.parameters[:, 10 * k : 10 * k + 10] for k, name in enumerate(self.posterior.links)}
+
+    @property
+    def coefficients(self) -> list[tuple[EffectCoordinate, FloatArray]]:
+        """The effects' coefficients, each with its values ``(N,)``."""
+        return list(zip(self.posterior.effects, self.parameters[:, 10 * len(self.posterior.links) :].T, strict=True))
+
+    def _robot(self, number: int) -> Model:
         bodies, unknown = self.model.bodies, np.full(10, np.nan)
-        drawn = {name: replace(bodies[name], parameters=own, std=unknown) for name, own in links.items()}
+        inertias = {name: own[number] for name, own in self.links.items()}
+        drawn = {name: replace(bodies[name], parameters=own, std=unknown) for name, own in inertias.items()}
         return replace(
             self.model,
             bodies={**bodies, **drawn},
-            urdf=with_inertials(self.model.urdf, links),
-            effects=self._effects(parameters),
+            urdf=with_inertials(self.model.urdf, inertias),
+            effects=tuple(self._effect(effect, number) for effect in self.model.effects),
         )
 
-    def _effects(self, parameters: FloatArray) -> tuple[KnownEffect, ...]:
-        drawn = {
-            key: Quantity(float(parameters[column]), np.nan, self._coefficients[column].unit)
-            for key, column in self._drawn.items()
-        }
-        return tuple(
-            replace(
-                effect,
-                parameters={
-                    name: drawn.get((effect.effect, effect.joint, name), quantity)
-                    for name, quantity in effect.parameters.items()
-                },
-            )
-            for effect in self.model.effects
-        )
-
-    @property
-    def _coefficients(self) -> dict[int, EffectCoordinate]:
-        """The effects' coefficients by their places in a vector of D."""
-        return dict(enumerate(self.posterior.effects, 10 * len(self.posterior.links)))
+    def _effect(self, effect: KnownEffect, number: int) -> KnownEffect:
+        """An effect of the model as a robot has it."""
+        parameters = dict(effect.parameters)
+        for name in parameters:
+            if (key := (effect.effect, effect.joint, name)) in self._drawn:
+                c, values = self._drawn[key]
+                parameters[name] = Quantity(float(values[number]), np.nan, c.unit)
+        return replace(effect, parameters=parameters)
 
     @cached_property
-    def _drawn(self) -> dict[tuple[str, str, str], int]:
-        """The places in a vector of D of the effects' parameters that are drawn: of which the posterior and the
-        estimate have the same number, by effect, place and parameter."""
+    def _drawn(self) -> dict[tuple[str, str, str], tuple[EffectCoordinate, FloatArray]]:
+        """The effects' parameters that are drawn, by effect, place and parameter: those of which the posterior and the
+        estimate have the same number."""
         said, found = by_parameter(self.model.effects), {}
-        for column, c in self._coefficients.items():
-            key, value = (c.name, c.place, c.parameter), self.posterior.parameters[column]
+        estimated = self.posterior.parameters[10 * len(self.posterior.links) :]
+        for (c, drawn), value in zip(self.coefficients, estimated, strict=True):
+            key = c.name, c.place, c.parameter
             if key in said and abs(said[key].value - value) <= SAME * abs(value):
-                found[key] = column
+                found[key] = c, drawn
         return found
 
     @property
@@ -234,24 +228,20 @@ def _band(values: FloatArray) -> list[float]:
 
 def _quantities(robots: DrawnRobots) -> dict[str, FloatArray]:
     """Quantities ``(N, 10)`` of the drawn links, by name."""
-    count = len(robots.posterior.links)
-    parameters = robots.parameters[:, : 10 * count].reshape(-1, count, 10).swapaxes(0, 1)
-    return dict(zip(robots.posterior.links, pseudo_inertia.quantities_of(parameters), strict=True))
+    return {name: pseudo_inertia.quantities_of(parameters) for name, parameters in robots.links.items()}
 
 
 def _links(robots: DrawnRobots) -> dict[str, Any]:
-    names = ("mass", *COM_ENTRIES, *pseudo_inertia.INERTIA_NAMES)
     return {
-        link: {name: _band(values) for name, values in zip(names, quantities.T, strict=True)}
+        link: {name: _band(values) for name, values in zip(QUANTITY_NAMES, quantities.T, strict=True)}
         for link, quantities in _quantities(robots).items()
     }
 
 
 def _effects(robots: DrawnRobots) -> list[dict[str, Any]]:
-    first = 10 * len(robots.posterior.links)
     return [
         {"effect": c.name, "joint": c.place, "parameter": c.parameter, "unit": c.unit, "range": _band(values)}
-        for c, values in zip(robots.posterior.effects, robots.parameters[:, first:].T, strict=True)
+        for c, values in robots.coefficients
     ]
 
 
@@ -282,8 +272,7 @@ def _event(function: str, asset: dict[str, str], ranges: dict[str, Any], *, abso
 def _joint_ranges(robots: DrawnRobots) -> dict[str, dict[str, list[float]]]:
     """What Isaac Lab draws at joints: armature and dry friction."""
     found: dict[str, dict[str, list[float]]] = {}
-    first = 10 * len(robots.posterior.links)
-    for c, values in zip(robots.posterior.effects, robots.parameters[:, first:].T, strict=True):
+    for c, values in robots.coefficients:
         forms = {form.name: form.mjcf for form in effect_class(c.name).parameters}
         if (key := _ISAAC_JOINT.get(forms.get(c.parameter, ""))) is not None:
             found.setdefault(c.place, {})[key] = _band(values)

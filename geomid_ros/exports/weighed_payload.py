@@ -11,7 +11,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES, SURE, UncertainInertia
 from geomid_ros.exports.formats import CONTROLLERS
-from geomid_ros.exports.inertial import Export, Summand, total
+from geomid_ros.exports.payload import Export, Summand, total
 from geomid_ros.files.models.estimate_file import verdict_entry
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import GAIN

@@ -16,7 +16,7 @@ import reprlib
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
-from functools import cache
+from functools import cache, singledispatch
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -146,7 +146,15 @@ def _object(kind: Any, value: Any, where: str) -> Any:
         if needed and name not in value:
             raise InputError(f"{_at(where, name)} is not given")
     given = {name: _structured(own, value[name], _at(where, name)) for name, (own, _) in keys.items() if name in value}
-    return kind(**given)
+    found = kind(**given)
+    check(found, where)
+    return found
+
+
+@singledispatch
+def check(value: Any, where: str) -> None:
+    """Refuse an object that its fields allow and that cannot be, which ``where`` names. Who knows a class registers
+    what refuses its objects."""
 
 
 def _check_keys(value: Any, where: str, expected: str) -> None:

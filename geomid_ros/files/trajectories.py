@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -67,10 +67,7 @@ def write_bag(folder: Path, trajectory: Trajectory) -> None:
     types = _TYPES.types
     points = [
         types["trajectory_msgs/msg/JointTrajectoryPoint"](
-            positions=np.array(trajectory.positions[row]),
-            velocities=np.array(trajectory.velocities[row]),
-            accelerations=np.array(trajectory.accelerations[row]),
-            effort=np.array(trajectory.efforts[row]),
+            **{name: np.array(own[row]) for name, own in _arrays(trajectory).items()},
             time_from_start=types["builtin_interfaces/msg/Duration"](sec=seconds, nanosec=nanoseconds),
         )
         for row, (seconds, nanoseconds) in enumerate(_stamps(trajectory))
@@ -105,10 +102,15 @@ _ONE_OF = {
 }
 
 
-def _fields(trajectory: Trajectory) -> dict[str, FloatArray]:
-    """What a trajectory has, each ``(N, joints)``, by the name of the message's field."""
+def _arrays(trajectory: Trajectory) -> dict[str, FloatArray]:
+    """The numbers of a trajectory by the name of the message's field, each ``(N, joints)`` or, of none, ``(N, 0)``."""
     arrays = trajectory.positions, trajectory.velocities, trajectory.accelerations, trajectory.efforts
-    return {name: array for name, array in zip(_ONE_OF, arrays, strict=True) if array.shape[1]}
+    return dict(zip(_ONE_OF, arrays, strict=True))
+
+
+def _fields(trajectory: Trajectory) -> dict[str, FloatArray]:
+    """Those that a trajectory has."""
+    return {name: array for name, array in _arrays(trajectory).items() if array.shape[1]}
 
 
 def _stamps(trajectory: Trajectory) -> list[tuple[int, int]]:
@@ -140,7 +142,7 @@ def read_trajectory(path: Path) -> Trajectory:
         InputError: naming the file, and the point that cannot be used.
     """
     document = _document(path)
-    rows = list(_rows(path, document["points"]))
+    rows = [_row(point, f"{path}: point {index}") for index, point in enumerate(document["points"])]
     return _trajectory(str(path), tuple(map(str, document["joint_names"])), rows)
 
 
@@ -168,14 +170,9 @@ def trajectory_in_bag(path: Path, topic: str | None) -> Trajectory:
 
 def trajectory_of(message: Any, source: str) -> Trajectory:
     """The trajectory of a ``trajectory_msgs/JointTrajectory``. Raises InputError naming the ``source``."""
-    rows = [
-        (
-            float(point.time_from_start.sec) + 1e-9 * float(point.time_from_start.nanosec),
-            [list(getattr(point, name)) for name in _MOTION],
-        )
-        for point in message.points
-    ]
-    return _trajectory(source, tuple(message.joint_names), rows)
+    times = [float(point.time_from_start.sec) + 1e-9 * float(point.time_from_start.nanosec) for point in message.points]
+    motions = ([list(getattr(point, name)) for name in _MOTION] for point in message.points)
+    return _trajectory(source, tuple(message.joint_names), list(zip(times, motions, strict=True)))
 
 
 _MOTION = ("positions", "velocities", "accelerations")
@@ -234,15 +231,14 @@ _AROUND = ("trajectory", "joint_trajectory")
 """Fields of moveit_msgs/DisplayTrajectory and of RobotTrajectory, one in the other."""
 
 
-def _rows(path: Path, points: list[Any]) -> Iterator[_Row]:
-    for index, point in enumerate(points):
-        try:
-            time = point["time_from_start"]
-            seconds = float(time["sec"]) + 1e-9 * float(time["nanosec"])
-            lists = [point.get(name) or [] for name in _MOTION]
-            yield seconds, [[float(number) for number in own] for own in lists if isinstance(own, list)]
-        except (AttributeError, KeyError, TypeError, ValueError) as error:
-            expected = f"lists of numbers ({', '.join(_MOTION)}), and time_from_start: {{sec, nanosec}}"
-            raise InputError(
-                f"{path}: point {index} is incomplete; expected {expected}. 'ros2 topic echo' needs --full-length"
-            ) from error
+def _row(point: Any, where: str) -> _Row:
+    try:
+        time = point["time_from_start"]
+        seconds = float(time["sec"]) + 1e-9 * float(time["nanosec"])
+        lists = [point.get(name) or [] for name in _MOTION]
+        return seconds, [[float(number) for number in own] for own in lists if isinstance(own, list)]
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        expected = f"lists of numbers ({', '.join(_MOTION)}), and time_from_start: {{sec, nanosec}}"
+        raise InputError(
+            f"{where} is incomplete; expected {expected}. 'ros2 topic echo' needs --full-length"
+        ) from error

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES
 from geomid_ros.excitation.learning import Expected
 from geomid_ros.files.disk import make_folder, write_json
-from geomid_ros.files.schema import FORMAT
+from geomid_ros.files.models.estimate_file import by_channel
+from geomid_ros.files.schema import FORMAT, entry
 from geomid_ros.files.trajectories import write_bag, write_csv, write_yaml
 from geomid_ros.model.collision import HalfSpace, Obstacle
 from geomid_ros.model.robot import Robot
@@ -43,23 +44,19 @@ def excitation_document(found: Excitation) -> dict[str, Any]:
     feasibility, margins, limits = found.task.feasibility, found.margins, found.task.feasibility.limits
     kinds = ("velocity", "acceleration", "jerk", "effort")
     posterior, learning = found.task.knowledge.posterior, found.learning
+    pairs = feasibility.collision.pairs if feasibility.collision else ()
     stages = {name: getattr(learning, name) for name in ("before", "designed", "random", "twice", "random_twice")}
     return {
         "format": FORMAT,
         "period": found.motion.form.period,
         "repeats": found.motion.form.repeats,
-        "start": _by(feasibility.names, found.motion.start),
-        "limits": {kind: _by(feasibility.names, getattr(limits, kind)) for kind in kinds},
-        "used": {kind: _by(feasibility.names, getattr(margins, kind)) for kind in kinds},
-        "to_position_limit": _by(feasibility.names, margins.position),
+        "start": by_channel(feasibility.names, found.motion.start),
+        "limits": {kind: by_channel(feasibility.names, getattr(limits, kind)) for kind in kinds},
+        "used": {kind: by_channel(feasibility.names, getattr(margins, kind)) for kind in kinds},
+        "to_position_limit": by_channel(feasibility.names, margins.position),
         "distances": [
-            {"first": pair.first, "second": pair.second, "at_least": float(distance), "clearance": float(clearance)}
-            for pair, distance, clearance in zip(
-                feasibility.collision.pairs if feasibility.collision else (),
-                margins.distance,
-                feasibility.clearances,
-                strict=True,
-            )
+            entry(pair, "first", "second") | {"at_least": float(distance), "clearance": float(clearance)}
+            for pair, distance, clearance in zip(pairs, margins.distance, feasibility.clearances, strict=True)
         ],
         "not_watched": [[pair.first, pair.second] for pair in found.task.not_watched],
         "expected": {
@@ -73,23 +70,16 @@ def excitation_document(found: Excitation) -> dict[str, Any]:
             }
             for name, stage in stages.items()
         },
-        "decisions": [
-            {"found": d.found, "rival": d.rival, "difference": d.difference, "random": d.random}
-            for d in found.decisions
-        ],
+        "decisions": [entry(each, "found", "rival", "difference", "random") for each in found.decisions],
         "notes": list(found.task.notes),
     }
 
 
 def _effects(found: Excitation, stage: Expected) -> list[dict[str, Any]]:
     return [
-        {"name": effect.name, "place": effect.place, "parameter": effect.parameter, "std": float(std)}
+        entry(effect, "name", "place", "parameter") | {"std": float(std)}
         for effect, std in zip(found.task.knowledge.posterior.effects, stage.effects, strict=True)
     ]
-
-
-def _by(names: tuple[str, ...], values: FloatArray) -> dict[str, float | None]:
-    return {name: value if np.isfinite(value) else None for name, value in zip(names, values.tolist(), strict=True)}
 
 
 def motion_figure(found: Excitation) -> Figure:

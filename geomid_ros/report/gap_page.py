@@ -105,14 +105,11 @@ def write_gap_page(path: Path, page: GapPage) -> None:
 
 
 def _content(page: GapPage) -> dict[str, Any]:
-    result, known = page.result, page.file.known
+    result = page.result
     return {
         "file": page.file,
-        "known": known,
         "result": result,
-        "verdict": gap_words.verdict_sentence(result),
-        "in_short": gap_words.in_short(result),
-        "confidence": gap_words.CONFIDENCE,
+        "words": gap_words,
         "bars": _bars(result),
         "kinds": _KINDS,
         "seconds": float(elapsed(result.trace.stamps)[-1]) if len(result.trace.stamps) else page.file.judged_seconds,
@@ -122,12 +119,9 @@ def _content(page: GapPage) -> dict[str, Any]:
             (*_SIMULATIONS[again.kind], _simulation_bars(again), traces(_worst_joints(again)))
             for again in page.simulated
         ],
-        "candidates": result.ranking[: gap_words.MOST_CANDIDATES],
         "located": _located(result),
         "links": list(_links(page)),
-        "old": partial(_old, known),
-        "not_explained": gap_words.not_explained(result),
-        "record": gap_words.to_record(result),
+        "old": partial(_old, page.file.known),
         "script": Script.read(SCRIPT),
     }
 

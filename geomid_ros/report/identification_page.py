@@ -1,81 +1,51 @@
-"""``report.html`` of an identification: whether it can be used and for what, and all that is known of it."""
+"""``report.html`` of an identification, and in words what it is good for and what it leaves open."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
+from geomid_ros.checks.verdict import USABLE
 from geomid_ros.estimation.estimate import LinkEstimate
-from geomid_ros.files.models.estimate_file import ChannelEntry, EstimateFile
+from geomid_ros.estimation.uncertain_inertia import QUANTITIES
+from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.model.effects import Quantity, effect_class
-from geomid_ros.report import identification_words
 from geomid_ros.report.gap_words import percent
-from geomid_ros.report.page import Bars, Script, number, ticks, write_page
+from geomid_ros.report.page import Bars, Script, ticks, write_page
 from geomid_ros.report.series import SCRIPT, Series, traces
 
+WEAK = 0.5
+"""Share of an effect's uncertainty: less that the data removed is little."""
+
+_GROUPS = (("c", "centre of mass"), ("I", "inertia"))
 _KINDS = {"before": "URDF", "after": "identified"}
 
 
-@dataclass(frozen=True, eq=False)
-class IdentificationPage:
-    """What the page is made of: what ``estimate.json`` says, and the measured channels over time, if they are known."""
-
-    file: EstimateFile
-    series: Sequence[Series] = ()
-
-
-def write_identification_page(path: Path, page: IdentificationPage) -> None:
-    """Write the page.
+def write_identification_page(path: Path, file: EstimateFile, series: Sequence[Series] = ()) -> None:
+    """Write the page of an ``estimate.json``, with its measured channels over time, if they are known.
 
     Raises:
         GeomidError: the file cannot be written.
     """
-    file, verdict = page.file, page.file.judgement
     links, effects = file.link_estimates, file.effect_estimates
     content = {
         "file": file,
-        "verdict": verdict,
-        "written": file.description,
-        "effects": file.known_effects,
-        "uses": identification_words.uses(file),
-        "judged_on": file.judged_on,
-        "links": list(_links(file, links)),
+        "uses": uses(file),
+        "links": links,
+        "quantity": Quantity,
         "end": _heaviest(file, links),
-        "fit": _fit(file),
         "fit_bars": _bars(file),
         "kinds": _KINDS,
         "shares": {(effect.name, effect.joint): effect.from_data for effect in effects},
         "open": [link for link in links if link.cannot_tell or link.outlier],
-        "cannot_tell": identification_words.cannot_tell,
-        "telling": {name: identification_words.telling(motions) for name, motions in file.telling.items()},
-        "weak": [
-            (effect, effect_class(effect.name).settled_by)
-            for effect in effects
-            if effect.from_data < identification_words.WEAK
-        ],
-        "traces": traces(page.series),
+        "cannot_tell": cannot_tell,
+        "telling": {name: telling(motions) for name, motions in file.telling.items()},
+        "weak": [(effect, effect_class(effect.name).settled_by) for effect in effects if effect.from_data < WEAK],
+        "traces": traces(series),
         "script": Script.read(SCRIPT),
     }
     write_page(path, "identification.html.j2", content)
-
-
-def _links(file: EstimateFile, links: Sequence[LinkEstimate]) -> Iterator[dict[str, Any]]:
-    """Of every link: its mass in the URDF and as identified, and where that lies with 95 % probability."""
-    for link in links:
-        yield {
-            "name": link.name,
-            "merged": link.merged,
-            "nominal": file.urdf_masses[link.name],
-            "mass": Quantity(link.mass, link.std_mass, "kg"),
-            "value": link.mass,
-            "ends": link.mass_interval,
-            "from_data": link.from_data,
-            "distance": link.distance_from_prior,
-            "known": "mass" in link.identified,
-        }
 
 
 def _heaviest(file: EstimateFile, links: Sequence[LinkEstimate]) -> float:
@@ -83,14 +53,6 @@ def _heaviest(file: EstimateFile, links: Sequence[LinkEstimate]) -> float:
     masses = [mass for link in links for mass in (file.urdf_masses[link.name], link.mass)]
     ends = [link.mass_interval[1] for link in links]
     return 1.05 * max(1e-9, min(max(ends, default=0.0), 3.0 * max(masses, default=0.0)), *masses)
-
-
-def _fit(file: EstimateFile) -> Iterator[tuple[ChannelEntry, tuple[str, ...], float]]:
-    """RMS per channel of the URDF, of the identified model, of the written file alone and with the errors of sensors
-    beside it; and the share of the URDF's that the identified model explains."""
-    for row in file.channels:
-        errors = (row.urdf, row.identified, row.file, row.file_with_offsets)
-        yield row, tuple(map(number, errors)), 1.0 - row.ratio
 
 
 def _bars(file: EstimateFile) -> Bars:
@@ -102,3 +64,73 @@ def _bars(file: EstimateFile) -> Bars:
         for name, ratio in ratios.items()
     ]
     return Bars(rows, [(f"{100 * share:.0f}", 100.0 * share / end) for share in ticks(0.0, 1.0, 4)], "RMS")
+
+
+def uses(file: EstimateFile) -> list[str]:
+    """What a result can be used for, in sentences."""
+    if file.judgement.word != USABLE:
+        return ["Do not use this result until the problem is corrected; the numbers below show where it is wrong."]
+    return [*_predictions(file), *identified(file.link_estimates)]
+
+
+def _predictions(file: EstimateFile) -> list[str]:
+    ratios = [row.ratio for row in file.channels if math.isfinite(row.ratio)]
+    if not ratios:
+        return []
+    better = [ratio for ratio in ratios if ratio < 1.0]
+    span = f"; {100 * min(better):.0f} to {100 * max(better):.0f} % of its error remain" if better else ""
+    sentence = (
+        f"Usable to predict efforts and wrenches in similar motions (simulation, feed-forward, contacts). On "
+        f"{file.judged_on}, {len(better)} of {len(ratios)} channels are predicted better than by the URDF{span}."
+    )
+    judge = "Nothing was held out, so this is no test on new data: give another recording with --validate."
+    return [sentence, judge] if file.rms.held_out is None else [sentence]
+
+
+def identified(links: Sequence[LinkEstimate]) -> list[str]:
+    """What is identified of links, by quantity, in sentences."""
+    masses = [link.name for link in links if "mass" in link.identified]
+    moments = [_of_axes(link) for link in links if link.moments and not link.outlier]
+    inertias = [link.name for link in links if {*QUANTITIES[4:]} <= {*link.identified}]
+    groups = {"mass": masses, "first moment": moments, "inertia": inertias}
+    named = [f"{what} of {', '.join(names)}" for what, names in groups.items() if names]
+    if not named:
+        return ["Individually identified: none. Only combinations are identified; predictions are unaffected."]
+    sentence = f"Identified from the data (95 % interval within ±20 %): {'; '.join(named)}."
+    whole = all(link.identified == QUANTITIES for link in links)
+    return (
+        [sentence] if whole else [sentence, "All else is identified only in combination; predictions are unaffected."]
+    )
+
+
+def _of_axes(link: LinkEstimate) -> str:
+    return link.name if len(link.moments) == len("xyz") else f"{link.name} ({', '.join(link.moments)})"
+
+
+def cannot_tell(quantities: Sequence[str]) -> str:
+    """Those of :data:`QUANTITIES` that are not identified."""
+    return "all" if len(quantities) == len(QUANTITIES) else grouped(quantities)
+
+
+def grouped(quantities: Sequence[str]) -> str:
+    """Some of :data:`QUANTITIES`, those that are complete by the name of their group."""
+    parts = ["mass"] if "mass" in quantities else []
+    for letter, name in _GROUPS:
+        group = [quantity for quantity in QUANTITIES if quantity.startswith(letter)]
+        found = [quantity for quantity in group if quantity in quantities]
+        parts += [name] if len(found) == len(group) else found
+    return ", ".join(parts)
+
+
+def telling(motions: Mapping[str, Sequence[str]]) -> list[str]:
+    """What would tell what the data do not tell of a link, in sentences.
+
+    Args:
+        motions: the quantities that each motion would tell; under an empty name those that none tells.
+    """
+    sentences = [f"{grouped(quantities)}: {motion}" for motion, quantities in motions.items() if motion]
+    rest = motions.get("", ())
+    if rest:
+        weigh = "; a weighed mass (--known) identifies the mass" if "mass" in rest else ""
+        sentences.append(f"{grouped(rest)}: none of the simulated motions{weigh}")
+    return sentences

@@ -57,7 +57,10 @@ def _templates() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {name: getattr(gap_words, name) for name in _FILTERS} | {"breakable": _breakable}
+    environment.filters |= {name: getattr(gap_words, name) for name in _FILTERS} | {
+        "breakable": _breakable,
+        "number": number,
+    }
     return environment
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from geomid_ros.files.models.written_model import ModelFiles
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
-from geomid_ros.resimulation.resimulate import Resimulated, SimulatedTrace
+from geomid_ros.resimulation.resimulate import Resimulated, SimulatedTrace, in_units
 from geomid_ros.resimulation.windows import (
     Noise,
     Stretch,
@@ -109,8 +109,7 @@ def closed_loop(
     def ratios(kind: str) -> dict[str, float]:
         errors = [(trace.measured - getattr(trace, kind))[0] for trace in traces]
         low = [filtered(e, cutoff, p.stretch.period)[0] for e, p in zip(errors, parts, strict=True)]
-        ratio = root_mean_square(low) / np.where(known, floor, 1.0)
-        return {name: float(value) for name, value, good in zip(joints, ratio, known, strict=True) if good}
+        return in_units(floor, joints, known, low)
 
     return Resimulated(ratios("before"), ratios("after"), tuple(traces))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -77,21 +78,23 @@ def resimulate(
     efforts, judged = np.concatenate([part.samples.effort for part in parts]), _judged_joints(parts)
     robots = loaded_robots((before, after), model.robot.joint_names, efforts)
     for robot in robots:
-        for joint in np.flatnonzero(~judged):
-            robot.prescribe(int(joint))
+        robot.prescribe(~judged)
     errors = Errors(model, noise)
     runs = [_simulated(part, errors, *robots) for part in parts]
     floor = root_mean_square([run.noise for run in runs])
     known = np.concatenate([judged, errors.measured_wrenches(parts)]) & (floor > 0.0)
-    ratios = (root_mean_square([getattr(run, kind) for run in runs]) / np.where(known, floor, 1.0) for kind in _KINDS)
-    of_before, of_after = (
-        {name: float(value) for name, value, good in zip(errors.names, ratio, known, strict=True) if good}
-        for ratio in ratios
-    )
-    return Resimulated(of_before, of_after, tuple(run.trace for run in runs))
+    in_noise = partial(in_units, floor, errors.names, known)
+    traces = tuple(run.trace for run in runs)
+    return Resimulated(in_noise([run.before for run in runs]), in_noise([run.after for run in runs]), traces)
 
 
-_KINDS = ("before", "after")
+def in_units(
+    floor: FloatArray, names: Sequence[str], known: BoolArray, errors: Sequence[FloatArray]
+) -> dict[str, float]:
+    """Root mean square of ``errors``, each ``(W, channels)``, in units of ``floor (channels,)`` by the channels' names;
+    of those that are ``known (channels,)``."""
+    ratios = root_mean_square(errors) / np.where(known, floor, 1.0)
+    return {name: ratio for name, ratio, is_known in zip(names, ratios.tolist(), known, strict=True) if is_known}
 
 
 @dataclass(frozen=True, eq=False)

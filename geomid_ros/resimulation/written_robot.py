@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.files.models.sidecar import read_sidecar
+from geomid_ros.files.models.effects_file import read_sidecar
 from geomid_ros.files.models.written_model import ModelFiles
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import Effect, Motion, Place, SensorEffect, Values, effect_class, joints_of, values_of
 from geomid_ros.model.effects.situation import place_named
@@ -62,7 +63,7 @@ class WrittenRobot:
         self._holding, self._load_friction, self._usual_load = np.zeros(count), np.zeros(count), np.zeros(count)
         self._of_motion: list[tuple[Effect, Place, Values]] = []
         self._of_sensors: dict[str, list[tuple[SensorEffect, Values]]] = {}
-        for known in read_sidecar(files.effects).effects if files.effects else ():
+        for known in read_sidecar(files.effects).effects:
             effect = effect_class(known.effect).from_values(values_of(known))
             if isinstance(effect, SensorEffect):
                 self._of_sensors.setdefault(known.joint, []).append((effect, values_of(known)))
@@ -89,9 +90,10 @@ class WrittenRobot:
         """The MJCF's time step [s]."""
         return float(self.model.opt.timestep)
 
-    def prescribe(self, joint: int) -> None:
-        """Let a joint follow its measured motion: :meth:`driving_effort` accelerates it as measured."""
-        self.model.dof_armature[self.dofs[joint]] = _IMMOVABLE
+    def prescribe(self, joints: BoolArray) -> None:
+        """Let these ``joints (J,)`` follow their measured motion: :meth:`driving_effort` accelerates them as
+        measured."""
+        self.model.dof_armature[self.dofs[joints]] = _IMMOVABLE
         self.mujoco.mj_setConst(self.model, self.mujoco.MjData(self.model))
 
     @contextmanager
@@ -281,11 +283,10 @@ def body_frames(path: Path) -> BodyFrames:
     single = [index for index in range(model.njnt) if model.jnt_type[index] in of_one_axis]
     data.qpos[model.jnt_qposadr[single]] = 0.0
     mujoco.mj_kinematics(model, data)
-    bodies = {}
-    for index in range(1, model.nbody):
-        placed = np.eye(4)
-        placed[:3, :3], placed[:3, 3] = data.xmat[index].reshape(3, 3), data.xpos[index]
-        bodies[model.body(index).name] = placed
+    bodies = {
+        model.body(index).name: pseudo_inertia.change_of_frame(data.xmat[index].reshape(3, 3), data.xpos[index])
+        for index in range(1, model.nbody)
+    }
     joints = {model.joint(index).name: np.array([data.xanchor[index], data.xaxis[index]]) for index in single}
     masses = {name: float(model.body(name).mass[0]) for name in bodies}
     return BodyFrames(bodies, masses, joints)

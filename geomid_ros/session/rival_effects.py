@@ -10,7 +10,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.excitation.feasibility import Feasibility
 from geomid_ros.excitation.knowledge import prior_knowledge
 from geomid_ros.excitation.rivals import Ambiguity, DiscriminationCriterion, Name, coefficients_of
-from geomid_ros.files.models.effect_forms import payload_parameters
+from geomid_ros.files.models.effects_file import payload_parameters
 from geomid_ros.files.models.gap_file import OpenFinding, read_open_findings
 from geomid_ros.gap.candidates import Candidate
 from geomid_ros.model.channels import is_wrench_channel

@@ -48,7 +48,7 @@ class Session(Setup):
         Args:
             urdf, configuration, source, loaded: as of :class:`Setup`.
             ledger: told what becomes of every message.
-            readers: who will read the files of results, of :data:`~geomid_ros.files.models.effect_forms.ELEMENTS`.
+            readers: who will read the files of results, of :data:`~geomid_ros.files.models.effects_file.ELEMENTS`.
 
         Raises:
             InputError: these do not fit together.

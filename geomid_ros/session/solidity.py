@@ -42,11 +42,10 @@ def impossible_links(urdf: str, source: str, links: Iterable[LinkEstimate]) -> I
 def _solid(urdf: str, source: str, name: str) -> Solid | None:
     """The solid that a link's shapes fill; None if none can be read."""
     # Of few results alone: what reads meshes takes a third of a second to import.
-    from geomid_ros.files.shapes.meshes import MeshFinder  # noqa: PLC0415
-    from geomid_ros.files.shapes.shapes import ShapeReader  # noqa: PLC0415
+    from geomid_ros.files.shapes import ShapeReader  # noqa: PLC0415
 
     element = next(link for link in read_xml(urdf, source).findall("link") if link.get("name") == name)
     try:
-        return ShapeReader(MeshFinder(Path(source), {}), source).solid(element)
+        return ShapeReader(Path(source), {}).solid(element)
     except (InputError, OSError, ImportError):
         return None

@@ -14,9 +14,9 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.disk import write_text
+from geomid_ros.files.models.effects_file import write_sidecar
 from geomid_ros.files.models.estimate_file import by_channel
 from geomid_ros.files.models.mjcf import mjcf
-from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.written_model import ModelFiles, WrittenModel, write_model
 from geomid_ros.gap.result import GapResult
 from geomid_ros.model.effects import KnownEffect

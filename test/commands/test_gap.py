@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from files.recordings import BAGS, QUICK, Recorded, altered, recorded, write_bag
 
+from geomid_ros.files.models.effects_file import read_sidecar
 from geomid_ros.files.models.estimate_file import EstimateFile
-from geomid_ros.files.models.sidecar import read_sidecar
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.robot import Robot

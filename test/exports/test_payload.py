@@ -10,9 +10,8 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.uncertain_inertia import UncertainInertia
-from geomid_ros.exports.inertial import Export, Summand, total
 from geomid_ros.exports.model import read_model
-from geomid_ros.exports.payload import attached, chosen, difference, each_link
+from geomid_ros.exports.payload import Export, Summand, attached, chosen, difference, each_link, total
 from geomid_ros.files.models.written_model import write_model
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import yaml
 
+from geomid_ros.errors import InputError
 from geomid_ros.files.disk import write_json
 from geomid_ros.files.models.estimate_file import by_channel
 from geomid_ros.files.models.gap_file import GapFile, gap_document, is_open, page_entries
 from geomid_ros.files.models.loaded_model import LoadedModel
-from geomid_ros.files.models.sidecar import check_effect
 from geomid_ros.files.models.written_model import write_model
 from geomid_ros.files.schema import structured
 from geomid_ros.model.effects import KnownEffect, Quantity
@@ -95,7 +95,7 @@ def test_what_is_not_a_number_is_null() -> None:
 def test_a_finding_can_be_read_as_an_effect(case: str) -> None:
     result = gap_result(case, JOINTS)  # type: ignore[arg-type]
     (entry,) = gap_document(result, {})["findings"]
-    effect = check_effect(structured(KnownEffect, entry, "gap.json"), "gap.json")
+    effect = structured(KnownEffect, entry, "gap.json")
     assert (effect.effect, effect.joint) == ("coulomb_friction", "knee")
     assert effect.parameters == result.findings[0].parameters
 
@@ -113,6 +113,9 @@ def test_it_is_read_again() -> None:
     read = GapFile.of(document, "gap.json")
     assert (read.findings, read.links, read.result.verdict) == (result.findings, result.links, result.verdict)
     assert read.result.corrected_floor.tolist() == pytest.approx(result.corrected_floor.tolist())
+    document["findings"][0]["effect"] = "springs"
+    with pytest.raises(InputError, match=r"^gap\.json: findings\[0\]: unknown effect 'springs'"):
+        GapFile.of(document, "gap.json")
 
 
 URDF = (BAGS / "arm3.urdf").read_text(encoding="utf-8")

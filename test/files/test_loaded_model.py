@@ -16,7 +16,7 @@ from signals.sent import JointMessage, WrenchMessage
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import EffectEstimate
 from geomid_ros.files.disk import write_json
-from geomid_ros.files.models.effect_forms import combined, payload_parameters, turned_gravity
+from geomid_ros.files.models.effects_file import combined, payload_parameters, turned_gravity
 from geomid_ros.files.models.estimate_file import estimate_document
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.urdf import read_urdf

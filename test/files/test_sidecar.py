@@ -11,8 +11,7 @@ import pytest
 import yaml
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.models.effect_forms import combined
-from geomid_ros.files.models.sidecar import read_sidecar, write_sidecar
+from geomid_ros.files.models.effects_file import combined, read_sidecar, write_sidecar
 from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity, values_of
 
 from .effects import PAYLOAD, effect

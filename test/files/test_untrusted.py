@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from geomid_ros.errors import GeomidError, InputError
+from geomid_ros.files.models.effects_file import read_sidecar
 from geomid_ros.files.models.loaded_model import LoadedModel
-from geomid_ros.files.models.sidecar import read_sidecar
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.parameter_file import read_yaml
 from geomid_ros.model import urdf_tree

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from model.robots import Reference, with_values
 
+from geomid_ros.files.models.effects_file import write_sidecar
 from geomid_ros.files.models.mjcf import mjcf
-from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.models.written_model import ModelFiles
 from geomid_ros.model.channels import WrenchSensor

@@ -12,7 +12,7 @@ from files.effects import PAYLOAD, effect
 from model.robots import with_values
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.models.effect_forms import payload_parameters
+from geomid_ros.files.models.effects_file import payload_parameters
 from geomid_ros.files.models.urdf import with_effects
 from geomid_ros.files.models.written_model import ModelFiles
 from geomid_ros.gap.result import GapResult
@@ -235,11 +235,11 @@ def test_what_cannot_be_simulated_says_why(tmp_path: Path) -> None:
     [("<mujoco", "MuJoCo cannot read"), ("<mujoco/>", "unknown joint 'joint1'"), (None, "MuJoCo cannot read")],
 )
 def test_model_files_that_cannot_be_used_are_named(tmp_path: Path, text: str | None, message: str) -> None:
-    path = tmp_path / "model.xml"
+    model = ModelFiles(tmp_path / "model.xml", tmp_path / "model.yaml")
     if text is not None:
-        path.write_text(text)
+        model.mjcf.write_text(text)
     with pytest.raises(InputError, match=rf"model\.xml: .*{message}"):
-        simulated(ModelFiles(path), ModelFiles(path), recording(duration=2.0))
+        simulated(model, model, recording(duration=2.0))
 
 
 def test_a_sidecar_of_another_robot_is_named(tmp_path: Path) -> None:

@@ -11,8 +11,7 @@ import yaml
 from benchmarks.fuzz.mutations import changed_text
 from benchmarks.fuzz.target import require
 from benchmarks.fuzz.targets.model import changed_document, effect_entries
-from geomid_ros.files.models.effect_forms import combined
-from geomid_ros.files.models.sidecar import read_sidecar, write_sidecar
+from geomid_ros.files.models.effects_file import combined, read_sidecar, write_sidecar
 from geomid_ros.model.effects import values_of
 
 _SNIPPETS = ("*a", "&a", "!!float x", "[", "{", "\t", "? ", "- ", ": ", "\x00", "1e999", ".inf", "~")

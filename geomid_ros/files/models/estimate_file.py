@@ -24,8 +24,7 @@ from geomid_ros.estimation.estimate import (
     WeighedEstimate,
 )
 from geomid_ros.estimation.uncertain_inertia import UncertainInertia
-from geomid_ros.files.models.effect_forms import coefficient, combined, continued, is_coefficient
-from geomid_ros.files.models.sidecar import check_effect, coefficient_entry
+from geomid_ros.files.models.effects_file import coefficient, coefficient_entry, combined, continued, is_coefficient
 from geomid_ros.files.schema import (
     FORMAT,
     Matrix,
@@ -232,7 +231,7 @@ class EstimateFile:
             _known(each, own, f"{self.source}:")
             for each, own in zip(self.effects, self.document["effects"], strict=True)
         ]
-        return combined([*single, *(check_effect(e, f"{self.source}: added[{k}]") for k, e in enumerate(self.added))])
+        return combined([*single, *self.added])
 
     @property
     def judgement(self) -> Verdict:

@@ -18,7 +18,6 @@ from geomid_ros.checks.causes import Cause
 from geomid_ros.checks.causes import Finding as Doubt
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.estimate_file import by_channel
-from geomid_ros.files.models.sidecar import check_effect
 from geomid_ros.files.schema import FORMAT, entry, plain, read_document, structured
 from geomid_ros.gap.result import (
     Finding,
@@ -118,11 +117,7 @@ class GapFile:
     @staticmethod
     def of(document: Mapping[str, Any], source: str) -> GapFile:
         """The content of a document. Raises InputError naming the ``source`` and what is wrong in it."""
-        file = structured(GapFile, {**document, "source": source}, f"{source}:")
-        for key, effects in (("findings", file.findings), ("ordinary", file.ordinary), ("known", file.known)):
-            for index, effect in enumerate(effects):
-                check_effect(effect, f"{source}: {key}[{index}]")
-        return file
+        return structured(GapFile, {**document, "source": source}, f"{source}:")
 
     @property
     def nominal(self) -> FloatArray:
@@ -192,8 +187,6 @@ def read_open_findings(path: Path) -> tuple[list[OpenFinding], dict[str, float]]
     Raises InputError naming the file and what is wrong in it, or that nothing is open.
     """
     document = structured(_Findings, read_gap(path), f"{path}:")
-    for index, finding in enumerate(document.findings):
-        check_effect(finding, f"{path}: findings[{index}]")
     left = [finding for finding in document.findings if finding.rivals]
     for rival in (rival for finding in left for rival in finding.rivals):
         effect_class(rival.effect)

@@ -16,7 +16,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimate import LinksInformation
-from geomid_ros.files.models.effect_forms import (
+from geomid_ros.files.models.effects_file import (
     by_parameter,
     combined,
     continued,

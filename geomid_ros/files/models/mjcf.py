@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 
-from geomid_ros.files.models.effect_forms import is_body, joint_attributes, payload_parameters, turned_gravity
+from geomid_ros.files.models.effects_file import is_body, joint_attributes, payload_parameters, turned_gravity
 from geomid_ros.files.models.mjcf_shapes import Shapes, words
 from geomid_ros.files.models.urdf import JointFrame, joint_frames
 from geomid_ros.files.models.xml_edits import Edit, descendants_of, edited, insertion, with_attributes
@@ -99,11 +99,10 @@ class _Writer:
         for joint in self._joints:
             if joint.name in self._driven:
                 self._add_motor(actuators, joint)
-        self._add_followers(root)
-        self._add_tendons(root)
+        _add_all(root, "equality", self._followers())
+        _add_all(root, "tendon", self._tendons())
         self._add_sensors(root, sensors)
-        if shapes.assets:
-            SubElement(root, "asset").extend(shapes.assets)
+        _add_all(root, "asset", shapes.assets)
         bodies = {body.get("name"): body for body in root.iter("body")}
         for link, geoms in shapes.geoms.items():
             bodies[_body_name(link)].extend(geoms)
@@ -197,28 +196,22 @@ class _Writer:
         if math.isfinite(joint.effort):
             motor.attrib |= {"ctrllimited": "true", "ctrlrange": words([-joint.effort, joint.effort])}
 
-    def _add_followers(self, root: Element) -> None:
-        """Tie the joints that mimic others to these."""
+    def _followers(self) -> Iterator[Element]:
+        """Ties of the joints that mimic others to these."""
         for follower in self._robot.followers:
-            equality = root.find("equality")
-            SubElement(
-                equality if equality is not None else SubElement(root, "equality"),
-                "joint",
-                joint1=follower.joint.name,
-                joint2=self._robot.joint_names[follower.master],
-                polycoef=words([follower.offset, follower.factor, 0.0, 0.0, 0.0]),
-            )
+            polynomial = words([follower.offset, follower.factor, 0.0, 0.0, 0.0])
+            master = self._robot.joint_names[follower.master]
+            yield Element("joint", joint1=follower.joint.name, joint2=master, polycoef=polynomial)
 
-    def _add_tendons(self, root: Element) -> None:
+    def _tendons(self) -> Iterator[Element]:
         """What acts on two joints together, along a fixed tendon of their weighted sum."""
         for name, numbers in self._said_of_pairs:
             place, coefficient = place_named("joints", name, self._robot.joint_names), numbers.pop("coef")
             joints = [self._robot.joint_names[joint] for joint in (joints_of(place) if place else ())]
-            tendons = root.find("tendon")
-            tendon = SubElement(tendons if tendons is not None else SubElement(root, "tendon"), "fixed")
-            tendon.attrib |= {key: words(number) for key, number in sorted(numbers.items())}
+            tendon = Element("fixed", {key: words(number) for key, number in sorted(numbers.items())})
             for joint, weight in zip(joints, (1.0, coefficient), strict=False):
                 SubElement(tendon, "joint", joint=joint, coef=words(weight))
+            yield tendon
 
     def _add_sensors(self, root: Element, sensors: Sequence[WrenchSensor]) -> None:
         """Sites in the sensors' frames, and what is sensed there."""
@@ -228,6 +221,12 @@ class _Writer:
             bodies[_body_name(sensor.frame)].append(Element("site", name=sensor.topic))
             for kind in ("force", "torque"):
                 SubElement(sensed, kind, name=f"{sensor.topic}/{kind}", site=sensor.topic)
+
+
+def _add_all(root: Element, name: str, elements: Iterable[Element]) -> None:
+    """Add elements below one of this name, if there are any."""
+    if inner := list(elements):
+        SubElement(root, name).extend(inner)
 
 
 def _body_name(link: str) -> str:

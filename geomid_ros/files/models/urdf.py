@@ -16,7 +16,7 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 
 from geomid_ros.files.disk import read_text
-from geomid_ros.files.models.effect_forms import is_body, joint_attributes, payload_parameters
+from geomid_ros.files.models.effects_file import is_body, joint_attributes, payload_parameters
 from geomid_ros.files.models.xml_edits import Edit, Span, children_of, edited, end_of_tag, insertion, with_attributes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, values_of
@@ -178,8 +178,8 @@ def _joint_frame(element: Element, source: str) -> JointFrame:
     axis = np.array(read_numbers(element, "axis", ("xyz",), [1.0, 0.0, 0.0], where))
     lower, upper, effort = -math.inf, math.inf, math.inf
     if kind in ("revolute", "prismatic"):
-        limit = element.find("limit")
-        lower, upper, effort = (_limit(limit, key, where) for key in ("lower", "upper", "effort"))
+        limits = (read_numbers(element, "limit", (key,), [0.0], where) for key in ("lower", "upper", "effort"))
+        (lower,), (upper,), (effort,) = limits
     return JointFrame(
         name=name,
         slides=kind == "prismatic",
@@ -192,12 +192,3 @@ def _joint_frame(element: Element, source: str) -> JointFrame:
         upper=upper,
         effort=effort if effort > 0.0 else math.inf,
     )
-
-
-def _limit(limit: Element | None, key: str, where: str) -> float:
-    """A number of a joint's <limit>; zero where it is absent, as URDF has it."""
-    if limit is None or limit.get(key) is None:
-        return 0.0
-    parent = Element("joint")
-    parent.append(limit)
-    return read_numbers(parent, "limit", (key,), None, where)[0]

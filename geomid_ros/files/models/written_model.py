@@ -20,7 +20,7 @@ from geomid_ros.checks.causes import Finding
 from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.disk import write_json, write_text
-from geomid_ros.files.models.effect_forms import combined, continued
+from geomid_ros.files.models.effects_file import combined, continued, effects_entries, write_sidecar
 from geomid_ros.files.models.estimate_file import (
     EstimateFile,
     inertias_of,
@@ -29,7 +29,6 @@ from geomid_ros.files.models.estimate_file import (
 )
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.readers import ELEMENTS
-from geomid_ros.files.models.sidecar import check_effect, effects_entries, write_sidecar
 from geomid_ros.files.models.urdf import with_effects, with_inertials
 from geomid_ros.files.schema import FORMAT, plain
 from geomid_ros.model.coefficients import Coefficient
@@ -42,10 +41,10 @@ ESTIMATE, URDF, MJCF, EFFECTS_FILE = "estimate.json", "identified.urdf", "identi
 
 @dataclass(frozen=True)
 class ModelFiles:
-    """An MJCF and, if there is one, its sidecar of effects."""
+    """An MJCF and its sidecar of effects."""
 
     mjcf: Path
-    effects: Path | None = None
+    effects: Path
 
     @staticmethod
     def of(folder: Path) -> ModelFiles:
@@ -70,7 +69,7 @@ def write_model(
     ``gravity (3,)`` is that of a base which stands straight; ``findings`` are what seems to be wrong with the recording
     that the model is from, ``noise`` its floor by channel and its cutoff, if known; ``folded``: by how much attributes
     of joints differ in URDF and MJCF, which cannot say all friction. Of effects that are there twice, see
-    :func:`~geomid_ros.files.models.effect_forms.combined`.
+    :func:`~geomid_ros.files.models.effects_file.combined`.
     """
     effects = combined(effects)
     alone = _with_folded(effects, folded)
@@ -119,11 +118,6 @@ class WrittenModel:
 
     inertias: Mapping[str, FloatArray]
     effects: tuple[KnownEffect, ...]
-
-    @property
-    def of_robot(self) -> list[KnownEffect]:
-        """The effects without errors of sensors."""
-        return [effect for effect in self.effects if not effect_class(effect.effect).of_sensor]
 
 
 def written_model(
@@ -177,6 +171,4 @@ def written_for(file: EstimateFile, reader: str) -> WrittenModel | None:
     found = next((file.handover[name] for name in alike if name in file.handover), None)
     if found is None:
         return None
-    where = f"{file.source}: handover for {reader}"
-    effects = [check_effect(each, f"{where}: effects[{index}]") for index, each in enumerate(found.effects)]
-    return WrittenModel(inertias_of(found.links, where), tuple(effects))
+    return WrittenModel(inertias_of(found.links, f"{file.source}: handover for {reader}"), found.effects)

@@ -1,25 +1,31 @@
-"""The solids that fill a URDF's links (collision shapes, or visual ones where a link has no others); and convex shapes
-for collisions, of these links and of what a user says is in the way."""
+"""The solids that fill a URDF's links (collision shapes, or visual ones where a link has no others), and the mesh files
+that they are in."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path, PurePosixPath
+from urllib.parse import unquote
 from xml.etree.ElementTree import Element
 
 import numpy as np
 import trimesh
+from scipy.spatial import QhullError
 from trimesh import creation
+from trimesh.units import unit_conversion
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.shapes.meshes import SUFFIXES, MeshFinder, read_mesh
+from geomid_ros.files.disk import read_bytes
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model import shapes
-from geomid_ros.model.collision import ConvexShape, HalfSpace, Obstacle
 from geomid_ros.model.shape_prior import Solid
-from geomid_ros.model.urdf_tree import origin_of, read_numbers, read_xml
+from geomid_ros.model.urdf_tree import origin_of, read_numbers
 from geomid_ros.types import FloatArray, IntArray
 
+SUFFIXES = (".stl", ".dae", ".obj")
 # Attributes of the primitives: one number each, but for the edges of a box.
 _PRIMITIVES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}
 # Of the surfaces of round shapes, with which only their overlap with others is computed.
@@ -44,13 +50,13 @@ class _Shape:
 class ShapeReader:
     """Reads the solids of links; :attr:`warnings` list what could not be taken as it is."""
 
-    def __init__(self, finder: MeshFinder, source: str) -> None:
-        """``source`` names the URDF in messages."""
+    def __init__(self, urdf: Path, packages: Mapping[str, Path]) -> None:
+        """The links are those of the file ``urdf``; ``packages`` as for :class:`MeshFinder`."""
         self._no_volume: list[str] = []
         self._hulls: list[str] = []
         self._doubled: list[str] = []
-        self._finder = finder
-        self._source = source
+        self._finder = MeshFinder(urdf, packages)
+        self._source = str(urdf)
 
     @property
     def warnings(self) -> list[str]:
@@ -166,76 +172,88 @@ def _primitive(geometry: Element, tag: str, where: str) -> _Shape | None:
 
 def _placement(element: Element, where: str) -> FloatArray:
     """The ``<origin>`` of a shape, ``(4, 4)``."""
-    placement = np.eye(4)
-    placement[:3, 3], placement[:3, :3] = origin_of(element, where)
-    return placement
+    position, axes = origin_of(element, where)
+    return pseudo_inertia.change_of_frame(axes, position)
 
 
-_FORMS = "box:X,Y,Z,LENGTH,WIDTH,HEIGHT, plane:NX,NY,NZ,OFFSET or a mesh file, in metres in the base frame"
+class MeshFinder:
+    """Finds the file that a URDF's mesh URI names."""
+
+    def __init__(self, urdf: Path, packages: Mapping[str, Path]) -> None:
+        """``packages``: folders by package name, which win. Others are looked for above the ``urdf``, in
+        ROS_PACKAGE_PATH and in AMENT_PREFIX_PATH."""
+        self._folder = urdf.resolve().parent
+        self._packages = packages
+
+    def find(self, uri: str, where: str) -> Path:
+        """The file of a ``package://`` or ``file://`` URI or of a path, relative ones from the URDF's folder.
+
+        Raises InputError beginning with ``where``.
+        """
+        scheme, separator, rest = uri.partition("://")
+        if not separator:
+            candidates = [self._folder / uri]
+        elif scheme == "file":
+            candidates = [Path(unquote(rest))]
+        elif scheme == "package":
+            package, _, inside = unquote(rest).partition("/")
+            candidates = [folder / inside for folder in self._folders(package)]
+        else:
+            raise InputError(f"{where}: the mesh '{uri}' is neither a package:// nor a file:// URI nor a path")
+        for path in candidates:
+            if path.exists() and not path.is_dir():
+                return path
+        raise InputError(f"{where}: the mesh '{uri}' was not found. {_advice(uri, candidates)}")
+
+    def _folders(self, package: str) -> list[Path]:
+        if package in self._packages:
+            return [self._packages[package]]
+        above = [folder for folder in (self._folder, *self._folder.parents) if folder.name == package]
+        sources = [Path(folder) for folder in _path_list("ROS_PACKAGE_PATH")]
+        above += [folder for source in sources for folder in (source, source / package) if folder.name == package]
+        return above + [Path(prefix) / "share" / package for prefix in _path_list("AMENT_PREFIX_PATH")]
 
 
-def link_shapes(urdf: str, path: Path, packages: Mapping[str, Path]) -> dict[str, list[ConvexShape]]:
-    """The convex hulls of the shapes of a URDF's links, by link.
+def _path_list(variable: str) -> list[str]:
+    return [part for part in os.environ.get(variable, "").split(os.pathsep) if part]
 
-    Args:
-        urdf: its text.
-        path: where it is from: meshes are looked for from there.
-        packages: folders by package name, see :class:`MeshFinder`.
 
-    Raises:
-        InputError: a mesh cannot be read, or no link has a shape.
+def _advice(uri: str, candidates: list[Path]) -> str:
+    looked = f"Looked in {', '.join(map(str, candidates))}. " if candidates else ""
+    if not uri.startswith("package://"):
+        return looked.rstrip()
+    package = uri.removeprefix("package://").partition("/")[0]
+    return f"{looked}Locate the package: --package-path {package}=FOLDER, or source its workspace"
+
+
+def read_mesh(path: Path, where: str) -> tuple[trimesh.Trimesh, bool]:
+    """The solid in a mesh file, in metres, and whether its surface is closed; if it is not, its convex hull.
+
+    As in RViz, the unit of a Collada file counts and its upward axis does not. No other file is opened, though a mesh
+    may name materials. Raises InputError beginning with ``where``, also for a surface that is not closed and flat.
     """
-    reader = ShapeReader(MeshFinder(path, packages), str(path))
-    found = {}
-    for link in read_xml(urdf, str(path)).findall("link"):
-        name = link.get("name", "")
-        outlines = reader.outlines(link)
-        if outlines:
-            found[name] = [ConvexShape(name, vertices) for vertices in outlines]
-    if not found:
-        raise InputError(
-            f"{path}: no link has a <collision> or <visual> shape to check for collisions; add shapes, or "
-            "give --no-collision if nothing can collide"
-        )
-    return found
-
-
-def obstacles(text: str) -> list[Obstacle]:
-    """What one ``--avoid`` says: a box about its centre, the half-space below a plane (points with ``n . x`` up to the
-    offset), or a mesh, each of whose connected parts counts as its convex hull.
-
-    Raises InputError naming it.
-    """
-    kind, _, rest = text.partition(":")
-    if kind == "box":
-        numbers = _numbers(rest, 6, text)
-        if np.any(numbers[3:] <= 0.0):
-            raise InputError(f"--avoid {text}: a box needs edges greater than zero")
-        corners = np.array(np.meshgrid(*3 * [(-0.5, 0.5)])).reshape(3, -1).T
-        return [ConvexShape(text, numbers[:3] + corners * numbers[3:])]
-    if kind == "plane":
-        numbers = _numbers(rest, 4, text)
-        length = float(np.linalg.norm(numbers[:3]))
-        if length == 0.0:
-            raise InputError(f"--avoid {text}: the normal of the plane is zero")
-        return [HalfSpace(text, numbers[:3] / length, float(numbers[3]) / length)]
-    path = Path(text)
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"--avoid {text}: expected {_FORMS}")
-    mesh, _ = read_mesh(path, f"--avoid {text}")
-    return [ConvexShape(text, np.asarray(part.vertices)) for part in _parts(mesh)]
-
-
-def _parts(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
-    parts = mesh.split(only_watertight=True)
-    return list(parts) or [mesh]
-
-
-def _numbers(text: str, count: int, whole: str) -> np.ndarray:
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(f"{where}: {path} is not a readable mesh; expected {', '.join(SUFFIXES)}")
     try:
-        numbers = np.array([float(part) for part in text.split(",")])
-    except ValueError as error:
-        raise InputError(f"--avoid {whole}: expected {_FORMS}") from error
-    if len(numbers) != count or not np.all(np.isfinite(numbers)):
-        raise InputError(f"--avoid {whole}: expected {count} finite numbers, as {_FORMS}")
-    return numbers
+        content = read_bytes(path, "mesh")
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
+    try:
+        scene = trimesh.load_scene(BytesIO(content), file_type=suffix[1:], skip_materials=True)
+        unit = unit_conversion(scene.units, "meters") if scene.units else 1.0
+        loaded = scene.to_mesh()
+    except Exception as error:  # whatever a broken file makes its reader raise
+        raise InputError(f"{where}: {path} cannot be read ({error})") from error
+    vertices = unit * np.asarray(loaded.vertices, dtype=np.float64)
+    if not len(loaded.faces) or not np.all(np.isfinite(vertices)):
+        raise InputError(f"{where}: {path} has no triangles with finite vertices")
+    mesh = trimesh.Trimesh(vertices, loaded.faces, process=True)
+    if mesh.is_watertight and mesh.is_winding_consistent and mesh.volume < 0.0:
+        mesh.invert()
+    if mesh.is_volume:
+        return mesh, True
+    try:
+        return mesh.convex_hull, False
+    except QhullError as error:
+        raise InputError(f"{where}: {path} is flat and encloses no volume") from error

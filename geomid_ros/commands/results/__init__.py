@@ -1,1 +1,0 @@
-"""What the commands print, loaded once there is something to print."""

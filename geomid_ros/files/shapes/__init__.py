@@ -1,1 +1,0 @@
-"""Meshes and shapes of links, for priors."""
