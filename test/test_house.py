@@ -20,10 +20,10 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "geomid_ros"
 # A room is a folder or a module right under the package. What is not named here fails the first test.
 FLOORS = {
-    "errors": -1,
-    "types": -1,
+    "errors": -2,
+    "types": -2,
+    "options": -1,
     "geometry": 0,
-    "options": 0,
     "model": 1,
     "signals": 2,
     "estimation": 2,
