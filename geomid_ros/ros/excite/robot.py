@@ -24,7 +24,7 @@ from sensor_msgs.msg import JointState as JointStateMessage
 from std_msgs.msg import String
 
 from geomid_ros.errors import GeomidError
-from geomid_ros.excitation.running.watch import JointState
+from geomid_ros.excitation.watch import JointState
 from geomid_ros.live.inbox import MOST_AT_ONCE
 from geomid_ros.ros.outputs import latched
 from geomid_ros.signals.messages import JOINT_STATES, parse
