@@ -99,7 +99,7 @@ class BagWriter:
         durability = QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE
         return self._writer.add_connection(name, kind, typestore=_TYPES, offered_qos_profiles=[_reliable(durability)])
 
-    def write(self, topic: Connection, stamp: int, data: bytes) -> None:
+    def write(self, topic: Connection, stamp: int, data: bytes | memoryview) -> None:
         """Log a serialised message at a stamp [ns]."""
         self._writer.write(topic, stamp, data)
 
