@@ -33,7 +33,7 @@ from rich.table import Table
 import geomid_ros
 from benchmarks.feedforward import described, hand_error
 from geomid_ros.api.feedforward import robot_to_move
-from geomid_ros.api.model_options import FillOptions
+from geomid_ros.api.options import FillOptions
 from geomid_ros.api.verify import identified
 from geomid_ros.control.correction import Correction, Reading
 from geomid_ros.control.feedforward import MotorEfforts

@@ -9,8 +9,7 @@ import numpy as np
 from benchmarks.excite.robots import Recorded, identified, predicted_error, recorded, task, truth, wish
 from benchmarks.report import Report
 from geomid_ros.excitation.feasibility import Feasibility
-from geomid_ros.excitation.knowledge import Belief, known_before
-from geomid_ros.excitation.learning import weight_of
+from geomid_ros.excitation.knowledge import Belief, known_before, weight_of
 from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
 from geomid_ros.excitation.search import Search, expected_error, other_motions, random_feasible
 from geomid_ros.session.excitation import DesignTask

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
-from geomid_ros.api.model_options import ExportOptions
+from geomid_ros.api.options import ExportOptions
 from geomid_ros.api.robot import entries
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.exports.descriptions import DESCRIPTIONS, Whole, described

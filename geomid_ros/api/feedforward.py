@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geomid_ros.api.model_options import FeedforwardOptions, FillOptions
+from geomid_ros.api.options import FeedforwardOptions, FillOptions
 from geomid_ros.api.robot import beside, configuration, description
 from geomid_ros.api.verify import identified
 from geomid_ros.control.feedforward import MotorEfforts, interpolation_errors, with_efforts

@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 from geomid_ros.api.export import check_into
-from geomid_ros.api.model_options import SampleOptions
+from geomid_ros.api.options import SampleOptions
 from geomid_ros.errors import unknown_name
 from geomid_ros.exports.formats import JSON
 from geomid_ros.exports.posterior_samples import DrawnRobots, described, draw_robots, ranges_text

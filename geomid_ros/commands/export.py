@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 import geomid_ros
-from geomid_ros.api.model_options import ExportOptions
+from geomid_ros.api.options import ExportOptions
 from geomid_ros.commands.options import PATH, options_of
 from geomid_ros.errors import one_line
 from geomid_ros.exports.formats import CONTROLLERS

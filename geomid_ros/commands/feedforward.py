@@ -9,7 +9,7 @@ import click
 import numpy as np
 
 import geomid_ros
-from geomid_ros.api.model_options import FeedforwardOptions
+from geomid_ros.api.options import FeedforwardOptions
 from geomid_ros.commands.options import PATH, Output, options_of
 from geomid_ros.commands.terminal import plain_table, print_remarks, results_console
 

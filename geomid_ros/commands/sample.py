@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 import geomid_ros
-from geomid_ros.api.model_options import SampleOptions
+from geomid_ros.api.options import SampleOptions
 from geomid_ros.commands.options import OUT, PATH, options_of
 from geomid_ros.commands.terminal import plain_table, progress_bar, results_console
 from geomid_ros.errors import one_line

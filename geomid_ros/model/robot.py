@@ -217,8 +217,12 @@ class Robot:
     def _reaches(self, link: str) -> bool:
         """Whether a moving link carries a joint elsewhere than at its own: something is between them."""
         model = self._model
-        own = model.frames[model.getFrameId(link, pin.BODY)].parentJoint
-        return any(np.any(model.jointPlacements[after].translation) for after in model.children[own])
+        after = model.children[self._frame(link).parentJoint]
+        return any(np.any(model.jointPlacements[joint].translation) for joint in after)
+
+    def _frame(self, link: str) -> pin.Frame:
+        """Pinocchio's frame of a link."""
+        return self._model.frames[self._model.getFrameId(link, pin.BODY)]
 
     def _is_fixed(self, joint: urdf_tree.UrdfJoint) -> bool:
         return joint.type == "fixed" or joint.name in self._locked
@@ -230,15 +234,14 @@ class Robot:
         return group
 
     def _body(self, head: str, cuts: set[str]) -> Body | None:
-        frame = self._model.frames[self._model.getFrameId(head, pin.BODY)]
+        frame = self._frame(head)
         group = self._rigid_group(head, cuts)
         massive = [link for link in group if link in self.tree.inertials]
         if not massive:
             return None
         parameters = np.zeros(10)
         for link in massive:
-            placed = self._model.frames[self._model.getFrameId(link, pin.BODY)].placement
-            parameters += _transform(frame.placement.actInv(placed)) @ self.tree.inertials[link]
+            parameters += _transform(frame.placement.actInv(self._frame(link).placement)) @ self.tree.inertials[link]
         parameters = self._possible(head, massive, parameters)
         return Body(
             head,
@@ -430,14 +433,14 @@ class Robot:
         """Placement of a link's frame in the world after :meth:`update_motion`; the identity for the world itself."""
         if frame not in self.tree.links:
             return pin.SE3.Identity()
-        pinocchio_frame = self._model.frames[self._model.getFrameId(frame, pin.BODY)]
-        return self._data.oMi[pinocchio_frame.parentJoint] * pinocchio_frame.placement
+        own = self._frame(frame)
+        return self._data.oMi[own.parentJoint] * own.placement
 
     def carrier(self, frame: str) -> str:
         """The body that a link is fixed to. Raises InputError for a link that there is not, or that does not move."""
         if frame not in self.tree.links:
             raise unknown_name("link", frame, self.tree.links)
-        joint = self._model.frames[self._model.getFrameId(frame, pin.BODY)].parentJoint
+        joint = self._frame(frame).parentJoint
         found = [body.name for body in self.bodies if body.joint == joint]
         if not found:
             raise InputError(f"{self.source}: link '{frame}' is fixed to no moving link with a mass")
@@ -445,8 +448,7 @@ class Robot:
 
     def fixed_placement(self, link: str, frame: str) -> FloatArray:
         """The homogeneous matrix ``(4, 4)`` from a link's coordinates to those of ``frame``, which is fixed to it."""
-        own, other = (self._model.frames[self._model.getFrameId(name, pin.BODY)].placement for name in (link, frame))
-        return np.asarray((other.inverse() * own).homogeneous)
+        return np.asarray(self._frame(frame).placement.actInv(self._frame(link).placement).homogeneous)
 
     def link_frames(self, pose: Samples) -> dict[str, tuple[FloatArray, FloatArray]]:
         """Rotation ``(3, 3)`` and origin ``(3,)`` in the world of every link's frame, at the one sample ``pose``."""

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES
-from geomid_ros.excitation.learning import Expected
+from geomid_ros.excitation.knowledge import Expected
 from geomid_ros.files.disk import make_folder, write_json
 from geomid_ros.files.models.estimate_file import by_channel
 from geomid_ros.files.schema import FORMAT, entry

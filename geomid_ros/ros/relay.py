@@ -10,7 +10,7 @@ from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory
 
 from geomid_ros.api.feedforward import filled, robot_to_move
-from geomid_ros.api.model_options import FillOptions
+from geomid_ros.api.options import FillOptions
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.files.trajectories import trajectory_of

@@ -11,8 +11,16 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.feasibility import Feasibility, Margins
-from geomid_ros.excitation.knowledge import Belief, known_before, prior_knowledge
-from geomid_ros.excitation.learning import PREDICTION, Learning, expected_learning, meaning_of, weight_of
+from geomid_ros.excitation.knowledge import (
+    PREDICTION,
+    Belief,
+    Learning,
+    expected_learning,
+    known_before,
+    meaning_of,
+    prior_knowledge,
+    weight_of,
+)
 from geomid_ros.excitation.limits import MotionLimits, motion_limits, starts
 from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
 from geomid_ros.excitation.rivals import DECIDED, DiscriminationCriterion, deciding_motion

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable
 from typing import Any
 
 import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.loaded_model import LoadedModel
-from geomid_ros.model.absent_joints import lockable
 from geomid_ros.model.columns import Column
 from geomid_ros.model.controller import Controller
 from geomid_ros.model.imu import ImuMount
@@ -24,6 +23,8 @@ from geomid_ros.signals.pipeline import SignalPipeline, ignore
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.signals.unitree import UnitreeMessages
 from geomid_ros.types import FloatArray
+
+_LIGHT = 0.1  # of the mass that moves: where so little stands does not matter
 
 
 class Setup:
@@ -100,7 +101,7 @@ class Setup:
     @property
     def lockable(self) -> tuple[str, ...]:
         """The joints that none of the messages so far names, if they may count as fixed at zero."""
-        return lockable(self.robot, frozenset(self.joints_heard), [sensor.frame for sensor in self.model.sensors])
+        return _lockable(self.robot, frozenset(self.joints_heard), [sensor.frame for sensor in self.model.sensors])
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -191,3 +192,33 @@ class Setup:
         except InputError as error:
             raise InputError(f"{self.configuration.source}: imu.frame: {error}") from error
         return ImuMount(placement[:3, :3], placement[:3, 3], self.robot.gravity)
+
+
+def _lockable(robot: Robot, heard: Collection[str], frames: Iterable[str]) -> tuple[str, ...]:
+    """The robot's joints that no message names, as of grippers, if all of them may count as fixed at zero.
+
+    They may if nothing that is measured depends on where they stand: they carry no joint that messages name and no
+    wrench sensor, and of the mass that moves at most a tenth. A name that is none of the robot's may be that of a joint
+    which seems to be missing: then nothing is locked.
+
+    Args:
+        robot: none of these joints is locked in it.
+        heard: names of joints in messages.
+        frames: of wrench sensors.
+    """
+    absent = [joint for joint in robot.joint_names if joint not in heard]
+    strange = set(heard).difference(joint.name for joint in robot.tree.joints)
+    if len(absent) == len(robot.joint_names) or strange:
+        return ()
+    follow = {f.joint.name: robot.joint_names[f.master] for f in robot.followers}
+    child = {joint.name: joint.child for joint in robot.tree.joints}
+    locked = [joint for joint in (*robot.joint_names, *follow) if follow.get(joint, joint) in absent]
+    moved_by = [joint for joint in (*robot.joint_names, *follow) if joint not in locked]
+    behind = {link for joint in locked for link in robot.tree.subtree(child[joint])}
+    if behind & {*frames, *(child[joint] for joint in moved_by)}:
+        return ()
+    moving = {link for joint in moved_by for link in robot.tree.subtree(child[joint])}
+    moving = set(robot.tree.links) if robot.floating_base else moving
+    masses = {link: float(parameters[0]) for link, parameters in robot.tree.inertials.items() if link in moving}
+    light = sum(masses[link] for link in behind & masses.keys()) <= _LIGHT * sum(masses.values())
+    return tuple(absent) if light else ()

@@ -9,12 +9,12 @@ import struct
 import sys
 from binascii import crc32
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -33,6 +33,7 @@ START = 1_700_000_000
 
 _NANO = 1_000_000_000
 _UNSET = QosTime(0, 0)
+_DESCRIPTION = "robot_description"
 _TYPES = get_typestore(Stores.ROS2_JAZZY)
 
 # Of the mcap format.
@@ -74,34 +75,53 @@ def write_walk(path: Path, trace: WalkTrace, names: Sequence[str], urdf: str, im
 
 
 @contextmanager
-def _new_bag(path: Path, urdf: str) -> Iterator[Writer]:
-    """A new bag with a robot's description, to write to; with checksums in the end."""
-    writer = Writer(path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
-    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-    with writer:
-        description = _Topic(writer, "/robot_description", "std_msgs/msg/String", QosDurability.TRANSIENT_LOCAL)
+def _new_bag(path: Path, urdf: str) -> Iterator[BagWriter]:
+    """A new bag with a robot's description, to write to."""
+    with closing(BagWriter(path)) as bag:
+        description = _Topic(bag, "/robot_description", "std_msgs/msg/String")
         description.write(START * _NANO, _message("std_msgs/msg/String", data=urdf))
-        yield writer
-    add_checksums(path / f"{path.name}.mcap")
+        yield bag
+
+
+class BagWriter:
+    """A new bag in mcap, to be closed: only then it has checksums."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises OSError or WriterError where it cannot be written."""
+        self._file = path / f"{path.name}.mcap"
+        self._writer = Writer(path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
+        self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        self._writer.open()
+
+    def topic(self, name: str, kind: str) -> Connection:
+        """Add a topic of messages of a type; a robot description is kept for those who come late."""
+        latched = name.rpartition("/")[2] == _DESCRIPTION
+        durability = QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE
+        return self._writer.add_connection(name, kind, typestore=_TYPES, offered_qos_profiles=[_reliable(durability)])
+
+    def write(self, topic: Connection, stamp: int, data: bytes | memoryview) -> None:
+        """Log a serialised message at a stamp [ns]."""
+        self._writer.write(topic, stamp, data)
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._writer.close()
+        _add_checksums(self._file)
 
 
 class _Topic:
     """A topic of an open bag; messages are logged at their stamp [ns]."""
 
-    def __init__(
-        self, writer: Writer, name: str, kind: str, durability: QosDurability = QosDurability.VOLATILE
-    ) -> None:
-        self._writer = writer
+    def __init__(self, bag: BagWriter, name: str, kind: str) -> None:
+        self._bag = bag
         self._kind = kind
-        self._connection = writer.add_connection(
-            name, kind, typestore=_TYPES, offered_qos_profiles=[reliable(durability)]
-        )
+        self._connection = bag.topic(name, kind)
 
     def write(self, stamp: int, message: object) -> None:
-        self._writer.write(self._connection, stamp, _TYPES.serialize_cdr(message, self._kind))
+        self._bag.write(self._connection, stamp, _TYPES.serialize_cdr(message, self._kind))
 
 
-def reliable(durability: QosDurability) -> Qos:
+def _reliable(durability: QosDurability) -> Qos:
     """The quality of service of a publisher, as it is recorded."""
     return Qos(
         history=QosHistory.KEEP_LAST,
@@ -172,7 +192,7 @@ def _wrench(wrench: FloatArray, stamp: int, frame: str | None) -> Any:
     )
 
 
-def add_checksums(path: Path) -> None:
+def _add_checksums(path: Path) -> None:
     """Write the checksums of chunks, data section and summary into a file with zstd chunks."""
     data = bytearray(path.read_bytes())
     begin, data_end, kind = _MAGIC_LENGTH, 0, 0

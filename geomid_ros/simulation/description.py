@@ -204,8 +204,8 @@ def _child(element: Element, tag: str) -> Element:
     return child
 
 
-def _attribute(element: Element, key: str) -> str:
-    value = element.get(key)
+def _attribute(element: Element, key: str, default: str | None = None) -> str:
+    value = element.get(key, default)
     if value is None:
         raise InputError(f"a <{element.tag}> has no attribute '{key}'.")
     return value
@@ -220,10 +220,7 @@ def _vector(element: Element, key: str) -> FloatArray:
 
 
 def _number(element: Element, key: str, default: str | None = None) -> float:
-    text = element.get(key, default)
-    if text is None:
-        raise InputError(f"a <{element.tag}> has no attribute '{key}'.")
-    return _finite(text, element.tag, key)
+    return _finite(_attribute(element, key, default), element.tag, key)
 
 
 def _finite(text: str, tag: str, key: str) -> float:

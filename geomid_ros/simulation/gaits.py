@@ -9,10 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.options import Options, option
 from geomid_ros.simulation.options import LONGEST_STEP
 from geomid_ros.types import FloatArray
 
 _SHORTEST = 4.0  # [s] of a gait
+_SMALLEST, _LARGEST = 1e-3, 1.0  # radii of feet [m]
 _FADE = 0.7  # [s] at the beginning and at the end of a motion
 _PERIOD, _SWING = 0.6, 0.4  # of the trot [s], and the share of it in which a foot is lifted
 
@@ -68,7 +70,7 @@ GAITS: dict[str, Gait] = {"wobble": _wobble, "lift": _lift, "trot": _trot}
 
 
 @dataclass(frozen=True, kw_only=True)
-class WalkOptions:
+class WalkOptions(Options):
     """A quadruped, its hidden truth, its gaits and its sensors. SI units; noise is Gaussian, given by its deviation.
 
     Attributes:
@@ -87,12 +89,12 @@ class WalkOptions:
     imu: str
     gaits: Sequence[str] = ("wobble", "lift", "trot")
     duration: float = 36.0
-    rate: float = 500.0
+    rate: float = option(500.0, min=1.0, max=1.0 / LONGEST_STEP)
     seed: int = 1
     motion_seed: int | None = None
-    payload: float = 3.0
+    payload: float = option(3.0, min=0.0)
     payload_at: tuple[float, float, float] = (0.04, 0.02, 0.08)
-    inertia_error: float = 0.1
+    inertia_error: float = option(0.1, min=0.0, max=1.0)
     viscous_friction: float = 0.1
     coulomb_friction: float = 0.2
     rotor_inertia: float = 0.01
@@ -105,19 +107,16 @@ class WalkOptions:
     accelerometer_bias: float = 0.02
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for gait in self.gaits:
             if gait not in GAITS:
                 raise unknown_name("gait", gait, GAITS)
-        ranges = {
-            "duration": (self.duration, _SHORTEST * len(self.gaits), np.inf),
-            "rate": (self.rate, 1.0, 1.0 / LONGEST_STEP),
-            "payload": (self.payload, 0.0, np.inf),
-            "inertia_error": (self.inertia_error, 0.0, 1.0),
-            **{f"radius of {foot}": (radius, 1e-3, 1.0) for foot, radius in self.feet.items()},
-        }
-        for name, (value, low, high) in ranges.items():
-            if not low <= value <= high or np.isinf(value):
-                raise InputError(f"{name} is {value:g}; it has to be from {low:g} to {high:g}")
+        shortest = _SHORTEST * len(self.gaits)
+        if not shortest <= self.duration < math.inf:
+            raise InputError(f"duration is {self.duration:g}, expected {shortest:g} or more")
+        for foot, radius in self.feet.items():
+            if not _SMALLEST <= radius <= _LARGEST:
+                raise InputError(f"radius of {foot} is {radius:g}, expected {_SMALLEST:g} to {_LARGEST:g}")
         every = 1.0 / (self.rate * LONGEST_STEP)
         if not math.isclose(every, round(every)):
             raise InputError(

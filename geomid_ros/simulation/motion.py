@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +23,10 @@ class SetPoints:
     position: FloatArray
     velocity: FloatArray
     acceleration: FloatArray
+
+    def select(self, index: Any) -> SetPoints:
+        """Some of them, by an index of the arrays."""
+        return SetPoints(self.position[index], self.velocity[index], self.acceleration[index])
 
 
 def exciting_motion(
@@ -173,8 +178,8 @@ class RunTrace:
 
     def reordered(self, order: IntArray) -> RunTrace:
         """The same samples with the joints in another ``order (n,)``."""
-        commands = SetPoints(*(values[:, order] for values in vars(self.commands).values()))
-        return replace(self, commands=commands, **{name: getattr(self, name)[:, order] for name in _PER_JOINT})
+        arrays = {name: getattr(self, name)[:, order] for name in _PER_JOINT}
+        return replace(self, commands=self.commands.select(np.s_[:, order]), **arrays)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
 
-from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.errors import InputError
+from geomid_ros.options import Options, option
 
-_POSITIVE = ("duration", "rate", "motion_period", "motion_range", "motion_speed", "longest_step")
 _DRAWN = (  # of a realistic robot
     "inertia_error",
     "viscous_friction",
@@ -29,13 +29,12 @@ LONGEST_STEP = 1e-3
 """[s] of the integration: dry friction stops a joint within a few milliseconds."""
 _STIFF_STEP = 2e-4  # a light rotor behind a gear that gives
 _STIFF = {"joint_elasticity", "backlash"}
-_SHARES = ("motion_range", "motion_speed")
 MOTIONS = ("sines", "aperiodic", "points", "chirp")
 """Kinds of motion."""
 
 
 @dataclass(frozen=True)
-class SimulationOptions:
+class SimulationOptions(Options):
     """A robot, its hidden truth, its motion and its sensors. SI units; per joint rad and N m, or m and N if it slides.
 
     Attributes:
@@ -85,64 +84,48 @@ class SimulationOptions:
     """
 
     robot: str = "arm7"
-    seed: int = 1
+    seed: int = option(1, min=0)
     realistic: bool = False
-    motion_seed: int | None = None
+    motion_seed: int | None = option(min=0)
 
-    duration: float = 12.0
-    rate: float = 100.0
+    duration: float = option(12.0, min=0.0, min_open=True)
+    rate: float = option(100.0, min=0.0, min_open=True)
     wrench_frame: str | None = None
-    wrench_lag: float = 0.0
+    wrench_lag: float = option(0.0, min=0.0)
     commands: bool = False
 
-    inertia_error: float = 0.2
+    inertia_error: float = option(0.2, min=0.0)
 
     hide: tuple[Hidden, ...] | None = None
-    viscous_friction: float = 0.03
-    coulomb_friction: float = 0.02
-    rotor_inertia: float = 0.002
-    effort_offset: float = 0.005
+    viscous_friction: float = option(0.03, min=0.0)
+    coulomb_friction: float = option(0.02, min=0.0)
+    rotor_inertia: float = option(0.002, min=0.0)
+    effort_offset: float = option(0.005, min=0.0)
 
-    position_noise: float = 2e-5
-    velocity_noise: float = 1e-3
-    effort_noise: float = 2e-3
-    force_noise: float = 0.1
-    torque_noise: float = 5e-3
-    noise_time: float = 0.0
-    position_step: float = 0.0
-    effort_step: float = 0.0
+    position_noise: float = option(2e-5, min=0.0)
+    velocity_noise: float = option(1e-3, min=0.0)
+    effort_noise: float = option(2e-3, min=0.0)
+    force_noise: float = option(0.1, min=0.0)
+    torque_noise: float = option(5e-3, min=0.0)
+    noise_time: float = option(0.0, min=0.0)
+    position_step: float = option(0.0, min=0.0)
+    effort_step: float = option(0.0, min=0.0)
 
-    motion: str = field(default="sines", metadata={"choices": MOTIONS})
-    motion_period: float = field(default=6.0, metadata={"flag": "--period"})
-    motion_harmonics: int = 6
-    motion_range: float = 0.7
-    motion_speed: float = 0.6
+    motion: str = option("sines", choices=MOTIONS)
+    motion_period: float = option(6.0, flag="--period", min=0.0, min_open=True)
+    motion_harmonics: int = option(6, min=1)
+    motion_range: float = option(0.7, min=0.0, min_open=True, max=1.0)
+    motion_speed: float = option(0.6, min=0.0, min_open=True, max=1.0)
 
-    longest_step: float = 5e-4
+    longest_step: float = option(5e-4, min=0.0, min_open=True, max=LONGEST_STEP)
 
     def __post_init__(self) -> None:
-        self._require(_POSITIVE, "above 0", lambda value: value > 0.0)
-        others = [field.name for field in fields(self) if field.type == "float" and field.name not in _POSITIVE]
-        self._require(others, "at least 0", lambda value: value >= 0.0)
-        self._require(_SHARES, "at most 1", lambda value: value <= 1.0)
-        self._require(("longest_step",), f"at most {LONGEST_STEP}", lambda value: value <= LONGEST_STEP)
-        self._require(("motion_harmonics",), "at least 1", lambda value: value >= 1)
-        self._require(("seed",), "at least 0", lambda value: value >= 0)
-        if self.motion_seed is not None:
-            self._require(("motion_seed",), "at least 0", lambda value: value >= 0)
-        if self.motion not in MOTIONS:
-            raise unknown_name("motion", self.motion, MOTIONS)
+        super().__post_init__()
         for name in _DRAWN if self.realistic else ():
             if getattr(self, name) != getattr(type(self), name):
                 raise InputError(f"a realistic robot draws its {name} from the seed; leave the option out.")
         if self.samples < 2:
             raise InputError(f"{self.duration} s at {self.rate} Hz are fewer than 2 samples; lengthen the duration.")
-
-    def _require(self, names: Iterable[str], requirement: str, holds: Callable[[float], bool]) -> None:
-        for name in names:
-            value = getattr(self, name)
-            if not (math.isfinite(value) and holds(value)):
-                raise InputError(f"simulation option {name} is {value}; it has to be {requirement}.")
 
     @property
     def samples(self) -> int:

@@ -153,7 +153,6 @@ def _trace(
 ) -> RunTrace:
     at, motors, step = sampling.joints, loop.robot.driven, np.float64(loop.step)
     position, velocity, acceleration = (np.array(column)[:, motors] for column in zip(*rows, strict=True))
-    setpoints = loop.controller.setpoints
     return RunTrace(
         time=step * at,
         position=position,
@@ -162,7 +161,7 @@ def _trace(
         effort=np.array(efforts)[at],
         wrench_time=step * (at + sampling.wrench_lag),
         wrench=np.array(wrenches),
-        commands=SetPoints(*(values[2 * at] for values in vars(setpoints).values())),
+        commands=loop.controller.setpoints.select(2 * at),
         feedforward=loop.controller.feedforward[2 * at],
         fine_time=step * np.arange(len(efforts)),
         fine_effort=np.array(efforts),

@@ -18,7 +18,7 @@ from files.recordings import BAGS, QUICK
 import geomid_ros
 from benchmarks.adaptation import LATE, SLOW, Robot
 from geomid_ros.api.feedforward import robot_to_move
-from geomid_ros.api.model_options import FillOptions
+from geomid_ros.api.options import FillOptions
 from geomid_ros.api.verify import identified
 from geomid_ros.control.adaptation import MARGIN, Adaptation, divergence, needed, share_of
 from geomid_ros.control.correction import FASTEST, LARGEST_SHARE, LASTING, LATER, Correction, Latch, Reading

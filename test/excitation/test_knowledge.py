@@ -10,8 +10,7 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.feasibility import Feasibility
-from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, known_before
-from geomid_ros.excitation.learning import expected_learning, weight_of
+from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, expected_learning, known_before, weight_of
 from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
 from geomid_ros.excitation.search import random_feasible, random_motion
 from geomid_ros.model.samples import samples_of

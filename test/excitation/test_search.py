@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from files.recordings import BAGS
 
-from geomid_ros.excitation.learning import weight_of
+from geomid_ros.excitation.knowledge import weight_of
 from geomid_ros.excitation.motion import ExcitingMotion
 from geomid_ros.excitation.search import Search, expected_error, random_feasible, random_motion
 from geomid_ros.model.channels import WrenchSensor

@@ -10,8 +10,7 @@ import pytest
 from geomid_ros.estimation.estimator import EstimatorSettings, estimate
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.excitation.feasibility import Feasibility
-from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Belief, known_before
-from geomid_ros.excitation.learning import weight_of
+from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Belief, known_before, weight_of
 from geomid_ros.excitation.motion import ExcitingMotion
 from geomid_ros.excitation.search import Search, expected_error, random_motion
 from geomid_ros.model.samples import samples_of

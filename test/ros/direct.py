@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import queue
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -11,7 +10,6 @@ from typing import Any
 
 from files.recordings import Recorded
 
-from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.live.inbox import Received
 from geomid_ros.live.status import Listener
@@ -20,7 +18,7 @@ from geomid_ros.ros.diagnostics import Diagnostics
 from geomid_ros.session.results import document
 
 from .rig import NOTHING, SOLVE_PERIOD, Rig, Twin
-from .waiting import PATIENCE
+from .waiting import PATIENCE, final_estimate
 
 
 class Direct(Rig):
@@ -63,9 +61,7 @@ class Direct(Rig):
 
     def saved(self) -> Any:
         """The same as it is now; None where there are no rows."""
-        answers: queue.Queue[Estimate | GeomidError] = queue.Queue()
-        self.worker.final_estimate(answers.put)
-        estimate = answers.get(timeout=PATIENCE)
+        estimate = final_estimate(self.worker)
         if isinstance(estimate, Estimate):
             return document(self.session, estimate)
         assert str(estimate) == NOTHING

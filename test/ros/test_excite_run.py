@@ -16,7 +16,7 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
 from benchmarks.trajectory_controller import GONE, STRONG
-from geomid_ros.excitation.running.watch import Watch
+from geomid_ros.excitation.watch import Watch
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.trajectories import read_trajectory
 from geomid_ros.ros.excite.run import Order, prepared_run

@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 
 from .stage import NO_CHOICE, messages
-from .waiting import PATIENCE, wait_until
+from .waiting import PATIENCE, final_estimate, wait_until
 
 STATES = [item for item in messages() if item.topic == "/joint_states"]
 JOINTS = [item.raw for item in STATES]
@@ -65,9 +65,7 @@ class Watched(Listener):
 
     def final(self) -> Estimate | GeomidError:
         """The answer to a request for a final estimate."""
-        answers: queue.Queue[Estimate | GeomidError] = queue.Queue()
-        self.worker.final_estimate(answers.put)
-        return answers.get(timeout=PATIENCE)
+        return final_estimate(self.worker)
 
 
 @pytest.fixture
@@ -82,18 +80,6 @@ def busy() -> Iterator[Watched]:
     """Solves all the time."""
     with closing(Watched(SOON)) as watched:
         yield watched
-
-
-def test_a_final_estimate_is_of_all_messages_before_it(quiet: Watched) -> None:
-    quiet.feed()
-    estimate = quiet.final()
-    assert isinstance(estimate, Estimate)
-    assert quiet.worker.estimate is estimate
-    assert quiet.estimates.get_nowait() is estimate
-    status = quiet.worker.status(active=True)
-    assert status.accounts["joint_states"].received == status.accounts["joint_states"].accepted == len(JOINTS)
-    assert status.rows == estimate.rows_accepted
-    assert (status.problems + status.warnings, status.topics) == ((), ("joint_states",))
 
 
 def test_efforts_of_resting_joints_say_nothing_of_changes(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -126,31 +112,6 @@ def test_changes_are_looked_for_as_soon_as_there_are_rows_enough(quiet: Watched)
     wait_until(lambda: 5 * BLOCK < quiet.session.identifier.instants < quiet.worker.solver.detector.judged + BLOCK)
 
 
-def test_without_rows_the_answer_is_an_error(quiet: Watched) -> None:
-    answer = quiet.final()
-    assert isinstance(answer, GeomidError)
-    assert "no usable rows" in str(answer)
-    assert "no usable rows" in quiet.worker.solver.problem
-    quiet.feed()
-    assert isinstance(quiet.final(), Estimate)
-    assert quiet.worker.status(active=True).warnings == ()
-
-
-def test_an_error_in_a_message_costs_the_message(quiet: Watched) -> None:
-    quiet.feed(0, 100)
-    quiet.worker.take([Received("joint_states", b"nonsense")])
-    quiet.final()
-    quiet.worker.take([Received("/undeclared", next(item.raw[1] for item in messages() if item.topic == "/wrench"))])
-    quiet.final()
-    quiet.feed(100)
-    assert isinstance(quiet.final(), Estimate)
-    status = quiet.worker.status(active=True)
-    assert status.accounts["joint_states"].rejected == {"not a valid sensor_msgs/msg/JointState": 1}
-    assert status.accounts["/undeclared"].dropped == {"InputError while taking a message": 1}
-    assert status.failures.total() == 1
-    assert status.accounts["joint_states"].accepted == len(JOINTS)
-
-
 def test_an_error_while_publishing_costs_no_thread(busy: Watched) -> None:
     def fail(_: Estimate) -> None:
         raise RuntimeError("nobody listens")
@@ -179,26 +140,35 @@ def test_an_error_of_the_solver_keeps_the_last_estimate(quiet: Watched, monkeypa
     assert "division by zero" in quiet.worker.solver.problem
 
 
-def test_what_is_forgotten_while_it_is_solved_for_stays_forgotten(
-    quiet: Watched, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    solve, solving, may_end = quiet.session.identifier.solve, threading.Event(), threading.Event()
+Answers: TypeAlias = "queue.Queue[Estimate | GeomidError]"
+
+
+@contextmanager
+def solving(watched: Watched) -> Iterator[tuple[Answers, threading.Event]]:
+    """In a solve of all messages: the answers to come, and an event that lets it end."""
+    solve, begun, may_end = watched.session.identifier.solve, threading.Event(), threading.Event()
+    answers: Answers = queue.Queue()
 
     def slowly(warm: Any) -> Estimate:
         estimate = solve(warm)
-        solving.set()
+        begun.set()
         may_end.wait(PATIENCE)
         return estimate
 
-    monkeypatch.setattr(quiet.session.identifier, "solve", slowly)
-    quiet.feed()
-    answers: queue.Queue[Estimate | GeomidError] = queue.Queue()
-    quiet.worker.final_estimate(answers.put)
-    assert solving.wait(PATIENCE)
-    quiet.worker.reset()
-    wait_until(lambda: quiet.worker.status(active=True).rows == 0)
-    may_end.set()
-    assert isinstance(answers.get(timeout=PATIENCE), Estimate), "who asked before has the answer"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(watched.session.identifier, "solve", slowly)
+        watched.feed()
+        watched.worker.final_estimate(answers.put)
+        assert begun.wait(PATIENCE)
+        yield answers, may_end
+
+
+def test_what_is_forgotten_while_it_is_solved_for_stays_forgotten(quiet: Watched) -> None:
+    with solving(quiet) as (answers, may_end):
+        quiet.worker.reset()
+        wait_until(lambda: quiet.worker.status(active=True).rows == 0)
+        may_end.set()
+        assert isinstance(answers.get(timeout=PATIENCE), Estimate), "who asked before has the answer"
     assert quiet.worker.estimate is None
     assert quiet.estimates.empty()
 
@@ -271,21 +241,11 @@ def test_who_waits_when_it_closes_has_an_answer() -> None:
 
 def test_closing_waits_for_no_solver_that_takes_long(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "PATIENCE", 0.05)
-    solve, may_end = quiet.session.identifier.solve, threading.Event()
-
-    def slowly(warm: Any) -> Estimate:
-        may_end.wait(PATIENCE)
-        return solve(warm)
-
-    monkeypatch.setattr(quiet.session.identifier, "solve", slowly)
-    quiet.feed()
-    answers: queue.Queue[Estimate | GeomidError] = queue.Queue()
-    quiet.worker.final_estimate(answers.put)
-    wait_until(lambda: quiet.worker.status(active=True).queue == 0)
-    quiet.close()
-    assert quiet.worker.solver._thread.is_alive()
-    may_end.set()
-    assert isinstance(answers.get(timeout=PATIENCE), Estimate)
+    with solving(quiet) as (answers, may_end):
+        quiet.close()
+        assert quiet.worker.solver._thread.is_alive()
+        may_end.set()
+        assert isinstance(answers.get(timeout=PATIENCE), Estimate)
     assert quiet.worker.estimate is None
     assert quiet.estimates.empty(), "nothing is published after the end"
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import queue
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -16,7 +15,6 @@ import pytest
 from files.recordings import BAGS, Recorded
 from signals.feeding import completed
 
-from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live import worker as module
@@ -30,7 +28,7 @@ from geomid_ros.session.session import Session
 
 from .in_motion import SECOND, START, InMotion, in_time, noisy
 from .stage import NO_CHOICE
-from .waiting import PATIENCE, wait_until
+from .waiting import PATIENCE, final_estimate, wait_until
 
 SECONDS, RATE = 42.0, 50.0
 TARED, BACK = 26.0, 33.0  # [s]
@@ -135,9 +133,7 @@ class Working:
 
     def final(self) -> Estimate:
         """From all messages so far."""
-        answers: queue.Queue[Estimate | GeomidError] = queue.Queue()
-        self.worker.final_estimate(answers.put)
-        answer = answers.get(timeout=PATIENCE)
+        answer = final_estimate(self.worker)
         assert isinstance(answer, Estimate), answer
         return answer
 
@@ -192,17 +188,6 @@ def split(items: list[Recorded], seconds: float) -> tuple[list[Recorded], list[R
     return items[:at], items[at:]
 
 
-def test_only_the_doubtful_sensor_loses_its_rows(working: Working) -> None:
-    """All of them; the other none."""
-    items = messages(8.0, wrist=lambda _, value: -value)
-    status, of = working.feed(items), samples(items)
-    assert status.rows_rejected["wrench doubtful: /wrist"] == AXES * len(of)
-    assert status.rows_rejected["wrench doubtful: /elbow"] == 0
-    assert "/wrist: " in said(status)
-    assert "/elbow" not in said(status)
-    assert_same(working.final(), silent(of, "/wrist"))
-
-
 @pytest.fixture
 def busy() -> Iterator[Working]:
     with closing(Working(0.02)) as working:
@@ -225,7 +210,8 @@ def test_what_was_solved_for_from_bad_rows_is_forgotten(busy: Working, monkeypat
         return solve(warm)
 
     monkeypatch.setattr(known, "solve", note)
-    busy.feed(after)
+    status = busy.feed(after)
+    assert status.rows_rejected["wrench doubtful: /elbow"] == 0
     first_after = next(warm for warm, doubtful in starts if doubtful)
     assert first_after is None
     assert_same(busy.final(), silent(samples(items), "/wrist"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import queue
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
@@ -14,9 +13,9 @@ import numpy as np
 import pytest
 from files.recordings import BAGS, Recorded, recorded, write_bag
 from ros.spoiling import later, stamp_of, stamped
+from ros.waiting import PATIENCE, final_estimate
 from signals.feeding import feed
 
-from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live import worker as live
@@ -34,7 +33,6 @@ from geomid_ros.signals.joint_messages import UNWRAPPED
 from geomid_ros.signals.sampler import IN_BURSTS
 from geomid_ros.types import FloatArray, IntArray
 
-PATIENCE = 300.0
 MIDDLE = 400  # of 800 joint messages
 NAN = float("nan")
 
@@ -103,12 +101,11 @@ def from_bag(messages: list[Recorded], folder: Path) -> tuple[Session, Estimate]
 
 def from_node(messages: list[Recorded]) -> tuple[Session, Estimate, Any]:
     """As the node's threads take it, message by message; with the status that its diagnostics are made of."""
-    found, answers = session(), queue.Queue[Estimate | GeomidError]()
+    found = session()
     with closing(Worker(found, 3600.0, Listener())) as worker:
         for item in messages:
             worker.take([Received(*item.raw)])
-        worker.final_estimate(answers.put)
-        estimate = answers.get(timeout=PATIENCE)
+        estimate = final_estimate(worker)
         assert isinstance(estimate, Estimate), estimate
         status = worker.status(active=True)
     return found, estimate, status

@@ -17,24 +17,21 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
-from rosbags.interfaces import Connection, QosDurability
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
-from rosbags.typesys import Stores, get_typestore
+from rosbags.rosbag2 import WriterError
 from sensor_msgs.msg import JointState as JointStateMessage
 from std_msgs.msg import String
 
 from geomid_ros.errors import GeomidError
-from geomid_ros.excitation.running.watch import JointState
+from geomid_ros.excitation.watch import JointState
 from geomid_ros.live.inbox import MOST_AT_ONCE
 from geomid_ros.ros.outputs import latched
 from geomid_ros.signals.messages import JOINT_STATES, parse
-from geomid_ros.simulation.bag import add_checksums, reliable
+from geomid_ros.simulation.bag import BagWriter
 
 _LOOK = 0.003  # [s] at most that a look waits for a message
 _DESCRIPTION = "robot_description"
 _WRENCH, _STATE, _TEXT = "geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/JointState", "std_msgs/msg/String"
 T = TypeVar("T")
-_TYPES = get_typestore(Stores.ROS2_JAZZY)
 
 
 class Recorder:
@@ -56,12 +53,10 @@ class Recorder:
         self.problem = ""
         """Why nothing is recorded any more, if so."""
         try:
-            self._writer = Writer(path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
-            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-            self._writer.open()
+            self._bag = BagWriter(path)
         except (OSError, WriterError) as error:
             raise GeomidError(f"{path}: cannot be written ({error})") from error
-        self._connections = {topic: self._connection(topic, kind) for topic, kind in topics.items()}
+        self._topics = {topic: self._bag.topic(topic, kind) for topic, kind in topics.items()}
         self._waiting: SimpleQueue[tuple[str, int, bytes] | None] = SimpleQueue()
         self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._thread.start()
@@ -77,18 +72,12 @@ class Recorder:
         """Record a message as received now."""
         self._waiting.put((topic, time.time_ns(), data))
 
-    def _connection(self, topic: str, kind: str) -> Connection:
-        latched = topic.rpartition("/")[2] == _DESCRIPTION
-        durability = QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE
-        return self._writer.add_connection(topic, kind, typestore=_TYPES, offered_qos_profiles=[reliable(durability)])
-
     def _work(self) -> None:
         try:
             while (message := self._waiting.get()) is not None:
                 topic, stamp, data = message
-                self._writer.write(self._connections[topic], stamp, data)
-            self._writer.close()
-            add_checksums(self.path / f"{self.path.name}.mcap")
+                self._bag.write(self._topics[topic], stamp, data)
+            self._bag.close()
         except OSError as error:
             self.problem = f"{self.path}: cannot be written ({error.strerror or error})"
 

@@ -13,9 +13,9 @@ import numpy as np
 from rclpy.node import Node
 
 from geomid_ros.errors import GeomidError, InputError
-from geomid_ros.excitation.running.approach import Passage, stopping_accelerations, way_by, way_to_rest
-from geomid_ros.excitation.running.watch import JointState, RobotLimits, Watch, check_motion
+from geomid_ros.excitation.approach import Passage, stopping_accelerations, way_by, way_to_rest
 from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.excitation.watch import JointState, RobotLimits, Watch, check_motion
 from geomid_ros.model.robot import Robot
 from geomid_ros.ros.excite.controller import Controller, find_controller
 from geomid_ros.ros.excite.robot import HeardRobot, Recorder

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomid_ros.simulation.description import UrdfLimits
-from geomid_ros.simulation.motion import RunTrace, SetPoints
+from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.simulation.options import RandomStream, SimulationOptions, generator
 from geomid_ros.types import BoolArray, FloatArray
 
@@ -228,5 +228,5 @@ def _stepped(values: FloatArray, step: FloatArray) -> FloatArray:
 
 def _arrived(trace: RunTrace, arrives: BoolArray) -> RunTrace:
     per_message = ("time", "position", "velocity", "acceleration", "effort", "wrench_time", "wrench", "feedforward")
-    commands = SetPoints(*(values[arrives] for values in vars(trace.commands).values()))
-    return replace(trace, commands=commands, **{name: getattr(trace, name)[arrives] for name in per_message})
+    arrays = {name: getattr(trace, name)[arrives] for name in per_message}
+    return replace(trace, commands=trace.commands.select(arrives), **arrays)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from geomid_ros.excitation.running.approach import stopping_accelerations, way_by, way_to_rest
+from geomid_ros.excitation.approach import stopping_accelerations, way_by, way_to_rest
 
 JOINTS = ("a", "b", "c")
 

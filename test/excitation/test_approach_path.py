@@ -12,7 +12,7 @@ from scipy.interpolate import BPoly
 from excitation.arm import urdf
 from excitation.motions import bump, lively
 from geomid_ros.errors import InputError
-from geomid_ros.excitation.running.approach import Passage
+from geomid_ros.excitation.approach import Passage
 from geomid_ros.files.trajectories import read_trajectory
 from geomid_ros.model.collision import CollisionModel
 from geomid_ros.model.robot import Robot
