@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from xml.etree.ElementTree import Element
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import LinkEstimate
 from geomid_ros.model.shape_prior import OUTSIDE, Solid, UrdfInertial, verdict
 from geomid_ros.model.shapes import volume
-from geomid_ros.model.urdf_tree import read_xml
+from geomid_ros.model.urdf_tree import inertial_parameters, read_xml
+from geomid_ros.types import FloatArray
 
 _DENSEST = 22_590.0
 """[kg/m^3] osmium; no material has more."""
@@ -18,7 +20,8 @@ _DENSEST = 22_590.0
 def impossible_links(urdf: str, source: str, links: Iterable[LinkEstimate]) -> Iterator[str]:
     """A sentence for each link that its shape cannot hold: denser than any material, or with mass outside of it.
 
-    Links without a shape that can be read, and links that others are counted in with, pass.
+    Links without a shape that can be read, and links that others are counted in with, pass; so do those whose mass in
+    the URDF is outside of their shape, too, which is not that of their mass then.
 
     Args:
         urdf: text of the robot description.
@@ -35,8 +38,21 @@ def impossible_links(urdf: str, source: str, links: Iterable[LinkEstimate]) -> I
                 f"link '{link.name}' weighs {link.mass:.3g} kg, {density:.3g} kg/m^3 in its shape of the URDF, and no "
                 f"material has more than {_DENSEST:.0f}"
             )
-        elif verdict(UrdfInertial(link.parameters, ""), solid, density) == OUTSIDE:
+            continue
+        own = inertial_parameters(_element(urdf, source, link.name), source)
+        if _is_outside(link.parameters, solid) and not _is_outside(own, solid):
             yield f"link '{link.name}' has mass outside of its shape of the URDF"
+
+
+def _is_outside(parameters: FloatArray | None, solid: Solid) -> bool:
+    """Whether a body ``(10,)`` has mass outside of a solid."""
+    if parameters is None:
+        return False
+    return verdict(UrdfInertial(parameters, ""), solid, float(parameters[0]) / volume(solid.moments)) == OUTSIDE
+
+
+def _element(urdf: str, source: str, name: str) -> Element:
+    return next(link for link in read_xml(urdf, source).findall("link") if link.get("name") == name)
 
 
 def _solid(urdf: str, source: str, name: str) -> Solid | None:
@@ -44,7 +60,7 @@ def _solid(urdf: str, source: str, name: str) -> Solid | None:
     # Of few results alone: what reads meshes takes a third of a second to import.
     from geomid_ros.files.shapes import ShapeReader  # noqa: PLC0415
 
-    element = next(link for link in read_xml(urdf, source).findall("link") if link.get("name") == name)
+    element = _element(urdf, source, name)
     try:
         return ShapeReader(Path(source), {}).solid(element)
     except (InputError, OSError, ImportError):

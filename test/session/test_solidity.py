@@ -41,6 +41,14 @@ def test_mass_outside_of_the_shape() -> None:
     assert "outside" in sentence
 
 
+def test_a_shape_that_is_not_that_of_the_mass_in_the_urdf_says_nothing() -> None:
+    """As of a wrist that is drawn without its drive."""
+    inertia = '<inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.01"/>'
+    for centre, count in (("0 0 0", 1), ("0 0 1.5", 0)):
+        inertial = f'<inertial><origin xyz="{centre}"/><mass value="20"/>{inertia}</inertial>'
+        assert len(said(rod(20.0, 1.5), urdf=URDF.replace("<collision>", f"{inertial}<collision>"))) == count
+
+
 def test_what_has_no_shape_or_counts_others_in_passes() -> None:
     assert said(replace(rod(340.0), merged=("tool",))) == []
     assert said(rod(340.0), urdf=URDF.replace("<collision>", "<!--").replace("</collision>", "-->")) == []
