@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from geomid_ros.model.samples import STILL
 from geomid_ros.signals.ledger import Reason, driver_error
 from geomid_ros.types import BoolArray, FloatArray
 
@@ -50,7 +51,8 @@ class VelocityCheck:
     def _scaled(self, sums: FloatArray) -> BoolArray:
         """At which joints velocities are the derivatives but for a factor, by sums ``(4, ...)``."""
         known, given, both, derived = sums
-        told = (known >= self._FEWEST) & (both > 0.0) & (both**2 > self._IN_PROPORTION * given * derived)
+        moved = derived > known * STILL**2  # of a joint that stands still the filter's tails are all there is
+        told = (known >= self._FEWEST) & moved & (both > 0.0) & (both**2 > self._IN_PROPORTION * given * derived)
         return np.asarray(told & (np.abs(both - derived) > self._OFF * derived))
 
     @property

@@ -63,3 +63,16 @@ def test_velocities_in_another_unit_of_time_are_told(factor: float, noted: bool)
     target = SignalPipeline(JOINTS, settings=SETTINGS)
     feed(target, messages)
     assert (SCALED in target.ledger.topics[JOINT_STATES].noted) == noted
+
+
+def test_a_joint_that_stands_still_tells_nothing() -> None:
+    """What moves there is in the last digits."""
+    still = np.arange(3) == 1
+    small = np.where(still, 1e-7, 1.0)
+    messages = [
+        replace(m, position=small * m.position, velocity=np.where(still, 0.7, 1.0) * small * row)
+        for m, row in zip(joint_messages(STAMPS), true_velocity(), strict=True)
+    ]
+    target = SignalPipeline(JOINTS, settings=SETTINGS)
+    feed(target, messages)
+    assert SCALED not in target.ledger.topics[JOINT_STATES].noted
