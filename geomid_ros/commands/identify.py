@@ -27,7 +27,8 @@ def identify(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **o
     Reads BAGS (folders, folders of them, or .mcap and .db3 files) and writes estimate.json, identified.urdf,
     effects.yaml, posterior.npz, identification.png, report.html, tables (CSV), and the description for --for. The
     result is tested on held-out data: the end of each bag, or the bags of --validate. The exit status is 4 if it is
-    doubtful, for example if the written file predicts a channel worse than the given description.
+    doubtful, for example if it predicts a channel worse than the given description. Where only the written file
+    does, as it cannot hold all effects, a warning says so.
     """
     from geomid_ros.commands import identify_results
     from geomid_ros.commands.terminal import print_written, progress_bar
