@@ -48,11 +48,16 @@ class VelocityCheck:
         alike = (both > square / self._WRONG_CLOCK) & (both < square * self._WRONG_CLOCK)
         return np.asarray(np.isfinite(given) & alike & ~self._scaled(later))
 
+    def _telling(self, sums: FloatArray) -> BoolArray:
+        """At which joints sums ``(4, ...)`` say what velocities are; where a joint stands still the filter's tails are
+        all there is."""
+        known, _, both, derived = sums
+        return np.asarray((known >= self._FEWEST) & (derived > known * STILL**2) & (both > 0.0))
+
     def _scaled(self, sums: FloatArray) -> BoolArray:
         """At which joints velocities are the derivatives but for a factor, by sums ``(4, ...)``."""
-        known, given, both, derived = sums
-        moved = derived > known * STILL**2  # of a joint that stands still the filter's tails are all there is
-        told = (known >= self._FEWEST) & moved & (both > 0.0) & (both**2 > self._IN_PROPORTION * given * derived)
+        _, given, both, derived = sums
+        told = self._telling(sums) & (both**2 > self._IN_PROPORTION * given * derived)
         return np.asarray(told & (np.abs(both - derived) > self._OFF * derived))
 
     @property
@@ -71,7 +76,7 @@ class VelocityCheck:
     def common_rate(self) -> float:
         """How many times the derivatives the messages' velocities are, if that is the same at all joints that tell and
         no unit's factor; else 0."""
-        known, _, both, derived = self._sums
+        _, _, both, derived = self._sums
         rates = both[self.scaled] / derived[self.scaled]
         if len(rates) < 2:
             return 0.0
@@ -79,7 +84,7 @@ class VelocityCheck:
         sizes = np.abs(np.log(np.median(rates))) - np.abs(np.log(_UNITS_OF_SPEED))
         of_unit = np.any(np.abs(sizes) < self._OFF)
         far = abs(np.log(np.median(rates))) > np.log(self._WRONG_CLOCK)
-        every = far and np.all(self.scaled | (known < self._FEWEST) | ~(both > 0.0))
+        every = far and np.all(self.scaled | ~self._telling(self._sums))
         return float(np.median(rates)) if every and alike and not of_unit else 0.0
 
 

@@ -65,14 +65,17 @@ def test_velocities_in_another_unit_of_time_are_told(factor: float, noted: bool)
     assert (SCALED in target.ledger.topics[JOINT_STATES].noted) == noted
 
 
-def test_a_joint_that_stands_still_tells_nothing() -> None:
-    """What moves there is in the last digits."""
+@pytest.mark.parametrize("rate", [1.0, 2.0])
+def test_a_joint_that_stands_still_tells_nothing(rate: float) -> None:
+    """What moves there is in the last digits; a clock is judged by the others."""
     still = np.arange(3) == 1
-    small = np.where(still, 1e-7, 1.0)
+    small, factors = np.where(still, 1e-7, 1.0), np.where(still, 0.7, rate)
     messages = [
-        replace(m, position=small * m.position, velocity=np.where(still, 0.7, 1.0) * small * row)
+        replace(m, position=small * m.position, velocity=factors * small * row)
         for m, row in zip(joint_messages(STAMPS), true_velocity(), strict=True)
     ]
     target = SignalPipeline(JOINTS, settings=SETTINGS)
     feed(target, messages)
-    assert SCALED not in target.ledger.topics[JOINT_STATES].noted
+    noted = " ".join(map(str, target.ledger.topics[JOINT_STATES].noted))
+    assert ("stamps run 2 times too fast" in noted) == (rate == 2.0)
+    assert str(SCALED) not in noted
