@@ -61,6 +61,14 @@ def test_inertial_errors_alone_are_no_finding() -> None:
     np.testing.assert_allclose(result.floor, planted.NOISE, rtol=0.15)
 
 
+def test_a_link_that_a_urdf_has_wrong_is_told_and_no_gap() -> None:
+    inertias = planted.true_inertias(11, 0.05)
+    inertias[2] *= 2.0
+    result = run(planted.rigid(inertias), 11)
+    assert "confident" in [change.confidence for change in result.links]
+    assert (result.findings, result.verdict) == ((), "no gap")
+
+
 PLANTED = {
     "viscous_friction": lambda _q, v, _a: 0.4 * v,
     "coulomb_friction": lambda _q, v, _a: 0.3 * np.sign(v),

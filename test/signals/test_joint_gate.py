@@ -178,6 +178,14 @@ def test_a_position_that_leaps_begins_a_segment(recording: Recording) -> None:
     np.testing.assert_allclose(samples.velocity[own], expected.velocity[whole], atol=1e-8)
 
 
+@pytest.mark.parametrize("case", ["messages are missing", "a joint is always faster than its limit"])
+def test_a_joint_that_moves_does_not_leap(recording: Recording, case: str) -> None:
+    missing = case == "messages are missing"
+    recording.position *= 1.0 if missing else 3.0
+    _, _, noted = recording.read(without=np.arange(700, 710) if missing else None)
+    assert LEAP not in noted
+
+
 def test_a_driver_that_wraps_is_unwrapped(recording: Recording) -> None:
     """In the middle of the joint's way; no other number changes, and it is said."""
     expected, _, noted = recording.read()
