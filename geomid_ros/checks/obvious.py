@@ -10,12 +10,12 @@ import numpy as np
 
 from geomid_ros.checks.candidates import REASON
 from geomid_ros.checks.causes import Cause, Finding
-from geomid_ros.checks.evidence import LEAST_SIGMA, Evidence
+from geomid_ros.checks.evidence import LEAST_SIGMA
 from geomid_ros.checks.instants import FEWEST
 from geomid_ros.checks.subject import Subject
 from geomid_ros.estimation.estimate import EffectEstimate, is_told
 from geomid_ros.estimation.uncertain_inertia import SURE
-from geomid_ros.geometry import definite, pseudo_inertia
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.controller import Controller
 from geomid_ros.model.effects import effect_class
 from geomid_ros.model.robot import STANDARD_GRAVITY
@@ -124,18 +124,19 @@ def frozen_position(subject: Subject) -> Cause | None:
             changes = np.ptp(efforts[still], axis=0) > LEAST_SIGMA * np.ptp(efforts, axis=0)
             once = np.count_nonzero(np.diff(still.astype(np.int8), prepend=0) == 1) == 1
             own = subject.joints == joint
+            inside, outside = _left(subject, still, around, own)
             surely = np.sqrt(1.0 + SURE * np.sqrt(2.0))  # of a pose, whose residuals are one number
-            off = (_left(subject, still, around, own) > surely) & changes & (once | own)
+            off = (inside > surely * outside) & changes & (once | own)
             moving = np.ptp(positions[still], axis=0) > LEAST_SIGMA * np.ptp(positions, axis=0)
             if np.any(moving) and np.any(off):
                 return Cause.of("frozen", [subject.robot.joint_names[joint]], share=np.mean(still))
     return None
 
 
-def _left(subject: Subject, still: BoolArray, around: BoolArray, own: BoolArray) -> FloatArray:
+def _left(subject: Subject, still: BoolArray, around: BoolArray, own: BoolArray) -> tuple[FloatArray, FloatArray]:
     """The RMS of what links and friction, fitted to instants that are not ``around`` those at which a joint is
-    ``still``, leave of efforts at these or around them ``(C,)``, where it is still beyond the largest friction for its
-    ``own (C,)``: in units of what they leave of the others and of what the fit is unsure of."""
+    ``still``, leave of efforts: at these or around them, where it is still beyond the largest friction for its
+    ``own (C,)``, and at the others ``(C,)``."""
     others = subject.part(~around)
     found = others.nominal
     left = (subject.measured - subject.regressor @ others.links(found)) / others.spread
@@ -143,24 +144,9 @@ def _left(subject: Subject, still: BoolArray, around: BoolArray, own: BoolArray)
     rubbing = np.einsum("nck,ck->nc", others.friction[:, :, 1:3], found.friction[:, 1:3])
     allowed = still[:, None] * np.where(own, np.max(np.abs(rubbing), axis=0), 0.0)
     beyond = np.maximum(np.abs(left) - allowed, 0.0)
-    outside = np.maximum(np.mean(beyond[~around] ** 2, axis=0), found.sigmas**2)
-    unsure = _unsure(subject, others, found)
-    parts = (still, around & subject.is_moving)
-    ratios = [np.mean(beyond[part] ** 2, axis=0) / (outside + np.mean(unsure[part], axis=0)) for part in parts]
-    return np.asarray(np.sqrt(np.maximum(*ratios)))
-
-
-def _unsure(subject: Subject, others: Subject, found: Evidence) -> FloatArray:
-    """Variances ``(N, C)`` of what a fit to ``others`` predicts, in units of their spread."""
-    covariance, rank = definite.inverse(found.precision), subject.columns.shape[2]
-    columns, friction = subject.columns / others.spread[:, None], subject.friction
-    variances = np.empty(subject.measured.shape)
-    width = friction.shape[2]
-    for channel in range(len(others.spread)):
-        places = np.append(np.arange(rank), rank + width * channel + np.arange(width))
-        rows = np.concatenate([columns[:, channel], friction[:, channel]], axis=1)
-        variances[:, channel] = np.sum((rows @ covariance[np.ix_(places, places)]) * rows, axis=1)
-    return variances
+    parts = (still, around & subject.is_moving, ~around)
+    inside, at_ends, outside = (np.sqrt(np.mean(beyond[part] ** 2, axis=0)) for part in parts)
+    return np.maximum(inside, at_ends), np.maximum(outside, found.sigmas)
 
 
 def wrong_gains(controller: Controller, samples: Samples, joints: Sequence[str]) -> tuple[Finding, ...]:

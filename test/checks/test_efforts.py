@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from estimation.arms import Case, Motion, arm, efforts, motion, samples, shipped, truth
+from estimation.arms import Case, arm, efforts, motion, samples, shipped, truth
 
 from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.check import JudgementTask, RecordingCheck
@@ -87,20 +87,6 @@ def test_a_sound_recording_is_not_doubted(name: str) -> None:
     check = checked(sound.model, sound.samples)
     assert check.findings() == ()
     assert check.remarks == ()
-
-
-@pytest.mark.parametrize("share", [0.4, 1.0], ids=["of some time", "of all time"])
-def test_joints_that_move_in_turn_are_not_frozen(robot: Case, share: float) -> None:
-    """There may be no instants at which a joint is not still, or near one."""
-    count, arm_of = len(robot.samples), robot.model.robot
-    joints = np.arange(len(arm_of.joints))
-    turn = np.arange(count)[:, None] * len(joints) // round(share * count)
-    moves = (turn == joints) | (turn >= len(joints))
-    since = np.maximum.accumulate(np.where(moves, np.arange(count)[:, None], 0), axis=0)
-    position = np.take_along_axis(robot.samples.position, since, axis=0)
-    in_turn = Motion(position, moves * robot.samples.velocity, moves * robot.samples.acceleration)
-    recorded = samples(in_turn, efforts(arm_of, robot.true, in_turn))
-    assert "frozen" not in [finding.cause.kind for finding in findings(robot.model, recorded)]
 
 
 def test_all_efforts_are_reversed(robot: Case) -> None:
