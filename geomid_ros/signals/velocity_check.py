@@ -77,14 +77,15 @@ class VelocityCheck:
         """How many times the derivatives the messages' velocities are, if that is the same at all joints that tell and
         no unit's factor; else 0."""
         _, _, both, derived = self._sums
-        rates = both[self.scaled] / derived[self.scaled]
+        scaled = self.scaled
+        rates = both[scaled] / derived[scaled]
         if len(rates) < 2:
             return 0.0
         alike = np.all(np.abs(rates / np.median(rates) - 1.0) < self._OFF)
         sizes = np.abs(np.log(np.median(rates))) - np.abs(np.log(_UNITS_OF_SPEED))
         of_unit = np.any(np.abs(sizes) < self._OFF)
         far = abs(np.log(np.median(rates))) > np.log(self._WRONG_CLOCK)
-        every = far and np.all(self.scaled | ~self._telling(self._sums))
+        every = far and np.all(scaled | ~self._telling(self._sums))
         return float(np.median(rates)) if every and alike and not of_unit else 0.0
 
 
