@@ -7,6 +7,7 @@ Needs ROS 2. Start a node and a recording, each in a terminal of its own, then t
     python examples/live_subscriber.py
 """
 
+import signal
 from contextlib import suppress
 
 import rclpy
@@ -39,6 +40,9 @@ class Listener(Node):
                 print(f"warning: {status.message}")
 
 
+# Ctrl-C ends rclpy's spin by itself. Python's own KeyboardInterrupt may come while rclpy converts a message, and rclpy
+# then raises another error.
+signal.signal(signal.SIGINT, lambda *_: None)
 rclpy.init()
-with suppress(KeyboardInterrupt, ExternalShutdownException):  # Ctrl-C
+with suppress(ExternalShutdownException):
     rclpy.spin(Listener())
