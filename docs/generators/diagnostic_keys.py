@@ -131,6 +131,7 @@ def _estimate() -> Estimate:
         min_eigenvalue_ratio=1.0,
         cannot_tell=(),
         moments=(),
+        std_doubted=np.zeros(13),
         std_prior=np.zeros(13),
         outlier=False,
     )

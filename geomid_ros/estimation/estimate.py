@@ -29,8 +29,8 @@ class LinkEstimate(UncertainInertia):
         distance_from_prior: Geodesic distance.
         min_eigenvalue_ratio: Smallest eigenvalue of ``P0^-1/2 P P0^-1/2``.
         moments: The axes along which the first moment is identified.
-        std_prior: Standard deviations ``(13,)`` of quantities and first moments in the prior, or in the usual one where
-            that is narrower.
+        std_doubted: Standard deviations ``(13,)`` of quantities and first moments with a prior that is :func:`doubted`.
+        std_prior: The same in the prior, or in the usual one where that is narrower.
         outlier: Whether it left its prior by far more than links usually do: it carries something, or stands in for an
             effect that the model lacks. What the data tell of it is not called identified.
     """
@@ -40,6 +40,7 @@ class LinkEstimate(UncertainInertia):
     distance_from_prior: float
     min_eigenvalue_ratio: float
     moments: tuple[str, ...]
+    std_doubted: FloatArray
     std_prior: FloatArray
     outlier: bool
 

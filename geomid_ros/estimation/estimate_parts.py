@@ -33,10 +33,11 @@ def links(
     told = []
     for index, name in enumerate(model.body_names):
         block = manifold.link(index)
-        std, of_prior = (deviations_of(sensitivity[index], c[block, block]) for c in (found.covariance, found.prior))
+        covariances = (found.covariance, found.doubted, found.prior)
+        std, doubted, of_prior = (deviations_of(sensitivity[index], c[block, block]) for c in covariances)
         of_usual = problem.usual[index] * np.linalg.norm(sensitivity[index], axis=1)
         of_prior = np.minimum(of_prior, of_usual)
-        known = identified(parameters[index], std, of_prior)
+        known = identified(parameters[index], doubted, of_prior)
         told.append(
             LinkEstimate(
                 name=name,
@@ -48,6 +49,7 @@ def links(
                 min_eigenvalue_ratio=float(ratios[index]),
                 cannot_tell=tuple(compress(QUANTITIES, ~known[:10])),
                 moments=tuple(compress("xyz", known[10:])),
+                std_doubted=frozen(doubted),
                 std_prior=frozen(of_prior),
                 outlier=bool(outliers[index]),
             )

@@ -1,10 +1,10 @@
 """Which numbers of a body are identified: of links and of payloads by one rule.
 
-A number is identified if its 95 % interval is within 20 % of it, and if it is the data that say so: they leave at most
-half of the standard deviation that the number has in the prior, or in the usual prior where that is narrower. (The
-prior of a link that left it is wide: half of that says nothing.) What may be zero is compared with a size of the body:
-a centre of mass with the radius of gyration about the link's origin, a first moment with the mass times that, a product
-of inertia with the moments about its axes.
+A number is identified if the data say it, whatever the prior is worth: were the prior's errors three times as large as
+they are taken to be, its 95 % interval would still be within 20 % of it, and narrower than the one that the prior has,
+or the usual prior where that is narrower. (The prior of a link that left it is wide: less than that says nothing.) What
+may be zero is compared with a size of the body: a centre of mass with the radius of gyration about the link's origin, a
+first moment with the mass times that, a product of inertia with the moments about its axes.
 """
 
 from __future__ import annotations
@@ -17,18 +17,17 @@ from geomid_ros.types import BoolArray, FloatArray
 
 WITHIN = float(np.log(1.2))
 """How far a number's interval may reach along the geodesic: to 20 % of it."""
-_OF_PRIOR = 0.5
 
 
-def identified(parameters: FloatArray, deviations: FloatArray, of_prior: FloatArray) -> BoolArray:
+def identified(parameters: FloatArray, doubted: FloatArray, of_prior: FloatArray) -> BoolArray:
     """Whether the numbers of a body are identified ``(13,)``: its quantities, then its first moments.
 
     Args:
         parameters: of the body ``(10,)``.
-        deviations: standard deviations of the numbers ``(13,)``.
+        doubted: standard deviations of the numbers ``(13,)`` with a prior that is :func:`doubted`.
         of_prior: the same in the prior, or in the usual one where that is narrower ``(13,)``.
     """
-    return np.asarray((SURE * deviations <= WITHIN * sizes(parameters)) & (deviations <= _OF_PRIOR * of_prior))
+    return np.asarray((SURE * doubted <= WITHIN * sizes(parameters)) & (doubted <= of_prior))
 
 
 def sizes(parameters: FloatArray) -> FloatArray:

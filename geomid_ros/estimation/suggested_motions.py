@@ -17,6 +17,7 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimate_parts import deviations_of, sensitivity_of_numbers
 from geomid_ros.estimation.identified import identified
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES
+from geomid_ros.estimation.uncertainty import doubted
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.measurement import MeasurementModel
@@ -76,7 +77,8 @@ class _KnownLinks:
     def told_with(self, rows: FloatArray) -> list[set[str]]:
         """The quantities of each link that are told with further rows ``(N, 10 links)`` of standard deviation 1."""
         both = np.concatenate([self._rows, self._scaled(rows)])
-        covariance = np.linalg.inv(np.eye(both.shape[1]) + both.T @ both)
+        posterior = np.linalg.inv(np.eye(both.shape[1]) + both.T @ both)
+        covariance = doubted(posterior, posterior @ posterior)
         bodies = pseudo_inertia.to_parameters(self._point.pseudo_inertias)
         told = []
         for index, derivative in enumerate(self._sensitivity):

@@ -21,6 +21,7 @@ _ROUNDS = 10  # of the fixed point; a fixed number, so that rounding cannot chan
 _FOLDS_OF_BLOCKS = (1, 2, 4)
 """Correlations that are longer than a block hide in it: of blocks of several lengths, those count that show most."""
 _LARGEST_SPREAD = 100.0  # times the usual
+_DOUBT = 3.0  # times as large as they are taken to be the prior's errors may be, if the data alone are believed
 _ROUNDING = float(np.finfo(float).eps)  # of the largest information: what rounding may make of none
 _STEP = 1e-5
 # Directions of less variance are not distinguished: a share of all of the variance there is.
@@ -50,15 +51,22 @@ class Uncertainty:
 
     Attributes:
         covariance: ``(D, D)`` of the estimate's error.
+        inherited: The part of it that the prior's error makes.
         prior: Covariance ``(D, D)`` of the prior's error.
         share: Share of the measured rows' information that correlations leave, 0 to 1.
         by_rows: Information ``(D,)`` that the rows have of each coordinate, the others within their priors.
     """
 
     covariance: FloatArray
+    inherited: FloatArray
     prior: FloatArray
     share: float
     by_rows: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def doubted(self) -> FloatArray:
+        """See :func:`doubted`."""
+        return doubted(self.covariance, self.inherited)
 
     @property
     def prior_spreads(self) -> FloatArray:
@@ -113,11 +121,12 @@ def estimate_uncertainty(
     share = 1.0 / float(np.mean(factors))
     independent = Fold(share * measured.gradient + known.gradient, share * measured.information + known.information)
     spreads = np.maximum(prior_spreads(independent, from_prior, groups), assumed_spreads)
-    covariance = error_covariance(measured.information, known.information, trust, weights, factors, spreads)
+    noise, inherited = error_covariance(measured.information, known.information, trust, weights, factors, spreads)
+    covariance = noise + inherited
     prior = _inverse(np.zeros_like(covariance) + expected, spreads**-2.0)
     inverse = _inverse(measured.information + trust * known.information, weights)
     by_rows = np.maximum(1.0 / np.diag(inverse) - weights, 0.0) / factors
-    return Uncertainty(covariance, prior, share, by_rows)
+    return Uncertainty(covariance, inherited, prior, share, by_rows)
 
 
 def _together(folds: Sequence[Fold], count: int) -> list[Fold]:
@@ -132,10 +141,10 @@ def _sum(folds: Sequence[Fold], dimension: int) -> Fold:
 
 def error_covariance(
     measured: FloatArray, known: FloatArray, trust: float, weights: FloatArray, factors: FloatArray, spreads: FloatArray
-) -> FloatArray:
-    """Covariance ``(D, D)`` of the estimate's error ``H^-1 (noise + W error of the prior)``.
+) -> tuple[FloatArray, FloatArray]:
+    """Covariance ``(D, D)`` of the estimate's error ``H^-1 (noise + W error of the prior)``: its two parts.
 
-    With ``W = 1 / spreads^2``, and all factors and trust 1, this is ``H^-1``, the Bayesian posterior.
+    With ``W = 1 / spreads^2``, and all factors and trust 1, they add up to ``H^-1``, the Bayesian posterior.
 
     Args:
         measured, known: Information ``(D, D)`` of the rows; H is ``measured + trust known + W``. The noise of the
@@ -146,12 +155,16 @@ def error_covariance(
         spreads: Standard deviations ``(D,)`` of the prior's error.
     """
     inverse = _inverse(measured + trust * known, weights)
-    parts = (
-        np.sqrt(factors)[:, None] * (inverse @ _root(measured)),
-        trust * (inverse @ _root(known)),
-        inverse * (weights * spreads),
-    )
-    return np.asarray(np.sum([part @ part.T for part in parts], axis=0))
+    of_rows = np.sqrt(factors)[:, None] * (inverse @ _root(measured))
+    of_known = trust * (inverse @ _root(known))
+    of_prior = inverse * (weights * spreads)
+    return of_rows @ of_rows.T + of_known @ of_known.T, of_prior @ of_prior.T
+
+
+def doubted(covariance: FloatArray, inherited: FloatArray) -> FloatArray:
+    """The covariance ``(D, D)`` of an estimate's error if the prior's errors, of which a part of it is ``inherited``,
+    were three times as large: what is known even so is known from the data."""
+    return covariance + (_DOUBT**2 - 1.0) * inherited
 
 
 def _root(information: FloatArray) -> FloatArray:

@@ -177,12 +177,13 @@ def _payload(link: str, found: Estimate, gain: float, shifted: Sequence[Estimate
     moments = posterior.manifold.link(len(found.links) - 1).start + np.arange(1, 4)
     moment_std = np.sqrt(np.diag(posterior.parameter_covariance)[moments])
     said, bodies = numbers(body.parameters), [numbers(other.links[-1].parameters) for other in shifted]
-    deviations = _with_shifts(np.append(body.std, moment_std), np.array(bodies).reshape(-1, len(said)) - said)
+    further = _of_shifts(np.array(bodies).reshape(-1, len(said)) - said)
     if link == session.robot.tree.root:  # elsewhere its moments tell a payload from the whole robot's mass
         robot = sum(other.mass for other in found.links[:-1])
         heavier = body.parameters + np.append(session.share_of_mass * robot, np.zeros(9))
-        deviations = np.hypot(deviations, numbers(heavier) - said)
-    known = identified(body.parameters, deviations, body.std_prior)
+        further = np.hypot(further, numbers(heavier) - said)
+    deviations = np.hypot(np.append(body.std, moment_std), further)
+    known = identified(body.parameters, np.hypot(body.std_doubted, further), body.std_prior)
     return WeighedPayload(
         link=link,
         parameters=body.parameters,
@@ -200,8 +201,8 @@ def _payload(link: str, found: Estimate, gain: float, shifted: Sequence[Estimate
     )
 
 
-def _with_shifts(std: FloatArray, shifts: FloatArray) -> FloatArray:
-    """Standard deviations ``(n,)`` with the ``shifts (channels, n)`` by the channels' gains, each apart or all alike:
-    the larger."""
+def _of_shifts(shifts: FloatArray) -> FloatArray:
+    """Standard deviations ``(n,)`` by the ``shifts (channels, n)`` of the channels' gains, each apart or all alike: the
+    larger."""
     apart, together = np.sqrt(np.sum(shifts**2, axis=0)), np.abs(np.sum(shifts, axis=0))
-    return np.asarray(np.hypot(std, np.maximum(apart, together)))
+    return np.asarray(np.maximum(apart, together))

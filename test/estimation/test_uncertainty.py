@@ -18,6 +18,7 @@ from geomid_ros.estimation.uncertainty import (
     Fold,
     ParameterGroup,
     Uncertainty,
+    doubted,
     error_covariance,
     estimate_uncertainty,
     physical_sensitivity,
@@ -57,37 +58,35 @@ def test_the_covariance_is_the_bayesian_posterior_where_the_weights_are_those_of
     rng = np.random.default_rng(0)
     rows, weighed = rng.normal(size=(4, 6)), rng.normal(size=(1, 6))
     spreads = rng.uniform(0.1, 2.0, 6)
-    found = error_covariance(rows.T @ rows, weighed.T @ weighed, 1.0, spreads**-2.0, np.ones(6), spreads)
+    found = sum(error_covariance(rows.T @ rows, weighed.T @ weighed, 1.0, spreads**-2.0, np.ones(6), spreads))
     prior, all_rows = np.diag(spreads**2), np.concatenate([rows, weighed])
     gain = prior @ all_rows.T @ np.linalg.inv(all_rows @ prior @ all_rows.T + np.eye(5))
     np.testing.assert_allclose(found, prior - gain @ all_rows @ prior, rtol=0, atol=1e-12)
 
 
 def test_the_covariance_is_that_of_the_errors_whatever_the_weights() -> None:
-    """Of many regularised least-squares solutions, with noise that is larger than the weights say."""
+    """Of many regularised least-squares solutions, with noise that is larger than the weights say; and with errors of
+    the prior that are three times as large as it says."""
     rng = np.random.default_rng(1)
     rows, weighed = rng.normal(size=(5, 6)), rng.normal(size=(2, 6))
     spreads, weights = rng.uniform(0.1, 2.0, 6), rng.uniform(0.1, 10.0, 6)
     inflation, trust, runs = 4.0, 30.0, 40000
     left = np.concatenate([rows, np.sqrt(trust) * weighed, np.diag(np.sqrt(weights))])
-    noise = np.concatenate(
-        [
-            np.sqrt(inflation) * rng.normal(size=(5, runs)),
-            np.sqrt(trust) * rng.normal(size=(2, runs)),
-            np.sqrt(weights * spreads**2)[:, None] * rng.normal(size=(6, runs)),
-        ]
-    )
-    errors = np.linalg.lstsq(left, noise, rcond=None)[0]
-    found = error_covariance(rows.T @ rows, weighed.T @ weighed, trust, weights, np.full(6, inflation), spreads)
-    np.testing.assert_allclose(errors @ errors.T / runs, found, rtol=0, atol=0.05 * np.max(found))
+    of_rows = np.sqrt(inflation) * rng.normal(size=(5, runs))
+    of_weighed = np.sqrt(trust) * rng.normal(size=(2, runs))
+    of_prior = np.sqrt(weights * spreads**2)[:, None] * rng.normal(size=(6, runs))
+    parts = error_covariance(rows.T @ rows, weighed.T @ weighed, trust, weights, np.full(6, inflation), spreads)
+    for found, larger in ((sum(parts), 1.0), (doubted(sum(parts), parts[1]), 3.0)):
+        errors = np.linalg.lstsq(left, np.concatenate([of_rows, of_weighed, larger * of_prior]), rcond=None)[0]
+        np.testing.assert_allclose(errors @ errors.T / runs, found, rtol=0, atol=0.05 * np.max(found))
 
 
 def test_where_the_weight_is_that_of_bayes_from_data_is_the_trace_of_the_resolution_matrix() -> None:
     rng = np.random.default_rng(2)
     fisher, spreads = information(rng, 6, 3), np.full(6, 0.3)
-    covariance = error_covariance(fisher, np.zeros((6, 6)), 1.0, spreads**-2.0, np.ones(6), spreads)
+    noise, inherited = error_covariance(fisher, np.zeros((6, 6)), 1.0, spreads**-2.0, np.ones(6), spreads)
     resolution = np.linalg.inv(fisher + np.diag(spreads**-2.0)) @ fisher
-    found = Uncertainty(covariance, np.diag(spreads**2), 1.0)
+    found = Uncertainty(noise + inherited, inherited, np.diag(spreads**2), 1.0)
     assert found.from_data(slice(0, 6)) == pytest.approx(np.trace(resolution) / 6.0, rel=1e-9)
 
 

@@ -29,6 +29,7 @@ def link_estimate(name: str, merged: tuple[str, ...] = (), seed: int = 0) -> Lin
         min_eigenvalue_ratio=0.8,
         cannot_tell=("Ixx",),
         moments=("x", "y"),
+        std_doubted=np.zeros(13),
         std_prior=np.full(13, np.inf),
         outlier=False,
     )

@@ -365,6 +365,7 @@ def _link_estimate(link: LinkEntry, parameters: FloatArray, source: str) -> Link
         min_eigenvalue_ratio=link.min_eigenvalue_ratio,
         cannot_tell=link.cannot_tell,
         moments=link.identified_moments,
+        std_doubted=np.full(13, np.nan),
         std_prior=np.full(13, np.nan),  # of quantities and first moments: no file has them
         outlier=link.outlier,
     )
