@@ -24,7 +24,7 @@ from geomid_ros.checks.wrenches import WrenchSensorCheck, can_be_judged
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.controller import Controller
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.samples import SIGN, STILL, Samples
+from geomid_ros.model.samples import SIGN, SMOOTH_SIGN, STILL, Samples
 from geomid_ros.types import FloatArray
 
 
@@ -118,7 +118,7 @@ class RecordingCheck:
 
     def add(self, samples: Samples) -> None:
         """Take samples, in the order of time of each recording."""
-        needed = samples.with_columns([SIGN])
+        needed = samples.with_columns([SIGN, SMOOTH_SIGN])
         self._instants.add(needed)
         self._stretch.add(needed)
 

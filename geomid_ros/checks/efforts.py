@@ -72,14 +72,15 @@ def _couplings(subject: Subject) -> Iterator[Candidate]:
 def _frictions(subject: Subject) -> Iterator[Candidate]:
     """Weights and inertias are in the efforts as they should be, but friction drives joints."""
     found = subject.evidence(either_sign=True)
-    friction = np.einsum("nck,ck->nc", subject.friction[:, :, 1:3], found.friction[:, 1:3])
+    friction = subject.rubbed(found)
     power = np.mean(friction * subject.samples.velocity[:, subject.joints], axis=0)
-    concerned = np.flatnonzero((power < 0.0) & (np.sqrt(np.mean(friction**2, axis=0)) > LEAST_SIGMA)).tolist()
+    drives = (power < 0.0) & (np.sqrt(np.mean(friction**2, axis=0)) > LEAST_SIGMA)
+    concerned = np.flatnonzero(drives).tolist()
     if concerned and not np.any(subject.opposite(found)):
         cause = Cause.of("friction", [subject.names[joint] for joint in concerned])
 
         def undo(subject: Subject) -> Judged:
-            return Judged.mended(subject, subject.spread, subject.evidence(either_sign=True))
+            return Judged.mended(subject, subject.spread, subject.evidence(either_sign=drives))
 
         yield Candidate(undo=undo, cause=cause, concerned=concerned)
 
@@ -96,7 +97,7 @@ def _magnitudes(subject: Subject) -> Iterator[Candidate]:
         measured = subject.measured.copy()
         explained = np.array([_expected(subject, channel) for channel in concerned]).T
         for _ in range(ROUNDS):
-            measured[:, concerned] = np.sign(explained) * np.abs(measured[:, concerned])
+            measured[:, concerned] = np.copysign(measured[:, concerned], explained)
             mended = subject.with_efforts(measured)
             explained = mended.explained(mended.nominal)[:, concerned]
         return Judged.mended(mended, mended.spread)  # signs make numbers larger, not less probable

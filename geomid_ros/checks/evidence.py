@@ -22,6 +22,8 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 LEAST_SIGMA = 0.1
 """Of a channel's standard deviation: no model is believed to be better."""
+FRICTION = 5
+"""Columns of a channel: a constant, viscous friction, dry friction that sets in at once or slowly, rotor inertia."""
 FOLLOWS = 0.6
 """A channel follows the model if no more than this share of its standard deviation is left."""
 HALF = 0.5
@@ -41,7 +43,7 @@ class Evidence:
         log: the log evidence.
         sigmas: ``(C,)`` of what is left, in standard deviations of the measured channels.
         links: ``(r,)`` the links' errors.
-        friction: ``(C, 4)`` its coefficients, in standard deviations of the measured channels.
+        friction: ``(C, 5)`` its coefficients, in standard deviations of the measured channels.
         precision: ``(r + C k, r + C k)`` of the links' errors and the channels' own coefficients; 1 of those that are
             held at zero.
     """
@@ -64,25 +66,27 @@ def evidence(
     tolerated: FloatArray,
     *,
     counted: FloatArray | None = None,
-    either_sign: bool = False,
+    either_sign: BoolArray | bool = False,
 ) -> Evidence:
     """The evidence of a hypothesis.
 
     Args:
         target: ``(N, C)`` what is measured beside what the URDF's links predict.
         links: ``(N, C, r)`` columns of the links' errors.
-        own: ``(N, C, k)`` columns that each channel has for itself: others, then the four of friction.
+        own: ``(N, C, k)`` columns that each channel has for itself: others, then the five of friction.
         tolerated: ``(C, k)`` standard deviations of their coefficients: about what explains all of a channel.
         counted: ``(N, C)`` 1 for the instants that count at a channel, 0 for others; None if all do.
-        either_sign: whether viscous and dry friction may be below zero.
+        either_sign: whether viscous and dry friction may be below zero, of all channels or of each ``(C,)``.
     """
     counted = np.ones(target.shape) if counted is None else counted
     sums = products_of(rows_by_channel(target, links, own, counted))
     counts = np.maximum(np.sum(counted, axis=0), 1.0)
     rank = links.shape[2]
     precision = np.concatenate([np.ones(rank), (1.0 / tolerated**2).ravel()])
-    of_own = [False] * (own.shape[2] - 3) + [not either_sign, not either_sign, True]
-    bounded = np.concatenate([np.zeros(rank, dtype=bool), np.tile(of_own, len(tolerated))])
+    of_own = np.zeros(tolerated.shape, dtype=bool)
+    of_own[:, 1 - FRICTION : -1] = ~np.broadcast_to(either_sign, len(tolerated))[:, None]
+    of_own[:, -1] = True
+    bounded = np.concatenate([np.zeros(rank, dtype=bool), of_own.ravel()])
     held = np.zeros(len(precision), dtype=bool)  # coefficients that are held at zero
     sigmas = np.full(len(tolerated), 0.5)
     # Of efforts next to nothing, beside what the links predict, sums of squares leave their rounding errors.
@@ -101,7 +105,7 @@ def evidence(
         log=-0.5 * (weighted + noise + log_determinant),
         sigmas=sigmas,
         links=mean[:rank],
-        friction=mean[rank:].reshape(tolerated.shape)[:, -4:],
+        friction=mean[rank:].reshape(tolerated.shape)[:, -FRICTION:],
         precision=posterior,
     )
 

@@ -59,8 +59,8 @@ class FlexibleFit:
         Args:
             measured, predicted: ``(N, C)`` the efforts, and those of the URDF's links.
             links: ``(N, C, r)`` columns of the links' errors.
-            friction: ``(N, C, 4)`` those of friction.
-            tolerated: ``(C, 4)`` standard deviations of friction's coefficients.
+            friction: ``(N, C, 5)`` those of friction.
+            tolerated: ``(C, 5)`` standard deviations of friction's coefficients.
             position, velocity: ``(N, C)`` of the joints.
         """
         self.measured, self._predicted, self._links = measured, predicted, links

@@ -134,19 +134,18 @@ def frozen_position(subject: Subject) -> Cause | None:
 
 
 def _left(subject: Subject, still: BoolArray, around: BoolArray, own: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """The RMS of what links and friction, fitted to instants that are not ``around`` those at which a joint is
-    ``still``, leave of efforts: at these or around them, where it is still beyond the largest friction for its
-    ``own (C,)``, and at the others ``(C,)``."""
+    """The RMS of what links and friction leave of efforts: fitted to all instants, at those at which a joint is
+    ``still`` or ``around`` them, where it is still beyond the largest friction for its ``own (C,)``; and fitted to the
+    others alone, at these ``(C,)``."""
     others = subject.part(~around)
-    found = others.nominal
-    left = (subject.measured - subject.regressor @ others.links(found)) / others.spread
-    left -= np.einsum("nck,ck->nc", subject.friction, found.friction)
-    rubbing = np.einsum("nck,ck->nc", others.friction[:, :, 1:3], found.friction[:, 1:3])
-    allowed = still[:, None] * np.where(own, np.max(np.abs(rubbing), axis=0), 0.0)
-    beyond = np.maximum(np.abs(left) - allowed, 0.0)
-    parts = (still, around & subject.is_moving, ~around)
-    inside, at_ends, outside = (np.sqrt(np.mean(beyond[part] ** 2, axis=0)) for part in parts)
-    return np.maximum(inside, at_ends), np.maximum(outside, found.sigmas)
+    rubbing = np.max(np.abs(others.rubbed(subject.nominal)), axis=0)
+    allowed = still[:, None] * np.where(own, rubbing, 0.0)
+    left = np.abs(subject.measured - subject.explained(subject.nominal)) / subject.spread
+    beyond = np.maximum(left - allowed, 0.0)
+    parts = (still, around & subject.is_moving)
+    inside, at_ends = (np.sqrt(np.mean(beyond[part] ** 2, axis=0)) for part in parts)
+    outside = others.in_units(subject.spread).nominal.sigmas
+    return np.maximum(inside, at_ends), outside
 
 
 def wrong_gains(controller: Controller, samples: Samples, joints: Sequence[str]) -> tuple[Finding, ...]:

@@ -8,11 +8,20 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.checks.evidence import FOLLOWS, HALF, LEAST_SIGMA, Evidence, by_unit_errors, evidence, prior_factor
+from geomid_ros.checks.evidence import (
+    FOLLOWS,
+    FRICTION,
+    HALF,
+    LEAST_SIGMA,
+    Evidence,
+    by_unit_errors,
+    evidence,
+    prior_factor,
+)
 from geomid_ros.checks.flexible import FlexibleFit
 from geomid_ros.checks.instants import FEWEST, Kept
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import SIGN, STILL, Samples
+from geomid_ros.model.samples import SIGN, SMOOTH_SIGN, STILL, Samples
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 STRETCHES = 20
@@ -176,11 +185,16 @@ class Subject:
 
     @cached_property
     def friction(self) -> FloatArray:
-        """What may be added at each joint ``(N, C, 4)``: a constant, and per positive unit viscous friction, dry
-        friction and rotor inertia."""
+        """What may be added at each joint ``(N, C, 5)``: a constant, and per positive unit viscous friction, dry
+        friction that sets in at once or slowly, and rotor inertia."""
         samples = self.samples
-        columns = [np.ones(samples.velocity.shape), samples.velocity, samples.column(SIGN), samples.acceleration]
+        dry = samples.column(SIGN), samples.column(SMOOTH_SIGN)
+        columns = [np.ones(samples.velocity.shape), samples.velocity, *dry, samples.acceleration]
         return np.stack(columns, axis=2)[:, self.joints]
+
+    def rubbed(self, found: Evidence) -> FloatArray:
+        """The friction ``(N, C)`` that an evidence finds, in standard deviations of the efforts."""
+        return np.asarray(np.einsum("nck,ck->nc", self.friction[:, :, 1:-1], found.friction[:, 1:-1]))
 
     @cached_property
     def columns(self) -> FloatArray:
@@ -189,7 +203,7 @@ class Subject:
 
     @cached_property
     def tolerated(self) -> FloatArray:
-        """Standard deviations of friction's coefficients, see :func:`evidence` ``(C, 4)``."""
+        """Standard deviations of friction's coefficients, see :func:`evidence` ``(C, 5)``."""
         return np.asarray(2.0 / np.maximum(np.sqrt(np.mean(self.friction**2, axis=0)), 1e-6))
 
     @cached_property
@@ -226,12 +240,12 @@ class Subject:
         return self.evidence()
 
     def evidence(
-        self, *, either_sign: bool = False, unknown: FloatArray | None = None, friction: bool = True
+        self, *, either_sign: BoolArray | bool = False, unknown: FloatArray | None = None, friction: bool = True
     ) -> Evidence:
         """The evidence of the efforts.
 
         Args:
-            either_sign: whether friction may be of either sign.
+            either_sign: whether friction may be of either sign, of all channels or of each ``(C,)``.
             friction: whether there is any; a constant there may be in any case.
             unknown: ``(N, C)`` what another unknown of unit variance adds to the efforts; it is the last of the links'
                 errors then.
@@ -239,7 +253,7 @@ class Subject:
         columns = self.columns if unknown is None else np.dstack([self.columns, unknown])
         target = (self.measured - self.predicted) / self.spread
         columns = columns / self.spread[:, None]
-        rubbing = self.friction if friction else self.friction * np.array([1.0, 0.0, 0.0, 0.0])
+        rubbing = self.friction if friction else self.friction * (np.arange(FRICTION) == 0)
         return evidence(target, columns, rubbing, self.tolerated, either_sign=either_sign)
 
     def links(self, found: Evidence) -> FloatArray:

@@ -18,7 +18,7 @@ from geomid_ros.checks.causes import Cause
 from geomid_ros.checks.efforts import OF_EFFORTS, compensated, exchanges, weightless
 from geomid_ros.checks.evidence import LEAST_SIGMA
 from geomid_ros.checks.subject import Subject
-from geomid_ros.model.samples import SIGN, Samples
+from geomid_ros.model.samples import SIGN, SMOOTH_SIGN, Samples
 from geomid_ros.types import FloatArray, IntArray
 
 UNITS = {
@@ -114,9 +114,9 @@ def _moved(samples: Samples, matrix: FloatArray, zero: FloatArray | float = 0.0,
     """Positions times a ``matrix (joints, joints)``, from another ``zero (joints,)``, by a clock ``rate`` times as
     fast."""
     velocity, effects = rate * samples.velocity @ matrix.T, samples.effects.copy()
-    if SIGN in samples.entries:
-        signs = [samples.entries.at(SIGN, joint) for joint in range(len(matrix))]
-        alone = np.count_nonzero(matrix, axis=1) == 1
+    alone = np.count_nonzero(matrix, axis=1) == 1
+    for column in (own for own in (SIGN, SMOOTH_SIGN) if own in samples.entries):
+        signs = [samples.entries.at(column, joint) for joint in range(len(matrix))]
         effects[:, signs] = np.where(alone, np.sign(np.diag(matrix)) * effects[:, signs], np.sign(velocity))
     return replace(
         samples,

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from estimation.arms import Case, arm, efforts, motion, samples, shipped, truth
+from estimation.arms import Case, Motion, arm, efforts, motion, samples, shipped, truth
 
 from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.check import JudgementTask, RecordingCheck
@@ -87,6 +87,35 @@ def test_a_sound_recording_is_not_doubted(name: str) -> None:
     check = checked(sound.model, sound.samples)
     assert check.findings() == ()
     assert check.remarks == ()
+
+
+def one_after_the_other(rng: np.random.Generator, joints: int, rest: int) -> Motion:
+    """Each joint moves once while the others stand still, 3 s as smoothly as can be, and all wait for some instants."""
+    times = np.arange(300)[:, None] / 300.0
+    way = np.array([10 * times**3 - 15 * times**4 + 6 * times**5, 30 * times**2 - 60 * times**3 + 30 * times**4])
+    bend = 60 * times - 180 * times**2 + 120 * times**3
+    here, parts = rng.uniform(-1.2, 1.2, joints), []
+    for joint in rng.permutation(joints):
+        step = np.zeros(joints)
+        step[joint] = rng.uniform(-1.2, 1.2) - here[joint]
+        parts.append(np.array([here + way[0] * step, way[1] * step / 3.0, bend * step / 9.0]))
+        here = here + step
+        parts.append(np.broadcast_to(np.array([here, np.zeros(joints), np.zeros(joints)])[:, None], (3, rest, joints)))
+    return Motion(*np.concatenate(parts, axis=1))
+
+
+@pytest.mark.parametrize("rest", [0, 50])
+@pytest.mark.parametrize("seed", range(1, 6))
+@pytest.mark.parametrize("name", ["arm3", "arm7"])
+def test_a_robot_whose_joints_move_one_after_the_other_is_sound(name: str, seed: int, rest: int) -> None:
+    """Where a joint waits, others are where they never were while it moved; and dry friction is most of its effort."""
+    of, rng = case(name, seed), np.random.default_rng([seed, 77])
+    moving = one_after_the_other(rng, len(of.model.robot.joints), rest)
+    measured = efforts(of.model.robot, of.true, moving)
+    rubbing = np.std(measured, axis=0) * (np.tanh(moving.velocity / 0.01) + moving.velocity)
+    for recorded in (measured, measured + 0.2 * rubbing):
+        noise = (0.02 * np.std(recorded, axis=0) + 1e-4) * rng.normal(size=recorded.shape)
+        assert findings(of.model, samples(moving, recorded + noise)) == ()
 
 
 def test_all_efforts_are_reversed(robot: Case) -> None:

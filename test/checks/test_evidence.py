@@ -8,17 +8,19 @@ from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
 from geomid_ros.checks import flexible
-from geomid_ros.checks.evidence import Evidence, evidence
+from geomid_ros.checks.evidence import FRICTION, Evidence, evidence
 from geomid_ros.types import FloatArray
 
 INSTANTS, CHANNELS, LINKS = 40, 2, 3
-ROUNDING = 1e-6
+SETTLED = 1e-4
+SURE = np.array([-1.0, 2.0, 1.5, 1.2, 1.0])
+"""Friction of which nothing is held at zero."""
 
 
 def drawn(seed: int, friction: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Columns ``(C, N, r + 4)`` and targets ``(C, N)`` with this friction ``(4,)`` at each channel."""
+    """Columns ``(C, N, r + 5)`` and targets ``(C, N)`` with this friction ``(5,)`` at each channel."""
     rng = np.random.default_rng(seed)
-    columns = rng.normal(size=(CHANNELS, INSTANTS, LINKS + 4))
+    columns = rng.normal(size=(CHANNELS, INSTANTS, LINKS + FRICTION))
     unknowns = np.concatenate([rng.normal(size=LINKS), friction])
     return columns, columns @ unknowns + 0.3 * rng.normal(size=(CHANNELS, INSTANTS))
 
@@ -29,8 +31,8 @@ def found(columns: FloatArray, targets: FloatArray, tolerated: FloatArray) -> Ev
 
 
 def test_instants_that_do_not_count_are_as_if_they_were_not_there() -> None:
-    tolerated = np.full((CHANNELS, 4), 2.0)
-    columns, targets = drawn(0, np.array([-1.0, 2.0, 1.5, 1.0]))
+    tolerated = np.full((CHANNELS, FRICTION), 2.0)
+    columns, targets = drawn(0, SURE)
     by_instant, counted = columns.transpose(1, 0, 2), np.ones((INSTANTS, CHANNELS))
     counted[30:] = 0.0
     some = evidence(targets.T, by_instant[:, :, :LINKS], by_instant[:, :, LINKS:], tolerated, counted=counted)
@@ -41,27 +43,27 @@ def test_instants_that_do_not_count_are_as_if_they_were_not_there() -> None:
 
 def test_it_is_the_density_of_all_targets_together() -> None:
     """With friction that is surely positive nothing is held: then it is a plain normal distribution."""
-    tolerated = np.full((CHANNELS, 4), 2.0)
-    columns, targets = drawn(0, np.array([-1.0, 2.0, 1.5, 1.0]))
+    tolerated = np.full((CHANNELS, FRICTION), 2.0)
+    columns, targets = drawn(0, SURE)
     result = found(columns, targets, tolerated)
-    own = np.zeros((CHANNELS, INSTANTS, 4 * CHANNELS))
+    own = np.zeros((CHANNELS, INSTANTS, FRICTION * CHANNELS))
     for channel in range(CHANNELS):
-        own[channel, :, 4 * channel : 4 * channel + 4] = columns[channel, :, LINKS:]
-    every = np.concatenate([columns[:, :, :LINKS], own], axis=2).reshape(-1, LINKS + 4 * CHANNELS)
+        own[channel, :, FRICTION * channel : FRICTION * channel + FRICTION] = columns[channel, :, LINKS:]
+    every = np.concatenate([columns[:, :, :LINKS], own], axis=2).reshape(-1, LINKS + FRICTION * CHANNELS)
     spread = np.concatenate([np.ones(LINKS), tolerated.ravel()])
     covariance = (every * spread**2) @ every.T + np.diag(np.repeat(result.sigmas**2, INSTANTS))
     expected = multivariate_normal(np.zeros(len(every)), covariance).logpdf(targets.ravel())
-    assert result.log == pytest.approx(expected, abs=ROUNDING * abs(expected))
+    assert result.log == pytest.approx(expected, abs=SETTLED * abs(expected))
 
 
 def test_the_links_are_as_unsure_as_the_normal_equations_say() -> None:
     """Nothing is held: the friction is surely positive."""
-    tolerated = np.full((CHANNELS, 4), 2.0)
-    columns, targets = drawn(0, np.array([-1.0, 2.0, 1.5, 1.0]))
+    tolerated = np.full((CHANNELS, FRICTION), 2.0)
+    columns, targets = drawn(0, SURE)
     sigmas = found(columns, targets, tolerated).sigmas
-    precision = np.diag(np.append(np.ones(LINKS), np.full(4 * CHANNELS, 0.25)))
+    precision = np.diag(np.append(np.ones(LINKS), np.full(FRICTION * CHANNELS, 0.25)))
     for channel, own in enumerate(columns / sigmas[:, None, None]):
-        places = [*range(LINKS), *range(LINKS + 4 * channel, LINKS + 4 * channel + 4)]
+        places = [*range(LINKS), *range(LINKS + FRICTION * channel, LINKS + FRICTION * channel + FRICTION)]
         precision[np.ix_(places, places)] += own.T @ own
     expected = np.sqrt(np.diag(np.linalg.inv(precision))[:LINKS])
     assert found(columns, targets, tolerated).deviations() == pytest.approx(expected, rel=2e-3)
@@ -69,18 +71,18 @@ def test_the_links_are_as_unsure_as_the_normal_equations_say() -> None:
 
 def test_friction_of_the_wrong_sign_stays_at_zero() -> None:
     """The links are those of the bounded minimum, found by another solver."""
-    columns, targets = drawn(1, np.array([0.5, -2.0, 1.0, -1.0]))
-    tolerated = np.full((CHANNELS, 4), 2.0)
+    columns, targets = drawn(1, np.array([0.5, -2.0, 1.0, 0.7, -1.0]))
+    tolerated = np.full((CHANNELS, FRICTION), 2.0)
     result = found(columns, targets, tolerated)
 
     def cost(unknowns: FloatArray) -> float:
-        links, own = unknowns[:LINKS], unknowns[LINKS:].reshape(CHANNELS, 4)
+        links, own = unknowns[:LINKS], unknowns[LINKS:].reshape(CHANNELS, FRICTION)
         left = [targets[c] - columns[c] @ np.concatenate([links, own[c]]) for c in range(CHANNELS)]
         data = sum(np.sum(left[c] ** 2) / result.sigmas[c] ** 2 for c in range(CHANNELS))
         return float(data + np.sum(links**2) + np.sum((own / tolerated) ** 2))
 
-    bounds = [(None, None)] * LINKS + [(None, None), (0.0, None), (0.0, None), (0.0, None)] * CHANNELS
-    best = minimize(cost, np.zeros(LINKS + 4 * CHANNELS), bounds=bounds, options={"ftol": 1e-14, "gtol": 1e-9})
+    bounds = [(None, None)] * LINKS + [(None, None), *[(0.0, None)] * (FRICTION - 1)] * CHANNELS
+    best = minimize(cost, np.zeros(LINKS + FRICTION * CHANNELS), bounds=bounds, options={"ftol": 1e-14, "gtol": 1e-9})
     assert result.links == pytest.approx(best.x[:LINKS], abs=2e-3)
 
 
