@@ -109,10 +109,11 @@ def frozen_position(subject: Subject) -> Cause | None:
     """A joint whose position is exactly the same for a while, while others move and efforts are not those of that pose,
     or it stops and goes on as no effort makes it.
 
-    The links are fitted to the other instants, and predict these. Where a joint really stands still, its brake holds it
-    without any effort, or its effort is off by no more friction than it has elsewhere. Where it does so several times,
-    others wait for it, too, as from point to point, and rub as they do at rest: its own effort alone counts. A robot
-    that stands still as a whole tells nothing.
+    Links and friction are fitted to all instants: where they explain these as well as the others nothing is frozen,
+    wherever the robot was meanwhile. Where a joint really stands still, its brake holds it without any effort, or its
+    effort is off by no more friction than it has elsewhere. Where it does so several times, others wait for it, too, as
+    from point to point, and rub as they do at rest: its own effort alone counts. A robot that stands still as a whole
+    tells nothing.
     """
     positions, efforts = subject.samples.position, subject.measured
     for joint, position in enumerate(positions.T):
