@@ -148,7 +148,7 @@ def find_gap(
         ranking=ranking(bare, analysis, named),
         trace=files.trace,
         bodies=bare.body_names,
-        inertias=kept.found.inertias,
+        inertias=kept.inertias,
         coefficients=_coefficients(model, prior, said),
         beside=tuple(known for candidate, known in own if not said.issuperset(candidate.terms)),
         ordinary=kept.ordinary,

@@ -35,7 +35,7 @@ from geomid_ros.model.effects import (
 )
 from geomid_ros.model.effects.effect import LoadEffect
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.types import FloatArray
+from geomid_ros.types import BoolArray, FloatArray
 
 _REFITS = 2  # the second along what the first one found
 _UNCHANGED = 1e-3  # of its uncertainty: how much may move what is as it was
@@ -44,10 +44,12 @@ _ORDINARY = tuple(cls() for name, cls in EFFECTS.items() if name in DEFAULT_EFFE
 
 @dataclass(frozen=True, eq=False)
 class Written:
-    """The ``found`` fit; ``findings`` and ``links`` with the sizes that it has, without those in whose place there is
-    rather nothing; and, where nothing was known of joints before, their ``ordinary`` effects, which need no name."""
+    """The ``found`` fit; its ``inertias (links, 10)``, those of links that have not changed exactly as they were given;
+    ``findings`` and ``links`` with the sizes that it has, without those in whose place there is rather nothing; and,
+    where nothing was known of joints before, their ``ordinary`` effects, which need no name."""
 
     found: NamesFit
+    inertias: FloatArray
     findings: tuple[Finding, ...]
     links: tuple[LinkChange, ...]
     ordinary: tuple[KnownEffect, ...]
@@ -69,7 +71,8 @@ def written(
     """
     changed = [model.body_names.index(link.link) for link in links if link.confidence == "confident"]
     sure = [candidate for candidate, finding in findings if finding.confidence == "confident"]
-    found = _Refit(model, records, analysis, changed).found(sure)
+    refit = _Refit(model, records, analysis, changed)
+    found = refit.found(sure)
     sized = list(_findings_as_written(model, analysis, found, findings))
     pairs = zip(findings, sized, strict=True)
     kept = [(c, before if before.confidence == after.confidence else after) for (c, before), after in pairs]
@@ -82,6 +85,7 @@ def written(
     ordinary = [c for c in found.chosen if c not in sure]
     return Written(
         found,
+        np.where(refit.held[:, None], analysis.search.prior.inertias.reshape(-1, 10), found.inertias),
         tuple(finding for finding in sized if finding.is_likely),
         tuple(link for link in sized_links if link.probability >= LIKELY),
         tuple(_known(model, found, candidate) for candidate in ordinary),
@@ -96,6 +100,13 @@ class _Refit:
     records: Records
     analysis: Analysis
     changed: Collection[int]
+
+    @property
+    def held(self) -> BoolArray:
+        """Which links are as they were given ``(links,)``: beside a model that was identified, all that have not
+        changed."""
+        links = len(self.analysis.names.spreads)
+        return np.isin(np.arange(links), list(self.changed), invert=True) & self.analysis.search.prior.identified
 
     def found(self, sure: Sequence[Candidate]) -> NamesFit:
         """The fit of the ``sure`` names and of those ordinary effects that are there, without those that cannot be: on
@@ -149,7 +160,7 @@ class _Refit:
         if not self.analysis.search.prior.identified:
             found = scattered(design, fit(design, prior, named, start, spreads))
             return replace(found, chosen=(*named, *ordinary))
-        held = np.isin(np.arange(len(names.spreads)), list(self.changed), invert=True)
+        held = self.held
         firm = np.where(held, _UNCHANGED * prior.spread, names.spreads)
         found = scattered(design, fit(design, with_given_spreads(prior, names.inflation), named, start, firm))
         free = fit(design, with_given_spreads(prior, 1.0), named, found, np.where(held, spreads, names.spreads))
