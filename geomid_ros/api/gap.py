@@ -87,7 +87,7 @@ class Gap:
     def _description(self) -> Whole:
         """The description for :attr:`reader`, of the model as it is written."""
         with TemporaryDirectory() as folder:
-            write_found(Path(folder), self.session, self.result)
+            write_found(Path(folder), self.session, self.result, self.reader)
             model = read_model(Path(folder) / "estimate.json", self.reader)
         return DESCRIPTIONS[self.reader].whole(as_described(model))
 
@@ -163,7 +163,7 @@ class Gap:
         return [Path(folder) / file.name for file in files]
 
     def _write(self, folder: Path) -> list[Path]:
-        files, document = write_found(folder, self.session, self.result), self.document
+        files, document = write_found(folder, self.session, self.result, self.reader), self.document
         write_json(folder / "gap.json", document)
         description = folder / file_name(self.reader)
         if description not in files:
@@ -204,6 +204,11 @@ def find_gap(options: GapOptions) -> Gap:
     )
     session.review.settled.extend(note for note in notes if note not in session.review.settled)
     session.review.check_description()
+    if session.loaded.source and not session.loaded.fitted:
+        session.review.settled.append(
+            f"{session.loaded.source}: has no fits for description formats: what is written has the estimate's own "
+            "inertias; identify again from bags to have them"
+        )
     of_bags = GapReader(session, recorded, options.progress)
     sharp = of_bags.sharp()
     commands = of_bags.sharp(options.command) if options.command else []

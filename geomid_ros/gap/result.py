@@ -210,7 +210,7 @@ class GapResult:
         beside: the effects that it had beside its coefficients, without those of which a sure finding says the whole.
         ordinary: beside a URDF alone, friction, rotor inertia and offsets of all joints that no sure finding says, as
             ``identify`` finds them: a URDF says nothing of them.
-        folded: by how much the attributes of joints (as ``dynamics/damping``) of a URDF and an MJCF differ from what
+        folded: by how much the attributes of joints (as ``dynamics/damping``) of a URDF and an MJCF change beyond what
             was found, as these cannot say all friction; by joint and attribute.
         seconds: that the search took.
     """

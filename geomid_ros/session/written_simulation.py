@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,11 +14,13 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.disk import write_text
-from geomid_ros.files.models.effects_file import write_sidecar
+from geomid_ros.files.models.effects_file import combined, write_sidecar
 from geomid_ros.files.models.estimate_file import by_channel
 from geomid_ros.files.models.mjcf import mjcf
-from geomid_ros.files.models.written_model import ModelFiles, WrittenModel, write_model
-from geomid_ros.gap.result import GapResult
+from geomid_ros.files.models.readers import URDF
+from geomid_ros.files.models.written_model import ModelFiles, WrittenModel, moved, write_model
+from geomid_ros.gap.result import Finding, GapResult
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.closed_loop import Tracking, closed_loop, tracking
@@ -48,8 +50,8 @@ class Simulations:
     skipped: str = ""
 
 
-def write_found(folder: Path, session: Session, result: GapResult) -> list[Path]:
-    """Write the session's model with what was found into ``folder``.
+def write_found(folder: Path, session: Session, result: GapResult, reader: str = URDF) -> list[Path]:
+    """Write the session's model with what was found into ``folder``; the sidecar is that of one ``reader``.
 
     Returns:
         The files: estimate.json, identified.urdf, identified.xml (MJCF) and effects.yaml.
@@ -57,7 +59,35 @@ def write_found(folder: Path, session: Session, result: GapResult) -> list[Path]
     known = session.loaded.refitted(session.model, result.coefficients, result.beside)
     noise = {"floor": by_channel(result.channels, result.corrected_floor), "cutoff": result.cutoff}
     effects = [*known.beside_inertias, *result.ordinary, *result.sure]
-    return _write(folder, session, result.inertias, effects, noise=noise, folded=result.folded)
+    before = dict(zip(session.model.body_names, nominal_inertias(session), strict=True))
+    after = dict(zip(session.model.body_names, result.inertias, strict=True))
+    fitted = {name: _changed(own, before, after, result.sure) for name, own in session.loaded.fitted.items()}
+    files = {"folded": result.folded, "fitted": fitted, "reader": reader}
+    return _write(folder, session, result.inertias, effects, noise=noise, **files)
+
+
+def _changed(
+    file: WrittenModel,
+    before: Mapping[str, FloatArray],
+    after: Mapping[str, FloatArray],
+    sure: Sequence[Finding],
+) -> WrittenModel:
+    """The model of a file with what has changed in the whole one.
+
+    A link that cannot be lighter by as much as was found, as the file has a part of it elsewhere, is as it was found.
+    """
+    inertias = {}
+    for name, found in after.items():
+        changed = file.inertias.get(name, before[name]) + (found - before[name])
+        inertias[name] = changed if pseudo_inertia.is_body(changed) else found
+    effects = {(effect.effect, effect.joint): effect for effect in file.effects}
+    named = []
+    for finding in sure:
+        own = effects.pop((finding.effect, finding.joint), None) if finding.was else None
+        said = own.parameters if own else {}
+        shared = said.keys() & finding.was.keys()
+        named.append(moved(finding, {name: said[name].value - finding.was[name] for name in shared}))
+    return WrittenModel(inertias, tuple(combined([*effects.values(), *named])))
 
 
 def nominal_inertias(session: Session) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from commands.running import undrawn
 from files.recordings import BAGS, QUICK, Recorded, altered
 
 import geomid_ros
+from geomid_ros.files.models.estimate_file import EstimateFile, HandoverEntry
 from geomid_ros.simulation import SimulationOptions, simulate
 
 JOINT = "joint2"
@@ -105,3 +107,76 @@ def test_the_written_model_leaves_what_the_table_says(
             gains[found.result.channels.index(finding.joint)] = finding.parameters["gain"].value
     said, left = found.result.gap.after * found.result.floor, again.result.gap.before * again.result.floor
     np.testing.assert_allclose(left * gains, said, rtol=0.02)
+
+
+@pytest.fixture(scope="module")
+def identified(recordings: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The files of an identification from the first motion. A URDF holds no rotor inertia: its links have another."""
+    folder = tmp_path_factory.mktemp("identified")
+    geomid_ros.identify(recordings[0], BAGS / "arm3.urdf", validate=recordings[1]).save(folder, report=False)
+    return folder
+
+
+def handover(folder: Path) -> dict[str, HandoverEntry]:
+    """The models that descriptions hold, by their readers."""
+    return dict(EstimateFile.read(folder / "estimate.json").handover)
+
+
+def masses(entry: HandoverEntry) -> dict[str, float]:
+    return {link.name: link.mass for link in entry.links}
+
+
+@pytest.mark.parametrize("urdf", [None, BAGS / "arm3.urdf"], ids=["identified", "raw"])
+def test_what_has_not_changed_is_written_as_it_was(
+    urdf: Path | None, recordings: tuple[Path, Path], identified: Path, tmp_path: Path
+) -> None:
+    """Whichever description is given: what the model's own file holds is in the estimate."""
+    found = geomid_ros.find_gap(recordings[1], urdf, model=identified / "estimate.json")
+    assert not found.result.sure
+    found.save(tmp_path, report=False)
+    for name in ("identified.urdf", "effects.yaml"):
+        assert (tmp_path / name).read_bytes() == (identified / name).read_bytes(), name
+    own, before = EstimateFile.read(tmp_path / "estimate.json"), handover(identified)
+    assert masses(before["urdf"]) != {link.name: link.mass for link in own.links}, "else nothing shows"
+    assert own.handover.keys() == before.keys()
+    for reader, entry in own.handover.items():
+        assert masses(entry) == pytest.approx(masses(before[reader]), rel=1e-12), reader
+        assert entry.effects == before[reader].effects, reader
+    if urdf is None:
+        assert found.handover is not None
+        assert found.handover.alone == found.handover.given
+
+
+def test_a_change_is_added_to_what_each_file_holds(
+    recordings: tuple[Path, Path], identified: Path, tmp_path: Path
+) -> None:
+    bag = altered(recordings[1], tmp_path / "rubbing", changed(rubbing))
+    found = geomid_ros.find_gap(bag, model=identified / "estimate.json")
+    (finding,) = found.result.sure
+    assert (finding.effect, finding.joint) == ("viscous_friction", JOINT)
+    found.save(tmp_path / "found", report=False)
+    change = finding.parameters["coefficient"].value - finding.was["coefficient"]
+    assert change == pytest.approx(2.0, rel=0.05)
+    before, after = handover(identified), handover(tmp_path / "found")
+    assert after.keys() == before.keys()
+    for reader, entry in after.items():
+        assert masses(entry) == pytest.approx(masses(before[reader]), rel=1e-12), reader
+        then, now = (
+            {(own.effect, own.joint): own.parameters for own in each.effects} for each in (before[reader], entry)
+        )
+        rubs = finding.effect, finding.joint
+        assert now.pop(rubs)["coefficient"].value - then.pop(rubs)["coefficient"].value == pytest.approx(change)
+        assert now == then, reader
+
+
+def test_a_model_without_fits_for_files_is_told(
+    recordings: tuple[Path, Path], identified: Path, tmp_path: Path
+) -> None:
+    document = json.loads((identified / "estimate.json").read_text())
+    del document["handover"]
+    (tmp_path / "estimate.json").write_text(json.dumps(document))
+    found = geomid_ros.find_gap(recordings[1], BAGS / "arm3.urdf", model=tmp_path / "estimate.json")
+    assert any("has no fits for description formats" in note for note in found.session.notes)
+    found.save(tmp_path / "found", report=False)
+    written = handover(tmp_path / "found")
+    assert masses(written["urdf"]) == {link["name"]: pytest.approx(link["mass"]) for link in document["links"]}

@@ -25,6 +25,7 @@ from geomid_ros.files.models.effects_file import (
     turned_gravity,
 )
 from geomid_ros.files.models.estimate_file import EstimateFile
+from geomid_ros.files.models.written_model import WrittenModel, written_for
 from geomid_ros.model.channels import AXES, WrenchSensor
 from geomid_ros.model.effects import (
     Effect,
@@ -44,7 +45,8 @@ from geomid_ros.types import BoolArray, FloatArray
 class LoadedModel:
     """The ``inertias (10,)`` of bodies by name, without payloads, and the ``effects`` that the file ``source`` says;
     ``known`` of these bodies together, in their order; the fixed links that are ``merged`` into them, where the file
-    says so; and the ``doubt`` that its verdict casts on all of it, in a sentence."""
+    says so; the ``doubt`` that its verdict casts on all of it, in a sentence; and the models ``fitted`` for
+    descriptions, by their readers."""
 
     source: str = ""
     inertias: Mapping[str, FloatArray] | None = None
@@ -52,6 +54,7 @@ class LoadedModel:
     known: LinksInformation | None = None
     merged: Mapping[str, frozenset[str]] = field(default_factory=dict)
     doubt: str = ""
+    fitted: Mapping[str, WrittenModel] = field(default_factory=dict)
 
     @staticmethod
     def read(path: str) -> LoadedModel:
@@ -63,7 +66,17 @@ class LoadedModel:
     def of(file: EstimateFile) -> LoadedModel:
         """What such a file says. Raises InputError naming what is wrong in it."""
         known = file.known_information
-        return LoadedModel(file.source, file.inertias, tuple(file.known_effects), known, file.merged, file.doubt)
+        models = {reader: written_for(file, reader) for reader in file.handover}
+        fitted = {reader: own.with_payloads_in_links for reader, own in models.items() if own}
+        return LoadedModel(
+            source=file.source,
+            inertias=file.inertias,
+            effects=tuple(file.known_effects),
+            known=known,
+            merged=file.merged,
+            doubt=file.doubt,
+            fitted=fitted,
+        )
 
     def refitted(
         self, model: MeasurementModel, coefficients: FloatArray, beside: Sequence[KnownEffect] = ()

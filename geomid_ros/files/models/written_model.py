@@ -20,7 +20,14 @@ from geomid_ros.checks.causes import Finding
 from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.disk import write_json, write_text
-from geomid_ros.files.models.effects_file import combined, continued, effects_entries, write_sidecar
+from geomid_ros.files.models.effects_file import (
+    combined,
+    continued,
+    effects_entries,
+    is_body,
+    payload_parameters,
+    write_sidecar,
+)
 from geomid_ros.files.models.estimate_file import (
     EstimateFile,
     inertias_of,
@@ -28,15 +35,15 @@ from geomid_ros.files.models.estimate_file import (
     verdict_entry,
 )
 from geomid_ros.files.models.mjcf import mjcf
-from geomid_ros.files.models.readers import ELEMENTS
+from geomid_ros.files.models.readers import ELEMENTS, READERS, URDF
 from geomid_ros.files.models.urdf import with_effects, with_inertials
 from geomid_ros.files.schema import FORMAT, plain
 from geomid_ros.model.coefficients import Coefficient
-from geomid_ros.model.effects import Effect, KnownEffect, Place, effect_class
+from geomid_ros.model.effects import Effect, KnownEffect, Place, effect_class, values_of
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
-ESTIMATE, URDF, MJCF, EFFECTS_FILE = "estimate.json", "identified.urdf", "identified.xml", "effects.yaml"
+ESTIMATE, IDENTIFIED, MJCF, EFFECTS_FILE = "estimate.json", "identified.urdf", "identified.xml", "effects.yaml"
 
 
 @dataclass(frozen=True)
@@ -62,9 +69,12 @@ def write_model(
     findings: Sequence[Finding] = (),
     noise: Mapping[str, Any] = MappingProxyType({}),
     folded: Mapping[tuple[str, str], float] = MappingProxyType({}),
+    fitted: Mapping[str, WrittenModel] = MappingProxyType({}),
+    reader: str = URDF,
 ) -> list[Path]:
     """Write the model with ``inertias (10,)`` of identified bodies by name and all of its ``effects`` into ``folder``;
-    returns the files.
+    returns the files. ``fitted`` are the models that descriptions hold instead, by their readers; the sidecar is that
+    of one ``reader``.
 
     ``gravity (3,)`` is that of a base which stands straight; ``findings`` are what seems to be wrong with the recording
     that the model is from, ``noise`` its floor by channel and its cutoff, if known; ``folded``: by how much attributes
@@ -72,21 +82,26 @@ def write_model(
     :func:`~geomid_ros.files.models.effects_file.combined`.
     """
     effects = combined(effects)
-    alone = _with_folded(effects, folded)
+    whole = WrittenModel(inertias, tuple(effects))
+    held = {name: fitted.get(name, whole) for name in READERS}
+    alone = {name: replace(own, effects=tuple(_with_folded(own.effects, folded))) for name, own in held.items()}
     merged = {body.name: body.merged for body in model.robot.bodies if body.name in inertias}
     removed = [name for names in merged.values() for name in names]
     document = {
         "format": FORMAT,
         "links": [link_entry(name, merged[name], own) for name, own in inertias.items()],
         **effects_entries(effects),
+        "handover": {name: handover_entry(own.said_by(ELEMENTS[name]), merged) for name, own in alone.items()},
         "robot": model.robot.name,
         "verdict": verdict_entry(recording_verdict(findings), findings),
     }
     write_json(folder / ESTIMATE, document | dict(noise))
-    write_text(folder / URDF, with_effects(with_inertials(urdf, inertias, removed), alone))
-    write_text(folder / MJCF, mjcf(model.robot, inertias, alone, model.sensors, gravity))
-    write_sidecar(folder / EFFECTS_FILE, model.robot.name, effects, alone)
-    return [folder / name for name in (ESTIMATE, URDF, MJCF, EFFECTS_FILE)]
+    of_urdf, of_mjcf = alone[URDF], alone["mujoco"]
+    write_text(folder / IDENTIFIED, with_effects(with_inertials(urdf, of_urdf.inertias, removed), of_urdf.effects))
+    write_text(folder / MJCF, mjcf(model.robot, of_mjcf.inertias, of_mjcf.effects, model.sensors, gravity))
+    of_sidecar = reader if reader in held else URDF
+    write_sidecar(folder / EFFECTS_FILE, model.robot.name, held[of_sidecar].effects, alone[of_sidecar].effects)
+    return [folder / name for name in (ESTIMATE, IDENTIFIED, MJCF, EFFECTS_FILE)]
 
 
 def _with_folded(effects: Sequence[KnownEffect], folded: Mapping[tuple[str, str], float]) -> list[KnownEffect]:
@@ -99,9 +114,18 @@ def _with_folded(effects: Sequence[KnownEffect], folded: Mapping[tuple[str, str]
             for form in effect_class(effect.effect).parameters
             if (effect.joint, form.urdf) in left and form.name in effect.parameters
         }
-        changed = {name: replace(q, value=q.value + changes.get(name, 0.0)) for name, q in effect.parameters.items()}
-        found.append(replace(effect, parameters=changed))
+        found.append(moved(effect, changes))
     return found
+
+
+def moved(effect: KnownEffect, changes: Mapping[str, float]) -> KnownEffect:
+    """An effect with parameters changed by so much, but to none that cannot be."""
+    forms = {form.name: form for form in effect_class(effect.effect).parameters}
+    values = {
+        name: min(max(q.value + changes.get(name, 0.0), forms[name].above), forms[name].below)
+        for name, q in effect.parameters.items()
+    }
+    return replace(effect, parameters={name: replace(q, value=values[name]) for name, q in effect.parameters.items()})
 
 
 _There: TypeAlias = dict[tuple[Place, Effect, int], tuple[Coefficient, float]]
@@ -118,6 +142,27 @@ class WrittenModel:
 
     inertias: Mapping[str, FloatArray]
     effects: tuple[KnownEffect, ...]
+
+    @property
+    def with_payloads_in_links(self) -> WrittenModel:
+        """The same with payloads in the inertias of the links that carry them."""
+        inertias = dict(self.inertias)
+        for effect in self.effects:
+            if is_body(effect):
+                inertias[effect.link] = inertias[effect.link] + payload_parameters(values_of(effect))
+        return WrittenModel(inertias, tuple(effect for effect in self.effects if not is_body(effect)))
+
+    def said_by(self, elements: Collection[str]) -> WrittenModel:
+        """The same without the effects of which a file with these ``elements`` says nothing, or only that they are
+        nothing."""
+        return replace(self, effects=tuple(effect for effect in self.effects if _is_said(effect, elements)))
+
+
+def _is_said(effect: KnownEffect, elements: Collection[str]) -> bool:
+    cls = effect_class(effect.effect)
+    forms = [form for form in cls.parameters if form.name in effect.parameters]
+    there = all(form.above < effect.parameters[form.name].value for form in forms)
+    return there and (cls.of_sensor or any(form.said_by(elements) for form in forms))
 
 
 def written_model(
