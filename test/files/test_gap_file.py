@@ -13,7 +13,7 @@ import yaml
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.disk import write_json
-from geomid_ros.files.models.estimate_file import by_channel
+from geomid_ros.files.models.estimate_file import EstimateFile, by_channel
 from geomid_ros.files.models.gap_file import GapFile, gap_document, is_open, page_entries
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.written_model import write_model
@@ -134,7 +134,7 @@ def test_files_that_cannot_say_a_friction_have_the_other_without_it(tmp_path: Pa
     inertias = dict(zip(MODEL.body_names, MODEL.nominal_inertias.reshape(-1, 10), strict=True))
     noise = {"floor": by_channel(MODEL.robot.joint_names, np.array([0.1, 0.2, np.nan])), "cutoff": 8.0}
     folded = {("joint1", "dynamics/damping"): -0.4}
-    gravity = MODEL.robot.gravity
+    gravity = np.array([9.8, -0.2, -0.1])
     write_model(tmp_path, MODEL, URDF, inertias, effects, gravity, noise=noise, folded=folded)
     joint = ElementTree.parse(tmp_path / "identified.urdf").find("joint[@name='joint1']/dynamics")
     assert joint is not None
@@ -147,4 +147,5 @@ def test_files_that_cannot_say_a_friction_have_the_other_without_it(tmp_path: Pa
     said = yaml.safe_load((tmp_path / "effects.yaml").read_text())["effects"]
     assert [entry.get("alone") for entry in said] == [{"coefficient": 1.6}, None]
     document = json.loads((tmp_path / "estimate.json").read_text())
+    assert EstimateFile.read(tmp_path / "estimate.json").gravity.tolist() == gravity.tolist()
     assert (document["floor"], document["cutoff"]) == ({"joint1": 0.1, "joint2": 0.2, "joint3": None}, 8.0)

@@ -93,6 +93,7 @@ def write_model(
         **effects_entries(effects),
         "handover": {name: handover_entry(own.said_by(ELEMENTS[name]), merged) for name, own in alone.items()},
         "robot": model.robot.name,
+        "gravity": gravity.tolist(),
         "verdict": verdict_entry(recording_verdict(findings), findings),
     }
     write_json(folder / ESTIMATE, document | dict(noise))
