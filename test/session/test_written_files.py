@@ -1,0 +1,68 @@
+"""What changes in the whole model changes in each file, whose own model has the same effects in other places."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from files.effects import PAYLOAD, effect
+from files.gaps import gap_result
+from files.recordings import BAGS
+
+from geomid_ros.files.models.effects_file import payload_parameters
+from geomid_ros.files.models.estimate_file import EstimateFile
+from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.files.models.written_model import WrittenModel, moved, write_model, written_for
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import GRAVITY, Robot
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.gap import gap_session
+from geomid_ros.session.written_simulation import write_found
+
+ARM = read_urdf(BAGS / "arm3.urdf")
+ROBOT = Robot(ARM)
+BODIES = {body.name: body.parameters for body in ROBOT.bodies}
+CUBE = pseudo_inertia.assemble(np.array(0.5), np.array([0.1, 0.0, 0.0]), 1e-3 * np.eye(3))
+
+
+def test_a_link_is_heavier_and_lighter_in_each_file_by_what_it_is_in_the_model(tmp_path: Path) -> None:
+    """In a file of which another link has its mass, it is what it is in the model: no body weighs less than nothing."""
+    first, second, third = BODIES
+    fitted = WrittenModel({**BODIES, second: 0.01 * BODIES[second], third: 1.5 * BODIES[third]}, ())
+    write_model(tmp_path, MeasurementModel(ROBOT, ()), ARM, BODIES, (), GRAVITY, fitted={"urdf": fitted})
+    session = gap_session(ARM, Configuration({"model": str(tmp_path / "estimate.json")}, "test"), "arm3.urdf")
+    now = {**BODIES, second: 0.5 * BODIES[second], third: BODIES[third] + CUBE}
+    result = replace(
+        gap_result("no gap", ROBOT.joint_names),
+        bodies=session.model.body_names,
+        inertias=np.array([now[name] for name in session.model.body_names]),
+        coefficients=np.full(len(session.model.coefficients), np.nan),
+    )
+    write_found(tmp_path / "found", session, result)
+    file = EstimateFile.read(tmp_path / "found/estimate.json")
+    written = written_for(file, "urdf")
+    assert written is not None
+    expected = {first: BODIES[first], second: now[second], third: 1.5 * BODIES[third] + CUBE}
+    for name, own in expected.items():
+        np.testing.assert_allclose(written.inertias[name], own, atol=1e-12, err_msg=name)
+        np.testing.assert_allclose(file.inertias[name], now[name], atol=1e-12, err_msg=name)
+    in_urdf = {body.name: body.parameters[0] for body in Robot(read_urdf(tmp_path / "found/identified.urdf")).bodies}
+    assert in_urdf == pytest.approx({name: own[0] for name, own in expected.items()}, rel=1e-8)
+
+
+def test_a_payload_of_a_file_is_in_the_link_that_carries_it() -> None:
+    name = next(iter(BODIES))
+    carried = WrittenModel(BODIES, (effect("payload", name, **PAYLOAD), effect("effort_offset", "joint1", offset=0.1)))
+    found = carried.with_payloads_in_links
+    np.testing.assert_array_equal(found.inertias[name], BODIES[name] + payload_parameters(PAYLOAD))
+    assert found.effects == carried.effects[1:]
+
+
+def test_friction_that_shrinks_is_never_less_than_nothing() -> None:
+    friction = effect("coulomb_friction", "joint1", level=0.2)
+    assert moved(friction, {"level": -0.5}).parameters["level"].value == 0.0
+    assert moved(friction, {"level": -0.05}).parameters["level"].value == pytest.approx(0.15)
+    assert WrittenModel({}, (moved(friction, {"level": -0.5}), friction)).said_by(("urdf",)).effects == (friction,)
