@@ -35,7 +35,7 @@ from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_ro
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
 _FAR = 2.0  # times the usual distance
-_TAKEN = 2.0  # of its own standard deviations: an optional effect that is smaller may as well be nothing
+_TAKEN = 2.0  # of its own standard deviations: an effect that is smaller may as well be nothing
 _SPENT = (
     "the solver's budget of steps was spent before the spreads of the links had settled: masses are those of the last "
     "step; is the URDF this robot's, in SI units, and do efforts have the signs of its joints?"
@@ -172,7 +172,8 @@ def estimate(
         choice = choose(_at_prior(settings, problem), np.searchsorted(held, begun))
         return np.asarray(held[choice.columns])
 
-    within = fit_files(model, columns, settings.files, chosen, lambda held: fitted(held, None)[0])
+    untold = _untold_errors(model, result, columns)
+    within = fit_files(model, columns, settings.files, untold, chosen, lambda held: fitted(held, None)[0])
     return replace(result, within=within, seconds=time.perf_counter() - begin)
 
 
@@ -211,10 +212,23 @@ def _unsure(model: MeasurementModel, result: Estimate, columns: IntArray) -> Int
     first = model.dimension - len(model.coefficients)
     own = columns[columns >= first]
     always = {c.mechanism for c in model.coefficients if not c.optional}
-    sizes = np.array([abs(e.value) / max(e.std, np.finfo(float).tiny) for e in result.effects])
+    sizes = _sizes(result)
     sizes[[model.coefficients[column - first].mechanism in always for column in own]] = np.inf
     least = float(np.min(sizes, initial=np.inf))
     return np.asarray(own[(sizes < _TAKEN) & (sizes <= least)])
+
+
+def _untold_errors(model: MeasurementModel, result: Estimate, columns: IntArray) -> IntArray:
+    """The columns of the errors of sensors that may as well be nothing."""
+    first = model.dimension - len(model.coefficients)
+    own = columns[columns >= first]
+    of_sensor = np.array([model.coefficients[column - first].effect.of_sensor for column in own], dtype=bool)
+    return np.asarray(own[of_sensor & (_sizes(result) < _TAKEN)])
+
+
+def _sizes(result: Estimate) -> FloatArray:
+    """How many of its own standard deviations each effect is."""
+    return np.array([abs(e.value) / max(e.std, np.finfo(float).tiny) for e in result.effects])
 
 
 def _independent(summary: RowSummary, cutoff: float) -> float:

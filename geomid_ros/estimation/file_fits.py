@@ -4,7 +4,7 @@ A robot description holds some effects and lacks others: a URDF says damping and
 what it lacks from a sum that needs it makes the file worse than one without any effects. So each file has a minimum of
 its own, over the inertias and the effects that it holds. What it lacks is part of the noise, which is estimated anew.
 Errors of sensors stay in the fit. They move nothing, and a file does not have to hold them; without them a mass would
-stand in for an offset.
+stand in for an offset. Those that may as well be nothing go: the weights that they stand in for would be lost.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ def fit_files(
     model: MeasurementModel,
     chosen: IntArray,
     files: Mapping[str, tuple[str, ...]],
+    untold: IntArray,
     choose: Callable[[IntArray, IntArray], IntArray],
     fitted: Callable[[IntArray], Fit],
 ) -> dict[str, FloatArray]:
@@ -32,6 +33,7 @@ def fit_files(
         model: with all its coefficients.
         chosen: the parameters that the estimate has, by their columns.
         files: by who reads it, a file's elements (:meth:`~geomid_ros.model.effects.ParameterForm.said_by`).
+        untold: errors of sensors that may as well be nothing, by their columns.
         choose: of the columns that a file can hold those that the rows ask for, from those among them that are chosen
             on: what stands in for an effect that a file lacks is another one.
         fitted: the fit of the parameters of some columns.
@@ -39,9 +41,9 @@ def fit_files(
     found: dict[tuple[int, ...], FloatArray] = {}
     within = {}
     for reader, elements in files.items():
-        held = held_columns(model, np.arange(model.dimension), elements)
+        held = np.setdiff1d(held_columns(model, np.arange(model.dimension), elements), untold)
         if (key := tuple(held.tolist())) not in found:
-            columns = choose(held, held_columns(model, chosen, elements))
+            columns = choose(held, np.setdiff1d(held_columns(model, chosen, elements), untold))
             parameters = np.zeros(model.dimension)
             parameters[columns] = fitted(columns).point.parameters
             found[key] = frozen(parameters)

@@ -84,9 +84,14 @@ def test_an_offset_does_not_stand_in_for_a_mass() -> None:
     truth[_offsets(case)] = 0.0
     measured = np.einsum("ncd,d->nc", rows.coefficients, truth)
     noisy = measured + 0.02 * np.random.default_rng(1).normal(size=measured.shape)
-    found = solved(Case(case.model, _with(case, small, noisy), noisy, truth, case.true), {})
+    found = solved(Case(case.model, _with(case, small, noisy), noisy, truth, case.true), URDF)
     weights = np.sqrt(np.mean(measured**2, axis=0))
     assert np.all(np.abs(found.parameters[_offsets(case)]) < 0.1 * weights)
+    # A file has no place for what might be an offset: all of the weight is in its links.
+    alone = found.within["urdf"].copy()
+    alone[_offsets(case)] = 0.0
+    predicted = np.einsum("ncd,d->nc", rows.coefficients, alone)
+    assert np.all(np.abs(np.mean(predicted - measured, axis=0)) < 0.01 * weights)
 
 
 def _with(case: Case, motion: dict[str, FloatArray], effort: FloatArray | None = None) -> Samples:
@@ -119,7 +124,7 @@ def test_of_all_that_a_file_holds_the_rows_choose_anew() -> None:
     names = ["", *(coefficient.effect.name for coefficient in model.coefficients)]
     first = len(model.nominal_inertias)
     chosen = np.array([k for k in range(model.dimension) if k < first or names[k - first + 1] != "spring"])
-    asked: list[set[str]] = []
+    asked, none = list[set[str]](), np.zeros(0, dtype=np.int64)
 
     def choose(held: FloatArray, begun: FloatArray) -> FloatArray:
         asked.extend({names[max(column - first + 1, 0)] for column in columns} for columns in (held, begun))
@@ -128,7 +133,7 @@ def test_of_all_that_a_file_holds_the_rows_choose_anew() -> None:
     def fitted(columns: FloatArray) -> Any:
         return SimpleNamespace(point=SimpleNamespace(parameters=np.ones(len(columns))))
 
-    within = fit_files(model, chosen, {"mujoco": ELEMENTS["mujoco"]}, choose, fitted)["mujoco"]
+    within = fit_files(model, chosen, {"mujoco": ELEMENTS["mujoco"]}, none, choose, fitted)["mujoco"]
     held, begun = asked
     assert (held - begun, "stribeck_friction" in held) == ({"spring"}, False)
     springs = [k for k in range(first, model.dimension) if names[k - first + 1] == "spring"]
