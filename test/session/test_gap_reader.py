@@ -64,4 +64,4 @@ def test_of_effects_columns_only_what_is_read_is_kept_to_be_judged(session: Sess
     (excerpt,) = kept
     for samples in (excerpt.kept.samples, excerpt.kept.later, excerpt.stretch):
         assert samples is not None
-        assert samples.entries.columns == (SIGN,)
+        assert set(samples.entries.columns) == {SIGN, SMOOTH_SIGN}
