@@ -15,12 +15,16 @@ import numpy as np
 import pinocchio as pin
 from geometry import bodies
 
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimator import EstimatorSettings
+from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import identifiable, joint_of
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.types import FloatArray
+from geomid_ros.types import FloatArray, IntArray
 
 BAGS = Path(__file__).parents[2] / "bags"
 ALL_EFFECTS = ("viscous_friction", "coulomb_friction", "rotor_inertia", "effort_offset")
@@ -177,3 +181,25 @@ def arm(
     clean = efforts(robot, true, moving)
     noisy = clean + noise * rng.normal(size=clean.shape)
     return Case(model, samples(moving, noisy), clean, parameters(model, true), true)
+
+
+def identifier(case: Case, prior: FloatArray | None = None, **settings: object) -> Identifier:
+    """That was given the samples."""
+    result = Identifier(case.model, EstimatorSettings(**settings), prior=prior)
+    result.add(case.samples)
+    return result
+
+
+def solved(case: Case, **settings: object) -> Estimate:
+    """The estimate of the samples."""
+    return identifier(case, **settings).solve()
+
+
+def summary(
+    model: MeasurementModel, coefficients: FloatArray, targets: FloatArray, regimes: IntArray | None = None
+) -> RowSummary:
+    """Of rows all at once, of fast motion unless it is said."""
+    result = RowSummary(model.channels)
+    fast = np.zeros(targets.shape, dtype=np.int64)
+    result.add_all(coefficients, targets, np.zeros(len(targets)), fast if regimes is None else regimes)
+    return result

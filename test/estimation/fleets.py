@@ -7,14 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from geometry import bodies
 
-from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.estimator import EstimatorSettings
-from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.population import RobotLikelihood
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.types import FloatArray
 
-from .arms import Case, Truth, arm, efforts, motion, parameters, samples
+from .arms import Case, Truth, arm, efforts, motion, parameters, samples, solved
 
 NOISE = 0.05
 
@@ -75,10 +72,3 @@ def with_tool(true: Truth, mass: float, link: int = -1) -> Truth:
     links = true.links.copy()
     links[link] += tool
     return replace(true, links=links)
-
-
-def solved(case: Case, settings: EstimatorSettings | None = None) -> Estimate:
-    """The estimate of a recording."""
-    identifier = Identifier(case.model, settings or EstimatorSettings())
-    identifier.add(case.samples)
-    return identifier.solve()

@@ -12,8 +12,7 @@ import pytest
 from geomid_ros.estimation import choice
 from geomid_ros.estimation.coefficient_fit import CoefficientRows
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate
-from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart
-from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.link_spreads import CERTAINTY
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, identifiable
@@ -23,7 +22,7 @@ from geomid_ros.model.weighed_masses import weighed_rows
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.types import FloatArray, IntArray
 
-from .arms import Case, Truth, arm, efforts
+from .arms import Case, Truth, arm, efforts, identifier, solved
 
 NOISE = 0.05
 SIZES = {
@@ -83,12 +82,6 @@ def planted(name: str, joint: int, effect: str, seed: int = 0) -> Case:
     return replace(case.with_efforts(measured), model=model)
 
 
-def identifier(case: Case, **settings: object) -> Identifier:
-    result = Identifier(case.model, EstimatorSettings(**settings))
-    result.add(case.samples)
-    return result
-
-
 def chosen(found: Estimate) -> list[EffectEstimate]:
     return [effect for effect in found.effects if effect.name in DEFAULT_CANDIDATES]
 
@@ -102,7 +95,7 @@ def test_a_planted_effect_is_found_where_it_is(name: str, joint: int, effect: st
     case = planted(name, joint, effect)
     names = [one.name for one in case.model.robot.joints]
     place = f"{names[joint]}+{names[joint + 1]}" if effect.startswith("coupled") else names[joint]
-    taken = chosen(identifier(case).solve())
+    taken = chosen(solved(case))
     found = {(one.name, one.joint): one for one in taken}
     assert (effect, place) in found
     assert len(taken) <= 2
@@ -117,7 +110,7 @@ def test_a_motor_that_turns_parallel_joints_is_told_from_an_inertia_by_the_prior
     assert not [c for c in case.model.coefficients if c.effect.name == "coupled_rotor_inertia"]
     known = identifiable()["coupled_rotor_inertia"]
     model = MeasurementModel(case.model.robot, [*case.model.places.common, known])
-    found = identifier(replace(case, model=model)).solve()
+    found = solved(replace(case, model=model))
     (taken,) = (effect for effect in chosen(found) if effect.joint == "joint2+joint3")
     assert taken.value == pytest.approx(SIZES["coupled_rotor_inertia"], rel=0.05)
     np.testing.assert_allclose(found.rms, NOISE, rtol=0.1)
@@ -129,7 +122,7 @@ def test_dry_friction_has_its_shape_and_passes_for_nothing_else(smoothing: float
     case = planted("arm3", 1, "")
     speeds, levels = case.samples.velocity, case.true.effects["coulomb_friction"] + 1.0
     change = levels * np.tanh(speeds / smoothing) - (levels - 1.0) * np.tanh(speeds / 0.02)
-    found = identifier(case.with_efforts(case.samples.effort + change)).solve()
+    found = solved(case.with_efforts(case.samples.effort + change))
     shapes = [effect for effect in found.effects if effect.name == "coulomb_friction"]
     assert [smoothing_of(effect) for effect in shapes] == 3 * [smoothing]
     np.testing.assert_allclose([effect.value for effect in shapes], levels, rtol=0.03)
@@ -141,7 +134,7 @@ def test_dry_friction_of_a_shape_that_is_not_tried_passes_for_nothing_else() -> 
     case, smoothing = planted("arm3", 1, ""), 0.004
     speeds, levels = case.samples.velocity, case.true.effects["coulomb_friction"] + 10.0
     change = levels * np.tanh(speeds / smoothing) - (levels - 10.0) * np.tanh(speeds / 0.02)
-    found = identifier(case.with_efforts(case.samples.effort + change)).solve()
+    found = solved(case.with_efforts(case.samples.effort + change))
     shapes = [effect for effect in found.effects if effect.name == "coulomb_friction"]
     np.testing.assert_allclose([effect.value for effect in shapes], levels, rtol=0.005)
     assert chosen(found) == []
@@ -156,8 +149,8 @@ def test_what_does_not_repeat_is_not_believed() -> None:
     case = planted("arm3", 1, "")
     quarter = np.arange(len(case.samples)) < len(case.samples) // 4
     spring = added("spring", 1, case, case.noiseless)
-    everywhere = identifier(case.with_efforts(case.samples.effort + 0.25 * spring)).solve()
-    once = identifier(case.with_efforts(case.samples.effort + quarter[:, None] * spring)).solve()
+    everywhere = solved(case.with_efforts(case.samples.effort + 0.25 * spring))
+    once = solved(case.with_efforts(case.samples.effort + quarter[:, None] * spring))
     assert "spring" in {one.name for one in chosen(everywhere)}
     assert "spring" not in {one.name for one in chosen(once)}
 
@@ -167,7 +160,7 @@ def test_what_no_robot_has_is_not_taken(effect: str, size: float, monkeypatch: p
     """However well it explains the data: more friction than load, or a spring that pushes away."""
     monkeypatch.setitem(SIZES, effect, size)
     planted.cache_clear()
-    found = identifier(planted("arm3", 1, effect)).solve()
+    found = solved(planted("arm3", 1, effect))
     assert effect not in {one.name for one in chosen(found)}
     planted.cache_clear()
 
@@ -175,13 +168,13 @@ def test_what_no_robot_has_is_not_taken(effect: str, size: float, monkeypatch: p
 def test_hardly_anything_is_taken_where_there_is_nothing() -> None:
     """Three standard deviations are one in 400 for a single candidate by chance."""
     cases = [("arm3", 1, seed) for seed in range(4)] + [("arm7", 3, 0)]
-    taken = [chosen(identifier(planted(name, joint, "", seed)).solve()) for name, joint, seed in cases]
+    taken = [chosen(solved(planted(name, joint, "", seed))) for name, joint, seed in cases]
     assert sum(map(len, taken)) <= 1
 
 
 def test_the_choice_is_determined_by_the_rows_and_kept_by_a_warm_start() -> None:
     case = planted("arm3", 1, "spring")
-    one, two = identifier(case).solve(), identifier(case).solve()
+    one, two = solved(case), solved(case)
     np.testing.assert_array_equal(one.parameters, two.parameters)
     warm = identifier(case).solve(WarmStart(one.parameters, one.rows_accepted))
     np.testing.assert_allclose(warm.parameters, one.parameters, rtol=1e-6, atol=1e-9)
@@ -197,7 +190,7 @@ def test_what_was_chosen_before_is_not_searched_for_again(monkeypatch: pytest.Mo
     case, searches = planted("arm3", 1, "spring"), []
     search = choice._best
     monkeypatch.setattr(choice, "_best", lambda *of: searches.append(len(of[1])) or search(*of))
-    found = identifier(case).solve()
+    found = solved(case)
     before = searches.copy()
     searches.clear()
     again = beside(case, found.parameters)
@@ -208,11 +201,11 @@ def test_what_was_chosen_before_is_not_searched_for_again(monkeypatch: pytest.Mo
 def test_what_was_chosen_before_goes_if_nothing_asks_for_it_any_more() -> None:
     """One coefficient that stands for nothing, beside one that is right: the choice begins from nothing."""
     case = planted("arm3", 1, "spring")
-    parameters = identifier(case).solve().parameters.copy()
+    parameters = solved(case).parameters.copy()
     parameters[np.setdiff1d(columns(case, ("saturating_friction", 2)), columns(case))] = 1.0
     again = beside(case, parameters)
     assert [(one.name, one.joint) for one in chosen(again)] == [("spring", case.model.robot.joints[1].name)]
-    np.testing.assert_array_equal(again.parameters, identifier(case).solve().parameters)
+    np.testing.assert_array_equal(again.parameters, solved(case).parameters)
 
 
 # --- what the choice goes by ----------------------------------------------------------------------------------------

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.estimator import EstimatorSettings
-from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.gap.candidates import EffectTerm, not_driving
 from geomid_ros.model.effects import AtJoint
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
@@ -20,7 +18,7 @@ from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.session.configuration import Configuration
 
-from .arms import Case, arm
+from .arms import Case, arm, solved
 
 JOINT, SPEED = 1, 0.12  # the joint with the planted friction; [rad/s] over which it sets in
 
@@ -36,12 +34,6 @@ def sets_in(share: float) -> Case:
     return replace(case.with_efforts(efforts), model=model)
 
 
-def identifier(case: Case, **settings: object) -> Identifier:
-    result = Identifier(case.model, EstimatorSettings(**settings))
-    result.add(case.samples)
-    return result
-
-
 def friction(found: Estimate) -> tuple[float, float]:
     """Level and excess at the joint."""
     own = {effect.name: effect.value for effect in found.effects if effect.joint == "joint2"}
@@ -51,13 +43,13 @@ def friction(found: Estimate) -> tuple[float, float]:
 @pytest.mark.parametrize("objective", ["residual", "geodesic"])
 def test_friction_that_would_drive_sets_in_gradually(objective: str) -> None:
     """There is no excess below zero, which Stribeck never meant."""
-    found = identifier(sets_in(-2.0), objective=objective).solve()
+    found = solved(sets_in(-2.0), objective=objective)
     assert all(effect.value >= 0.0 for effect in found.effects if effect.name != "effort_offset")
     assert friction(found)[1] == 0.0
 
 
 def test_friction_that_sticks_is_as_measured() -> None:
-    level, excess = friction(identifier(sets_in(1.0)).solve())
+    level, excess = friction(solved(sets_in(1.0)))
     assert excess == pytest.approx(level, rel=0.1)
 
 

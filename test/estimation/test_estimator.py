@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart
+from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.uncertain_inertia import interval_of_positive
 from geomid_ros.geometry import pseudo_inertia, spd
@@ -19,20 +19,10 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray
 
-from .arms import ALL_EFFECTS, Case, arm
+from .arms import ALL_EFFECTS, Case, arm, identifier, solved
 
 NOISE = 0.05
 CASES = pytest.mark.parametrize(("name", "seed"), [("arm3", 0), ("arm7", 0)])
-
-
-def identifier(case: Case, prior: FloatArray | None = None, **settings: object) -> Identifier:
-    result = Identifier(case.model, EstimatorSettings(**settings), prior=prior)
-    result.add(case.samples)
-    return result
-
-
-def solved(case: Case, **settings: object) -> Estimate:
-    return identifier(case, **settings).solve()
 
 
 @cache
@@ -40,10 +30,6 @@ def standard(name: str, seed: int) -> tuple[Case, Estimate]:
     """With nothing configured."""
     case = arm(name, seed, noise=NOISE)
     return case, solved(case)
-
-
-def warm_start(found: Estimate) -> WarmStart:
-    return WarmStart(found.parameters)
 
 
 def rms(values: FloatArray) -> float:
@@ -139,9 +125,8 @@ def test_a_warm_start_from_half_of_the_data_reaches_the_minimum_of_all(name: str
     growing.add(case.samples.select(slice(0, half)))
     first = growing.solve()
     growing.add(case.samples.select(slice(half, None)))
-    warm = growing.solve(warm_start(first))
-    cold = identifier(case)
-    np.testing.assert_allclose(warm.parameters, cold.solve().parameters, rtol=1e-6, atol=1e-9)
+    warm = growing.solve(WarmStart(first.parameters))
+    np.testing.assert_allclose(warm.parameters, solved(case).parameters, rtol=1e-6, atol=1e-9)
 
 
 def test_a_configured_sigma_sets_a_channels_weight() -> None:

@@ -10,20 +10,12 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.estimator import EstimatorSettings
-from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.types import FloatArray
 
-from .arms import Case, arm
+from .arms import Case, arm, solved
 
 pytestmark = pytest.mark.filterwarnings("error")
-
-
-def solved(case: Case, **settings: object) -> Estimate:
-    identifier = Identifier(case.model, EstimatorSettings(**settings))
-    identifier.add(case.samples)
-    return identifier.solve()
 
 
 def assert_sound(found: Estimate, silent: tuple[int, ...] = ()) -> None:

@@ -10,10 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.file_fits import fit_files, held_columns
-from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.files.models.readers import ELEMENTS
 from geomid_ros.model.effects import identifiable
 from geomid_ros.model.measurement import MeasurementModel
@@ -21,15 +18,9 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
-from .arms import Case, arm
+from .arms import Case, arm, solved
 
 URDF, ALL = {"urdf": ELEMENTS["urdf"]}, {"all": ("urdf", "mjcf", "drake", "gazebo")}
-
-
-def solved(case: Case, files: dict[str, tuple[str, ...]]) -> Estimate:
-    identifier = Identifier(case.model, EstimatorSettings(files=files))
-    identifier.add(case.samples)
-    return identifier.solve()
 
 
 def error(case: Case, parameters: FloatArray) -> float:
@@ -39,7 +30,7 @@ def error(case: Case, parameters: FloatArray) -> float:
 
 
 def test_a_file_that_holds_everything_is_the_estimate() -> None:
-    found = solved(arm("arm3", 1, noise=0.05), ALL)
+    found = solved(arm("arm3", 1, noise=0.05), files=ALL)
     np.testing.assert_allclose(found.within["all"], found.parameters, rtol=1e-6, atol=1e-9)
 
 
@@ -47,7 +38,7 @@ def test_what_a_file_lacks_is_made_up_for_by_the_rest() -> None:
     """Not dropped from a sum that needs it: no other parameters of this file leave less, and the estimate's leave
     more."""
     case = arm("arm3", 1, noise=0.05)
-    found = solved(case, URDF)
+    found = solved(case, files=URDF)
     held = held_columns(case.model, np.arange(case.model.dimension), ELEMENTS["urdf"])
     lacking = np.setdiff1d(np.arange(case.model.dimension), held)
     assert {case.model.coefficients[k - 30].effect.name for k in lacking} == {"rotor_inertia"}
@@ -61,7 +52,8 @@ def test_what_a_file_lacks_is_made_up_for_by_the_rest() -> None:
 def test_a_placeholder_that_the_data_refute_is_gone(placeholder: float) -> None:
     case, claimed = arm("arm3", 0, noise=0.05), with_damping(arm("arm3", 0, noise=0.05), placeholder)
     true = viscous(case, case.truth)
-    for found in (solved(claimed, URDF).within["urdf"], solved(claimed, URDF).parameters):
+    estimate = solved(claimed, files=URDF)
+    for found in (estimate.within["urdf"], estimate.parameters):
         np.testing.assert_allclose(viscous(case, found), true, rtol=0.3, atol=0.05)
 
 
@@ -71,7 +63,7 @@ def test_what_the_input_says_of_a_joint_that_stands_still_holds() -> None:
     for values in still.values():
         values[:, 2] = 0.0
     standing = Case(case.model, _with(case, still), case.noiseless, case.truth, case.true)
-    assert viscous(case, solved(standing, URDF).within["urdf"])[2] == pytest.approx(3.0, rel=0.01)
+    assert viscous(case, solved(standing, files=URDF).within["urdf"])[2] == pytest.approx(3.0, rel=0.01)
 
 
 def test_an_offset_does_not_stand_in_for_a_mass() -> None:
@@ -84,7 +76,7 @@ def test_an_offset_does_not_stand_in_for_a_mass() -> None:
     truth[_offsets(case)] = 0.0
     measured = np.einsum("ncd,d->nc", rows.coefficients, truth)
     noisy = measured + 0.02 * np.random.default_rng(1).normal(size=measured.shape)
-    found = solved(Case(case.model, _with(case, small, noisy), noisy, truth, case.true), URDF)
+    found = solved(Case(case.model, _with(case, small, noisy), noisy, truth, case.true), files=URDF)
     weights = np.sqrt(np.mean(measured**2, axis=0))
     assert np.all(np.abs(found.parameters[_offsets(case)]) < 0.1 * weights)
     # A file has no place for what might be an offset: all of the weight is in its links.

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 from files.estimates import estimate_of, link_estimate
 from files.recordings import BAGS
 
-from estimation.arms import arm
+from estimation.arms import arm, summary
 from geomid_ros.estimation.estimate import Estimate, LinksInformation
 from geomid_ros.estimation.estimator import EstimatorSettings, estimate
 from geomid_ros.estimation.identified import identified, numbers, sizes
 from geomid_ros.estimation.suggested_motions import FAST, POSES, TILTED, suggested_motions
-from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES, interval_of_positive
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.channels import WrenchSensor
@@ -61,17 +61,16 @@ def test_units_do_not_matter(kilogram: float, metre: float) -> None:
     assert np.array_equal(identified(in_units, factors * deviations, ANY), known)
 
 
+@cache
 def solved(factor: float, known: tuple[WeighedMass, ...] = ()) -> Estimate:
     """The small arm with a last link that is so many times as heavy as in its URDF."""
     case = arm("arm3", 0)
     parameters = case.model.nominal_parameters.copy()
     parameters[20:30] *= factor
     rows = case.model.rows(case.samples)
-    summary = RowSummary(case.model.channels)
     noise = 1e-3 * np.random.default_rng(1).normal(size=rows.targets.shape)
-    for row, target in zip(rows.coefficients, rows.coefficients @ parameters + noise, strict=True):
-        summary.add(row, target)
-    return estimate(case.model, summary, EstimatorSettings(known=known))
+    seen = summary(case.model, rows.coefficients, rows.coefficients @ parameters + noise)
+    return estimate(case.model, seen, EstimatorSettings(known=known))
 
 
 def test_a_link_that_left_its_prior_is_not_identified_however_sure_it_is() -> None:
@@ -96,10 +95,9 @@ def test_what_is_identified_is_right_where_the_urdf_is_three_times_as_wrong_as_u
     count = 0
     for seed in range(12):
         case = arm("arm3", seed, size=0.6)
-        rows, summary = case.model.rows(case.samples), RowSummary(case.model.channels)
-        for row, target in zip(rows.coefficients, rows.targets, strict=True):
-            summary.add(row, target)
-        for link, true in zip(estimate(case.model, summary, EstimatorSettings()).links, case.true.links, strict=True):
+        rows = case.model.rows(case.samples)
+        found = estimate(case.model, summary(case.model, rows.coefficients, rows.targets), EstimatorSettings())
+        for link, true in zip(found.links, case.true.links, strict=True):
             known = np.array([name in link.identified for name in QUANTITIES])
             errors = np.abs(numbers(link.parameters) - numbers(true)) / sizes(true)
             assert np.all(errors[:10][known] < 0.2), (seed, link.name)

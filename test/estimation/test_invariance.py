@@ -2,45 +2,38 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.effects import identifiable
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 
-from .arms import ALL_EFFECTS, Case, Motion, arm, samples, shipped
+from .arms import ALL_EFFECTS, Case, Motion, arm, samples, shipped, solved
 from .frames import Rewritten, rewritten
 
 SAME = 1e-7  # a prior that weighs a 1e-8th of the rows leaves its own directions to rounding
 SETTINGS = {
-    "auto": EstimatorSettings(),
-    "geodesic": EstimatorSettings(objective="geodesic"),
-    "sigma": EstimatorSettings(gamma=1e-4, sigma={"joint2": 0.3}),
+    "auto": {},
+    "geodesic": {"objective": "geodesic"},
+    "sigma": {"gamma": 1e-4, "sigma": {"joint2": 0.3}},
 }
 
 
-def solved(case: Case, settings: EstimatorSettings) -> Estimate:
-    identifier = Identifier(case.model, settings)
-    identifier.add(case.samples)
-    return identifier.solve()
-
-
-def solved_there(case: Case, other: Rewritten, settings: EstimatorSettings) -> Estimate:
+def solved_there(case: Case, other: Rewritten, settings: dict[str, Any]) -> Estimate:
     robot = Robot(other.urdf, gravity=np.array([0.0, 0.0, -9.81 * other.length]))
     model = MeasurementModel(robot, [identifiable()[effect] for effect in ALL_EFFECTS])
     unit = other.mass * other.length**2
-    scaled = EstimatorSettings(
-        settings.gamma, {name: unit * s for name, s in (settings.sigma or {}).items()}, settings.objective
-    )
-    identifier = Identifier(model, scaled)
+    sigma = {name: unit * s for name, s in settings.get("sigma", {}).items()}
     moving = Motion(case.samples.position, case.samples.velocity, case.samples.acceleration)
-    identifier.add(samples(moving, unit * case.samples.effort))
-    return identifier.solve()
+    there = replace(case, model=model, samples=samples(moving, unit * case.samples.effort))
+    return solved(there, **{**settings, "sigma": sigma})
 
 
 @pytest.mark.parametrize(
@@ -49,7 +42,7 @@ def solved_there(case: Case, other: Rewritten, settings: EstimatorSettings) -> E
 )
 def test_frames_and_units_do_not_matter(name: str, kind: str, length: float, mass: float) -> None:
     case, other, settings = arm(name, 1, seconds=10), rewritten(shipped(name), 1, length, mass), SETTINGS[kind]
-    here, there = solved(case, settings), solved_there(case, other, settings)
+    here, there = solved(case, **settings), solved_there(case, other, settings)
     assert there.gamma == pytest.approx(here.gamma, rel=SAME)
     for one, two in zip(here.links, there.links, strict=True):
         expected = pseudo_inertia.from_parameters(other.parameters(one.name, one.parameters))
@@ -67,9 +60,9 @@ def test_frames_and_units_do_not_matter(name: str, kind: str, length: float, mas
 
 
 def test_the_chunks_in_which_samples_come_do_not_matter() -> None:
-    case, settings = arm("arm3", 2), EstimatorSettings()
-    whole = solved(case, settings)
-    identifier = Identifier(case.model, settings)
+    case = arm("arm3", 2)
+    whole = solved(case)
+    identifier = Identifier(case.model)
     for start in range(0, len(case.samples), 77):
         identifier.add(case.samples.select(slice(start, start + 77)))
         identifier.snapshot()

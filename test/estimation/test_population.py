@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.fleet_outliers import population_and_members
 from geomid_ros.estimation.population import Population, PopulationFit, RobotLikelihood, common
 from geomid_ros.types import FloatArray
 
-from .arms import parameters
-from .fleets import Type, solved, typical, with_tool
+from .arms import parameters, solved
+from .fleets import Type, typical, with_tool
 
 ROBOTS = 20
 ANOTHER = 31  # seed of a robot that is none of these
@@ -79,8 +79,8 @@ def test_a_new_robot_with_one_second_of_data_is_predicted_far_better_than_from_i
         kind = of_type()
         case = kind.recorded(kind.robot(seed), seed, 1.0)
         fresh = case.fresh(seed)
-        settings = (EstimatorSettings(), EstimatorSettings(population=population()))
-        errors.append([np.mean(fresh.error(solved(case, each).parameters) ** 2) for each in settings])
+        known = (None, population())
+        errors.append([np.mean(fresh.error(solved(case, population=each).parameters) ** 2) for each in known])
     by_urdf, by_population = np.sqrt(np.mean(errors, axis=0))
     assert by_population < MOST_OF_URDF * by_urdf
     ratios = np.sqrt([after / before for before, after in errors])
@@ -92,8 +92,7 @@ def test_a_population_does_not_count_as_data() -> None:
     kind = of_type()
     case = kind.recorded(kind.robot(51), 51, 1.0)
     alone, beside = (
-        np.array([link.from_data for link in solved(case, settings).links])
-        for settings in (EstimatorSettings(), EstimatorSettings(population=population()))
+        np.array([link.from_data for link in solved(case, population=known).links]) for known in (None, population())
     )
     assert np.all(beside < alone + 0.1)
 
@@ -101,7 +100,7 @@ def test_a_population_does_not_count_as_data() -> None:
 def test_much_data_win_over_the_population() -> None:
     kind = of_type()
     case = kind.recorded(kind.robot(50), 50, 30.0)
-    alone, beside = solved(case), solved(case, EstimatorSettings(population=population()))
+    alone, beside = solved(case), solved(case, population=population())
     fresh = case.fresh(51)
     assert np.max(fresh.error(beside.parameters)) < 0.02
     np.testing.assert_allclose(fresh.error(beside.parameters), fresh.error(alone.parameters), atol=0.01)
@@ -133,7 +132,7 @@ def test_a_tool_left_on_is_told_and_moves_nothing() -> None:
     assert members == [True] * (ROBOTS - 1) + [False]
     assert unlike[0] == kind.case.model.body_names[-1]
     assert moved(found, of_the_others()) < MOST_MOVED
-    told = solved(case, EstimatorSettings(population=found)).warnings
+    told = solved(case, population=found).warnings
     assert any(f"link '{unlike[0]}' differs" in sentence for sentence in told)
 
 
@@ -163,14 +162,6 @@ def test_two_robots_are_no_population() -> None:
 
 def test_a_population_of_other_robots_is_refused() -> None:
     case = typical("arm7", 1).recorded(typical("arm7", 1).robot(1), 1, 2.0)
-    other = population().part(population().links[:1], population().effects)
-    renamed = Population(
-        links=("elsewhere",),
-        effects=other.effects,
-        parameters=other.parameters,
-        covariance=other.covariance,
-        scales=other.scales,
-        robots=5,
-    )
+    renamed = replace(population().part(population().links[:1], population().effects), links=("elsewhere",))
     with pytest.raises(InputError, match=r"of another type of robot: its links are elsewhere, those of this robot"):
-        solved(case, EstimatorSettings(population=renamed))
+        solved(case, population=renamed)

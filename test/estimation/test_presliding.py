@@ -7,8 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geomid_ros.estimation.estimator import EstimatorSettings
-from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.model.effects import JointMotion
 from geomid_ros.model.effects.coulomb_friction import SMOOTHINGS, CoulombFriction
 from geomid_ros.model.effects.presliding import DISTANCES, Presliding
@@ -17,7 +15,7 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.types import FloatArray
 
-from .arms import arm
+from .arms import arm, solved
 
 JOINT = 1
 DRY = CoulombFriction(SMOOTHINGS[0])
@@ -51,9 +49,7 @@ def test_it_is_found_with_the_level_of_dry_friction() -> None:
     efforts[:, JOINT] += level * dahl(case.samples.position[:, JOINT], distance)
     model = MeasurementModel(case.model.robot, case.model.places.common, candidates=Configuration().candidates)
     planted = replace(case.with_efforts(efforts), model=model)
-    identifier = Identifier(model, EstimatorSettings())
-    identifier.add(planted.samples)
-    found = [effect for effect in identifier.solve().effects if effect.name == "presliding"]
+    found = [effect for effect in solved(planted).effects if effect.name == "presliding"]
     assert [(effect.joint, effect.parameters["distance"].value) for effect in found] == [("joint2", distance)]
     assert found[0].value == pytest.approx(level, rel=0.05)
 

@@ -24,6 +24,7 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import REGIMES
 from geomid_ros.types import BoolArray, FloatArray
 
+from . import arms
 from .arms import Case, arm
 
 # The start is damped as if by a motion of 0.01 rad/s, which shifts well-excited coefficients by little.
@@ -32,11 +33,8 @@ DAMPING = 1e-2
 
 def summary(case: Case, still: BoolArray | None = None) -> RowSummary:
     rows = case.model.rows(case.samples)
-    result = RowSummary(case.model.channels)
-    regimes = np.zeros(rows.targets.shape, dtype=int) if still is None else (REGIMES - 1) * still
-    for coefficients, targets, regime in zip(rows.coefficients, rows.targets, regimes, strict=True):
-        result.add(coefficients, targets, regimes=regime)
-    return result
+    regimes = None if still is None else (REGIMES - 1) * still
+    return arms.summary(case.model, rows.coefficients, rows.targets, regimes)
 
 
 def started(case: Case) -> FloatArray:

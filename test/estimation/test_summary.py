@@ -145,8 +145,8 @@ def test_forgetting_is_exponential_weighting_by_age(count: int) -> None:
 def test_long_after_the_past_weighs_nothing_and_nothing_breaks() -> None:
     coefficients, targets = rows(0, 50)
     found = summary(coefficients, 1e3 + targets, block=5, forgetting_time=1.5)
-    for _ in range(3000):
-        found.add(coefficients[0], np.zeros(4), 1.0)
+    for _ in range(750):
+        found.add(coefficients[0], np.zeros(4), 4.0)
     x = np.zeros(DIMENSION)
     np.testing.assert_allclose(content(found, x)[:3], 0.0, atol=1e-200)
     np.testing.assert_allclose(found.rms(x)[:3], 0.0, atol=1e-100)
@@ -177,7 +177,7 @@ def test_memory_is_bounded() -> None:
     coefficients, targets = rows(3, 400)
     found = RowSummary(CHANNELS, folds=2)
     most = 0
-    for _ in range(10):
+    for _ in range(3):
         for row, target in zip(coefficients, targets, strict=True):
             found.add(row, target)
             most = max(most, sum(len(channel) for fold in found._waiting for channel in fold))

@@ -29,7 +29,7 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.signals.kernels import derivative_kernels
 from geomid_ros.types import FloatArray
 
-from .arms import Case, arm, truth
+from .arms import Case, arm, summary, truth
 from .arms import parameters as parameters_of
 from .problems import ALL, LINKS
 
@@ -117,10 +117,10 @@ def test_white_noise_through_the_low_pass_counts_as_its_bandwidth(cutoff: float,
     """The variance of a mean of filtered noise, by that of as many independent numbers of the same variance."""
     kernel = derivative_kernels(cutoff, period)[0]
     model = arm("arm3", 2).model
-    summary = RowSummary(model.channels)
-    summary.add(np.zeros((3, model.dimension)), np.full(3, np.nan), elapsed=period)
-    assert least_inflation(summary, cutoff) == pytest.approx(np.sum(kernel) ** 2 / np.sum(kernel**2), rel=0.01)
-    assert least_inflation(summary, np.inf) == 1.0
+    rows = RowSummary(model.channels)
+    rows.add(np.zeros((3, model.dimension)), np.full(3, np.nan), elapsed=period)
+    assert least_inflation(rows, cutoff) == pytest.approx(np.sum(kernel) ** 2 / np.sum(kernel**2), rel=0.01)
+    assert least_inflation(rows, np.inf) == 1.0
 
 
 def test_rows_written_down_several_times_do_not_shrink_the_interval() -> None:
@@ -220,10 +220,7 @@ def test_sensitivities_are_the_derivatives_of_mass_centre_and_central_inertia(ma
 
 
 def solved(case: Case, coefficients: FloatArray, targets: FloatArray, gamma: float | None = None) -> Estimate:
-    summary = RowSummary(case.model.channels)
-    for row, target in zip(coefficients, targets, strict=True):
-        summary.add(row, target)
-    return estimate(case.model, summary, EstimatorSettings(gamma=gamma))
+    return estimate(case.model, summary(case.model, coefficients, targets), EstimatorSettings(gamma=gamma))
 
 
 # --- how often it is right ------------------------------------------------------------------------------------------

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.estimator import EstimatorSettings
-from geomid_ros.estimation.identifier import BufferSettings, Identifier
 from geomid_ros.model.weighed_masses import WeighedMass
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 
+from . import arms
 from .arms import Case, Motion, arm, efforts, shipped
 
 STD = 0.02  # of the scales [kg]
@@ -34,10 +33,8 @@ def total(case: Case, found: Estimate) -> float:
     return standing(case) + sum(fixed) + sum(link.mass for link in found.links)
 
 
-def solved(case: Case, *known: WeighedMass, buffer: BufferSettings | None = None, **settings: object) -> Estimate:
-    identifier = Identifier(case.model, EstimatorSettings(**settings, known=known), buffer)
-    identifier.add(case.samples)
-    return identifier.solve()
+def solved(case: Case, *known: WeighedMass, **settings: object) -> Estimate:
+    return arms.solved(case, known=known, **settings)
 
 
 def weighed(mass: float, std: float = STD, link: str = "total") -> WeighedMass:
