@@ -174,7 +174,7 @@ def test_a_joint_comes_with_the_same_others() -> None:
 def test_efforts_that_are_held_are_the_driver_s_fault_and_told_once() -> None:
     notes: list[str] = []
     own = reader(notes)
-    for index in range(2000):
+    for index in range(1300):
         then = index // 20
         read(own, replace(message(index), effort=(np.sin(0.3 * then), np.cos(0.3 * then))))
     (note,) = notes

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 import pinocchio as pin
@@ -18,17 +19,16 @@ from geomid_ros.types import FloatArray, IntArray
 from .feeding import feed, in_time, regular, seconds
 from .sent import JointMessage, PoseMessage
 
-STAMPS = regular(0.01, 4.0)
+STAMPS = regular(0.01, 3.0)
 Trajectory = Callable[[float], pin.SE3]
 
 
-def flown(trajectory: Trajectory, stamps: IntArray = STAMPS, *, flips: bool = False) -> Samples:
-    """Samples of a base on this trajectory (one joint stands by); quaternions change sign at random if asked."""
-    signs = np.random.default_rng(0).choice([-1.0, 1.0], len(stamps)) if flips else np.ones(len(stamps))
+def flown(trajectory: Trajectory, stamps: IntArray = STAMPS, factors: FloatArray | float = 1.0) -> Samples:
+    """Samples of a base on this trajectory (one joint stands by), with quaternions times ``factors (N,)``."""
     poses = []
-    for stamp, sign in zip(stamps, signs, strict=True):
+    for stamp, factor in zip(stamps, np.broadcast_to(factors, len(stamps)), strict=True):
         pose = pin.SE3ToXYZQUAT(trajectory(float(seconds(stamp))))
-        pose[3:] *= sign
+        pose[3:] *= factor
         poses.append(PoseMessage(int(stamp), pose))
     joints = [JointMessage(int(stamp), ("joint",), [0.0], [], [0.0]) for stamp in STAMPS]
     pipeline = SignalPipeline(["joint"], floating_base=True, settings=SignalSettings(period=0.01))
@@ -41,9 +41,14 @@ def wandering(time: float) -> pin.SE3:
     return pin.SE3(pin.exp3(0.5 * np.sin(phase)) @ pin.exp3(np.array([0.0, 0.0, 0.8 * time])), 0.3 * np.cos(phase))
 
 
+@cache
+def wandered() -> Samples:
+    return flown(wandering)
+
+
 def test_a_flight_is_differentiated() -> None:
     """Against central differences of the trajectory itself, by pinocchio's logarithm; body axes, (linear, angular)."""
-    samples = flown(wandering, flips=True)
+    samples = flown(wandering, factors=np.random.default_rng(0).choice([-1.0, 1.0], len(STAMPS)))
     step = 1e-4
 
     def twist(time: float) -> FloatArray:
@@ -65,7 +70,7 @@ def test_the_filtered_pose_is_the_mean_on_the_group() -> None:
     """Seen from it, the kernel-weighted logarithms of its neighbours cancel; their derivatives are the motion."""
     kernels = derivative_kernels(5.0, 0.01)
     half = kernels.shape[1] // 2
-    samples = flown(wandering)
+    samples = wandered()
     for index in (0, 20, 55):
         pose = pin.XYZQUATToSE3(samples.base_pose[index])
         times = seconds(samples.stamps[index]) + 0.01 * np.arange(-half, half + 1)
@@ -79,7 +84,7 @@ def test_the_filtered_pose_is_the_mean_on_the_group() -> None:
 def test_the_world_frame_does_not_matter() -> None:
     """Moved to another world, all poses move with it, and body twists stay."""
     move = pin.SE3(pin.exp3(np.array([2.0, -1.0, 1.5])), np.array([-3.0, 10.0, 4.0]))
-    here, there = flown(wandering), flown(lambda time: move * wandering(time))
+    here, there = wandered(), flown(lambda time: move * wandering(time))
     np.testing.assert_allclose(there.base_velocity, here.base_velocity, rtol=0, atol=1e-9)
     np.testing.assert_allclose(there.base_acceleration, here.base_acceleration, rtol=0, atol=1e-8)
     for ours, theirs in zip(here.base_pose, there.base_pose, strict=True):
@@ -89,18 +94,9 @@ def test_the_world_frame_does_not_matter() -> None:
 
 def test_quaternions_may_be_rounded() -> None:
     """Lengths off by up to half a percent (single precision, careless drivers) are made good."""
-    lengths = iter(np.random.default_rng(2).uniform(0.995, 1.005, len(STAMPS)))
-    plain = flown(wandering)
-    joints = [JointMessage(int(stamp), ("joint",), [0.0], [], [0.0]) for stamp in STAMPS]
-    poses = []
-    for stamp in STAMPS:
-        pose = pin.SE3ToXYZQUAT(wandering(float(seconds(stamp))))
-        pose[3:] *= next(lengths)
-        poses.append(PoseMessage(int(stamp), pose))
-    pipeline = SignalPipeline(["joint"], floating_base=True, settings=SignalSettings(period=0.01))
-    rounded = feed(pipeline, in_time(joints, poses))
+    rounded = flown(wandering, factors=np.random.default_rng(2).uniform(0.995, 1.005, len(STAMPS)))
     for kind in ("base_pose", "base_velocity", "base_acceleration"):
-        np.testing.assert_allclose(getattr(rounded, kind), getattr(plain, kind), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(getattr(rounded, kind), getattr(wandered(), kind), rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 0.0999, 0.1001, 1.0, 3.0, 3.1415])
