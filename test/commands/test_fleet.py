@@ -92,6 +92,13 @@ def test_a_robot_of_one_bag_is_as_identify_finds_it(first: tuple[Path, str], bag
     assert without_time(found) == without_time(expected)
 
 
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who does not answer on this machine will not."""
+    monkeypatch.setattr(clusters, "_CONNECT", 1.0)
+
+
+@pytest.mark.usefixtures("impatient")
 def test_what_is_done_is_not_done_again_and_what_is_new_needs_workers(first: tuple[Path, str], bags: Path) -> None:
     """Nobody listens at the scheduler's address: all that there is to do must have been done."""
     out, _ = first
@@ -108,6 +115,7 @@ def test_what_is_done_is_not_done_again_and_what_is_new_needs_workers(first: tup
     done("fleet", bags, "--urdf", URDF, "--scheduler", NOBODY, "--out", out)
 
 
+@pytest.mark.usefixtures("impatient")
 def test_another_configuration_is_done_anew(first: tuple[Path, str], bags: Path) -> None:
     arguments = ("fleet", bags, "--urdf", URDF, "--cutoff", "4", "--scheduler", NOBODY, "--out", first[0])
     assert "no Dask scheduler answers" in refused(*arguments)
@@ -197,8 +205,8 @@ def test_workers_of_another_version_are_refused(scheduler: str, monkeypatch: pyt
         Cluster(scheduler)
 
 
-def test_a_scheduler_without_workers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(clusters, "_CONNECT", 1.0)
+@pytest.mark.usefixtures("impatient")
+def test_a_scheduler_without_workers_is_told() -> None:
     with (
         distributed.LocalCluster(
             n_workers=0, processes=False, protocol="tcp", dashboard_address="127.0.0.1:0", silence_logs=50

@@ -6,7 +6,7 @@ import json
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,11 @@ from files.recordings import Recorded, recorded, write_bag
 from model.robots import urdf
 from signals.unitree import low_state, write_unitree_bag
 
+import geomid_ros
 from benchmarks.legs import CONTACTS, FEET, IMU, misplaced, true_parameters
-from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
+from geomid_ros.checks.verdict import DOUBTFUL, USABLE
 from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -44,7 +46,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     description.write_text(urdf("go2.urdf"), encoding="utf-8")
     gaits = ("wobble", "lift")
     simulate_walk(
-        folder / "walk", WalkOptions(robot=str(description), feet=FEET, imu=IMU, gaits=gaits, duration=20.0, rate=250.0)
+        folder / "walk", WalkOptions(robot=str(description), feet=FEET, imu=IMU, gaits=gaits, duration=20.0, rate=125.0)
     )
     return folder
 
@@ -55,10 +57,9 @@ def beginning(walk: Path) -> list[Recorded]:
     return [item for item in recorded(walk) if item.time < 1_700_000_006_000_000_000]
 
 
-def spoiled(folder: Path, out: Path, change: Callable[[Recorded], Recorded | None]) -> tuple[str | Path, ...]:
-    """The beginning of the recording with changed messages, as arguments."""
-    messages = filter(None, map(change, beginning(folder / "walk")))
-    return "identify", write_bag(out / "spoiled", messages), "--urdf", folder / "go2.urdf"
+def spoiled(folder: Path, out: Path, change: Callable[[Recorded], Recorded | None]) -> Path:
+    """The beginning of the recording with changed messages."""
+    return write_bag(out / "spoiled", filter(None, map(change, beginning(folder / "walk"))))
 
 
 def test_masses_are_found(folder: Path, tmp_path: Path) -> None:
@@ -84,26 +85,20 @@ def test_masses_are_found(folder: Path, tmp_path: Path) -> None:
         assert moments[0] + moments[1] > moments[2]
 
 
-def test_a_foot_that_no_contact_names_is_found(folder: Path, tmp_path: Path) -> None:
+def identified(bag: Path, urdf: Path, **options: Any) -> geomid_ros.Identification:
+    """What the command would write, which takes as long as to find it."""
+    usual: dict[str, Any] = {"imu": f"/imu:{IMU}", "contacts": CONTACTS, "cutoff": 15.0, "candidates": []}
+    return geomid_ros.identify(bag, urdf, **{**usual, **options})
+
+
+def test_a_foot_that_no_contact_names_is_found(folder: Path) -> None:
     """By what its leg bears; and legs that are not lifted in what is fitted are told."""
-    arguments = [
-        "identify",
-        folder / "walk",
-        "--urdf",
-        folder / "go2.urdf",
-        *LEGS,
-        "--alike",
-        "none",
-        "--out",
-        tmp_path,
-    ]
-    arguments[arguments.index("--contacts") + 1] = ",".join(CONTACTS[:3])
-    assert geomid(*arguments).exit_code == STATUS[DOUBTFUL]
-    document = read(tmp_path)
-    (sentence,) = (reason for reason in document["verdict"]["reasons"] if "no contact names" in reason)
+    found = identified(folder / "walk", folder / "go2.urdf", contacts=CONTACTS[:3], alike="none")
+    assert found.verdict.word == DOUBTFUL
+    (sentence,) = (reason for reason in found.verdict.reasons if "no contact names" in reason)
     share = float(re.findall(r"(\d+) % at 'RR_foot'", sentence)[0])
     assert 10.0 < share < 50.0
-    (standing,) = (each for each in document["warnings"] if "never left the ground" in each)
+    (standing,) = (each for each in found.warnings if "never left the ground" in each)
     assert standing.startswith("RL_foot never")
 
 
@@ -111,22 +106,19 @@ def test_an_imu_that_is_turned_is_told(folder: Path, tmp_path: Path) -> None:
     """By the angle, and the total mass is as right as without. The simulated legs are not alike, and two of them stand
     in all that is fitted: what the others tell of them is wrong."""
     (tmp_path / "turned.urdf").write_text(misplaced(urdf("go2.urdf"), np.deg2rad(4.0), 0.0), encoding="utf-8")
-    result = geomid(
-        "identify", folder / "walk", "--urdf", tmp_path / "turned.urdf", *LEGS, "--alike", "none", "--out", tmp_path
-    )
-    document = read(tmp_path)
-    (sentence,) = (each for each in document["warnings"] if "IMU" in each)
+    found = identified(folder / "walk", tmp_path / "turned.urdf", alike="none")
+    (sentence,) = (each for each in found.warnings if "IMU" in each)
     angle = float(sentence.partition("turned by ")[2].partition(" degrees")[0])
-    assert result.exit_code == STATUS[USABLE], result.output
+    assert found.verdict.word == USABLE, found.verdict
     assert angle == pytest.approx(4.0, abs=1.0)
 
 
 def test_an_imu_elsewhere_is_told(folder: Path, tmp_path: Path) -> None:
     """By how far and where: it is doubted, as the centre of mass is off."""
     (tmp_path / "moved.urdf").write_text(misplaced(urdf("go2.urdf"), 0.0, 0.1), encoding="utf-8")
-    result = geomid("identify", folder / "walk", "--urdf", tmp_path / "moved.urdf", *LEGS, "--out", tmp_path)
-    assert result.exit_code == STATUS[DOUBTFUL], result.output
-    (sentence,) = (each for each in read(tmp_path)["verdict"]["reasons"] if "IMU" in each)
+    found = identified(folder / "walk", tmp_path / "moved.urdf")
+    assert found.verdict.word == DOUBTFUL
+    (sentence,) = (each for each in found.verdict.reasons if "IMU" in each)
     place = [float(number) for number in re.findall(r"[+-]\d+", sentence)]
     np.testing.assert_allclose(place, [-100.0, 0.0, 0.0], atol=15.0)
 
@@ -134,7 +126,7 @@ def test_an_imu_elsewhere_is_told(folder: Path, tmp_path: Path) -> None:
 def test_a_load_on_the_trunk_is_named(folder: Path, tmp_path: Path) -> None:
     """Beside a model of the same robot without it, from another motion: nothing else is sure."""
     empty = WalkOptions(robot=str(folder / "go2.urdf"), feet=FEET, imu=IMU, gaits=("wobble", "lift"), duration=20.0)
-    simulate_walk(tmp_path / "empty", replace(empty, rate=250.0, motion_seed=5, payload=0.0))
+    simulate_walk(tmp_path / "empty", replace(empty, rate=125.0, motion_seed=5, payload=0.0))
     geomid("identify", tmp_path / "empty", "--urdf", folder / "go2.urdf", *LEGS, "--out", tmp_path / "model")
     arguments = [folder / "walk", "--urdf", folder / "go2.urdf", *LEGS[:-2], "--out", tmp_path / "gap"]
     geomid("gap", *arguments, "--model", tmp_path / "model" / "estimate.json")
@@ -221,7 +213,8 @@ def hanging(item: Recorded) -> Recorded:
 def test_recordings_that_cannot_be_used_are_refused(
     folder: Path, tmp_path: Path, change: Callable[[Recorded], Recorded | None], message: str
 ) -> None:
-    said = refused(*spoiled(folder, tmp_path, change), *LEGS, "--out", tmp_path / "out")
+    bag = spoiled(folder, tmp_path, change)
+    said = refused("identify", bag, "--urdf", folder / "go2.urdf", *LEGS, "--out", tmp_path / "out")
     assert message in " ".join(said.split())
     assert not (tmp_path / "out").exists()
 
@@ -244,20 +237,27 @@ def test_options_that_cannot_be_are_refused(folder: Path, tmp_path: Path, option
     assert message in " ".join(said.split())
 
 
+@pytest.fixture
+def in_a_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the recording itself shows needs no minimum."""
+    monkeypatch.setattr("geomid_ros.session.configuration.EstimatorSettings", partial(EstimatorSettings, max_steps=1))
+
+
+@pytest.mark.usefixtures("in_a_step")
 @pytest.mark.parametrize(("factor", "share"), [(-1.0, "-1"), (10.0, "1")])
 def test_efforts_that_do_not_carry_the_robot_are_doubted(
     folder: Path, tmp_path: Path, factor: float, share: str
 ) -> None:
     """Of another unit, or with another sign."""
-    arguments = spoiled(folder, tmp_path, scaled("effort", factor))
-    result = geomid(*arguments, *LEGS, "--alike", "none", "--hold-out", "0", "--json", "--out", tmp_path / "out")
-    reasons = json.loads(result.stdout)["verdict"]["reasons"]
-    assert f"the feet carry {share}" in reasons[0]
+    bag = spoiled(folder, tmp_path, scaled("effort", factor))
+    found = identified(bag, folder / "go2.urdf", alike="none", hold_out=0.0)
+    assert found.verdict.word == DOUBTFUL
+    assert f"the feet carry {share}" in found.verdict.reasons[0]
 
 
+@pytest.mark.usefixtures("in_a_step")
 def test_a_base_that_is_said_to_be_fixed_is_doubted(folder: Path, tmp_path: Path) -> None:
     """The bag has an IMU: the first reason says how to name it."""
-    arguments = ("--no-report", *NO_CHOICE, "--json", "--out", tmp_path)
-    result = geomid(*spoiled(folder, tmp_path, lambda item: item), *arguments)
-    reasons = json.loads(result.stdout)["verdict"]["reasons"]
-    assert "say so with --imu /imu:FRAME and --contacts FOOT:RADIUS" in reasons[0]
+    bag = spoiled(folder, tmp_path, lambda item: item)
+    found = geomid_ros.identify(bag, folder / "go2.urdf", candidates=[])
+    assert "say so with --imu /imu:FRAME and --contacts FOOT:RADIUS" in found.verdict.reasons[0]

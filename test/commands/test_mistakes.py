@@ -18,7 +18,7 @@ import pytest
 from files.recordings import BAGS, TYPES, Recorded, altered, recorded, write_bag
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from .running import geomid, refused
+from .running import NO_CHOICE, geomid, refused
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
@@ -257,7 +257,7 @@ SAID: dict[str, tuple[Callable[[Path], Arguments], int, str]] = {
 @pytest.mark.parametrize("case", SAID)
 def test_it_is_said_before_the_result(case: str, tmp_path: Path) -> None:
     make, status, words = SAID[case]
-    result = geomid(*make(tmp_path), "--out", tmp_path / "out")
+    result = geomid(*make(tmp_path), *NO_CHOICE, "--no-report", "--out", tmp_path / "out")
     assert result.exit_code == status, result.output
     remarks = " ".join(result.stdout.partition("joint_states: ")[0].split())
     assert re.search(words, remarks), remarks
@@ -271,7 +271,7 @@ def test_a_bag_of_humble_is_read(tmp_path: Path) -> None:
             if item.topic not in connections:
                 connections[item.topic] = writer.add_connection(item.topic, item.kind, typestore=TYPES)
             writer.write(connections[item.topic], item.time, bytes(TYPES.serialize_cdr(item.message, item.kind)))
-    result = geomid("identify", tmp_path / "humble", *ROBOT, "--json", "--out", tmp_path / "out")
+    result = geomid("identify", tmp_path / "humble", *ROBOT, *NO_CHOICE, "--json", "--out", tmp_path / "out")
     assert (result.exit_code, result.stderr) == (0, "")
     assert json.loads(result.stdout)["converged"] is True
 

@@ -13,7 +13,7 @@ from xml.sax.saxutils import quoteattr
 import pytest
 from files.recordings import BAGS, Recorded, altered
 
-from .running import WRIST, done, read, refused, undrawn
+from .running import NO_CHOICE, WRIST, done, read, refused, undrawn
 
 HTML = "<script>alert(1)</script>"
 # Tags, a link, a colour; an emoji, mathematics, HTML.
@@ -64,11 +64,12 @@ def test_markup_is_shown_as_it_is(marked: tuple[Path, str], tmp_path: Path) -> N
 
 def test_what_cannot_be_printed_is_shown_as_codes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     urdf, bag = renamed(UNPRINTABLE, tmp_path)
-    shown = done("identify", bag, "--urdf", urdf, "--out", tmp_path / "out")
+    arguments = ("identify", bag, "--urdf", urdf, *NO_CHOICE, "--out", tmp_path / "out")
+    shown = done(*arguments)
     assert all(character.isprintable() or character == "\n" for character in shown)
     assert not re.search("^ *Total 0 kg", shown, re.MULTILINE)
     undrawn(monkeypatch)  # the same has been drawn
-    assert json.loads(done("identify", bag, "--urdf", urdf, "--out", tmp_path / "out", "--json"))["links"]
+    assert json.loads(done(*arguments, "--json"))["links"]
     for name in UNPRINTABLE:
         message = refused("identify", BAGS / "arm3", "--urdf", described([name], tmp_path), "--out", tmp_path)
         assert all(character.isprintable() or character == "\n" for character in message)
@@ -89,7 +90,7 @@ def test_a_name_costs_no_more_than_its_length(tmp_path: Path) -> None:
         folder.mkdir()
         urdf, bag = renamed(["n" * length], folder)
         begin = time.process_time()
-        done("identify", bag, "--urdf", urdf, "--out", folder / "out")
+        done("identify", bag, "--urdf", urdf, *NO_CHOICE, "--out", folder / "out")
         refused("identify", bag, "--urdf", urdf, "--links", "n" * (length - 1) + "m", "--out", folder)
         seconds.append(time.process_time() - begin)
     assert seconds[1] < 3.0 * seconds[0] + 1.0

@@ -107,7 +107,7 @@ def test_options_win_over_the_parameter_file(tmp_path: Path) -> None:
         " joint: {joint2: {effort_gain: 0.9}}}}"
     )
     (tmp_path / "wrong.yaml").write_text("/**: {ros__parameters: {filter: {cutoff: 7.0}, gravity: [0.0, 9.81, 0.0]}}")
-    arguments = ("identify", BAG, "--urdf", URDF, *NO_CHOICE, "--out")
+    arguments = ("identify", BAG, "--urdf", URDF, *NO_CHOICE, "--no-report", "--out")
     options = ("--cutoff", "4", "--gravity", "0", "0", "-9.7", "--gain", "1.1", "--gain", "joint2=0.9")
     geomid(*arguments, tmp_path / "file", "--config", tmp_path / "robot.yaml")
     geomid(*arguments, tmp_path / "options", *options, "--config", tmp_path / "wrong.yaml")

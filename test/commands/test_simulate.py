@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from files.recordings import recorded
 
-from .running import WRIST, done, refused
+from .running import NO_CHOICE, WRIST, done, refused
 
 QUICK = ("--robot", "arm3", "--duration", "3", "--rate", "50", "--seed", "4")
 ROBOT = Path(__file__).parents[2] / "geomid_ros/simulation/robots/arm3.urdf"
@@ -36,7 +36,7 @@ def test_it_records_what_was_asked_for(out: Path, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("without_pictures")
 def test_what_it_records_can_be_identified(out: Path, tmp_path: Path) -> None:
     done("simulate", out, *QUICK, "--wrench")
-    options = ("--urdf", ROBOT, *WRIST, "--json", "--hold-out", "0", "--out", tmp_path / "results")
+    options = ("--urdf", ROBOT, *WRIST, *NO_CHOICE, "--json", "--hold-out", "0", "--out", tmp_path / "results")
     found = {link["name"]: link["mass"] for link in json.loads(done("identify", out, *options))["links"]}
     truth = {link["name"]: link["mass"] for link in json.loads((tmp_path / "bag.truth.json").read_text())["links"]}
     assert found["wrist_ft"] == pytest.approx(truth["tool"], rel=0.05)
