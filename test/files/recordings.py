@@ -6,6 +6,7 @@ import struct
 from binascii import crc32
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +49,15 @@ class Recorded:
 
 def recorded(bag: Path) -> list[Recorded]:
     """All messages of a bag in the order of recording."""
+    return [*_shipped(bag)] if bag.parent == BAGS else _read(bag)
+
+
+@cache
+def _shipped(bag: Path) -> list[Recorded]:
+    return _read(bag)
+
+
+def _read(bag: Path) -> list[Recorded]:
     with Reader(bag) as reader:
         return [
             Recorded(c.topic, c.msgtype, time, TYPES.deserialize_cdr(raw, c.msgtype))

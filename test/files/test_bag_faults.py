@@ -17,7 +17,7 @@ from pathlib import Path
 import lz4.frame
 import pytest
 import yaml
-from commands.running import done, refused, undrawn
+from commands.running import NO_CHOICE, done, refused, undrawn
 from commands.running import read as document_of
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
@@ -214,8 +214,8 @@ class TestTruncated:
         cut, short, outs = tmp_path / "cut.mcap", tmp_path / "short.mcap", [tmp_path / "a", tmp_path / "b"]
         cut.write_bytes(data[: chunk_ends(data)[49] + 50])
         short.write_bytes(file_of(Form(), 500))
-        shown = " ".join(done("identify", cut, "--urdf", URDF, "--out", outs[0]).split())
-        done("identify", short, "--urdf", URDF, "--out", outs[1])
+        shown = " ".join(done("identify", cut, "--urdf", URDF, *NO_CHOICE, "--out", outs[0]).split())
+        done("identify", short, "--urdf", URDF, *NO_CHOICE, "--out", outs[1])
         assert re.search(r"Warning: \S*cut.mcap: truncated at byte \d+", shown)
         assert "its 500 intact messages are read" in shown
         (torn, told), (whole, none) = ((document_of(out), document_of(out)["warnings"]) for out in outs)
@@ -471,7 +471,7 @@ class TestAsFound:
     def test_it_is_said_that_nothing_is_checked(self, checksums: bool, tmp_path: Path) -> None:
         path = tmp_path / "a.mcap"
         path.write_bytes(file_of(Form(checksums=checksums), 1200))
-        shown = " ".join(done("identify", path, "--urdf", URDF, "--out", tmp_path / "out").split())
+        shown = " ".join(done("identify", path, "--urdf", URDF, *NO_CHOICE, "--out", tmp_path / "out").split())
         assert ("Note: a.mcap: no CRCs; corruption cannot be detected" in shown) != checksums
         assert document_of(tmp_path / "out")["warnings"] == []
 
@@ -494,8 +494,9 @@ class TestAsFound:
         write_bag(tmp_path / "runs" / "b", MESSAGES[1200:2400])
         write_bag(tmp_path / "runs" / "a", MESSAGES[:1200])
         (tmp_path / "runs" / "notes").mkdir()
-        done("identify", tmp_path / "runs", "--urdf", URDF, "--out", tmp_path / "one")
-        done("identify", *(tmp_path / "runs" / name for name in "ab"), "--urdf", URDF, "--out", tmp_path / "two")
+        options = ("--urdf", URDF, *NO_CHOICE, "--no-report", "--out")
+        done("identify", tmp_path / "runs", *options, tmp_path / "one")
+        done("identify", *(tmp_path / "runs" / name for name in "ab"), *options, tmp_path / "two")
         one, two = (document_of(tmp_path / name) for name in ("one", "two"))
         assert one["links"] == two["links"]
         assert one["rows"] == two["rows"]

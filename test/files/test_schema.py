@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geomid_ros.errors import InputError
@@ -51,6 +51,7 @@ OUTER = st.builds(
 )
 
 
+@settings(max_examples=50)
 @given(OUTER)
 def test_what_is_written_is_read(value: Outer) -> None:
     read = structured(Outer, json.loads(json.dumps(plain(value), allow_nan=False)), "file:")
