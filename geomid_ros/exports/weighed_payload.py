@@ -13,8 +13,8 @@ from geomid_ros.estimation.uncertain_inertia import QUANTITIES, SURE, UncertainI
 from geomid_ros.exports.formats import CONTROLLERS
 from geomid_ros.exports.payload import Export, Summand, total
 from geomid_ros.files.models.estimate_file import verdict_entry
+from geomid_ros.inference.prior import GAIN
 from geomid_ros.model.samples import Samples
-from geomid_ros.session.configuration import GAIN
 from geomid_ros.session.payload import WeighedPayload, weigh
 from geomid_ros.session.session import Session
 

@@ -22,6 +22,8 @@ from geomid_ros.inference.hypothesis import Term
 from geomid_ros.model.alike_parts import OWN_SPREAD, AlikeParts
 from geomid_ros.types import FloatArray, IntArray
 
+GAIN = 0.03
+"""Standard deviation of the efforts' common gain, relative, unless it is known: of torques from motor currents."""
 SPREAD_OF_PAYLOADS = 3.0
 """Of a payload about the usual one, a geodesic distance: next to nothing is known."""
 _PAYLOAD_MASS = 0.2  # of the mean link's mass

@@ -17,6 +17,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import BufferSettings
 from geomid_ros.files.parameter_file import read_parameter_file
+from geomid_ros.inference.prior import GAIN
 from geomid_ros.model.channels import AXES, WrenchSensor
 from geomid_ros.model.contacts import Contact
 from geomid_ros.model.controller import Gains
@@ -66,8 +67,6 @@ _of_start = partial(_beside_rows, change=AT_START)
 _of_solve = partial(_beside_rows, change=AT_ANY_TIME)
 _KINDS = {bool: "true or false", float: "a number", str: "a text"}
 
-GAIN = 0.03
-"""Standard deviation of the efforts' common gain, relative, unless it is known: of torques from motor currents."""
 PARAMETERS = (
     _of_start("robot_description", "", "URDF text; empty: taken from the topic robot_description"),
     _of_start("model", "", "estimate.json of an earlier run to start from instead of the URDF's inertias"),

@@ -21,13 +21,13 @@ from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UncertainInertia
 from geomid_ros.geometry.symmetric import SIZE
-from geomid_ros.inference.prior import SPREAD_OF_PAYLOADS, usual_payload
+from geomid_ros.inference.prior import GAIN, SPREAD_OF_PAYLOADS, usual_payload
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.monitoring.payload_watch import PayloadWatch
-from geomid_ros.session.configuration import GAIN, Configuration
+from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray, IntArray
 

@@ -18,7 +18,7 @@ from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.inference import prior as before
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import JointFit, fit, scattered, unfitted
-from geomid_ros.inference.prior import Prior
+from geomid_ros.inference.prior import GAIN, Prior
 from geomid_ros.inference.rao_score import score_test
 from geomid_ros.model.effects import AtSensor
 from geomid_ros.model.effects.wrench_offset import WrenchOffset
@@ -361,7 +361,8 @@ class TestPayloadStart:
 
 
 def test_a_payload_s_parameters_are_as_sure_as_its_body() -> None:
-    """By differences of mass, centre and central inertia with each of the body's ten parameters."""
+    """By differences of mass, centre and central inertia with each of the body's ten parameters; and but for the gain
+    of what is measured, which leaves the centre where it is."""
     design = Recording(2, []).design({}, 1.4 * LINK)
     found = fit(design, replace(PRIOR, spread=1e-3, certainty=1e6), [PAYLOAD])
     quantities = parameters(MODEL, found, PAYLOAD)
@@ -375,6 +376,7 @@ def test_a_payload_s_parameters_are_as_sure_as_its_body() -> None:
     step = 1e-6
     slopes = np.array([(said(body + d) - said(body - d)) / (2.0 * step) for d in step * np.eye(10)]).T
     stds = np.sqrt(np.diag(slopes @ found.covariance[10:20, 10:20] @ slopes.T))
+    stds = np.hypot(stds, GAIN * said(body) * np.array([1.0, *3 * [0.0], *6 * [1.0]]))
     assert list(quantities) == [form.name for form in PAYLOAD.effect.parameters]
     np.testing.assert_allclose([q.value for q in quantities.values()], said(body))
     np.testing.assert_allclose([q.std for q in quantities.values()], stds, rtol=1e-3)

@@ -17,6 +17,7 @@ from geomid_ros.gap import analysis, workflow
 from geomid_ros.gap.judgement import changed_links
 from geomid_ros.gap.result import GapResult, LinkChange
 from geomid_ros.gap.workflow import find_gap
+from geomid_ros.inference.prior import GAIN
 from geomid_ros.model.effects.stribeck_friction import StribeckFriction
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.model.measurement import MeasurementModel
@@ -153,8 +154,9 @@ def test_a_payload_weighs_what_it_weighs_beside_inertias_that_were_identified_to
         for known in (before.information, None)
     ]
     assert abs(found[0].value - PAYLOAD) < 3.0 * found[0].std
-    assert found[0].std < 0.02 * PAYLOAD
-    assert found[0].std < 0.3 * found[1].std
+    beyond_gain = [np.sqrt(mass.std**2 - (GAIN * mass.value) ** 2) for mass in found]
+    assert beyond_gain[0] < 0.02 * PAYLOAD
+    assert beyond_gain[0] < 0.3 * beyond_gain[1]
 
 
 def test_of_a_payload_whose_mass_is_not_told_the_first_moment_is_said() -> None:

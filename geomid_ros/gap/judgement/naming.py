@@ -11,6 +11,7 @@ from geomid_ros.estimation.uncertainty import physical_sensitivity
 from geomid_ros.gap.candidates import Candidate, NamesFit, NamesPrior
 from geomid_ros.gap.result import Confidence
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.inference.prior import GAIN
 from geomid_ros.model.effects import AtSensor, Effect, OnLink, Quantity, Values
 from geomid_ros.model.effects.parameters import quantities
 from geomid_ros.model.measurement import MeasurementModel
@@ -55,12 +56,14 @@ def _of_payload(found: NamesFit, effect: Effect, link: int) -> dict[str, Quantit
 
 
 def _payload(found: NamesFit, link: int) -> tuple[FloatArray, FloatArray]:
-    """Mass, centre of mass and inertia of what a link carries ``(10,)``, and their covariance ``(10, 10)``."""
+    """Mass, centre of mass and inertia of what a link carries ``(10,)``, and their covariance ``(10, 10)``; what weighs
+    it has a gain that is not known better than of other efforts."""
     place = found.manifold.links - len(found.bodies) + found.bodies.index(link)
     rows = found.manifold.link(place)
     values = pseudo_inertia.quantities_of(pseudo_inertia.to_parameters(found.point.pseudo_inertias[place]))
     derivative = physical_sensitivity(found.point)[place]
-    return values, derivative @ found.inverse[rows, rows] @ derivative.T
+    by_gain = GAIN * np.concatenate([values[:1], np.zeros(3), values[4:]])
+    return values, derivative @ found.inverse[rows, rows] @ derivative.T + np.outer(by_gain, by_gain)
 
 
 def first_moment(found: NamesFit, candidate: Candidate) -> dict[str, Quantity]:
