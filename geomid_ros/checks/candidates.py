@@ -210,16 +210,17 @@ def decide(tried: Iterable[Tried], count: int, nominal: Evidence) -> Decision:
 
 def contradicted(doubted: Iterable[Tried], count: int) -> tuple[Finding, ...]:
     """That something is wrong, if a cause that repeats is probable by the joints alone whose efforts count on this
-    robot, though it explains others worse: whatever it is, that the recording is right does not explain these.
+    robot, though it explains others worse, or may be explained by one that does not repeat: whatever it is, that the
+    recording is right does not explain these.
 
     Args:
-        doubted: causes that are not believed, and such as are only hidden by these, which say nothing.
+        doubted: causes that are not believed, and such as are hidden by these.
         count: how many they are chosen from.
     """
     for one in doubted:
         counts = (one.better > 0.0) & one.subject.counts
         told = probabilities([float(np.sum(one.better[counts]))], count)[0] > PROBABLE
-        if told and one.repeats and not one.believed:
+        if told and one.repeats:
             names = [one.subject.names[channel] for channel in np.flatnonzero(counts)]
             return (Finding(cause=Cause.of("unexplained", names, nearest=one.cause.sentence)),)
     return ()
