@@ -38,7 +38,6 @@ from geomid_ros.api.verify import identified
 from geomid_ros.control.correction import Correction, Reading
 from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.excitation.trajectory import Trajectory
-from geomid_ros.session.session import Session
 from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.simulation.description import LinkInertia
 from geomid_ros.simulation.inertias import body_of, pseudo_inertia
@@ -168,23 +167,21 @@ class Robot:
         motion = exciting_motion(times, self.robot.joints, self.options, numbers)
         return Trajectory(self.joints, times, motion.position, motion.velocity, motion.acceleration)
 
-    def _efforts(self, session: Session, parameters: FloatArray) -> MotorEfforts:
-        deviations = session.loaded.deviations(session.model)
-        return MotorEfforts(session.model, parameters, deviations, session.effort_gains, self.joints, "the motion")
-
     def model(self, prior: float = 0.0) -> MotorEfforts:
         """Efforts of the identified model, whose last body has ``prior`` [kg] too much."""
         parameters = identified(self.session).copy()
         parameters[len(self.session.model.nominal_inertias) :] *= 1.0 - self.lacking
         place = 10 * self.session.model.body_names.index(self.body)
         parameters[place : place + 10] += _dynamic(_payload(self.body, prior, self.seed))
-        return self._efforts(self.session, parameters)
+        return MotorEfforts(self.session.model, parameters, self.session.effort_gains, self.joints, "the motion")
 
     @cached_property
     def from_urdf(self) -> FloatArray:
         """Efforts ``(N, joints)`` of the URDF."""
         session = robot_to_move(FillOptions(self.urdf), None)
-        return self._efforts(session, identified(session))(self.commanded)
+        return MotorEfforts(session.model, identified(session), session.effort_gains, self.joints, "the motion")(
+            self.commanded
+        )
 
     def adapting(self, link: Link, prior: float = 0.0) -> Adapting:
         """An adaptation of this robot's last body."""

@@ -83,8 +83,7 @@ def filled(session: Session, given: Trajectory, tolerance: float, source: str) -
     """The same for a session of :func:`robot_to_move` and a trajectory from a ``source``. Raises InputError."""
     if given.duration > LONGEST:
         raise InputError(f"{source}: takes {given.duration:.4g} s, expected at most {LONGEST:g} s")
-    deviations = session.loaded.deviations(session.model)
-    efforts = MotorEfforts(session.model, identified(session), deviations, session.effort_gains, given.joints, source)
+    efforts = MotorEfforts(session.model, identified(session), session.effort_gains, given.joints, source)
     found = with_efforts(given, efforts, tolerance)
     _check_limits(found, efforts.limits, source)
     errors = np.max(interpolation_errors(found, efforts), axis=0)

@@ -14,7 +14,6 @@ from typing import TypeAlias
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.estimation.estimate import TAKEN
 from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.model.dynamics import InverseDynamics
@@ -32,8 +31,7 @@ _INSIDE = (0.25, 0.5, 0.75)  # and there between two points: errors may be antis
 class MotorEfforts:
     """Motor efforts for a motion of ``joints``, in the unit of the robot's messages.
 
-    Offsets of effort sensors are left out: they move nothing. Those that may as well be nothing may as well be weights,
-    and stay. Gains of effort sensors are part of the unit. Dry
+    Offsets of effort sensors are left out: they move nothing. Gains of effort sensors are part of the unit. Dry
     friction follows the commanded velocity and is zero at rest.
     """
 
@@ -41,7 +39,6 @@ class MotorEfforts:
         self,
         model: MeasurementModel,
         parameters: FloatArray,
-        deviations: FloatArray,
         gains: FloatArray,
         joints: Sequence[str],
         source: str,
@@ -50,7 +47,6 @@ class MotorEfforts:
         Args:
             model: of the robot.
             parameters: of the model ``(D,)``.
-            deviations: their standard deviations ``(D,)``, NaN where they are not known.
             gains: factors ``(all joints,)`` from the messages' efforts to N m (or N).
             joints: in the order of the motion.
             source: of the motion, for messages.
@@ -73,9 +69,8 @@ class MotorEfforts:
         self._order = np.array([robot.joint_names.index(joint) for joint in joints])
         self._gains = gains[self._order]
         of_sensors = np.array([c.effect.of_sensor for c in model.coefficients], dtype=bool)
-        own, first = parameters.copy(), len(model.nominal_inertias)
-        untold = np.abs(own[first:]) < TAKEN * deviations[first:]
-        own[first:][of_sensors & ~untold] = 0.0
+        own = parameters.copy()
+        own[len(model.nominal_inertias) :][of_sensors] = 0.0
         self._dynamics = InverseDynamics(model, own)
         self.limits = robot.effort_limits[self._order] / np.abs(self._gains)
         """Effort limits of the URDF ``(joints,)`` in that unit, infinite where it has none."""

@@ -65,8 +65,7 @@ class Adapting:
 
     def _new(self) -> Correction:
         model, parameters = self._session.model, identified(self._session)
-        deviations, gains = self._session.loaded.deviations(model), self._session.effort_gains
-        efforts = MotorEfforts(model, parameters, deviations, gains, self._joints, "the adaptation")
+        efforts = MotorEfforts(model, parameters, self._session.effort_gains, self._joints, "the adaptation")
         return Correction(efforts, self._joints, self._link, self._heaviest)
 
     def use(self, session: Session) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TypeAlias
@@ -26,7 +26,6 @@ from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.errors import InputError
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ONE_BODY
-from geomid_ros.session.session import Session
 from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.types import FloatArray
 
@@ -107,11 +106,6 @@ def test_twice_the_delay_is_stable_and_four_times_is_not() -> None:
     assert LATER < np.pi / 2.0 / MARGIN < 4.0
 
 
-def efforts_of(session: Session, joints: Sequence[str], source: str) -> MotorEfforts:
-    deviations = session.loaded.deviations(session.model)
-    return MotorEfforts(session.model, identified(session), deviations, session.effort_gains, joints, source)
-
-
 class Arm:
     """An arm whose model is exact, and that may carry a load; its efforts are pinocchio's."""
 
@@ -119,7 +113,7 @@ class Arm:
         session = robot_to_move(FillOptions(URDF.read_text()), None)
         self.joints = session.robot.joint_names
         self.body = session.robot.body_names[-1]
-        self.efforts = efforts_of(session, self.joints, "a motion")
+        self.efforts = MotorEfforts(session.model, identified(session), session.effort_gains, self.joints, "a motion")
         self._models = [pin.buildModelFromUrdf(str(URDF)) for _ in range(2)]
         loaded = self._models[1]
         frame = loaded.frames[loaded.getFrameId(self.body)]
@@ -330,7 +324,7 @@ def test_what_cannot_adapt_is_refused(arm: Arm) -> None:
         arm.correction("hand")
     text = re.sub(r'effort="[^"]*"', 'effort="0"', URDF.read_text(), count=1)
     session = robot_to_move(FillOptions(text), None)
-    efforts = efforts_of(session, arm.joints, "a motion")
+    efforts = MotorEfforts(session.model, identified(session), session.effort_gains, arm.joints, "a motion")
     with pytest.raises(InputError, match="'joint1' has no effort limit"):
         Correction(efforts, arm.joints, arm.body, HEAVIEST)
 
