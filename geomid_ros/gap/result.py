@@ -210,8 +210,9 @@ class GapResult:
         beside: the effects that it had beside its coefficients, without those of which a sure finding says the whole.
         ordinary: beside a URDF alone, friction, rotor inertia and offsets of all joints that no sure finding says, as
             ``identify`` finds them: a URDF says nothing of them.
-        folded: by how much the attributes of joints (as ``dynamics/damping``) of a URDF and an MJCF change beyond what
-            was found, as these cannot say all friction; by joint and attribute.
+        folded: by how much the attributes of joints (as ``dynamics/damping``) of a URDF and an MJCF differ from the
+            model's, as these cannot say all friction; by joint and attribute.
+        newly_folded: the same beyond what the model before had: what a file with a fit of its own has not folded yet.
         seconds: that the search took.
     """
 
@@ -234,6 +235,7 @@ class GapResult:
     beside: tuple[KnownEffect, ...]
     ordinary: tuple[KnownEffect, ...]
     folded: Mapping[tuple[str, str], float]
+    newly_folded: Mapping[tuple[str, str], float]
     seconds: float
 
     @property

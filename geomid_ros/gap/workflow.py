@@ -134,8 +134,9 @@ def find_gap(
     problem = LinearisedProblem(bare, records, total_model(bare, untouched))
     first = problem.residual(problem.columns((), prior.terms), untouched)
     sure = {finding.joint for finding in kept.findings if finding.confidence == "confident"}
-    last = folded(LinearisedProblem(bare, records, total_model(bare, kept.found)), kept.found)
-    changes = last | {key: last.get(key, 0.0) - change for key, change in folded(problem, untouched).items()}
+    before = folded(problem, untouched)
+    after = folded(LinearisedProblem(bare, records, total_model(bare, kept.found)), kept.found)
+    changes = {key: after.get(key, 0.0) - before.get(key, 0.0) for key in before.keys() | after}
     return GapResult(
         verdict=verdict(analysis, files, named=is_named),
         findings=kept.findings,
@@ -155,7 +156,8 @@ def find_gap(
         coefficients=_coefficients(model, prior, said),
         beside=tuple(known for candidate, known in own if not said.issuperset(candidate.terms)),
         ordinary=kept.ordinary,
-        folded={key: change for key, change in changes.items() if key[0] in sure},
+        folded=after,
+        newly_folded={key: change for key, change in changes.items() if key[0] in sure},
         seconds=perf_counter() - started,
     )
 

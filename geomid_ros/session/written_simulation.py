@@ -19,7 +19,7 @@ from geomid_ros.files.models.estimate_file import by_channel
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.readers import URDF
 from geomid_ros.files.models.written_model import ModelFiles, WrittenModel, moved, write_model
-from geomid_ros.gap.result import Finding, GapResult
+from geomid_ros.gap.result import GapResult
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.samples import Samples
@@ -61,7 +61,7 @@ def write_found(folder: Path, session: Session, result: GapResult, reader: str =
     effects = [*known.beside_inertias, *result.ordinary, *result.sure]
     before = dict(zip(session.model.body_names, nominal_inertias(session), strict=True))
     after = dict(zip(session.model.body_names, result.inertias, strict=True))
-    fitted = {name: _changed(own, before, after, result.sure) for name, own in session.loaded.fitted.items()}
+    fitted = {name: _changed(own, before, after, result) for name, own in session.loaded.fitted.items()}
     files = {"folded": result.folded, "fitted": fitted, "reader": reader}
     return _write(folder, session, result.inertias, effects, noise=noise, **files)
 
@@ -70,7 +70,7 @@ def _changed(
     file: WrittenModel,
     before: Mapping[str, FloatArray],
     after: Mapping[str, FloatArray],
-    sure: Sequence[Finding],
+    result: GapResult,
 ) -> WrittenModel:
     """The model of a file with what has changed in the whole one.
 
@@ -82,12 +82,12 @@ def _changed(
         inertias[name] = changed if pseudo_inertia.is_body(changed) else found
     effects = {(effect.effect, effect.joint): effect for effect in file.effects}
     named = []
-    for finding in sure:
+    for finding in result.sure:
         own = effects.pop((finding.effect, finding.joint), None) if finding.was else None
         said = own.parameters if own else {}
         shared = said.keys() & finding.was.keys()
         named.append(moved(finding, {name: said[name].value - finding.was[name] for name in shared}))
-    return WrittenModel(inertias, tuple(combined([*effects.values(), *named])))
+    return WrittenModel(inertias, tuple(combined([*effects.values(), *named])), result.newly_folded)
 
 
 def nominal_inertias(session: Session) -> FloatArray:

@@ -81,6 +81,7 @@ def gap_result(case: Case, joints: Sequence[str], *, wrench: bool = False) -> Ga
         beside=(),
         ordinary=(),
         folded={},
+        newly_folded={},
         seconds=2.5,
     )
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -51,6 +53,34 @@ def test_a_link_is_heavier_and_lighter_in_each_file_by_what_it_is_in_the_model(t
         np.testing.assert_allclose(file.inertias[name], now[name], atol=1e-12, err_msg=name)
     in_urdf = {body.name: body.parameters[0] for body in Robot(read_urdf(tmp_path / "found/identified.urdf")).bodies}
     assert in_urdf == pytest.approx({name: own[0] for name, own in expected.items()}, rel=1e-8)
+
+
+@pytest.mark.parametrize("fitted", [False, True])
+def test_friction_that_a_file_cannot_say_is_folded_once(tmp_path: Path, fitted: bool) -> None:
+    """A file that was fitted for its format has it already; one that was not has all of it anew."""
+    effects = [
+        effect("viscous_friction", "joint1", coefficient=2.0),
+        effect("quadratic_friction", "joint1", coefficient=0.5),
+    ]
+    folded = {("joint1", "dynamics/damping"): 0.4}
+    write_model(tmp_path, MeasurementModel(ROBOT, ()), ARM, BODIES, effects, GRAVITY, folded=folded)
+    if not fitted:
+        document = json.loads((tmp_path / "estimate.json").read_text())
+        del document["handover"]
+        (tmp_path / "estimate.json").write_text(json.dumps(document))
+    session = gap_session(ARM, Configuration({"model": str(tmp_path / "estimate.json")}, "test"), "arm3.urdf")
+    assert session.prior is not None
+    result = replace(
+        gap_result("no gap", ROBOT.joint_names),
+        bodies=session.model.body_names,
+        inertias=np.array([BODIES[name] for name in session.model.body_names]),
+        coefficients=session.prior[len(session.model.nominal_inertias) :],
+        folded=folded,
+    )
+    write_found(tmp_path / "found", session, result)
+    joint = ElementTree.parse(tmp_path / "found/identified.urdf").find("joint[@name='joint1']/dynamics")
+    assert joint is not None
+    assert float(joint.attrib["damping"]) == pytest.approx(2.4)
 
 
 def test_a_payload_of_a_file_is_in_the_link_that_carries_it() -> None:

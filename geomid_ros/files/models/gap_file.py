@@ -151,6 +151,7 @@ class GapFile:
             coefficients=np.zeros(0),
             beside=(),
             folded={},
+            newly_folded={},
         )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeAlias
@@ -77,14 +77,13 @@ def write_model(
     of one ``reader``.
 
     ``gravity (3,)`` is that of a base which stands straight; ``findings`` are what seems to be wrong with the recording
-    that the model is from, ``noise`` its floor by channel and its cutoff, if known; ``folded``: by how much attributes
-    of joints differ in URDF and MJCF, which cannot say all friction. Of effects that are there twice, see
-    :func:`~geomid_ros.files.models.effects_file.combined`.
+    that the model is from, ``noise`` its floor by channel and its cutoff, if known; ``folded`` is the model's, see
+    :class:`WrittenModel`. Of effects that are there twice, see :func:`~geomid_ros.files.models.effects_file.combined`.
     """
     effects = combined(effects)
-    whole = WrittenModel(inertias, tuple(effects))
+    whole = WrittenModel(inertias, tuple(effects), folded)
     held = {name: fitted.get(name, whole) for name in READERS}
-    alone = {name: replace(own, effects=tuple(_with_folded(own.effects, folded))) for name, own in held.items()}
+    alone = {name: replace(own, effects=tuple(_with_folded(own.effects, own.folded))) for name, own in held.items()}
     merged = {body.name: body.merged for body in model.robot.bodies if body.name in inertias}
     removed = [name for names in merged.values() for name in names]
     document = {
@@ -139,10 +138,13 @@ class WrittenModel:
     Attributes:
         inertias: parameters ``(10,)`` in pinocchio's order, by link.
         effects: what the file says, and errors of sensors, which stand beside it.
+        folded: by how much attributes of joints differ from these effects in a URDF and an MJCF, which cannot say all
+            friction; by joint and attribute.
     """
 
     inertias: Mapping[str, FloatArray]
     effects: tuple[KnownEffect, ...]
+    folded: Mapping[tuple[str, str], float] = field(default_factory=dict)
 
     @property
     def with_payloads_in_links(self) -> WrittenModel:
