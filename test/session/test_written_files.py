@@ -22,7 +22,7 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import GRAVITY, Robot
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import gap_session
-from geomid_ros.session.written_simulation import write_found
+from geomid_ros.session.written_simulation import nominal_inertias, write_found
 
 ARM = read_urdf(BAGS / "arm3.urdf")
 ROBOT = Robot(ARM)
@@ -81,6 +81,20 @@ def test_friction_that_a_file_cannot_say_is_folded_once(tmp_path: Path, fitted: 
     joint = ElementTree.parse(tmp_path / "found/identified.urdf").find("joint[@name='joint1']/dynamics")
     assert joint is not None
     assert float(joint.attrib["damping"]) == pytest.approx(2.4)
+
+
+@pytest.mark.parametrize("written", [False, True])
+def test_a_model_with_a_payload_is_that_of_its_own_description_and_of_the_given_one(
+    tmp_path: Path, written: bool
+) -> None:
+    name = next(reversed(BODIES))
+    write_model(tmp_path, MeasurementModel(ROBOT, ()), ARM, BODIES, [effect("payload", name, **PAYLOAD)], GRAVITY)
+    urdf = read_urdf(tmp_path / "identified.urdf" if written else BAGS / "arm3.urdf")
+    session = gap_session(urdf, Configuration({"model": str(tmp_path / "estimate.json")}, "test"), "arm3.urdf")
+    loaded = BODIES[name] + payload_parameters(PAYLOAD)
+    found = dict(zip(session.model.body_names, nominal_inertias(session), strict=True))
+    for link, own in (BODIES | {name: loaded}).items():
+        np.testing.assert_allclose(found[link], own, rtol=1e-12, err_msg=link)
 
 
 def test_a_payload_of_a_file_is_in_the_link_that_carries_it() -> None:
