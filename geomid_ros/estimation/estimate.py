@@ -118,12 +118,6 @@ class LinksInformation:
     rows: FloatArray
     residuals: FloatArray
 
-    def loosened(self, error: FloatArray) -> LinksInformation:
-        """The same where the parameters may be off along ``error (10 links,)``, which is one standard deviation."""
-        moved = self.rows @ error
-        factor = np.linalg.cholesky(np.eye(len(moved)) + np.outer(moved, moved))
-        return LinksInformation(*(np.linalg.solve(factor, each) for each in (self.rows, self.residuals)))
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Estimate:

@@ -100,14 +100,15 @@ def standing_remainder(model: MeasurementModel, records: Records, prior: NamesPr
 def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
     """An analysis, or one of a robot of which a link has been changed since it was identified, if that is the better.
     What contradicts other recordings loosens all links at once, or is told as a payload, which cannot be negative, or
-    as what else may stand in the place of a lighter link. Of links that explain it about as well each is tried."""
+    as what else may stand in the place of a lighter link. Of links that explain it about as well each is tried; what a
+    link has gained that can be a body is a payload."""
     search, names = analysis.search, analysis.names
     if search.prior.known is None:
         return analysis
     rests = [search.fit([]), *(search.without(names, c) for c in names.chosen)]
-    priors = [search.prior.with_changed(link) for link in range(len(names.inertias))]
+    priors = [search.prior.with_changed(link) for link in range(len(names.inertias)) if link not in names.bodies]
     scores = [min(fit(search.design, prior, rest.chosen, rest).score for rest in rests) for prior in priors]
-    if min(scores) > names.score - CLEARLY:
+    if min(scores, default=np.inf) > names.score - CLEARLY:
         return analysis
 
     def with_changed(prior: NamesPrior) -> tuple[float, Analysis]:

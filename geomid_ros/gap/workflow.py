@@ -10,7 +10,6 @@ from time import perf_counter
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.estimation.link_spreads import CERTAINTY
 from geomid_ros.gap.analysis import analyse, standing_remainder
 from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesPrior, not_driving
@@ -23,7 +22,7 @@ from geomid_ros.gap.judgement.verdict import findings, ranking, unexplained, ver
 from geomid_ros.gap.judgement.written import folded, written
 from geomid_ros.gap.result import GapResult
 from geomid_ros.inference.fit import unfitted
-from geomid_ros.inference.prior import Prior
+from geomid_ros.inference.prior import OtherRecordings, Prior
 from geomid_ros.model.alike_parts import AlikeParts
 from geomid_ros.model.coefficients import Coefficient
 from geomid_ros.model.effects import KnownEffect, effect_class, values_of
@@ -68,7 +67,7 @@ def find_gap(
     alike: Sequence[AlikeParts] = (),
     nominal: FloatArray | None = None,
     deviations: FloatArray | None = None,
-    known: LinksInformation | None = None,
+    known: OtherRecordings | None = None,
     beside: Sequence[KnownEffect] = (),
     standing: StandingRemainder | None = None,
     simulated: Sequence[Samples] = (),
@@ -93,8 +92,9 @@ def find_gap(
         alike: links whose errors in the URDF are mostly the same ones, if the model has the URDF's inertias.
         nominal: the model's parameters ``(D,)``, NaN where they are not known: those of an ``estimate.json``. The
             URDF's inertias and no effects unless given.
-        deviations: their standard deviations ``(D,)``, NaN where they are not known.
-        known: what other recordings than ``train``, from which they were identified, say of all links together.
+        deviations: standard deviations ``(D,)`` of what ``known`` does not say of them, NaN where they are not known.
+        known: what other recordings than ``train``, from which they were identified, say of the links, or of these and
+            all of the model's coefficients.
         beside: the effects that the model has beside its coefficients, as they depend on what it says of a motion.
         standing: what the model lacked there, see :func:`lacking`; it is not counted as a change.
         simulated: recordings of the user's simulator under the same commands, in the same form; what they show as well
@@ -251,7 +251,7 @@ def _prior(
     model: MeasurementModel,
     nominal: FloatArray | None,
     deviations: FloatArray | None,
-    known: LinksInformation | None,
+    known: OtherRecordings | None,
     settings: GapSettings,
 ) -> NamesPrior:
     size, unknown = len(model.nominal_inertias), np.full(model.dimension, np.nan)
@@ -261,7 +261,9 @@ def _prior(
     coefficients = np.nan_to_num(values[size:])
     own = np.flatnonzero(coefficients)
     strengths = coefficients[own]
-    spreads = np.maximum(np.maximum(_SPREAD_OF_EFFECTS * np.abs(strengths), _LEAST_SPREAD), unsure[own])
+    changes = np.maximum(_SPREAD_OF_EFFECTS * np.abs(strengths), _LEAST_SPREAD)
+    if known is not None and len(known.changes):
+        known = known.of_coefficients(own, changes)
     terms = tuple(_term(model.coefficients[place]) for place in own)
     identified = bool(np.any(np.isfinite(values[:size])))
     return Prior(
@@ -269,7 +271,7 @@ def _prior(
         spread=settings.identified_spread if identified else settings.spread,
         terms=terms,
         values=strengths,
-        spreads=spreads,
+        spreads=np.maximum(changes, unsure[own]),
         certainty=_CERTAINTY_OF_IDENTIFIED if identified else CERTAINTY,
         identified=identified,
         known=known if identified else None,
@@ -318,7 +320,11 @@ def _with_least_spreads(model: MeasurementModel, records: Records, prior: NamesP
     problem = LinearisedProblem(model, records, total_model(model, unfitted(prior)))
     least = _LEAST_SHARE * problem.usual_sizes(prior.terms)
     small = (np.abs(prior.values) < least) & np.isfinite(least)  # where nothing is measured nothing is small
-    return replace(prior, spreads=np.where(small, np.maximum(prior.spreads, least), prior.spreads))
+    least = np.where(small, least, 0.0)
+    known = prior.known
+    if known is not None:
+        known = replace(known, changes=np.maximum(known.changes, least[: len(known.changes)]))
+    return replace(prior, spreads=np.maximum(prior.spreads, least), known=known)
 
 
 def _as_simulated(

@@ -154,7 +154,7 @@ def fit(
     if prior.known is None or spread is not None:
         return _fit(design, prior, chosen, start, spread)
     alone = _fit(design, replace(prior, known=None), chosen, start)
-    rows = priors.known_rows(prior.known, alone.manifold.dimension)
+    rows, _ = _known_rows(prior, chosen, alone.manifold)
     off = alone.point.parameters - _known(alone.manifold, prior, alone.bodies).parameters
     loose = replace(alone, inflation=priors.contradiction(rows, off))
     return min((_fit(design, prior, chosen, first) for first in (start, loose)), key=lambda found: found.score)
@@ -195,10 +195,11 @@ def _free_fit(
     weights = np.ones(manifold.dimension)
     weights[manifold.real] = (scales / np.array(stds)) ** 2
     weights[first : manifold.inertial.stop] = priors.SPREAD_OF_PAYLOADS**-2
-    held = np.array([term not in own for term in prior.terms], dtype=bool)
+    told = 0 if prior.known is None else len(prior.known.changes)  # of these it is their change that is named
+    held = np.array([place < told or term not in own for place, term in enumerate(prior.terms)], dtype=bool)
     places = manifold.real.start + np.flatnonzero(held)
     weights[places] = (scales[: len(held)][held] / prior.spreads[held]) ** 2
-    rows = priors.known_rows(prior.known, manifold.dimension)
+    rows, cost = _known_rows(prior, chosen, manifold)
     zero = _zero_rows(driven, manifold, known)
     said, zeros = rows.T @ rows, zero.T @ zero
     afresh = start is None or set(bodies) != set(start.bodies)
@@ -232,7 +233,7 @@ def _free_fit(
     spreads, (inflation,), own_spreads = np.split(found.scales, ends)
     point = found.point
     score = found.score + design.cost + cost_of_spreads(spreads, prior.link_spreads, prior.certainty)
-    score += priors.cost_of_inflation(rows, inflation) + prior.cost + cost_of_own(prior.alike, own_spreads)
+    score += cost + priors.cost_of_inflation(rows, inflation) + prior.cost + cost_of_own(prior.alike, own_spreads)
     score += sum(c.cost for c in chosen)
     places = {term: place for place, term in enumerate(terms)}
     payloads = iter(point.parameters[first : manifold.inertial.stop].reshape(-1, 10))
@@ -256,6 +257,17 @@ def _free_fit(
         own_spreads=own_spreads,
         changes=changes,
     )
+
+
+def _known_rows(prior: Prior[Term], chosen: Sequence[Chosen], manifold: ParameterManifold) -> tuple[FloatArray, float]:
+    """What other recordings say, see :meth:`OtherRecordings.of_now`, where coefficients with names have changed by what
+    is usual for these, too; no rows without any."""
+    if prior.known is None:
+        return np.zeros((0, manifold.dimension + 1)), 0.0
+    places = {term: place for place, term in enumerate(prior.terms[: len(prior.known.changes)])}
+    usual = [(places[t], std) for c in chosen for t, std in zip(c.terms, c.usual, strict=True) if t in places]
+    named = {place: std or USUAL_SHARE * manifold.scales[place] for place, std in usual}
+    return prior.known.of_now(manifold.dimension, int(manifold.real.start), named)
 
 
 def _zero_rows(driven: FloatArray | None, manifold: ParameterManifold, known: Point) -> FloatArray:

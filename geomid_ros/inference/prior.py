@@ -5,15 +5,14 @@ Other recordings are those from which a model was identified before, beside the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Generic
 
 import numpy as np
 
 from geomid_ros.estimation.alike_prior import common_spreads
-from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
@@ -34,6 +33,64 @@ _CERTAINTY = 4.0
 """That they are as exact as they say counts as much as so many of their rows."""
 
 
+@dataclass(frozen=True, eq=False)
+class OtherRecordings:
+    """What other recordings say of links, and of effects that were identified together with them.
+
+    ``|residuals + rows x|^2`` is minus twice the logarithm of their likelihood at parameters x off the prior, up to a
+    constant.
+
+    Attributes:
+        rows: ``(r, 10 links + k)`` of the links and of the first k coefficients that the prior has.
+        residuals: ``(r,)``.
+        changes: ``(k,)`` standard deviations of what each coefficient has changed by since then.
+    """
+
+    rows: FloatArray
+    residuals: FloatArray
+    changes: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def links(self) -> int:
+        """How many of the rows' columns are of links."""
+        return int(self.rows.shape[1]) - len(self.changes)
+
+    def of_coefficients(self, places: IntArray, changes: FloatArray) -> OtherRecordings:
+        """The same of those of its coefficients at some places ``(n,)``, with what they have changed by ``(n,)``."""
+        rows = np.delete(
+            self.rows, np.setdiff1d(np.arange(self.links, self.rows.shape[1]), self.links + places), axis=1
+        )
+        return replace(self, rows=rows, changes=changes)
+
+    def beside(self, columns: FloatArray) -> tuple[OtherRecordings, float]:
+        """The same beside further unknowns of unit variance, of which the residuals have ``columns (r, n)``; and what
+        that adds to minus twice the logarithm of the likelihood."""
+        directions, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+        shorter = directions * (1.0 / np.hypot(1.0, sizes) - 1.0)
+        rows, residuals = (each + shorter @ (directions.T @ each) for each in (self.rows, self.residuals))
+        return replace(self, rows=rows, residuals=residuals), float(np.sum(np.log1p(sizes**2)))
+
+    def trusted(self, inflation: float) -> OtherRecordings:
+        """The same with variances that are larger by a factor."""
+        root = np.sqrt(inflation)
+        return OtherRecordings(self.rows / root, self.residuals / root, self.changes * root)
+
+    @cached_property
+    def _changed(self) -> tuple[OtherRecordings, float]:
+        return self.beside(self.rows[:, self.links :] * self.changes)
+
+    def of_now(self, dimension: int, first: int, further: Mapping[int, float]) -> tuple[FloatArray, float]:
+        """Rows for the D parameters of now, of which coefficients begin with the ``first``; as the last column their
+        residuals at the prior ``(r, D + 1)``. And what the changes since then add to minus twice the logarithm of the
+        likelihood. Some coefficients have changed by ``further`` standard deviations, by their places."""
+        own, cost = self._changed
+        own, more = own.beside(own.rows[:, [self.links + place for place in further]] * [*further.values()])
+        rows = np.zeros((len(own.rows), dimension + 1))
+        rows[:, : self.links], rows[:, -1] = own.rows[:, : self.links], own.residuals
+        rows[:, first : first + len(self.changes)] = own.rows[:, self.links :]
+        return rows, cost + more
+
+
 def nothing_held(_: Sequence[object], values: FloatArray) -> FloatArray:
     """No rows for ``values (k,)``."""
     return np.zeros((0, len(values)))
@@ -49,7 +106,7 @@ class Prior(Generic[Term]):
         terms, values, spreads: the coefficients ``(k,)`` of the effects that the model already has.
         certainty: how many directions of a link's error the usual spread counts as much as.
         identified: whether all this was identified before, not guessed.
-        known: what other recordings say of the links.
+        known: what other recordings say of the links, and of effects.
         changed_link: one that is another now than in the other recordings.
         cost: minus twice the logarithm of what this makes of the other recordings' probability.
         alike: links whose errors are mostly the same ones.
@@ -63,7 +120,7 @@ class Prior(Generic[Term]):
     spreads: FloatArray
     certainty: float
     identified: bool = False
-    known: LinksInformation | None = None
+    known: OtherRecordings | None = None
     changed_link: int | None = None
     cost: float = 0.0
     alike: Sequence[AlikeParts] = ()
@@ -113,12 +170,12 @@ class Prior(Generic[Term]):
         if self.known is None:
             return self
         manifold, places = StraightManifold(len(self.inertias) // 10, 0, np.ones(0)), slice(10 * link, 10 * link + 10)
-        own = self.spread * manifold.whiten(manifold.point(self.inertias), self.known.rows)[:, places]
-        factor = np.linalg.cholesky(np.eye(len(own)) + own @ own.T)
-        rows, residuals = (np.linalg.solve(factor, each) for each in (self.known.rows, self.known.residuals))
+        links = self.known.rows[:, : self.known.links]
+        own = self.spread * manifold.whiten(manifold.point(self.inertias), links)[:, places]
+        known, cost = self.known.beside(own)
+        rows = known.rows.copy()
         rows[:, places] = 0.0
-        cost = 2.0 * float(np.sum(np.log(np.diag(factor))))
-        return replace(self, known=LinksInformation(rows, residuals), changed_link=link, cost=cost)
+        return replace(self, known=replace(known, rows=rows), changed_link=link, cost=cost)
 
     def value(self, term: Term) -> float:
         """A coefficient as the model has it, 0 if it has none."""
@@ -171,14 +228,6 @@ def _is_body(pseudo_inertias: FloatArray) -> bool:
         return False
     sizes = np.linalg.eigvalsh(pseudo_inertias)
     return bool(np.all(sizes[:, 0] > np.finfo(np.float64).eps * sizes[:, -1]))
-
-
-def known_rows(known: LinksInformation | None, dimension: int) -> FloatArray:
-    """Rows for D parameters, and as the last column their residuals at the prior ``(r, D + 1)``; r is 0 without any."""
-    if known is None:
-        return np.zeros((0, dimension + 1))
-    others = np.zeros((len(known.rows), dimension - known.rows.shape[1]))
-    return np.column_stack([known.rows, others, known.residuals])
 
 
 def inflation_of(rows: FloatArray, manifold: ParameterManifold, point: Point, prior: Point, root: FloatArray) -> float:

@@ -10,15 +10,18 @@ from pathlib import Path
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import Estimate, LinksInformation
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.loaded_model import LoadedModel
-from geomid_ros.files.models.posterior import POSTERIOR, read_remainder
+from geomid_ros.files.models.posterior import POSTERIOR, read_posterior, read_remainder
 from geomid_ros.gap.candidates import library_columns
 from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import CUTOFF, GapSettings, find_gap, lacking, left_by_model
+from geomid_ros.inference.prior import OtherRecordings
+from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.options import Progress, silent
 from geomid_ros.resimulation.resimulate import CUTOFF as SHARP_CUTOFF
@@ -81,7 +84,8 @@ def identified_session(session: Session, estimate: Estimate) -> Session:
     Raises:
         InputError: it cannot be a model.
     """
-    known = LoadedModel.of(EstimateFile.of(document(session, estimate), "the estimate so far"))
+    file = EstimateFile.of(document(session, estimate), "the estimate so far")
+    known = replace(LoadedModel.of(file), posterior=estimate.posterior)
     values = {"effects": [], "candidates": [], "model": "", "prior": ""}
     return Session(session.urdf, session.configuration.with_values(values), "robot_description", loaded=known)
 
@@ -122,6 +126,7 @@ def find(session: Session, recordings: Recordings, standing: StandingRemainder |
             f"{session.loaded.not_predicted}. On legs that stand, the ground loads the joints, too, and gaps cannot be "
             "found beside such effects; leave them out of the model"
         )
+    known, deviations = known_of(session)
     return find_gap(
         session.model,
         recordings.train,
@@ -129,8 +134,8 @@ def find(session: Session, recordings: Recordings, standing: StandingRemainder |
         GapSettings(cutoff=recordings.cutoff),
         alike=session.alike,
         nominal=session.prior,
-        deviations=session.loaded.deviations(session.model),
-        known=known_of(session),
+        deviations=deviations,
+        known=known,
         beside=session.loaded.beside_coefficients,
         standing=standing,
         simulated=recordings.simulated,
@@ -138,13 +143,51 @@ def find(session: Session, recordings: Recordings, standing: StandingRemainder |
     )
 
 
-def known_of(session: Session) -> LinksInformation | None:
-    """What the session's model says of its links; all masses may be off by a common share."""
-    known, prior = session.loaded.information(session.model), session.prior
-    if known is None or prior is None or not session.share_of_mass:
-        return known
-    masses = prior[: len(session.model.nominal_inertias)].reshape(-1, 10) * ([1.0] * 4 + [0.0] * 6)  # gravity's
-    return known.loosened(session.share_of_mass * masses.ravel())
+def known_of(session: Session) -> tuple[OtherRecordings | None, FloatArray]:
+    """What the recordings of the session's model say of its links and, as far as that was kept, of its effects
+    together; all masses may be off by a common share. And the standard deviations ``(D,)`` of what they do not say."""
+    model, loaded, prior = session.model, session.loaded, session.prior
+    deviations = loaded.deviations(model)
+    if prior is None or loaded.known is None:
+        return None, deviations
+    if (posterior := _posterior_of(session)) is not None:
+        known, unsaid = _of_posterior(posterior, model, prior)
+        deviations = np.where(np.isfinite(unsaid), unsaid, deviations)
+    elif (links := loaded.information(model)) is not None:
+        known = OtherRecordings(links.rows, links.residuals)
+    else:
+        return None, deviations
+    if session.share_of_mass:
+        masses = prior[: known.links].reshape(-1, 10) * ([1.0] * 4 + [0.0] * 6)  # gravity's
+        known, _ = known.beside(session.share_of_mass * known.rows[:, : known.links] @ masses.reshape(-1, 1))
+    return known, deviations
+
+
+def _posterior_of(session: Session) -> Posterior | None:
+    """What is known of the links of the session's model and its effects together."""
+    posterior = session.loaded.posterior
+    if posterior is None:
+        path = Path(session.loaded.source).with_name(POSTERIOR)
+        posterior = read_posterior(path) if path.is_file() else None
+    return posterior if posterior is not None and {*session.model.body_names} <= {*posterior.links} else None
+
+
+def _of_posterior(
+    posterior: Posterior, model: MeasurementModel, prior: FloatArray
+) -> tuple[OtherRecordings, FloatArray]:
+    """What the data of a posterior say of the parameters of a model, off those of its ``prior (D,)``; and the standard
+    deviations ``(D,)`` that its effects had without them, NaN of those that it has not."""
+    first = 10 * len(posterior.links)
+    places = {(e.name, e.place, e.parameter): first + place for place, e in enumerate(posterior.effects)}
+    links = [10 * posterior.links.index(name) + np.arange(10) for name in model.body_names]
+    own = [places.get((c.effect.name, c.place_name, c.parameter), -1) for c in model.coefficients]
+    order = np.concatenate([*links, np.array(own, dtype=np.int64)])
+    rows, _ = posterior.evidence
+    off = np.where(np.isfinite(prior) & (order >= 0), prior - posterior.parameters[order], 0.0)
+    unsaid = np.abs(np.diag(posterior.jacobian)) * posterior.prior_spreads
+    unsaid[:first] = np.nan
+    rows = np.where(order >= 0, rows[:, order], 0.0)
+    return OtherRecordings(rows, rows @ off, np.zeros(len(own))), np.where(order >= 0, unsaid[order], np.nan)
 
 
 def standing_of(session: Session) -> StandingRemainder | None:

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.evidence.noise import Autoregression
@@ -13,6 +12,7 @@ from geomid_ros.gap.evidence.record import Records
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import JointFit, fit, unfitted
+from geomid_ros.inference.prior import OtherRecordings
 
 from . import planted
 
@@ -42,7 +42,7 @@ def bare(design: Design) -> JointFit:
     return fit(design, planted.prior(), [])
 
 
-def said(found: JointFit, design: Design) -> LinksInformation:
+def said(found: JointFit, design: Design) -> OtherRecordings:
     """What a recording said of the links, which were fitted alone."""
     count = len(MODEL.nominal_inertias)
     weights, vector = design.counts / found.squares, np.append(found.point.parameters, -1.0)
@@ -52,7 +52,7 @@ def said(found: JointFit, design: Design) -> LinksInformation:
     rows = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     slope = weighed[:count] @ vector
     residuals = vectors.T @ slope / np.sqrt(np.maximum(values, 1e-9 * values[-1]))
-    return LinksInformation(rows, residuals - rows @ (vector[:count] - MODEL.nominal_inertias))
+    return OtherRecordings(rows, residuals - rows @ (vector[:count] - MODEL.nominal_inertias))
 
 
 def test_what_is_known_of_a_recording_counts_as_if_it_were_fitted_again() -> None:
@@ -75,7 +75,7 @@ def test_what_is_known_is_trusted_as_far_as_it_agrees() -> None:
     known = said(fit(first, planted.prior(), [], spread=0.2), first)
     agreeing = fit(second, replace(planted.prior(), known=known), [])
     assert agreeing.inflation < 2.0
-    shifted = LinksInformation(known.rows, known.residuals + 100.0 * np.random.default_rng(5).standard_normal(30))
+    shifted = OtherRecordings(known.rows, known.residuals + 100.0 * np.random.default_rng(5).standard_normal(30))
     contradicting = fit(second, replace(planted.prior(), known=shifted), [])
     assert contradicting.inflation > 1000.0
     alone = fit(second, planted.prior(), [])

@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.estimation.profile_objective import StraightManifold
 from geomid_ros.inference.fit import fit
-from geomid_ros.inference.prior import Prior
+from geomid_ros.inference.prior import OtherRecordings, Prior
 
 from . import planted
 from .small import PRIOR, Recording, at
 
 RANDOM = np.random.default_rng(11)
-KNOWN = LinksInformation(RANDOM.normal(scale=30.0, size=(12, 30)), RANDOM.normal(size=12))
+KNOWN = OtherRecordings(RANDOM.normal(scale=30.0, size=(12, 30)), RANDOM.normal(size=12))
 IDENTIFIED = replace(planted.prior(spread=0.05), certainty=100.0, known=KNOWN)
 
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.gap import workflow
 from geomid_ros.gap.candidates import EffectTerm
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.result import GapResult, Rival
 from geomid_ros.gap.workflow import GapSettings, find_gap, left_by_model
+from geomid_ros.inference.prior import OtherRecordings
 from geomid_ros.model.effects import AtJoint, KnownEffect, Quantity
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.effort_offset import EffortOffset
@@ -166,7 +166,7 @@ class TestPrior:
     """What is known before, from what the user gives."""
 
     def prior(self, values: FloatArray | None = None, deviations: FloatArray | None = None) -> workflow.Prior:
-        information = LinksInformation(np.eye(30), np.zeros(30))
+        information = OtherRecordings(np.eye(30), np.zeros(30))
         return workflow._prior(MODEL, values, deviations, information, GapSettings(spread=0.3, identified_spread=0.04))
 
     def test_of_a_bare_urdf_everything_is_a_guess(self) -> None:
@@ -217,7 +217,7 @@ class TestPrior:
 def test_what_a_simulator_shows_stands_in_the_place_of_the_model(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its payloads on their links, its effects nearly certain, and nothing of other recordings."""
     records = Records.make([TRAIN], planted.CUTOFF)
-    information = LinksInformation(np.eye(30), np.zeros(30))
+    information = OtherRecordings(np.eye(30), np.zeros(30))
     given = workflow._prior(BARE, INERTIAS.ravel(), None, information, GapSettings())
     assert given.known is not None
     terms = (EffectTerm(ViscousFriction(), AtJoint(1)), EffectTerm(CoulombFriction(), AtJoint(2)))

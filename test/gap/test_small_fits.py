@@ -9,7 +9,6 @@ import pytest
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
-from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold
 from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.gap.candidates import Candidate, EffectTerm, not_driving
@@ -18,7 +17,7 @@ from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.inference import prior as before
 from geomid_ros.inference.design import Design
 from geomid_ros.inference.fit import JointFit, fit, scattered, unfitted
-from geomid_ros.inference.prior import GAIN, Prior
+from geomid_ros.inference.prior import GAIN, OtherRecordings, Prior
 from geomid_ros.inference.rao_score import score_test
 from geomid_ros.model.effects import AtSensor
 from geomid_ros.model.effects.wrench_offset import WrenchOffset
@@ -296,19 +295,47 @@ class TestBlocks:
         assert np.all(np.diag(scattered(design, found).inverse) >= np.diag(found.inverse) * (1.0 - 1e-9))
 
 
-class TestOtherRecordings:
-    KNOWN = LinksInformation(np.random.default_rng(1).normal(size=(12, 10)), np.arange(12.0))
+def known_rows(known: OtherRecordings) -> FloatArray:
+    """Of a link and no effects."""
+    return known.of_now(10, 10, {})[0]
 
-    def test_rows_say_nothing_of_effects(self) -> None:
-        rows = before.known_rows(self.KNOWN, 13)
+
+class TestOtherRecordings:
+    KNOWN = OtherRecordings(np.random.default_rng(1).normal(size=(12, 10)), np.arange(12.0))
+
+    def test_rows_of_links_alone_say_nothing_of_effects(self) -> None:
+        rows, cost = self.KNOWN.of_now(13, 10, {})
         np.testing.assert_array_equal(rows[:, :10], self.KNOWN.rows)
         np.testing.assert_array_equal(rows[:, 10:13], np.zeros((12, 3)))
         np.testing.assert_array_equal(rows[:, 13], np.arange(12.0))
-        assert before.known_rows(None, 13).shape == (0, 14)
+        assert cost == 0.0
+
+    def test_effects_of_now_are_those_of_then_and_what_they_have_changed_by(self) -> None:
+        """Their covariance is the sum of both, the probability of the rows is the integral over those of then."""
+        rng = np.random.default_rng(2)
+        changes, further = np.array([0.5, 2.0]), 3.0
+        known = OtherRecordings(rng.normal(size=(12, 12)), rng.normal(size=12), changes)
+        rows, cost = known.of_now(20, 15, {1: further})
+        own = rows[:, [*range(10), 15, 16]]
+        assert not np.any(rows[:, [*range(10, 15), 17, 18, 19]])
+        then, now = (np.linalg.inv(each.T @ each) for each in (known.rows, own))
+        np.testing.assert_allclose(
+            now, then + np.diag([*np.zeros(10), changes[0] ** 2, changes[1] ** 2 + further**2]), rtol=1e-8, atol=1e-8
+        )
+        best = [np.linalg.solve(*each) for each in ((known.rows, -known.residuals), (own, -rows[:, -1]))]
+        np.testing.assert_allclose(*best, rtol=1e-8)
+        determinants = [np.linalg.slogdet(each)[1] for each in (now, then)]
+        assert cost == pytest.approx(determinants[0] - determinants[1])
+
+    def test_of_some_coefficients_the_others_are_as_they_were(self) -> None:
+        known = OtherRecordings(np.arange(26.0).reshape(2, 13), np.zeros(2), np.zeros(3))
+        some = known.of_coefficients(np.array([0, 2]), np.array([0.1, 0.2]))
+        np.testing.assert_array_equal(some.rows, known.rows[:, [*range(11), 12]])
+        assert some.links == 10
 
     def test_the_inflation_is_the_most_probable_one(self) -> None:
         """Of residuals in units of enlarged standard deviations, and of the inflation itself."""
-        rows = before.known_rows(self.KNOWN, 10)
+        rows = known_rows(self.KNOWN)
         manifold = StraightManifold(1, 0, np.zeros(0))
         prior = manifold.point(LINK)
         point = manifold.point(1.05 * LINK)
@@ -322,7 +349,7 @@ class TestOtherRecordings:
         assert found > 5.0
 
     def test_what_the_fit_leaves_open_counts_as_error(self) -> None:
-        rows = before.known_rows(replace(self.KNOWN, residuals=np.zeros(12)), 10)
+        rows = known_rows(replace(self.KNOWN, residuals=np.zeros(12)))
         manifold = StraightManifold(1, 0, np.zeros(0))
         point = manifold.point(LINK)
         sure, unsure = (before.inflation_of(rows, manifold, point, point, std * np.eye(10)) for std in (1e-5, 1e3**0.5))
@@ -333,12 +360,12 @@ class TestOtherRecordings:
     def test_rows_contradict_by_their_mean_square_and_those_that_say_nothing_do_not_count(self) -> None:
         off = np.random.default_rng(3).normal(size=10)
         silent = np.vstack([self.KNOWN.rows, np.zeros((5, 10))])
-        empty = LinksInformation(silent, np.append(np.arange(12.0), np.zeros(5)))
+        empty = OtherRecordings(silent, np.append(np.arange(12.0), np.zeros(5)))
         for known in (self.KNOWN, empty):
-            rows = before.known_rows(known, 10)
+            rows = known_rows(known)
             expected = np.sum((self.KNOWN.rows @ off + np.arange(12.0)) ** 2) / 12
             assert before.contradiction(rows, off) == pytest.approx(expected)
-        agreeing = before.known_rows(replace(self.KNOWN, residuals=-self.KNOWN.rows @ off), 10)
+        agreeing = known_rows(replace(self.KNOWN, residuals=-self.KNOWN.rows @ off))
         assert before.contradiction(agreeing, off) == 1.0
 
 
@@ -421,7 +448,7 @@ def test_known_dry_friction_drives_no_joint(excess: float, known: str | None) ->
     level, own = stribeck.terms
     recording = Recording(4, [stribeck, VISCOUS])
     design = recording.design({level: 1.0, own: excess})
-    others = LinksInformation(np.random.default_rng(1).normal(scale=3.0, size=(8, 10)), np.zeros(8)) if known else None
+    others = OtherRecordings(np.random.default_rng(1).normal(scale=3.0, size=(8, 10)), np.zeros(8)) if known else None
     wide = {"inertias": LINK, "spread": 0.2, "certainty": 4.0, "known": others, "held": not_driving}
     found = fit(design, Prior(terms=(level, own), values=np.ones(2), spreads=np.full(2, 1e3), **wide), [])
     if excess > -1.0:

@@ -16,6 +16,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimate import LinksInformation
+from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.files.models.effects_file import (
     by_parameter,
     combined,
@@ -45,8 +46,8 @@ from geomid_ros.types import BoolArray, FloatArray
 class LoadedModel:
     """The ``inertias (10,)`` of bodies by name, without payloads, and the ``effects`` that the file ``source`` says;
     ``known`` of these bodies together, in their order; the fixed links that are ``merged`` into them, where the file
-    says so; the ``doubt`` that its verdict casts on all of it, in a sentence; and the models ``fitted`` for
-    descriptions, by their readers."""
+    says so; the ``doubt`` that its verdict casts on all of it, in a sentence; the models ``fitted`` for descriptions,
+    by their readers; and the ``posterior``, of one that was identified here and now."""
 
     source: str = ""
     inertias: Mapping[str, FloatArray] | None = None
@@ -55,6 +56,7 @@ class LoadedModel:
     merged: Mapping[str, frozenset[str]] = field(default_factory=dict)
     doubt: str = ""
     fitted: Mapping[str, WrittenModel] = field(default_factory=dict)
+    posterior: Posterior | None = None
 
     @staticmethod
     def read(path: str) -> LoadedModel:

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.gap.analysis import Analysis
 from geomid_ros.gap.candidates import ODDS, NamesPrior
 from geomid_ros.gap.result import LIKELY, LinkChange
@@ -78,7 +77,4 @@ def _first_moment(change: FloatArray, std: FloatArray) -> dict[str, Quantity]:
 def with_given_spreads(prior: NamesPrior, inflation: float) -> NamesPrior:
     """A prior under which scores of fits with given spreads can be compared: nothing is said of the spreads, and other
     recordings are trusted as far as they were found to be right."""
-    known = prior.known
-    if known is not None:
-        known = LinksInformation(known.rows / np.sqrt(inflation), known.residuals / np.sqrt(inflation))
-    return replace(prior, certainty=0.0, known=known)
+    return replace(prior, certainty=0.0, known=prior.known and prior.known.trusted(inflation))
