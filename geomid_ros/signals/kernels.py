@@ -20,6 +20,7 @@ _LENGTH_IN_CUTOFF_PERIODS = 4.0
 _FIRST_DIFFERENCE = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60.0
 _SECOND_DIFFERENCE = np.array([2.0, -27.0, 270.0, -490.0, 270.0, -27.0, 2.0]) / 180.0
 LOWEST_RATE_PER_CUTOFF = 2.5
+_UNSURE = 0.01  # of the highest cutoff, as the period of messages is measured, too
 
 
 def highest_cutoff(period: float) -> float:
@@ -40,7 +41,7 @@ def derivative_kernels(cutoff: float, period: float) -> FloatArray:
     Raises:
         InputError: the grid is too coarse for the cutoff.
     """
-    if cutoff > highest_cutoff(period) * (1.0 + 1e-9):  # a cutoff at the limit is rounded
+    if cutoff > highest_cutoff(period) * (1.0 + _UNSURE):
         clock = "; or stamps are not in seconds" if period > 1.0 else ""
         raise InputError(
             f"a cutoff of {cutoff:g} Hz is too high for data at {1 / period:.3g} Hz: set the parameter filter.cutoff "

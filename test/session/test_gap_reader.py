@@ -12,9 +12,11 @@ from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN, Samples
 from geomid_ros.resimulation.resimulate import CUTOFF
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.gap import CUTOFF_PER_RATE, GapReader, gap_pipeline, gap_session
+from geomid_ros.session.gap import CUTOFF_PER_RATE, MESSAGES_FOR_RATE, GapReader, gap_pipeline, gap_session, rate
 from geomid_ros.session.recordings import Bags, Topics, divided, read_samples
 from geomid_ros.session.session import Session
+from geomid_ros.signals.kernels import derivative_kernels
+from geomid_ros.signals.periods import FEWEST
 
 BAG = BAGS / "arm3"
 SHARE = 0.3
@@ -28,8 +30,7 @@ def session() -> Session:
 def test_what_is_simulated_again_is_the_end_that_is_held_out(session: Session) -> None:
     """Read with its own low-pass, and without the columns of the effects that are searched for."""
     (late,) = GapReader(session, Bags(fitted=[BAG], hold_out=SHARE)).sharp()
-    rate = 100.0
-    pipeline = gap_pipeline(session, min(CUTOFF, CUTOFF_PER_RATE * rate))
+    pipeline = gap_pipeline(session, min(CUTOFF, CUTOFF_PER_RATE * 100.0))
     with Bag(BAG) as bag:
         everything = list(read_samples(bag, session, pipeline, Topics("joint_states", "odom")))
     ((_, expected),) = divided([Samples.concatenate(everything)], SHARE)
@@ -38,6 +39,15 @@ def test_what_is_simulated_again_is_the_end_that_is_held_out(session: Session) -
         own = expected.arrays[name]
         np.testing.assert_allclose(late.arrays[name], own, rtol=0.0, atol=1e-9 * np.max(np.abs(own)))
     assert set(late.entries.columns) == {SIGN, SMOOTH_SIGN, REST}
+
+
+def test_the_highest_cutoff_is_one_that_every_part_of_a_recording_allows() -> None:
+    """Stamps jitter by a twentieth of their period; the pipeline infers it from others than the reader does."""
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        stamps = np.cumsum(20_000_000 + 1_000_000 * rng.normal(size=(2, MESSAGES_FOR_RATE)), axis=1).astype(np.int64)
+        chosen = CUTOFF_PER_RATE * rate(stamps[0].tolist())
+        derivative_kernels(chosen, 1e-9 * float(np.median(np.diff(stamps[1, :FEWEST]))))
 
 
 def test_recordings_are_judged_as_a_whole(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
