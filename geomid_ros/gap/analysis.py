@@ -68,8 +68,10 @@ def analyse(
     progress: Callable[[str, float], None],
     standing: StandingRemainder | None = None,
 ) -> Analysis:
-    """Find the set of names that explains the records best, and what is to be thought of the links beside it."""
-    tried = library.candidates(model, prior.terms, bare=not prior.identified)
+    """Find the set of names that explains the records best, and what is to be thought of the links beside it. Of links
+    that move as one the first carries what they carry."""
+    every = library.candidates(model, prior.terms, bare=not prior.identified)
+    tried = [c for c in every if c.payload is None or c.joint is None or records.moves[c.joint]]
     task = _Task(model, records, tried, standing, progress)
     return _with_changed_link(task, _searched(task, prior, "searching"))
 
@@ -106,7 +108,8 @@ def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
     if search.prior.known is None:
         return analysis
     rests = [search.fit([]), *(search.without(names, c) for c in names.chosen)]
-    priors = [search.prior.with_changed(link) for link in range(len(names.inertias)) if link not in names.bodies]
+    apart = [c.payload for c in task.tried if c.payload is not None]
+    priors = [search.prior.with_changed(link) for link in apart if link not in names.bodies]
     scores = [min(fit(search.design, prior, rest.chosen, rest).score for rest in rests) for prior in priors]
     if min(scores, default=np.inf) > names.score - CLEARLY:
         return analysis

@@ -186,6 +186,8 @@ class EffectPlaces:
         return [(above, names.index(name)) for above, name in movers if above is not None and name in names]
 
     def _mover(self, link: str) -> int | None:
-        """The joint that moves a link."""
+        """The joint that moves a link, itself or one that follows it."""
+        places = {f.joint.name: f.master for f in self.robot.followers}
+        places |= {name: place for place, name in enumerate(self.robot.joint_names)}
         above = (joint.name for joint in self.robot.tree.joints_above(link))
-        return next((self.robot.joint_names.index(name) for name in above if name in self.robot.joint_names), None)
+        return next((places[name] for name in above if name in places), None)

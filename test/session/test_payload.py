@@ -172,8 +172,11 @@ def test_gap_says_the_same_of_it() -> None:
     own.identifier.add(heard(own, empty))
     estimate = own.identifier.solve()
     found = weigh(session(), estimate.posterior, [heard(own, loaded)], own.model.body_names[-1], 0.0)
-    (changed,) = look_for_gap(own, estimate, empty, loaded, silent).result.links  # the last link is what carries it
-    assert changed.confidence == "confident"
-    assert abs(changed.mass.value - found.mass) < 2.0 * np.hypot(changed.mass.std, found.std[0])
-    for said, moment, std in zip(changed.moment.values(), found.moment, found.moment_std, strict=True):
-        assert abs(said.value - moment) < 2.0 * np.hypot(said.std, std)
+    (named,) = look_for_gap(own, estimate, empty, loaded, silent).result.findings
+    assert (named.effect, named.link, named.confidence) == ("payload", found.link, "confident")
+    mass = named.parameters["mass"]
+    assert abs(mass.value - found.mass) < 2.0 * np.hypot(mass.std, found.std[0])
+    for axis, moment, std in zip("xyz", found.moment, found.moment_std, strict=True):
+        centre = named.parameters[f"com_{axis}"]
+        unsure = np.hypot(mass.value * centre.std, centre.value * mass.std)
+        assert abs(mass.value * centre.value - moment) < 2.0 * np.hypot(unsure, std)

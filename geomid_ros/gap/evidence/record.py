@@ -14,7 +14,7 @@ from geomid_ros.model.dynamics import Dynamics
 from geomid_ros.model.effects import Effect, MotionEffect, Place, Situation, SituationEffect, joints_of
 from geomid_ros.model.effects.situation import Derivatives, OfLoad
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.samples import SIGN, SMOOTH_SIGN, Samples, moves_one_way
+from geomid_ros.model.samples import SIGN, SMOOTH_SIGN, STILL, Samples, moves_one_way
 from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
@@ -65,6 +65,11 @@ class Records:
     def samples(self) -> Samples:
         """The chosen samples of all stretches."""
         return Samples.concatenate([part.select(index) for part, index in zip(self.dense, self.chosen, strict=True)])
+
+    @cached_property
+    def moves(self) -> BoolArray:
+        """Which of the joints ever move ``(joints,)``."""
+        return np.asarray(np.any(np.abs(self.samples.velocity) > STILL, axis=0))
 
     @cached_property
     def segment(self) -> IntArray:

@@ -75,7 +75,7 @@ def probability_by_size(candidate: Candidate, parameters: Mapping[str, Quantity]
     """The largest probability that a name with these sizes can have: it is that they are what they were, or nothing,
     that speaks against it."""
     sizes, nothing = candidate.effect.sizes(parameters), candidate.effect.nothing
-    main = {"mass": sizes["mass"]} if candidate.payload is not None else sizes
+    main = {"mass": sizes["mass"]} if "mass" in sizes else sizes
     squares = [((size.value - was.get(name, nothing)) / size.std) ** 2 for name, size in main.items() if size.std > 0.0]
     return probability_of_square(max(squares, default=np.inf))
 

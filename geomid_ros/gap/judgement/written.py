@@ -227,8 +227,9 @@ def _findings_as_written(
             parameters = naming.parameters(model, found, candidate, usual_load=load)
             unsure_too = beside_remainder(analysis, candidate, parameters, finding.was)
             sized = {**finding.parameters, **candidate.effect.sizes(unsure_too)}
-            probability = min(finding.probability, probability_by_size(candidate, parameters, finding.was))
-            yield _said_again(replace(finding, parameters=sized, probability=probability))
+            moment = naming.first_moment(found, candidate) if finding.moment else {}
+            probability = min(finding.probability, probability_by_size(candidate, moment or parameters, finding.was))
+            yield _said_again(replace(finding, parameters=sized, moment=moment, probability=probability))
         else:
             yield _said_again(replace(finding, probability=finding.probability * unsure))
 
@@ -236,7 +237,8 @@ def _findings_as_written(
 def _said_again(finding: Finding) -> Finding:
     effect = effect_class(finding.effect)()
     sizes = finding.parameters, finding.was, finding.confidence
-    return replace(finding, sentence=naming.sentence(effect, finding.joint, finding.link, *sizes))
+    said = naming.sentence(effect, finding.joint, finding.link, *sizes, moment=finding.moment)
+    return replace(finding, sentence=said)
 
 
 def _as_written(link: LinkChange, model: MeasurementModel, analysis: Analysis, found: NamesFit) -> LinkChange:
