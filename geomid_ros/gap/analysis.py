@@ -13,11 +13,12 @@ from geomid_ros.gap.candidates import CLEARLY, Candidate, EffectTerm, NamesFit, 
 from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.gap.evidence.linearised_problem import Columns, LinearisedProblem, mean_of, total_model
 from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
-from geomid_ros.gap.evidence.record import Records, TotalModel
+from geomid_ros.gap.evidence.record import FEWEST_ROWS, Records, TotalModel
 from geomid_ros.gap.result import SURE
 from geomid_ros.inference.fit import fit, unfitted
 from geomid_ros.inference.probability import Support, Supports
 from geomid_ros.inference.selection import Selection
+from geomid_ros.model.effects import joints_of
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray
 
@@ -68,12 +69,16 @@ def analyse(
     progress: Callable[[str, float], None],
     standing: StandingRemainder | None = None,
 ) -> Analysis:
-    """Find the set of names that explains the records best, and what is to be thought of the links beside it. Of links
-    that move as one the first carries what they carry."""
-    every = library.candidates(model, prior.terms, bare=not prior.identified)
-    tried = [c for c in every if c.payload is None or c.joint is None or records.moves[c.joint]]
-    task = _Task(model, records, tried, standing, progress)
+    """Find the set of names that explains the records best, and what is to be thought of the links beside it."""
+    tried = library.candidates(model, prior.terms, bare=not prior.identified)
+    task = _Task(model, records, _told(tried, records.moving), standing, progress)
     return _with_changed_link(task, _searched(task, prior, "searching"))
+
+
+def _told(tried: Sequence[Candidate], moving: BoolArray) -> list[Candidate]:
+    """Those that act at joints which move together, where these are ``moving (N, joints)``: of links that move as one
+    the first carries what they carry, and what two joints have in common no motion of each alone shows."""
+    return [c for c in tried if np.count_nonzero(np.all(moving[:, joints_of(c.place)], axis=1)) >= FEWEST_ROWS]
 
 
 def standing_remainder(model: MeasurementModel, records: Records, prior: NamesPrior) -> StandingRemainder:

@@ -15,7 +15,7 @@ from geomid_ros.gap.analysis import analyse, standing_remainder
 from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesPrior, not_driving
 from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, root_mean_square, total_model
-from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.evidence.record import FEWEST_ROWS, Records
 from geomid_ros.gap.judgement.changed_links import changed_links
 from geomid_ros.gap.judgement.held_out import HeldOut, located
 from geomid_ros.gap.judgement.verdict import findings, ranking, unexplained, verdict
@@ -51,7 +51,6 @@ class GapSettings:
 
 
 _DEFAULT = GapSettings()
-_FEWEST_ROWS = 30  # of fewer no channel tells its noise
 _SPREAD_OF_EFFECTS = 0.02  # of the coefficients that the model already has, relative
 _LEAST_SHARE = 0.01  # of what is measured: what was found so small was found no better than this
 _CERTAINTY_OF_IDENTIFIED = 100.0  # what was identified is hardly ever as wrong as a drawing
@@ -226,10 +225,10 @@ def _measured(model: MeasurementModel, records: Records) -> FloatArray:
 
 def _check(model: MeasurementModel, records: Records) -> None:
     """Refuse data of which nothing can be said."""
-    if not records.dense or len(records.samples) < _FEWEST_ROWS:
+    if not records.dense or len(records.samples) < FEWEST_ROWS:
         raise InputError(
             f"too short: {len(records.samples) if records.dense else 0} independent instants at the filter's cutoff, "
-            f"at least {_FEWEST_ROWS} are needed; record half a minute of motion"
+            f"at least {FEWEST_ROWS} are needed; record half a minute of motion"
         )
     if not np.any(np.isfinite(_measured(model, records))):
         names = ", ".join(channel.name for channel in model.channels)

@@ -195,8 +195,7 @@ def _free_fit(
     weights = np.ones(manifold.dimension)
     weights[manifold.real] = (scales / np.array(stds)) ** 2
     weights[first : manifold.inertial.stop] = priors.SPREAD_OF_PAYLOADS**-2
-    told = 0 if prior.known is None else len(prior.known.changes)  # of these it is their change that is named
-    held = np.array([place < told or term not in own for place, term in enumerate(prior.terms)], dtype=bool)
+    held = np.array([term not in own for term in prior.terms], dtype=bool)
     places = manifold.real.start + np.flatnonzero(held)
     weights[places] = (scales[: len(held)][held] / prior.spreads[held]) ** 2
     rows, cost = _known_rows(prior, chosen, manifold)
@@ -260,14 +259,14 @@ def _free_fit(
 
 
 def _known_rows(prior: Prior[Term], chosen: Sequence[Chosen], manifold: ParameterManifold) -> tuple[FloatArray, float]:
-    """What other recordings say, see :meth:`OtherRecordings.of_now`, where coefficients with names have changed by what
-    is usual for these, too; no rows without any."""
+    """What other recordings say, see :meth:`OtherRecordings.of_now`, where coefficients with names are others now; no
+    rows without any."""
     if prior.known is None:
         return np.zeros((0, manifold.dimension + 1)), 0.0
-    places = {term: place for place, term in enumerate(prior.terms[: len(prior.known.changes)])}
-    usual = [(places[t], std) for c in chosen for t, std in zip(c.terms, c.usual, strict=True) if t in places]
-    named = {place: std or USUAL_SHARE * manifold.scales[place] for place, std in usual}
-    return prior.known.of_now(manifold.dimension, int(manifold.real.start), named)
+    named = {term for c in chosen for term in c.terms}
+    told = zip(prior.terms, prior.spreads.tolist(), prior.known.changes, strict=False)
+    others = {place: spread for place, (term, spread, _) in enumerate(told) if term in named}
+    return prior.known.of_now(manifold.dimension, int(manifold.real.start), others)
 
 
 def _zero_rows(driven: FloatArray | None, manifold: ParameterManifold, known: Point) -> FloatArray:

@@ -79,15 +79,19 @@ class OtherRecordings:
     def _changed(self) -> tuple[OtherRecordings, float]:
         return self.beside(self.rows[:, self.links :] * self.changes)
 
-    def of_now(self, dimension: int, first: int, further: Mapping[int, float]) -> tuple[FloatArray, float]:
+    def of_now(self, dimension: int, first: int, others: Mapping[int, float]) -> tuple[FloatArray, float]:
         """Rows for the D parameters of now, of which coefficients begin with the ``first``; as the last column their
         residuals at the prior ``(r, D + 1)``. And what the changes since then add to minus twice the logarithm of the
-        likelihood. Some coefficients have changed by ``further`` standard deviations, by their places."""
+        likelihood. Some coefficients, by their places, are others now: of these nothing is said, and what they were
+        then is known as well as these standard deviations say, and the rows."""
         own, cost = self._changed
-        own, more = own.beside(own.rows[:, [self.links + place for place in further]] * [*further.values()])
-        rows = np.zeros((len(own.rows), dimension + 1))
-        rows[:, : self.links], rows[:, -1] = own.rows[:, : self.links], own.residuals
-        rows[:, first : first + len(self.changes)] = own.rows[:, self.links :]
+        gone = [self.links + place for place in others]
+        own, more = own.beside(own.rows[:, gone] * [*others.values()])
+        told = own.rows.copy()
+        told[:, gone] = 0.0
+        rows = np.zeros((len(told), dimension + 1))
+        rows[:, : self.links], rows[:, -1] = told[:, : self.links], own.residuals
+        rows[:, first : first + len(self.changes)] = told[:, self.links :]
         return rows, cost + more
 
 

@@ -8,11 +8,15 @@ import pytest
 from scipy.signal import lfilter
 
 from geomid_ros.gap import analysis
+from geomid_ros.gap import candidates as library
+from geomid_ros.gap.analysis import _told
 from geomid_ros.gap.evidence.record import TotalModel
-from geomid_ros.model.effects import AtJoint, OnRobot
+from geomid_ros.model.effects import AtJoint, AtJoints, OnLink, OnRobot, Place
 from geomid_ros.model.effects.gravity_tilt import GravityTilt
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
+from geomid_ros.types import BoolArray
 
+from . import planted
 from .small import at
 
 VISCOUS, OFFSET = at("viscous_friction", 0), at("effort_offset", 0)
@@ -151,3 +155,22 @@ def test_what_does_not_settle_is_fitted_in_the_noise_of_the_last_search(monkeypa
     analysis._last_round(task, None, "")  # type: ignore[arg-type]
     searches = ["first", 1, 2, 3, 4, 5]
     assert rounds.noises == [*searches, 5, 5, 5]
+
+
+def test_what_two_joints_share_is_looked_for_where_they_move_together() -> None:
+    """And a payload at the first of links that move as one."""
+    moving = np.zeros((200, 3), dtype=bool)
+    moving[:100, 0] = moving[80:, 1] = True
+
+    def looked_for(moving: BoolArray) -> set[tuple[str, Place]]:
+        return {(c.name, c.place) for c in _told(library.candidates(planted.model(), (), bare=True), moving)}
+
+    found = looked_for(moving)
+    assert ("viscous_friction", AtJoint(0)) in found
+    assert ("gravity_tilt", OnRobot()) in found
+    assert ("payload", OnLink(1, 1)) in found
+    assert ("payload", OnLink(2, 2)) not in found, "the last joint never moves"
+    pair = ("coupled_coulomb_friction", AtJoints(0, 1))
+    assert pair not in found
+    moving[50:, 1] = True
+    assert pair in looked_for(moving)

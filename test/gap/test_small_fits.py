@@ -311,21 +311,27 @@ class TestOtherRecordings:
         assert cost == 0.0
 
     def test_effects_of_now_are_those_of_then_and_what_they_have_changed_by(self) -> None:
-        """Their covariance is the sum of both, the probability of the rows is the integral over those of then."""
+        """Their covariance is the sum of both, the probability of the rows is the integral over those of then. Of one
+        that is another now only the integral is left, with its prior of then."""
         rng = np.random.default_rng(2)
-        changes, further = np.array([0.5, 2.0]), 3.0
+        changes, spread = np.array([0.5, 2.0]), 3.0
         known = OtherRecordings(rng.normal(size=(12, 12)), rng.normal(size=12), changes)
-        rows, cost = known.of_now(20, 15, {1: further})
+        rows, cost = known.of_now(20, 15, {})
         own = rows[:, [*range(10), 15, 16]]
         assert not np.any(rows[:, [*range(10, 15), 17, 18, 19]])
         then, now = (np.linalg.inv(each.T @ each) for each in (known.rows, own))
-        np.testing.assert_allclose(
-            now, then + np.diag([*np.zeros(10), changes[0] ** 2, changes[1] ** 2 + further**2]), rtol=1e-8, atol=1e-8
-        )
+        np.testing.assert_allclose(now, then + np.diag([*np.zeros(10), *changes**2]), rtol=1e-8, atol=1e-8)
         best = [np.linalg.solve(*each) for each in ((known.rows, -known.residuals), (own, -rows[:, -1]))]
         np.testing.assert_allclose(*best, rtol=1e-8)
         determinants = [np.linalg.slogdet(each)[1] for each in (now, then)]
         assert cost == pytest.approx(determinants[0] - determinants[1])
+        others, more = known.of_now(20, 15, {1: spread})
+        assert not np.any(others[:, 16])
+        left = own.T @ own + np.diag([*np.zeros(11), spread**-2])
+        links = left[:11, :11] - np.outer(left[:11, 11], left[11, :11]) / left[11, 11]
+        kept = others[:, [*range(10), 15]]
+        np.testing.assert_allclose(kept.T @ kept, links, rtol=1e-8, atol=1e-8)
+        assert more - cost == pytest.approx(np.log(left[11, 11] * spread**2))
 
     def test_of_some_coefficients_the_others_are_as_they_were(self) -> None:
         known = OtherRecordings(np.arange(26.0).reshape(2, 13), np.zeros(2), np.zeros(3))

@@ -20,6 +20,8 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 # Between two guesses of how friction changes its sign it is unknown; what happens there lasts so long, either way [s].
 _REVERSAL = 0.03
+FEWEST_ROWS = 30
+"""Of fewer no channel tells its noise."""
 _FEWEST = 3  # samples of a stretch
 _SMOOTHER = 0.5  # the load, differentiated twice, is smoothed to this share of the cutoff
 
@@ -67,9 +69,9 @@ class Records:
         return Samples.concatenate([part.select(index) for part, index in zip(self.dense, self.chosen, strict=True)])
 
     @cached_property
-    def moves(self) -> BoolArray:
-        """Which of the joints ever move ``(joints,)``."""
-        return np.asarray(np.any(np.abs(self.samples.velocity) > STILL, axis=0))
+    def moving(self) -> BoolArray:
+        """Which joints move at each chosen sample ``(N, joints)``."""
+        return np.asarray(np.abs(self.samples.velocity) > STILL)
 
     @cached_property
     def segment(self) -> IntArray:

@@ -64,8 +64,8 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
 def beside_remainder(
     analysis: Analysis, candidate: Candidate, parameters: dict[str, Quantity], was: Values
 ) -> dict[str, Quantity]:
-    """Parameters that are as unsure as what has no name leaves their sizes."""
-    effect, doubt = candidate.effect, analysis.supports[candidate].doubt
+    """Parameters that are as unsure as what has no name leaves their sizes, and as these are in another motion."""
+    effect, doubt = candidate.effect, np.hypot(analysis.supports[candidate].doubt, candidate.effect.drift)
     sizes = effect.sizes(parameters).items()
     changes = {name: abs(size.value - was.get(name, effect.nothing)) for name, size in sizes}
     return parameters | {n: replace(q, std=float(np.hypot(q.std, doubt * changes[n]))) for n, q in sizes}
