@@ -114,12 +114,11 @@ class CoefficientRows:
         return self.problem.products.first(len(self.counts)).times(self.problem.independent)
 
     @cached_property
-    def known(self) -> FloatArray:
-        """Of the rows that are known: all columns, and the residuals at the prior without effects, by each other."""
-        rows, prior = self.problem.known.rows, self.problem.model.nominal_parameters
+    def known_residuals(self) -> FloatArray:
+        """Of the rows that are known, at the prior without effects."""
+        prior = self.problem.model.nominal_parameters
         prior[: self.first] = self.problem.prior[: self.first]
-        augmented = np.column_stack([rows, rows @ prior - self.problem.known.targets])
-        return np.asarray(augmented.T @ augmented)
+        return np.asarray(self.problem.known.rows @ prior - self.problem.known.targets)
 
     @cached_property
     def counts(self) -> FloatArray:
@@ -169,13 +168,13 @@ class CoefficientRows:
         point, spreads = prior, usual
         if start is not None:
             point, spreads = manifold.point(start.parameters[columns]), start.fit.scales
-        own = np.append(columns, self.size)
-        known = self.known[own[:, None], own]
+        known = np.column_stack([manifold.rows_off(prior, problem.known.rows[:, columns]), self.known_residuals])
+        products = known.T @ known
         profile = Profile(manifold, self.products.select(columns), self.counts, prior, self.floors)
 
         def objective(spreads: FloatArray) -> ProfileObjective:
             weights = np.append(np.repeat(spreads, 10) ** -2.0, np.full(len(manifold.scales), ROUNDING))
-            return ProfileObjective(profile, weights, known)
+            return ProfileObjective(profile, weights, products)
 
         def likely(point: Point, hessian: FloatArray, _: FloatArray) -> FloatArray:
             unsure = definite.variances(hessian, links.stop)

@@ -273,7 +273,7 @@ def _estimate(
     contents = summary.products(fitted.sigmas, manifold.dimension)
     found = uncertainty.estimate_uncertainty(
         [_fold_at(manifold, solution.point, products) for products in contents],
-        _fold_at(manifold, solution.point, known.products),
+        _known_at(manifold, solution.point, known),
         1.0 / problem.independent,
         prior_weights,
         manifold.log(solution.point, prior_point),
@@ -365,6 +365,12 @@ def _fold_at(manifold: ParameterManifold, point: Point, products: FloatArray) ->
     slope = products[:-1] @ np.append(point.parameters, -1.0)
     half = manifold.whiten(point, products[:-1, :-1])
     return uncertainty.Fold(manifold.whiten(point, slope[None])[0], manifold.whiten(point, half.T))
+
+
+def _known_at(manifold: ParameterManifold, point: Point, known: WeighedRows) -> uncertainty.Fold:
+    """The same of rows."""
+    slope = (known.rows @ point.parameters - known.targets) @ known.rows
+    return uncertainty.Fold(manifold.whiten(point, slope[None])[0], _information_at(manifold, point, known.rows))
 
 
 def _information_at(manifold: ParameterManifold, point: Point, rows: FloatArray) -> FloatArray:

@@ -196,10 +196,11 @@ def settle(
 def _rough(problem: Problem, sigmas: FloatArray, spreads: FloatArray) -> ProductsObjective:
     """The objective for this noise and these spreads of the links, for the search for both."""
     precisions = sigmas**-2.0
-    products = problem.products.weighed(precisions) + problem.known_products
+    products = problem.products.weighed(precisions)
     measured = float(precisions @ problem.row_weights)
     weights = _prior_weights(problem, spreads, measured)
-    return ProductsObjective(problem.manifold, products, problem.prior_point, weights, measured + problem.known_weight)
+    rows = measured + problem.known_weight
+    return ProductsObjective(problem.manifold, products, problem.prior_point, weights, rows, problem.known_products)
 
 
 def _prior_weights(problem: Problem, spreads: FloatArray, measured: float) -> FloatArray:
@@ -234,9 +235,8 @@ def _objective(problem: Problem, measured: tuple[FloatArray, FloatArray], spread
     ones = np.ones(len(rows))
     links = float(np.exp(np.mean(np.log(weights[manifold.inertial]))))
     every = float(np.sum(row_weights(manifold, prior, rows, ones)))
-    return ResidualObjective(
-        manifold, rows, targets, ones, prior, max(links / every, np.finfo(float).tiny), confidence=weights / links
-    )
+    gamma, known = max(links / every, np.finfo(float).tiny), len(problem.known.rows)
+    return ResidualObjective(manifold, rows, targets, ones, prior, gamma, confidence=weights / links, known=known)
 
 
 def _measured_weight(problem: Problem, measured: tuple[FloatArray, FloatArray]) -> float:

@@ -158,6 +158,7 @@ class GeodesicObjective(_WeightedObjective):
         )
 
 
+@dataclass(frozen=True, eq=False)
 class ResidualObjective(_WeightedObjective):
     """Remark 3: ``sum (a_i . parameters - b_i)^2 / sigma_i^2 + gamma sum(w) d(Phi, Phi_0)^2``, weights as in (19).
 
@@ -166,21 +167,33 @@ class ResidualObjective(_WeightedObjective):
     distances short, large masses above all (scale all parameters: a row's residual grows in proportion, the
     distance to its hyperplane does not). It depends on the rows only through their least-squares content, so that
     compressed rows lose nothing.
+
+    Attributes:
+        known: How many of the rows, the last ones, were not measured, see :func:`rows_at`.
     """
+
+    known: int = field(default=0, kw_only=True)
 
     @cached_property
     def _augmented(self) -> FloatArray:
-        return np.column_stack([self.rows, self.targets]) / self.sigmas[:, None]
+        measured = slice(len(self.rows) - self.known)
+        return np.column_stack([self.rows[measured], self.targets[measured]]) / self.sigmas[measured, None]
+
+    @cached_property
+    def _known_products(self) -> FloatArray:
+        known = slice(len(self.rows) - self.known, None)
+        rows = rows_at(self.manifold, self.prior, self.rows[known], self.targets[known]) / self.sigmas[known, None]
+        return rows.T @ rows
 
     @cached_property
     def products(self) -> FloatArray:
-        """The columns ``[A b]`` by each other, of rows of standard deviation 1, ``(D + 1, D + 1)``."""
+        """The columns ``[A b]`` by each other, of measured rows of standard deviation 1, ``(D + 1, D + 1)``."""
         return self._augmented.T @ self._augmented
 
     @cached_property
     def scale(self) -> float:
         """Sum of all weights."""
-        return (1.0 + self.gamma) * dual_square(self.manifold, self.prior, self.products)
+        return (1.0 + self.gamma) * float(np.sum(row_weights(self.manifold, self.prior, self.rows, self.sigmas)))
 
     @cached_property
     def prior_weight(self) -> float:
@@ -195,7 +208,8 @@ class ResidualObjective(_WeightedObjective):
         """Half of the objective at ``point`` with its derivatives in the tangent coordinates there."""
         residuals = self._augmented @ np.append(point.parameters, -1.0)
         value, slope = 0.5 * float(residuals @ residuals), residuals @ self._augmented
-        return with_prior(self.manifold, point, self.prior, self.prior_weights, (value, slope[:-1], self.products))
+        rows = value, slope[:-1], self.products
+        return with_prior(self.manifold, point, self.prior, self.prior_weights, rows, self._known_products)
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,6 +222,7 @@ class ProductsObjective:
         products: ``(D + 1, D + 1)``, of the columns ``[A b]`` by each other, of rows of standard deviation 1.
         prior_weights: ``(D,)``, the factors of the squared distance to the prior.
         rows_weight: Sum of the rows' weights (Remark 2).
+        known: Products of further rows, see :func:`rows_at`.
     """
 
     manifold: ParameterManifold
@@ -215,6 +230,7 @@ class ProductsObjective:
     prior: Point
     prior_weights: FloatArray
     rows_weight: float
+    known: FloatArray | None = None
 
     @property
     def scale(self) -> float:
@@ -230,7 +246,13 @@ class ProductsObjective:
         vector = np.append(point.parameters, -1.0)
         moved = self.products @ vector
         rows = 0.5 * float(vector @ moved), moved[:-1], self.products
-        return with_prior(self.manifold, point, self.prior, self.prior_weights, rows)
+        return with_prior(self.manifold, point, self.prior, self.prior_weights, rows, self.known)
+
+
+def rows_at(manifold: ParameterManifold, prior: Point, rows: FloatArray, targets: FloatArray) -> FloatArray:
+    """Rows ``(N, D)`` of the parameters as rows of :meth:`ParameterManifold.off` the prior; as the last column their
+    residuals there, ``(N, D + 1)``. What is known of links is as exact in the directions in which they are thin."""
+    return np.column_stack([manifold.rows_off(prior, rows), rows @ prior.parameters - targets])
 
 
 def dual_square(manifold: ParameterManifold, point: Point, products: FloatArray) -> float:
@@ -278,6 +300,7 @@ def with_prior(
     prior: Point,
     weights: FloatArray,
     rows: tuple[float, FloatArray, FloatArray],
+    known: FloatArray | None,
 ) -> Evaluation:
     """Half of an objective along straight lines: of rows and of the weighted squared distance to a prior.
 
@@ -286,16 +309,21 @@ def with_prior(
         weights: Of the tangent coordinates to the prior ``(D,)``, equal within a link.
         rows: Half of the rows' part, its derivative ``(D,)`` by the parameters, and the products ``(D + 1, D + 1)`` of
             their columns and targets.
+        known: Products of further rows (:func:`rows_at`), if there are any.
     """
     value, slope, products = rows
+    known = np.zeros(products.shape) if known is None else known
+    off = np.append(manifold.off(prior, point), 1.0)
+    pull = known @ off
+    value += 0.5 * float(off @ pull)
     if compiled.native is None:
-        return _with_prior(manifold, point, prior, weights, rows)
+        return _with_prior(manifold, point, prior, weights, (value, slope, products), (pull[:-1], known[:-1, :-1]))
     size = manifold.dimension
     gradient, information, hessian = np.empty(size), np.empty((size, size)), np.empty((size, size))
     start = manifold.inertial.stop
     value += compiled.native.second_order(
-        *(pseudo_inertia.COEFFICIENTS_TO_COORDINATES, point.pseudo_inertias, prior.pseudo_inertias),
-        *(point.parameters[start:], prior.parameters[start:], manifold.scales, weights, slope, products),
+        *(pseudo_inertia.COEFFICIENTS_TO_COORDINATES, prior.to_tangent, point.pseudo_inertias, prior.pseudo_inertias),
+        *(point.parameters[start:], prior.parameters[start:], manifold.scales, weights, slope, products, pull, known),
         *(gradient, information, hessian),
     )
     return Evaluation(value, gradient, information, hessian)
@@ -307,8 +335,9 @@ def _with_prior(
     prior: Point,
     weights: FloatArray,
     rows: tuple[float, FloatArray, FloatArray],
+    known: tuple[FloatArray, FloatArray],
 ) -> Evaluation:
-    """The same by numpy.
+    """The same by numpy, with the derivative and the products ``(D, D)`` of what is known.
 
     Along a straight line the rows have no curvature but their information. The prior has that of its weighted squared
     distance along geodesics, and that of the line: of the linear function of the parameters whose gradient is minus the
@@ -318,10 +347,12 @@ def _with_prior(
     value, slope, products = rows
     far, gradient, bends = _prior_terms(manifold, point, prior, weights)
     information = manifold.whiten(point, manifold.whiten(point, products[:-1, :-1]).T)
+    information += manifold.whiten_off(prior, point, manifold.whiten_off(prior, point, known[1]).T)
+    slopes = manifold.whiten(point, slope[None])[0] + manifold.whiten_off(prior, point, known[0][None])[0]
     matrices = symmetric.to_matrix(-gradient[manifold.inertial].reshape(manifold.links, symmetric.SIZE))
     of_lines = (matrices.reshape(manifold.links, _PRODUCTS.shape[1]) @ _PRODUCTS.T).reshape(bends.shape)
     rest = weights[manifold.inertial.stop :].copy()
     rest[: manifold.positives] -= gradient[manifold.positive]
     hessian = information.copy()
     manifold.add_blocks(hessian, bends + of_lines, rest)
-    return Evaluation(value + far, gradient + manifold.whiten(point, slope[None])[0], information, hessian)
+    return Evaluation(value + far, gradient + slopes, information, hessian)

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.estimation.channel_products import ChannelProducts
-from geomid_ros.estimation.objective import dual_square
+from geomid_ros.estimation.objective import dual_square, row_weights, rows_at
 from geomid_ros.estimation.starting_point import (
     USUAL_SPREAD_OF_LINKS,
     USUAL_SPREAD_OF_REALS,
@@ -117,8 +117,13 @@ class Problem:
 
     @cached_property
     def known_products(self) -> FloatArray:
-        """The same of the weighed masses, with the weight that they have among rows of which only a share counts."""
-        return np.asarray(max(1.0, 1.0 / self.independent) * self.known.products)
+        """Products of what is known, with the weight that it has among rows of which only a share counts."""
+        rows = rows_at(self.manifold, self.prior_point, self.known.rows, self.known.targets)
+        return np.asarray(self._known_factor * rows.T @ rows)
+
+    @property
+    def _known_factor(self) -> float:
+        return max(1.0, 1.0 / self.independent)
 
     @cached_property
     def row_weights(self) -> FloatArray:
@@ -129,7 +134,8 @@ class Problem:
     @cached_property
     def known_weight(self) -> float:
         """The same of the weighed masses."""
-        return dual_square(self.manifold, self.prior_point, self.known_products)
+        ones = np.ones(len(self.known.rows))
+        return self._known_factor * float(np.sum(row_weights(self.manifold, self.prior_point, self.known.rows, ones)))
 
     @cached_property
     def counts(self) -> FloatArray:

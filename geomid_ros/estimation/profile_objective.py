@@ -64,8 +64,8 @@ class Profile:
 @dataclass(frozen=True, eq=False)
 class ProfileObjective:
     """Half of ``sum_c N_c log S_c`` plus the prior's terms, with weights ``(D,)``, equal within a link, of the tangent
-    coordinates to it, and with what is ``known`` beside it: products ``(D + 1, D + 1)`` of the columns of rows of
-    standard deviation 1, and of their residuals at the prior."""
+    coordinates to it, and with what is ``known`` beside it: products ``(D + 1, D + 1)`` of rows of standard deviation
+    1 (:func:`~geomid_ros.estimation.objective.rows_at`)."""
 
     profile: Profile
     weights: FloatArray
@@ -91,10 +91,7 @@ class ProfileObjective:
         vector = np.append(point.parameters, -1.0)
         squares, products = profile.weighed(vector)
         value, slope = 0.5 * float(profile.counts @ np.log(squares)), (products @ vector)[:-1]
-        off = np.append(point.parameters - profile.prior.parameters, 1.0)
-        moved = self.known @ off
-        value, slope, products = value + 0.5 * float(off @ moved), slope + moved[:-1], products + self.known
-        return with_prior(self.manifold, point, profile.prior, self.weights, (value, slope, products))
+        return with_prior(self.manifold, point, profile.prior, self.weights, (value, slope, products), self.known)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +155,8 @@ def minimum(objective: ProfileObjective, start: Point) -> Solution:
     inertias, reals, values = start.pseudo_inertias.copy(), start.reals.copy(), np.empty(_STEPS + 1)
     gradient, information, hessian = np.empty(size), np.empty((size, size)), np.empty((size, size))
     reason, steps = native.descend(
-        *(COEFFICIENTS_TO_COORDINATES, prior.pseudo_inertias, prior.reals, manifold.scales, objective.weights),
+        *(COEFFICIENTS_TO_COORDINATES, prior.to_tangent, prior.pseudo_inertias, prior.reals),
+        *(manifold.scales, objective.weights),
         *(*profile.products.packed, profile.counts, profile.least, objective.known),
         np.array([GRADIENT * objective.scale, _RADIUS, _LEAST_DECREASE]),
         *(inertias, reals, gradient, information, hessian, values),

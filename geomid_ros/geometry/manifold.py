@@ -68,6 +68,11 @@ class Point:
         return frozen(pseudo_inertia.COEFFICIENTS_TO_COORDINATES @ symmetric.congruence(self.root))
 
     @cached_property
+    def to_tangent(self) -> FloatArray:
+        """The coordinates of symmetric matrices to tangent coordinates here, ``(links, 10, 10)``."""
+        return frozen(symmetric.congruence(self.inverse_root))
+
+    @cached_property
     def parameters(self) -> FloatArray:
         """The linear parameters ``(D,)``."""
         inertial = pseudo_inertia.to_parameters(self.pseudo_inertias).ravel()
@@ -217,7 +222,30 @@ class ParameterManifold:
 
     def whiten(self, base: Point, rows: FloatArray) -> FloatArray:
         """Coordinates ``(N, D)`` of rows ``(N, D)`` at ``base``; their norm is the rows' dual norm there."""
-        blocks, diagonal = self.jacobian(base)
+        return self._by_tangent(rows, *self.jacobian(base))
+
+    def off(self, base: Point, point: Point) -> FloatArray:
+        """How far ``point`` is off ``base``, ``(D,)``: the links' tangent coordinates along the straight line, and the
+        differences of the rest.
+
+        In these a link's errors are of one size in all directions, however thin it is. In its parameters they are not,
+        and products of rows that hold them square the ratio: rounding leaves nothing of the shortest.
+        """
+        links = spd.congruence(base.inverse_root, point.pseudo_inertias) - _IDENTITY
+        return np.concatenate(
+            [symmetric.to_vector(links).ravel(), point.positives - base.positives, point.reals - base.reals]
+        )
+
+    def rows_off(self, base: Point, rows: FloatArray) -> FloatArray:
+        """Rows ``(N, D)`` of the parameters as rows of :meth:`off`."""
+        return self._by_tangent(rows, base.links_jacobian, np.ones(self.dimension - self.inertial.stop))
+
+    def whiten_off(self, base: Point, point: Point, rows: FloatArray) -> FloatArray:
+        """:meth:`whiten` at ``point`` for rows of :meth:`off`."""
+        return self._by_tangent(rows, base.to_tangent @ symmetric.congruence(point.root), self.jacobian(point)[1])
+
+    def _by_tangent(self, rows: FloatArray, blocks: FloatArray, diagonal: FloatArray) -> FloatArray:
+        """Rows ``(N, D)`` times a Jacobian, by blocks as of :meth:`jacobian`."""
         whitened = np.empty(rows.shape)
         by_link = (rows[:, self.inertial], whitened[:, self.inertial])
         before, after = (part.reshape(len(rows), self.links, symmetric.SIZE).swapaxes(0, 1) for part in by_link)

@@ -15,7 +15,7 @@ from typing import Any, Generic
 
 import numpy as np
 
-from geomid_ros.estimation.alike_prior import cost_of_own, likely_own
+from geomid_ros.estimation.alike_prior import cost_of_own, held_together, likely_own
 from geomid_ros.estimation.link_spreads import cost_of_spreads, likely_spreads
 from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, fit_scales
 from geomid_ros.geometry import definite, pseudo_inertia
@@ -200,7 +200,7 @@ def _free_fit(
     weights[places] = (scales[: len(held)][held] / prior.spreads[held]) ** 2
     rows, cost = _known_rows(prior, chosen, manifold)
     zero = _zero_rows(driven, manifold, known)
-    said, zeros = rows.T @ rows, zero.T @ zero
+    said, zeros = (_products(manifold.rows_off(known, own[:, :-1]), own[:, -1]) for own in (rows, zero))
     afresh = start is None or set(bodies) != set(start.bodies)
     fixed = spread is not None
     inflation = 1.0 if fixed or start is None else start.inflation
@@ -216,8 +216,8 @@ def _free_fit(
     def objective(wide: FloatArray) -> ProfileObjective:
         links, inflation, apart = np.split(wide, ends)
         trusted = np.append(np.repeat(links, 10) ** -2.0, weights[first:])
-        held = prior.held_together(apart, manifold.dimension)
-        return ProfileObjective(profile, trusted, said / inflation + zeros + held)
+        held = held_together(prior.alike, apart, manifold.dimension)
+        return ProfileObjective(profile, trusted, said / inflation + zeros + _products(held, np.zeros(len(held))))
 
     def likely(point: Point, hessian: FloatArray, before: FloatArray) -> FloatArray:
         tangent, root = manifold.log(known, point)[:first], definite.roots(hessian, first)
@@ -256,6 +256,12 @@ def _free_fit(
         own_spreads=own_spreads,
         changes=changes,
     )
+
+
+def _products(rows: FloatArray, residuals: FloatArray) -> FloatArray:
+    """Of the columns ``(N, D)`` and residuals of rows, ``(D + 1, D + 1)``."""
+    augmented = np.column_stack([rows, residuals])
+    return np.asarray(augmented.T @ augmented)
 
 
 def _known_rows(prior: Prior[Term], chosen: Sequence[Chosen], manifold: ParameterManifold) -> tuple[FloatArray, float]:

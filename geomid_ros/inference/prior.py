@@ -16,7 +16,6 @@ from geomid_ros.estimation.alike_prior import common_spreads
 from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.geometry.symmetric import SIZE
 from geomid_ros.inference.hypothesis import Term
 from geomid_ros.model.alike_parts import OWN_SPREAD, AlikeParts
 from geomid_ros.types import FloatArray, IntArray
@@ -142,31 +141,6 @@ class Prior(Generic[Term]):
     def own_spreads(self) -> FloatArray:
         """The usual size of the part of their errors that each of the n links has by itself that are alike ``(n,)``."""
         return np.full(sum(len(group.members) for group in self.alike), OWN_SPREAD)
-
-    @cached_property
-    def _alike_pairs(self) -> list[tuple[IntArray, FloatArray]]:
-        """Of each group of links that are alike their places ``(n, 10)`` among the parameters, and the products of
-        these as mirrored tangent coordinates, each link by each ``(n, n, 10, 10)``, linearised at the prior."""
-        manifold, found = StraightManifold(len(self.inertias) // 10, 0, np.ones(0)), []
-        to_tangent = np.linalg.inv(manifold.point(self.inertias).links_jacobian)
-        for group in self.alike:
-            members = np.array(group.members)
-            coordinates = np.array(group.signs)[:, :, None] * to_tangent[members]
-            found.append(
-                (SIZE * members[:, None] + np.arange(SIZE), np.einsum("ika,jkb->ijab", coordinates, coordinates))
-            )
-        return found
-
-    def held_together(self, own: FloatArray, dimension: int) -> FloatArray:
-        """Products ``(D + 1, D + 1)`` of the columns of rows, whose residuals at the prior are zero, that hold links
-        together which are alike, for the ``own (n,)`` spreads."""
-        found, first = np.zeros((dimension + 1, dimension + 1)), 0
-        for places, pairs in self._alike_pairs:
-            precisions = own[first : first + len(places)] ** -2.0
-            weights = np.diag(precisions) - np.outer(precisions, precisions) / np.sum(precisions)
-            found[places[:, None, :, None], places[None, :, None, :]] = weights[:, :, None, None] * pairs
-            first += len(places)
-        return found
 
     def with_changed(self, link: int) -> Prior[Term]:
         """The same of a robot of which a link has been changed since the other recordings: these say of the other links

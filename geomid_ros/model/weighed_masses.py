@@ -76,12 +76,6 @@ class WeighedRows:
         """The rows of a prior."""
         return self.rows[len(self.masses) :]
 
-    @property
-    def products(self) -> FloatArray:
-        """All columns, targets included, by each other, ``(D + 1, D + 1)``."""
-        augmented = np.column_stack([self.rows, self.targets])
-        return np.asarray(augmented.T @ augmented)
-
 
 def weighed_rows(model: MeasurementModel, weighed: Sequence[WeighedMass]) -> WeighedRows:
     """The rows of weighed masses: sums of the masses of identified bodies.

@@ -84,7 +84,8 @@ def test_an_objective_of_products_is_the_same(manifold: ParameterManifold, monke
     rng = np.random.default_rng(1)
     point = bodies.point(rng, manifold)
     products = sparse(rng, manifold, point).products.dense(0)
-    objective = ProductsObjective(manifold, products, bodies.point(rng, manifold), weights(rng, manifold), 1.0)
+    prior, known = bodies.point(rng, manifold), rng.normal(size=(2, manifold.dimension + 1))
+    objective = ProductsObjective(manifold, products, prior, weights(rng, manifold), 1.0, known.T @ known)
     own = objective.evaluate(point)
     without(monkeypatch)
     assert_same(own, objective.evaluate(point))
@@ -139,6 +140,7 @@ def test_the_minimum_of_channels_is_the_same(known: int, monkeypatch: pytest.Mon
     manifold = StraightManifold(3, 0, rng.uniform(0.1, 10.0, size=4))
     profile = sparse(rng, manifold, bodies.point(rng, manifold), 3)
     rows = rng.normal(size=(known, manifold.dimension + 1))
+    rows[:, :-1] = manifold.rows_off(profile.prior, rows[:, :-1])
     objective = ProfileObjective(profile, weights(rng, manifold), rows.T @ rows)
     for start in (profile.prior, bodies.point(rng, manifold)):
         own = minimum(objective, start)

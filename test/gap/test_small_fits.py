@@ -86,7 +86,8 @@ def test_the_information_is_that_of_gaussian_rows() -> None:
         count / squares * own.profile.products.dense(channel)[:-1, :-1]
         for channel, (count, squares) in enumerate(zip(own.profile.counts, own.profile.squares(start), strict=True))
     )
-    of_known = own.known[:-1, :-1]
+    into = np.linalg.inv(own.manifold.rows_off(own.profile.prior, np.eye(own.manifold.dimension)))
+    of_known = into.T @ own.known[:-1, :-1] @ into
     expected = jacobian.T @ (of_rows + of_known) @ jacobian
     np.testing.assert_allclose(own.evaluate(start).information, expected, rtol=1e-9, atol=1e-9)
     assert own.scale == CHANNELS * ROWS

@@ -60,13 +60,24 @@ INLINE void pairs(double v[4][4], double basis[10][10]) {
     }
 }
 
-/* Half the squared distance to the prior by links: the logarithms' coordinates, the Hessians along geodesics, and the
- * Jacobians of parameters by tangent coordinates. */
+enum { MEASURED, KNOWN, KINDS }; /* of rows */
+
+/* Rows of one kind, by their derivative (D,) and the products (D + 1, D + 1) of their columns, whose last row and column
+ * are unused. `basis` takes a link's coordinates to the parameters that they are stated in; that of the next link stands
+ * so many numbers further. */
 typedef struct {
-    double logarithm[10], bends[10][10], jacobian[10][10];
+    const double *basis, *slope, *products;
+    long next;
+} Rows;
+
+/* Half the squared distance to the prior by links: the logarithms' coordinates, the Hessians along geodesics, and the
+ * Jacobians of each kind's parameters by tangent coordinates. */
+typedef struct {
+    double logarithm[10], bends[10][10], jacobian[KINDS][10][10];
 } Link;
 
-INLINE void links_terms(const double *inertias, const double *priors, const double *basis, int links, Link *result) {
+INLINE void links_terms(
+    const double *inertias, const double *priors, const Rows *rows, int links, Link *result) {
     for (int first = 0; first < links; first += LANES) {
         const int some = links - first < LANES ? links - first : LANES;
         Eigen own, between;
@@ -104,10 +115,11 @@ INLINE void links_terms(const double *inertias, const double *priors, const doub
             memset(link->jacobian, 0, sizeof link->jacobian);
             for (int a = 0; a < 10; a++)
                 for (int r = 0; r < 10; r++) {
-                    const double bent = bend[a] * turned[a][r], into = basis[10 * r + a];
-                    for (int c = 0; c < 10; c++) {
-                        link->bends[r][c] += bent * turned[a][c];
-                        link->jacobian[r][c] += into * taken[a][c];
+                    const double bent = bend[a] * turned[a][r];
+                    for (int c = 0; c < 10; c++) link->bends[r][c] += bent * turned[a][c];
+                    for (int kind = 0; kind < KINDS; kind++) {
+                        const double into = rows[kind].basis[(first + i) * rows[kind].next + 10 * r + a];
+                        for (int c = 0; c < 10; c++) link->jacobian[kind][r][c] += into * taken[a][c];
                     }
                 }
         }
@@ -140,11 +152,25 @@ INLINE int apart(const double *products, long stride) {
     return 1;
 }
 
+/* Onto a block the products of two links, by their tangent coordinates. */
+INLINE void add_products(
+    const double *products, long stride, const double left[10][10], const double right[10][10], double block[10][10]) {
+    double half[10][10] = {{0.0}};
+    if (apart(products, stride)) return;
+    for (int r = 0; r < 10; r++, products += stride)
+        for (int k = 0; k < 10; k++)
+            for (int c = 0; c < 10; c++) half[r][c] += products[k] * right[k][c];
+    for (int k = 0; k < 10; k++)
+        for (int r = 0; r < 10; r++)
+            for (int c = 0; c < 10; c++) block[r][c] += left[k][r] * half[k][c];
+}
+
 typedef struct {
     int links, positives, size;
-    const double *basis, *inertias, *priors; /* (10, 10), (links, 4, 4) */
+    const double *inertias, *priors; /* (links, 4, 4) */
     const double *rest, *prior_rest, *scales; /* coefficients; the scales of the real ones */
-    const double *weights, *slope, *products; /* (D,), (D,), (D + 1, D + 1), of which the last row and column are unused */
+    const double *weights; /* (D,) */
+    Rows rows[KINDS];
     double *gradient, *information, *hessian; /* (D,), (D, D), (D, D) */
     Link *terms;
 } Problem;
@@ -152,7 +178,7 @@ typedef struct {
 FOR_EACH_PROCESSOR static double second_order(const Problem *p) {
     const int size = p->size, inertial = 10 * p->links, stride = size + 1;
     double value = 0.0;
-    links_terms(p->inertias, p->priors, p->basis, p->links, p->terms);
+    links_terms(p->inertias, p->priors, p->rows, p->links, p->terms);
     memset(p->information, 0, sizeof(double) * size * size);
     for (int link = 0; link < p->links; link++) {
         const Link *row = p->terms + link;
@@ -160,20 +186,17 @@ FOR_EACH_PROCESSOR static double second_order(const Problem *p) {
             const double pull = p->weights[10 * link + a] * row->logarithm[a];
             value += 0.5 * pull * row->logarithm[a];
             double slope = 0.0;
-            for (int r = 0; r < 10; r++) slope += p->slope[10 * link + r] * row->jacobian[r][a];
+            for (int kind = 0; kind < KINDS; kind++)
+                for (int r = 0; r < 10; r++) slope += p->rows[kind].slope[10 * link + r] * row->jacobian[kind][r][a];
             p->gradient[10 * link + a] = slope - pull;
         }
         for (int other = link; other < p->links; other++) {
             const Link *column = p->terms + other;
-            const double *products = p->products + (long)(10 * link) * stride + 10 * other;
-            double half[10][10] = {{0.0}}, block[10][10] = {{0.0}};
-            if (apart(products, stride)) continue;
-            for (int r = 0; r < 10; r++, products += stride)
-                for (int k = 0; k < 10; k++)
-                    for (int c = 0; c < 10; c++) half[r][c] += products[k] * column->jacobian[k][c];
-            for (int k = 0; k < 10; k++)
-                for (int r = 0; r < 10; r++)
-                    for (int c = 0; c < 10; c++) block[r][c] += row->jacobian[k][r] * half[k][c];
+            double block[10][10] = {{0.0}};
+            for (int kind = 0; kind < KINDS; kind++)
+                add_products(
+                    p->rows[kind].products + (long)(10 * link) * stride + 10 * other, stride, row->jacobian[kind],
+                    column->jacobian[kind], block);
             for (int r = 0; r < 10; r++)
                 for (int c = 0; c < 10; c++) {
                     p->information[(long)(10 * link + r) * size + 10 * other + c] = block[r][c];
@@ -188,15 +211,17 @@ FOR_EACH_PROCESSOR static double second_order(const Problem *p) {
         const double logarithm = positive ? log(off / p->rest[own]) : (off - p->rest[own]) / length;
         const double pull = p->weights[k] * logarithm;
         value += 0.5 * pull * logarithm;
-        p->gradient[k] = p->slope[k] * length - pull;
-        const double *products = p->products + (long)k * stride;
+        double slope = 0.0;
+        for (int kind = 0; kind < KINDS; kind++) slope += p->rows[kind].slope[k];
+        p->gradient[k] = slope * length - pull;
         for (int link = 0; link < p->links; link++) {
             double row[10] = {0.0};
-            for (int r = 0; r < 10; r++) {
-                const double product = products[10 * link + r];
-                if (product == 0.0) continue;
-                for (int c = 0; c < 10; c++) row[c] += product * p->terms[link].jacobian[r][c];
-            }
+            for (int kind = 0; kind < KINDS; kind++)
+                for (int r = 0; r < 10; r++) {
+                    const double product = p->rows[kind].products[(long)k * stride + 10 * link + r];
+                    if (product == 0.0) continue;
+                    for (int c = 0; c < 10; c++) row[c] += product * p->terms[link].jacobian[kind][r][c];
+                }
             for (int c = 0; c < 10; c++) {
                 p->information[(long)k * size + 10 * link + c] = length * row[c];
                 p->information[(long)(10 * link + c) * size + k] = length * row[c];
@@ -205,7 +230,9 @@ FOR_EACH_PROCESSOR static double second_order(const Problem *p) {
         for (int m = inertial; m < size; m++) {
             const int at = m - inertial;
             const double other = at < p->positives ? p->rest[at] : p->scales[at - p->positives];
-            p->information[(long)k * size + m] = length * other * products[m];
+            double product = 0.0;
+            for (int kind = 0; kind < KINDS; kind++) product += p->rows[kind].products[(long)k * stride + m];
+            p->information[(long)k * size + m] = length * other * product;
         }
     }
     memcpy(p->hessian, p->information, sizeof(double) * size * size);
@@ -268,13 +295,14 @@ FOR_EACH_PROCESSOR static void weigh(
         for (int j = 0; j < i; j++) total[(long)i * size + j] = total[(long)j * size + i];
 }
 
-/* What profile_objective.py minimises, and room for an evaluation: `problem` has what does not depend on the point. */
+/* What profile_objective.py minimises, and room for an evaluation: `problem` has what does not depend on the point. What
+ * is known is stated at the prior. */
 typedef struct {
     Problem problem;
     int channels;
-    const double *products, *counts, *least, *known; /* known: products (D + 1, D + 1) of rows, at the prior */
+    const double *products, *counts, *least;
     const long long *places, *runs, *ends;
-    double *squares, *total, *vector, *off, *slope;
+    double *squares, *total, *vector, *off, *slope, *pull;
 } Profile;
 
 typedef struct {
@@ -291,13 +319,14 @@ INLINE double dot(const double *x, const double *y, int count) {
     return sum;
 }
 
-/* Parameters (D,) of links and coefficients. */
-static void parameters_of(const Problem *p, const double *inertias, const double *rest, double *result) {
+/* Parameters (D,) of links and coefficients, of one kind of rows. */
+static void parameters_of(
+    const Problem *p, const Rows *rows, const double *inertias, const double *rest, double *result) {
     for (int link = 0; link < p->links; link++)
         for (int r = 0; r < 10; r++) {
             double sum = 0.0;
             for (int a = 0; a < 10; a++)
-                sum += p->basis[10 * r + a] * (a < 4 ? 1.0 : ROOT_TWO) * inertias[16 * link + 4 * ROW[a] + COLUMN[a]];
+                sum += rows->basis[link * rows->next + 10 * r + a] * (a < 4 ? 1.0 : ROOT_TWO) * inertias[16 * link + 4 * ROW[a] + COLUMN[a]];
             result[10 * link + r] = sum;
         }
     memcpy(result + 10 * p->links, rest, sizeof(double) * (p->size - 10 * p->links));
@@ -305,9 +334,10 @@ static void parameters_of(const Problem *p, const double *inertias, const double
 
 FOR_EACH_PROCESSOR static void evaluate(const Profile *profile, State *at) {
     Problem problem = profile->problem;
+    const Rows *known = problem.rows + KNOWN;
     const int size = problem.size, stride = size + 1;
     double *vector = profile->vector, *slope = profile->slope, *total = profile->total, value = 0.0;
-    parameters_of(&problem, at->inertias, at->rest, vector);
+    parameters_of(&problem, problem.rows + MEASURED, at->inertias, at->rest, vector);
     vector[size] = -1.0;
     weigh(
         profile->products, profile->places, profile->runs, profile->ends, vector, profile->counts, profile->least,
@@ -315,16 +345,15 @@ FOR_EACH_PROCESSOR static void evaluate(const Profile *profile, State *at) {
     for (int channel = 0; channel < profile->channels; channel++)
         value += 0.5 * profile->counts[channel] * log(profile->squares[channel]);
     for (int k = 0; k < size; k++) slope[k] = dot(total + (long)k * stride, vector, stride);
-    double *off = profile->off;
-    parameters_of(&problem, problem.priors, problem.prior_rest, off);
+    double *off = profile->off, *pull = profile->pull;
+    parameters_of(&problem, known, problem.priors, problem.prior_rest, off);
+    parameters_of(&problem, known, at->inertias, at->rest, vector);
     for (int k = 0; k < size; k++) off[k] = vector[k] - off[k];
     off[size] = 1.0;
     for (int k = 0; k < stride; k++) {
-        const double moved = dot(profile->known + (long)k * stride, off, stride);
-        value += 0.5 * off[k] * moved;
-        slope[k] += moved;
+        pull[k] = dot(known->products + (long)k * stride, off, stride);
+        value += 0.5 * off[k] * pull[k];
     }
-    for (long k = 0; k < (long)stride * stride; k++) total[k] += profile->known[k];
     problem.inertias = at->inertias;
     problem.rest = at->rest;
     problem.gradient = at->gradient;
@@ -515,25 +544,24 @@ PyObject *native_straight_lines(PyObject *module, PyObject *arguments) {
 }
 
 PyObject *native_second_order(PyObject *module, PyObject *arguments) {
-    Py_buffer basis, inertias, priors, rest, prior_rest, scales, weights, slope, products, gradient, information, hessian;
+    Py_buffer basis, bases, inertias, priors, rest, prior_rest, scales, weights, slope, products, pull, known;
+    Py_buffer gradient, information, hessian;
     (void)module;
     if (!PyArg_ParseTuple(
-            arguments, "y*y*y*y*y*y*y*y*y*w*w*w*", &basis, &inertias, &priors, &rest, &prior_rest, &scales, &weights,
-            &slope, &products, &gradient, &information, &hessian))
+            arguments, "y*y*y*y*y*y*y*y*y*y*y*y*w*w*w*", &basis, &bases, &inertias, &priors, &rest, &prior_rest,
+            &scales, &weights, &slope, &products, &pull, &known, &gradient, &information, &hessian))
         return NULL;
     Problem problem = {
         .links = (int)(inertias.len / (16 * sizeof(double))),
         .positives = (int)((rest.len - scales.len) / sizeof(double)),
         .size = (int)(weights.len / sizeof(double)),
-        .basis = basis.buf,
         .inertias = inertias.buf,
         .priors = priors.buf,
         .rest = rest.buf,
         .prior_rest = prior_rest.buf,
         .scales = scales.buf,
         .weights = weights.buf,
-        .slope = slope.buf,
-        .products = products.buf,
+        .rows = {{basis.buf, slope.buf, products.buf, 0}, {bases.buf, pull.buf, known.buf, 100}},
         .gradient = gradient.buf,
         .information = information.buf,
         .hessian = hessian.buf,
@@ -543,9 +571,9 @@ PyObject *native_second_order(PyObject *module, PyObject *arguments) {
     const int failed = problem.terms == NULL;
     PyMem_Free(problem.terms);
     release(
-        12, (Py_buffer *[]){
-                &basis, &inertias, &priors, &rest, &prior_rest, &scales, &weights, &slope, &products, &gradient,
-                &information, &hessian});
+        15, (Py_buffer *[]){
+                &basis, &bases, &inertias, &priors, &rest, &prior_rest, &scales, &weights, &slope, &products, &pull,
+                &known, &gradient, &information, &hessian});
     return failed ? PyErr_NoMemory() : PyFloat_FromDouble(value);
 }
 
@@ -594,11 +622,11 @@ PyObject *native_roots(PyObject *module, PyObject *arguments) {
 }
 
 PyObject *native_descend(PyObject *module, PyObject *arguments) {
-    Py_buffer basis, priors, prior_rest, scales, weights, products, places, runs, ends, counts, least, known, limits;
+    Py_buffer basis, bases, priors, prior_rest, scales, weights, products, places, runs, ends, counts, least, known, limits;
     Py_buffer inertias, rest, gradient, information, hessian, values;
     (void)module;
     if (!PyArg_ParseTuple(
-            arguments, "y*y*y*y*y*y*y*y*y*y*y*y*y*w*w*w*w*w*w*", &basis, &priors, &prior_rest, &scales, &weights,
+            arguments, "y*y*y*y*y*y*y*y*y*y*y*y*y*y*w*w*w*w*w*w*", &basis, &bases, &priors, &prior_rest, &scales, &weights,
             &products, &places, &runs, &ends, &counts, &least, &known, &limits, &inertias, &rest, &gradient, &information,
             &hessian, &values))
         return NULL;
@@ -608,7 +636,6 @@ PyObject *native_descend(PyObject *module, PyObject *arguments) {
         .problem =
             {.links = (int)(priors.len / (16 * sizeof(double))),
              .size = size,
-             .basis = basis.buf,
              .priors = priors.buf,
              .prior_rest = prior_rest.buf,
              .scales = scales.buf,
@@ -617,12 +644,11 @@ PyObject *native_descend(PyObject *module, PyObject *arguments) {
         .products = products.buf,
         .counts = counts.buf,
         .least = least.buf,
-        .known = known.buf,
         .places = places.buf,
         .runs = runs.buf,
         .ends = ends.buf,
     };
-    double *room = PyMem_Malloc(sizeof(double) * (3 * square + stride * stride + 8 * stride + 16 * stride + channels));
+    double *room = PyMem_Malloc(sizeof(double) * (3 * square + stride * stride + 9 * stride + 16 * stride + channels));
     Link *terms = PyMem_Malloc((profile.problem.links + 1) * sizeof(Link));
     int steps = 0, end = 0, reason = UNFINISHED;
     if (room && terms) {
@@ -635,10 +661,11 @@ PyObject *native_descend(PyObject *module, PyObject *arguments) {
         profile.vector = TAKE(stride);
         profile.off = TAKE(stride);
         profile.slope = TAKE(stride);
+        profile.pull = TAKE(stride);
         profile.total = TAKE(stride * stride);
         profile.squares = TAKE(channels);
-        profile.problem.slope = profile.slope;
-        profile.problem.products = profile.total;
+        profile.problem.rows[MEASURED] = (Rows){basis.buf, profile.slope, profile.total, 0};
+        profile.problem.rows[KNOWN] = (Rows){bases.buf, profile.pull, known.buf, 100};
         profile.problem.terms = terms;
         Py_BEGIN_ALLOW_THREADS
         reason = descend(
@@ -657,8 +684,8 @@ PyObject *native_descend(PyObject *module, PyObject *arguments) {
     PyMem_Free(room);
     PyMem_Free(terms);
     release(
-        19, (Py_buffer *[]){
-                &basis, &priors, &prior_rest, &scales, &weights, &products, &places, &runs, &ends, &counts, &least, &known,
+        20, (Py_buffer *[]){
+                &basis, &bases, &priors, &prior_rest, &scales, &weights, &products, &places, &runs, &ends, &counts, &least, &known,
                 &limits, &inertias, &rest, &gradient, &information, &hessian, &values});
     return failed ? PyErr_NoMemory() : Py_BuildValue("ii", reason, steps);
 }
