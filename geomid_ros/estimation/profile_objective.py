@@ -22,7 +22,8 @@ _STEPS = 40
 _RADIUS = 16.0  # of the first step: as an effect comes or goes, others move as far as it reached
 _LEAST_DECREASE = 1e-3  # of half the score
 _SETTLED = 0.05  # of the logarithm of a standard deviation
-_LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
+LEAST_SHARE = 1e-10
+"""Of the target's sum of squares: no residual is smaller."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +49,7 @@ class Profile:
     @cached_property
     def least(self) -> FloatArray:
         """What a sum of squares is at least ``(C,)``."""
-        smallest = _LEAST_SHARE * self.products.targets + np.finfo(float).tiny
+        smallest = LEAST_SHARE * self.products.targets + np.finfo(float).tiny
         return np.asarray(np.maximum(smallest, self.counts * np.square(self.floors)))
 
     def squares(self, point: Point) -> FloatArray:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.estimation.channel_products import ChannelProducts
+from geomid_ros.estimation.profile_objective import LEAST_SHARE
 from geomid_ros.inference.hypothesis import Hypothesis
 from geomid_ros.inference.remainder import Marginal, Remainder
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
@@ -161,6 +162,12 @@ class Design:
     def counts(self) -> FloatArray:
         """Rows of each channel."""
         return frozen(np.array([float(channel.count) for channel in self.channels]))
+
+    @cached_property
+    def floors(self) -> FloatArray:
+        """Least noise of each channel ``(C,)``, by what was measured. What the remainder leaves of it is no measure of
+        rounding: the better a name fits, the larger the remainder beside it may be, and of few rows nothing is left."""
+        return np.array([np.sqrt(LEAST_SHARE * c.products[-2, -2] / max(c.count, 1)) for c in self.channels])
 
     def scales(self, terms: Sequence[Any]) -> FloatArray:
         """Of each coefficient: the one with which its column is as large as the target in some channel, and smaller in

@@ -207,7 +207,7 @@ def _free_fit(
     spreads = np.full(first // 10, prior.link_spreads if spread is None else spread)
     if start is not None and not (fixed or afresh):
         spreads = start.spreads
-    profile = Profile(manifold, products, design.counts, known)
+    profile = Profile(manifold, products, design.counts, known, design.floors)
     point = _first_point(manifold, known, None if afresh else start, bodies, terms)
 
     own_spreads = prior.own_spreads if start is None else start.own_spreads

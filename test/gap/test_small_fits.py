@@ -15,7 +15,7 @@ from geomid_ros.gap.candidates import Candidate, EffectTerm, not_driving
 from geomid_ros.gap.judgement.naming import parameters
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.inference import prior as before
-from geomid_ros.inference.design import Design
+from geomid_ros.inference.design import ChannelRows, Design
 from geomid_ros.inference.fit import JointFit, fit, scattered, unfitted
 from geomid_ros.inference.prior import GAIN, OtherRecordings, Prior
 from geomid_ros.inference.rao_score import score_test
@@ -104,6 +104,22 @@ def test_no_sum_of_squares_is_less_than_the_least() -> None:
     first, second = replace(own, products=exact).squares(start)
     assert first == pytest.approx(1e-10 * exact.targets[0], rel=1e-9)
     assert second == own.squares(start)[1]
+
+
+def test_a_row_that_a_name_explains_exactly_does_not_lose_itself_in_the_remainder() -> None:
+    """Beside other recordings the remainder grows with what is named, in units of a noise of which one row says
+    nothing: the two in turn, each larger by the other, stay within rounding."""
+    whole = designed(3)
+    first, other = whole.channels
+    few = ChannelRows.of(
+        first.columns[:1], np.ones((1, 1)), np.zeros(1, dtype=np.intp), first.place, first.links, 1e-3 * np.eye(1)
+    )
+    design, found = Design.of((few, other), whole.dimension), None
+    for _ in range(6):
+        found = fit(design, PRIOR, [VISCOUS], found)
+        design = found.settled(design)
+        assert design.gather([], found.terms).targets[0] > 0.0
+        assert np.isfinite(found.score)
 
 
 def test_a_minimum_is_near_enough_where_no_step_promises_much() -> None:
