@@ -163,7 +163,7 @@ def summarise(text: str, source: str, configuration: Configuration, bags: Bags) 
     session, (held_out, begin, end) = read_with_locked(
         lambda chosen: Session(text, chosen, source), configuration, lambda session: _read(session, bags)
     )
-    locked = set(session.configuration["locked_joints"]) - set(configuration["locked_joints"])
+    locked = set(session.locked_joints) - set(configuration["locked_joints"])
     summary = BagSummary(
         fitted=session.identifier.memory(),
         held_out=_rows(session.model, held_out),

@@ -327,17 +327,18 @@ def read_with_locked(
     """
     session = make(configuration)
     try:
-        return session, read(session)
+        found = read(session)
     except NoSamplesError as error:
-        joints = error.lockable
-        if not joints:
+        if not error.lockable:
             raise
-    session = make(with_locked(configuration, joints))
-    session.review.settled.append(locked_note(joints))
-    found = read(session)
-    if heard := session.joints_heard.intersection(joints):
+        session = make(with_locked(configuration, error.lockable))
+        found = read(session)
+    locked = [joint for joint in session.locked_joints if joint not in configuration["locked_joints"]]
+    if heard := session.joints_heard.intersection(locked):
         raise InputError(
-            f"joint '{min(heard)}' is missing in the messages of some recordings and not of others; use those that "
-            "have it, or name it in the parameter locked_joints (--lock)"
+            f"joint '{min(heard)}' is missing in the messages of some recordings, or of those of the model, and not of "
+            "others; use those that have it, or name it in the parameter locked_joints (--lock)"
         )
+    if locked:
+        session.review.settled.append(locked_note(locked))
     return session, found

@@ -15,6 +15,7 @@ from geomid_ros.model.controller import Controller
 from geomid_ros.model.imu import ImuMount
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
+from geomid_ros.model.urdf_tree import parse
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.limits import ACCELEROMETER_BIAS
@@ -48,6 +49,9 @@ class Setup:
         self.loaded = loaded or LoadedModel.read(configuration["model"])
         sensors = self.loaded.sensors(configuration.sensors)
         self._sensors = sensors
+        known = self.loaded.locked(parse(urdf, source)) if self.loaded.merged else ()
+        self.locked_joints = tuple(dict.fromkeys([*configuration["locked_joints"], *known]))
+        """The joints at zero: those of the configuration, and those that were when the model was identified."""
         self.robot = self.read_robot(urdf, source)
         self.controller = self._read_controller()
         """That efforts are computed with; None if they are measured."""
@@ -88,7 +92,7 @@ class Setup:
             urdf,
             floating_base=configuration.floating_base,
             cuts=[sensor.frame for sensor in self._sensors if sensor.role == "mounted"],
-            locked_joints=configuration["locked_joints"],
+            locked_joints=self.locked_joints,
             gravity=self.loaded.gravity(configuration.gravity),
             source=source,
         )
@@ -123,7 +127,8 @@ class Setup:
             "effects": [[c.effect.name, c.place_name, vars(c.effect)] for c in self.model.coefficients],
         }
         urdf = hashlib.sha256(self.urdf.encode(errors="replace")).hexdigest()
-        return {"robot_description": urdf, **self.configuration.of_rows, "model": corrections}
+        own = {**self.configuration.of_rows, "locked_joints": [*self.locked_joints]}
+        return {"robot_description": urdf, **own, "model": corrections}
 
     @property
     def effort_gains(self) -> FloatArray:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from commands.test_robot_options import with_gripper
 from model.robots import Reference, random_samples
 from signals.sent import JointMessage, WrenchMessage
 
@@ -28,6 +29,7 @@ from geomid_ros.model.effects.effect import FRICTION_DRIFT
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import GRAVITY, Robot
 from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.recordings import read_with_locked
 from geomid_ros.session.results import save
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
@@ -266,6 +268,32 @@ def test_information_that_took_other_links_for_known_is_left(tmp_path: Path) -> 
     write_json(tmp_path / "estimate.json", estimate_document(found, {}))
     session = Session(ARM, Configuration({"model": str(tmp_path / "estimate.json")}, "test"), "arm3.urdf")
     assert session.loaded.information(session.model) is None
+
+
+def test_joints_that_were_locked_for_the_model_are_locked_beside_it(tmp_path: Path) -> None:
+    """No message named the fingers then: as in those recordings, they are part of the hand. Messages that name one are
+    refused."""
+    found = estimate_of(link_estimate("link3", ("tool", "finger1", "finger2")))
+    write_json(tmp_path / "estimate.json", estimate_document(found, {}))
+    configuration = Configuration({"model": str(tmp_path / "estimate.json")}, "test")
+    heard = ["joint1", "joint2", "joint3"]
+
+    def opened() -> Session:
+        session, _ = read_with_locked(
+            lambda own: Session(with_gripper(), own, "hand.urdf"),
+            configuration,
+            lambda session: session.joints_heard.update(heard),
+        )
+        return session
+
+    session = opened()
+    assert list(session.robot.joint_names) == heard
+    assert {"finger1", "finger2"} < set(session.robot.bodies[-1].merged)
+    assert session.meaning["locked_joints"] == ["finger_joint1"]
+    assert "'finger_joint1': locked at zero" in session.notes[0]
+    heard.append("finger_joint1")
+    with pytest.raises(InputError, match=r"joint 'finger_joint1' is missing.*\(--lock\)"):
+        opened()
 
 
 def test_a_payload_on_another_robots_link_is_named(tmp_path: Path) -> None:

@@ -38,6 +38,7 @@ from geomid_ros.model.effects import (
     values_of,
 )
 from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.urdf_tree import UrdfTree
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import BoolArray, FloatArray
 
@@ -126,6 +127,13 @@ class LoadedModel:
     def gravity(self, gravity: FloatArray) -> FloatArray:
         """Gravity ``(3,)`` in the base frame, of what it would be if the base stood straight."""
         return turned_gravity(gravity, self.effects)
+
+    def locked(self, tree: UrdfTree) -> list[str]:
+        """The joints of a description that moved nothing when the model was identified: the links at both ends were one
+        body. Those that follow another joint are locked with it."""
+        bodies = [{name, *merged} for name, merged in self.merged.items()]
+        moving = [joint for joint in tree.joints if joint.type != "fixed" and joint.mimic is None]
+        return [joint.name for joint in moving if any({joint.parent, joint.child} <= links for links in bodies)]
 
     def sensors(self, sensors: Sequence[WrenchSensor]) -> list[WrenchSensor]:
         """The sensors with what is known of their offsets."""
