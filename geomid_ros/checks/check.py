@@ -149,13 +149,12 @@ class RecordingCheck:
 
     @property
     def unmeasured(self) -> list[str]:
-        """The joints whose efforts are missing at half of the instants or more, or exactly zero throughout."""
+        """The joints whose efforts are missing at half of the instants or more."""
         samples, model = self.recorded, self._task.model
         if samples is None or not model.layout.efforts:
             return []
         there = np.mean(np.isfinite(samples.effort), axis=0) >= HALF
-        measured = there & np.any(np.nan_to_num(samples.effort), axis=0)
-        return [name for name, is_told in zip(model.robot.joint_names, measured, strict=True) if not is_told]
+        return [name for name, is_told in zip(model.robot.joint_names, there, strict=True) if not is_told]
 
 
 def judge_efforts(model: MeasurementModel, kept: Kept, gains: FloatArray, *, whole: bool = True) -> Judgement:

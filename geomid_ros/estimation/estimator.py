@@ -132,8 +132,6 @@ def estimate(
     begin = time.perf_counter()
     if summary.rows == 0:
         raise InputError("no usable rows: nothing was measured, or the robot never moved")
-    measured = summary.measured()
-    summary = measured if np.any(measured.counts()) else summary
     whole = Problem(
         model,
         _pooled(model, summary),

@@ -239,18 +239,6 @@ class RowSummary:
                 fold[slow] = ChannelSummary(fold[slow].factor[:0])
         return copy
 
-    def measured(self) -> RowSummary:
-        """A copy without the rows of joints' channels that show exactly zero throughout, as those of grippers do whose
-        driver measures no effort."""
-        copy, factors = self._copy(self.channels), self.factors()
-        for place, channel in enumerate(self.channels):
-            own = range(place, len(factors), len(self.channels))
-            if channel.joint is not None and not any(np.any(factors[group][:, -1]) for group in own):
-                for fold in copy._summaries:  # noqa: SLF001 its own
-                    for group in own:
-                        fold[group] = ChannelSummary(fold[group].factor[:0])
-        return copy
-
     def snapshot(self) -> RowSummary:
         """A copy that later additions do not change."""
         return self._copy(self.channels)

@@ -72,7 +72,8 @@ class JointReader:
         self._raw: FloatArray | None = None  # its positions before turns were added to them
         self._turns = np.zeros(len(self._joints))  # that were added
         self._came, self._speed = 0, 0.0  # stamp and speed of the last message
-        self._made_up = True  # until an effort is seen that is not zero
+        self._seen = np.zeros(len(self._joints), dtype=np.bool_)  # joints of which an effort was not zero
+        self._made_up = False  # efforts that are all zero, until one is not
         self._effort_stamps = np.zeros(len(self._joints), dtype=np.int64)
         self._saturation.restart()
 
@@ -212,7 +213,7 @@ class JointReader:
         zeros = self._zeros(effort, moving)
         effort[zeros] = np.nan
         saturated = self._saturation.saturated(stamps, effort, numbers[:, 1], moving)
-        effort[saturated] = np.nan
+        effort[saturated | ~self._measuring(effort)] = np.nan
         measured = np.isfinite(effort)
         latest = np.concatenate([self._effort_stamps[None], np.where(measured, stamps[:, None], 0)])
         latest = np.maximum.accumulate(latest)
@@ -230,6 +231,13 @@ class JointReader:
             else:
                 refusals[row] = f"effort of '{name}' missing or not finite"
         return refusals
+
+    def _measuring(self, effort: FloatArray) -> BoolArray:
+        """The joints ``(N, J)`` whose driver has shown an effort other than exactly zero so far: of one that has not,
+        as of a gripper without a sensor, zero is no measurement."""
+        shown = np.logical_or.accumulate(np.nan_to_num(effort) != 0.0, axis=0) | self._seen
+        self._seen = shown[-1]
+        return np.asarray(shown)
 
     def _zeros(self, effort: FloatArray, moving: BoolArray) -> BoolArray:
         """Whether all efforts are exactly zero, and have been since the robot moved: the driver has no

@@ -364,9 +364,9 @@ def test_a_weight_on_a_vertical_axis_keeps_its_sign(weight: float, lost: list[in
     assert _without_sign(subject) == lost
 
 
-def test_a_joint_whose_effort_is_always_zero_is_said_to_measure_none(robot: Case) -> None:
+def test_a_joint_whose_effort_is_missing_is_said_to_measure_none(robot: Case) -> None:
     names = robot.model.robot.joint_names
     effort = robot.samples.effort.copy()
-    effort[:, 1] = 0.0
+    effort[:, 1] = np.nan
     assert checked(robot.model, replace(robot.samples, effort=effort)).unmeasured == [names[1]]
     assert checked(robot.model, robot.samples).unmeasured == []

@@ -227,18 +227,3 @@ def test_a_fold_that_lacks_a_group_is_refused() -> None:
     with pytest.raises(InputError, match="groups"):
         again.restore(replace(state, factors=factors))
     assert again.rows == 0
-
-
-def test_joints_that_show_zero_throughout_measure_nothing() -> None:
-    """A wrench of zero is one that was measured."""
-    coefficients, targets = rows(0, 100)
-    targets[:, [0, 2]] = 0.0
-    channels = tuple(replace(channel, joint=None if channel.name == "one" else 0) for channel in CHANNELS)
-    whole = RowSummary(channels)
-    whole.add_all(coefficients, targets, np.ones(100), np.zeros(targets.shape, dtype=np.int64))
-    counted = whole.counts().reshape(REGIMES, -1).sum(axis=0)
-    found = whole.measured()
-    np.testing.assert_array_equal(found.counts().reshape(REGIMES, -1).sum(axis=0), counted * [0.0, 1.0, 1.0, 1.0])
-    x = np.random.default_rng(1).normal(size=DIMENSION)
-    np.testing.assert_allclose(content(found, x)[1:], content(whole, x)[1:])
-    assert whole.counts()[0] > 0.0

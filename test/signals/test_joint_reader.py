@@ -81,6 +81,17 @@ def test_zeros_are_no_efforts_while_the_robot_moves() -> None:
         read(own, later)
 
 
+def test_a_joint_that_shows_exactly_zero_is_not_measured_until_it_shows_something_else() -> None:
+    """As a gripper's driver does that measures none, while the other joint's does; whatever the effort is for."""
+    own = reader()
+    shown = [read(own, replace(message(index), effort=(0.0, 1.0 + index)))[4:] for index in range(3)]
+    np.testing.assert_array_equal(shown, [[NAN, -2.0], [NAN, -4.0], [NAN, -6.0]])
+    assert own.unmeasured == ("a",)
+    shown = [read(own, replace(message(index), effort=(effort, 4.0)))[4] for index, effort in ((3, 0.5), (4, 0.0))]
+    assert shown == [0.5, 0.0], "a driver that has a sensor may show that nothing acts"
+    assert own.unmeasured == ()
+
+
 def test_the_same_numbers_again_are_frozen_though_an_effort_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
     """As it is in one block of both: what counts is what was sent."""
     own = reader()

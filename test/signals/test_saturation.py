@@ -45,7 +45,7 @@ def refused(efforts: FloatArray, rate: float, speed: float = 1.0) -> BoolArray:
 @pytest.mark.parametrize(("rate", "frequency"), [(1000.0, 1.0), (100.0, 0.3), (10.0, 0.03)])
 def test_a_curve_that_is_cut_off_is_refused_where_it_is(rate: float, frequency: float, bits: int) -> None:
     """At 70 % of its size, for half of the time; and nowhere else, but for the beginning of each time."""
-    values = np.clip(curve(frequency, rate, 3.0, phase=0.0) / 0.7, -1.0, 1.0)
+    values = np.clip(curve(frequency, rate, 3.0, phase=0.1) / 0.7, -1.0, 1.0)
     seen = rounded(values, bits) if bits else values
     cut_off, found = np.abs(seen) == 1.0, refused(seen, rate)
     assert not np.any(found & ~cut_off)
