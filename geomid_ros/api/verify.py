@@ -1,7 +1,7 @@
 """Verification of a model on disk against a recording, and of what a user requires of it.
 
 A requirement is ``[PLACE.]QUANTITY COMPARISON BOUND`` (``rms<2*floor``, ``joint2.rms<1.5``, ``total.mass<24``), and
-without a place it is one of every place:
+without a place it is one of every place, as far as what it compares is measured and known:
 
 - ``rms``, of a channel: RMS of what the model leaves of the recording [N m, N];
 - ``mass``, of a link, or of all links together, ``total``: [kg];
@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 import operator
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -57,7 +57,7 @@ class Verification:
     @property
     def passed(self) -> bool:
         """True if all requirements hold and nothing is doubtful."""
-        return not self.doubts and all(outcome.passed for outcome in self.outcomes)
+        return not self.doubts and all(outcome.passed is not False for outcome in self.outcomes)
 
 
 @takes(VerifyOptions)
@@ -201,39 +201,43 @@ class Requirement:
         factor = float(match["number"] or 1.0)
         return Requirement(text, match["place"] or "", quantity, match["comparison"], factor, reference)
 
-    def checked(self, values: Mapping[str, Values]) -> Iterator[Outcome]:
+    def checked(self, values: Mapping[str, Values]) -> list[Outcome]:
         """Compare.
 
         Args:
             values: by quantity, the numbers at every place.
 
         Raises:
-            InputError: there is no such place.
+            InputError: there is no such place, or nothing at all to compare.
         """
         places = values[self.quantity]
         if self.place and self.place not in places:
             raise InputError(f"requirement '{self.text}': {unknown_name('place', self.place, places)}")
-        for place in [self.place] if self.place else _known(places):
-            value = places[place]["value"]
-            bound = self.factor * (places[place][self.reference] if self.reference else 1.0)
-            if math.isnan(bound):
-                raise InputError(f"requirement '{self.text}': the model does not say the {self.reference} of '{place}'")
-            passed = _COMPARISONS[self.comparison](value, bound)  # never what is not measured, NaN
-            yield Outcome(self.text, f"{place}.{self.quantity}", value, f"{self.comparison} {bound:.4g}", passed)
+        chosen = [self.place] if self.place else [place for place in places if place != TOTAL]
+        outcomes = [self._outcome(place, places[place]) for place in chosen]
+        if all(outcome.passed is None for outcome in outcomes):
+            lacks = f" or the model says no {self.reference}" if self.reference else ""
+            raise InputError(f"requirement '{self.text}': nothing to judge, no {self.quantity} is measured{lacks}")
+        return outcomes
 
-
-def _known(places: Values) -> list[str]:
-    """The places that a requirement without one is of: those with a number, one by one."""
-    return [place for place, numbers in places.items() if place != TOTAL and not math.isnan(numbers["value"])]
+    def _outcome(self, place: str, numbers: Mapping[str, float]) -> Outcome:
+        """Raises InputError if the bound of a place that the user names is not known."""
+        value, bound = numbers["value"], self.factor * (numbers[self.reference] if self.reference else 1.0)
+        if self.place and math.isnan(bound):
+            raise InputError(f"requirement '{self.text}': the model does not say the {self.reference} of '{place}'")
+        judged = bool(self.place) or not math.isnan(value + bound)
+        passed = _COMPARISONS[self.comparison](value, bound) if judged else None  # never what is not measured, NaN
+        said = "not known" if math.isnan(bound) else f"{self.comparison} {bound:.4g}"
+        return Outcome(self.text, f"{place}.{self.quantity}", value, said, passed)
 
 
 @dataclass(frozen=True)
 class Outcome:
     """Whether what is required is so: the ``requirement``, ``what`` was compared, its ``value``, and with which
-    ``bound``."""
+    ``bound``. ``passed`` is None where a requirement of every place is not judged: not measured, or no reference."""
 
     requirement: str
     what: str
     value: float
     bound: str
-    passed: bool
+    passed: bool | None

@@ -41,8 +41,9 @@ def _show(found: geomid_ros.Verification) -> None:
     console.print(_channels(found))
     if found.outcomes:
         console.print(_requirements(found))
-    failed = sum(not outcome.passed for outcome in found.outcomes)
-    kept = f"{len(found.outcomes) - failed} of {len(found.outcomes)} requirements hold"
+    judged = [outcome.passed for outcome in found.outcomes if outcome.passed is not None]
+    others = len(found.outcomes) - len(judged)
+    kept = f"{sum(judged)} of {len(judged)} requirements hold" + (f", {others} not judged" if others else "")
     say(console, "PASSED:" if found.passed else "FAILED:", f" {kept}" + ("; doubtful" if found.doubts else ""))
 
 
@@ -57,7 +58,7 @@ def _channels(found: geomid_ros.Verification) -> Table:
 def _requirements(found: geomid_ros.Verification) -> Table:
     table = plain_table("Requirements", ["requirement", "of"], ["value", "bound", "result"])
     for outcome in found.outcomes:
-        result = "passed" if outcome.passed else "FAILED"
+        result = {True: "passed", False: "FAILED", None: "not judged"}[outcome.passed]
         table.add_row(outcome.requirement, outcome.what, _written(outcome.value), outcome.bound, result)
     return table
 

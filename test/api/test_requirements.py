@@ -20,17 +20,20 @@ VALUES = {
 }
 
 
-def passed(text: str) -> dict[str, bool]:
+OPEN = {"unmeasured.rms": None}  # not judged
+
+
+def passed(text: str) -> dict[str, bool | None]:
     return {outcome.what: outcome.passed for outcome in Requirement.parse(text).checked(VALUES)}
 
 
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("rms<2*floor", {"joint1.rms": True, "wrist/ft.x/fx.rms": False}),
-        ("rms < 4 * floor", {"joint1.rms": True, "wrist/ft.x/fx.rms": False}),
-        ("rms<=4*floor", {"joint1.rms": True, "wrist/ft.x/fx.rms": True}),
-        ("rms<urdf", {"joint1.rms": True, "wrist/ft.x/fx.rms": True}),
+        ("rms<2*floor", {"joint1.rms": True, "wrist/ft.x/fx.rms": False, **OPEN}),
+        ("rms < 4 * floor", {"joint1.rms": True, "wrist/ft.x/fx.rms": False, **OPEN}),
+        ("rms<=4*floor", {"joint1.rms": True, "wrist/ft.x/fx.rms": True, **OPEN}),
+        ("rms<urdf", {"joint1.rms": True, "wrist/ft.x/fx.rms": True, **OPEN}),
         ("joint1.rms<3", {"joint1.rms": False}),
         ("joint1.rms<=3.", {"joint1.rms": True}),
         ("joint1.rms>2.9e0", {"joint1.rms": True}),
@@ -42,8 +45,18 @@ def passed(text: str) -> dict[str, bool]:
         ("unmeasured.rms>0", {"unmeasured.rms": False}),
     ],
 )
-def test_numbers_are_compared_as_written(text: str, expected: dict[str, bool]) -> None:
+def test_numbers_are_compared_as_written(text: str, expected: dict[str, bool | None]) -> None:
     assert passed(text) == expected
+
+
+def test_every_place_is_judged_as_far_as_it_can_be() -> None:
+    """A channel that had no efforts when the model was identified has no floor; where nothing can be judged, that is no
+    success."""
+    rms = {"joint1": {"value": 3.0, "floor": 2.0}, "finger": {"value": 1.0, "floor": math.nan}}
+    required = Requirement.parse("rms<2*floor")
+    assert [outcome.passed for outcome in required.checked({"rms": rms})] == [True, None]
+    with pytest.raises(InputError, match="nothing to judge"):
+        required.checked({"rms": {"finger": rms["finger"]}})
 
 
 @pytest.mark.parametrize(
