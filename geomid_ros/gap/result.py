@@ -195,6 +195,7 @@ class GapResult:
         findings: the named effects, the one that matters most first.
         links: those that weigh something else than the model says, without payloads.
         unexplained: what no name explains.
+        unjudged: channels that move, but at no held-out instant at which the model can be blamed for what is left.
         channels, units: names and units of the rows of all per-channel arrays.
         floor: the noise's standard deviation ``(C,)``.
         cutoff: of the low-pass in whose band noise and gap are [Hz].
@@ -237,6 +238,7 @@ class GapResult:
     folded: Mapping[tuple[str, str], float]
     newly_folded: Mapping[tuple[str, str], float]
     seconds: float
+    unjudged: tuple[str, ...] = ()
 
     @property
     def corrected_floor(self) -> FloatArray:

@@ -141,6 +141,7 @@ def find_gap(
         findings=kept.findings,
         links=kept.links,
         unexplained=unexplained(bare, analysis, files),
+        unjudged=tuple(bare.channels[place].name for place in np.flatnonzero(files.unjudged)),
         channels=tuple(channel.name for channel in bare.channels),
         units=tuple(channel.unit for channel in bare.channels),
         floor=analysis.floor,

@@ -125,25 +125,48 @@ def dependence(entry: Unexplained) -> str:
 
 
 def verdict_sentence(result: GapResult) -> str:
-    """The verdict in one sentence."""
+    """The verdict in one sentence, and what was not judged in another one."""
+    aside = f" Not judged: {_listed(result.unjudged)}; hold out more, or a faster motion." if result.unjudged else ""
+    return _verdict(result) + aside
+
+
+def _verdict(result: GapResult) -> str:
     gap = result.gap
-    before, after = worst(gap.before), worst(gap.after)
-    moving = ratio(worst(result.moving))
-    fall = f"the worst channel falls from {ratio(before)} to {ratio(after)} times the noise floor"
-    fall += f" ({moving} while joints move)" if moving != ratio(after) else ""
     named = _named(result)
     missing = _missing(not_explained(result))
     if result.verdict == "no gap":
-        if before <= REACHED * after:
-            return f"No gap found: the model explains the measurement to within {ratio(after)} times the noise floor."
-        return f"No effect is missing. Corrected link inertias close the gap: {fall}."
+        if worst(gap.before) <= REACHED * worst(gap.after):
+            return f"No gap found: {_left(result)}."
+        return f"No effect is missing. Corrected link inertias close the gap: {_fall(result)}."
     if result.verdict == "named":
-        return f"Found: {named}. With {'it' if len(result.findings) + len(result.links) == 1 else 'them'}, {fall}."
+        each: list[Finding | LinkChange] = [*result.findings, *result.links]
+        if not any(one.confidence == "confident" for one in each):
+            return f"Found: {named}. Nothing of it is sure: the written model is as it was."
+        return f"Found: {named}. With {'it' if len(each) == 1 else 'them'}, {_fall(result)}."
     if result.verdict == "incomplete":
-        rest = f"A residual remains {missing}" if missing else f"A residual remains: {fall}"
-        return f"Found: {named or 'no effect'}. {rest}."
+        rest = f" A residual remains {missing}." if missing else ""
+        return f"Found: {named or 'no effect'}.{rest}"
     found = f" Also found: {named}." if named else ""
     return f"No known effect explains the residual {missing or 'of several joints'}.{found}"
+
+
+def _left(result: GapResult) -> str:
+    """What is left where there is no gap: at the instants that are judged, and at all."""
+    moving, whole = ratio(worst(result.moving)), ratio(worst(result.gap.after))
+    when = f" while joints move ({whole} with rest and reversals)" if moving != whole else ""
+    if worst(result.moving) <= REACHED:
+        return f"the model explains the measurement to within {moving} times the noise floor{when}"
+    reason = "which the uncertainty of the model, or what it is known to lack, explains"
+    return f"up to {moving} times the noise floor is left{when}, {reason}"
+
+
+def _fall(result: GapResult) -> str:
+    """How far the gap of the channel falls that is helped most."""
+    before, after = result.gap.before, result.gap.after
+    place = int(np.argmax(np.nan_to_num(before / after)))
+    was, left, moving = (ratio(float(each[place])) for each in (before, after, result.moving))
+    aside = f" ({moving} while joints move)" if moving not in (left, NONE) else ""
+    return f"the gap of {result.channels[place]} falls from {was} to {left} times the noise floor{aside}"
 
 
 def _missing(left: Sequence[tuple[str, float, str]]) -> str:

@@ -27,7 +27,8 @@ from .recordings import BAGS
 
 JOINTS = ("hip", "knee", "ankle")
 KEYS = {
-    *("format", "verdict", "findings", "links", "ordinary", "unexplained", "gap", "floor", "resimulated", "closed_loop")
+    *("format", "verdict", "findings", "links", "ordinary", "unexplained", "unjudged", "gap", "floor"),
+    *("resimulated", "closed_loop"),
 }
 
 

@@ -19,7 +19,7 @@ from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import EFFECTS, Quantity
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import REST, Samples
+from geomid_ros.model.samples import REST, SMOOTH_SIGN, Samples
 from geomid_ros.types import FloatArray
 
 from . import planted
@@ -203,6 +203,22 @@ def test_a_joint_of_which_nothing_is_measured_is_left_out_without_a_word() -> No
     assert result.verdict == "no gap"
     assert np.all(np.isfinite(result.gap.after[rest]))
     assert np.isnan(result.gap.after[JOINT])
+
+
+def test_a_joint_that_moves_and_cannot_be_judged_is_not_without_a_gap() -> None:
+    """Its dry friction is unsure at all unseen instants: whether it is what it was, nothing tells."""
+    model = MeasurementModel(planted.model().robot, (EFFECTS["coulomb_friction"](),))
+    known = np.concatenate([planted.true_inertias(SEED, 0.1).ravel(), [0.0, 0.3, 0.0]])
+    entries, effects = UNSEEN.entries, UNSEEN.effects.copy()
+    effects[:, entries.at(SMOOTH_SIGN, JOINT)] = 0.0
+
+    def judged(unseen: Samples) -> GapResult:
+        return find_gap(model, [TRAIN], [unseen], SETTINGS, nominal=known)
+
+    whole, blind = judged(UNSEEN), judged(replace(UNSEEN, effects=effects))
+    assert (whole.verdict, whole.unjudged) == ("no gap", ())
+    assert blind.verdict == "incomplete"
+    assert JOINTS[JOINT] in blind.unjudged
 
 
 def test_a_moment_without_an_effort_costs_that_moment_of_delayed_efforts() -> None:

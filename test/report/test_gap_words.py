@@ -89,9 +89,28 @@ def test_a_gain_of_all_joints_is_said_once(gains: tuple[float, ...], alike: bool
 
 def test_the_verdict_names_effect_place_and_success() -> None:
     result = gap_result("named", JOINTS)
-    before, after = ratio(float(result.gap.before.max())), ratio(float(result.gap.after.max()))
-    success = f"With it, the worst channel falls from {before} to {after} times the noise floor."
+    before, after = ratio(float(result.gap.before[1])), ratio(float(result.gap.after[1]))
+    success = f"With it, the gap of knee falls from {before} to {after} times the noise floor."
     assert verdict_sentence(result) == f"Found: Coulomb friction at knee. {success}"
+
+
+def test_the_verdict_says_what_it_was_judged_on() -> None:
+    """A gap that a name does not touch, or that rest and reversals leave, is no number of its success."""
+    result = gap_result("named", JOINTS)
+    high = np.array([40.0, 0.0, 0.0])  # of a channel that nothing reaches
+    gap = replace(result.gap, before=result.gap.before + high, after=result.gap.after + high)
+    assert "With it, the gap of knee falls" in verdict_sentence(replace(result, gap=gap))
+    unsure = tuple(replace(finding, probability=0.7) for finding in result.findings)
+    assert "With it" not in verdict_sentence(replace(result, findings=unsure))
+    nothing = replace(gap_result("no gap", JOINTS), gap=replace(gap, before=gap.after))
+    assert "within 1.02 times the noise floor while joints move (41.0 with rest" in verdict_sentence(nothing)
+    known = replace(nothing, moving=np.array([6.0, 1.0, 1.0]))
+    assert "up to 6.00 times the noise floor is left while joints move" in verdict_sentence(known)
+
+
+def test_what_was_not_judged_is_told() -> None:
+    result = replace(gap_result("no gap", JOINTS), verdict="incomplete", unjudged=("hip", "knee"))
+    assert verdict_sentence(result).startswith("Found: no effect. Not judged: hip and knee; hold out more")
 
 
 def test_what_is_left_is_part_of_the_verdict() -> None:

@@ -35,7 +35,7 @@ from geomid_ros.model.effects import KnownEffect, effect_class
 from geomid_ros.types import FloatArray
 
 _AS_FOUND = (
-    *("verdict", "findings", "links", "unexplained", "ordinary"),
+    *("verdict", "findings", "links", "unexplained", "unjudged", "ordinary"),
     *("located", "ranking", "cutoff", "seconds"),
 )
 """What the file has as the result has it."""
@@ -72,7 +72,7 @@ class GapFile:
 
     Attributes:
         source: names it in messages.
-        verdict, findings, links, unexplained, ordinary, located, ranking: see
+        verdict, findings, links, unexplained, unjudged, ordinary, located, ranking: see
             :class:`~geomid_ros.gap.result.GapResult`, the surest first.
         gap: ``before``, ``inertias_only``, ``after`` (the written model, in which are the findings that are confident),
             ``expected`` and ``moving``, each the residual of held-out samples in units of the floor by channel.
@@ -113,6 +113,7 @@ class GapFile:
     causes: tuple[CauseEntry, ...]
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
+    unjudged: tuple[str, ...] = ()
 
     @staticmethod
     def of(document: Mapping[str, Any], source: str) -> GapFile:
@@ -206,7 +207,7 @@ def gap_document(result: GapResult, simulations: Mapping[str, Errors]) -> dict[s
     channels, gap = result.channels, result.gap
     return {
         "format": FORMAT,
-        **entry(result, "verdict", "unexplained", "ordinary"),
+        **entry(result, "verdict", "unexplained", "unjudged", "ordinary"),
         "findings": [plain(own) | entry(own, "confidence") for own in result.findings],
         "links": [plain(own) | entry(own, "confidence", "sentence") for own in result.links],
         "gap": {kind: by_channel(channels, getattr(gap, kind)) for kind in _KINDS}

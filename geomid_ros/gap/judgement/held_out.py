@@ -69,6 +69,12 @@ class HeldOut:
         return np.asarray(np.nan_to_num(after) >= np.nan_to_num(reached, nan=np.inf))
 
     @cached_property
+    def unjudged(self) -> BoolArray:
+        """The channels ``(C,)`` that are measured in motion, but at no instant at which the model can be blamed."""
+        measured = np.any(self._last.records.usable(self._model, self._last.rows.targets), axis=0)
+        return np.asarray(measured & np.isnan(self.gap.after))
+
+    @cached_property
     def trace(self) -> Trace:
         """The measured values and the predictions."""
         samples, measured = self._records.samples, self._model.rows(self._records.samples).targets

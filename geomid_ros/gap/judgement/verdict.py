@@ -126,12 +126,12 @@ def unexplained(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) ->
 
 def verdict(analysis: Analysis, unseen: HeldOut, *, named: bool) -> Verdict:
     """Of the whole run, in which something was ``named`` or not: unexplained where features explain most of a gap that
-    stays open."""
+    stays open. Channels that were not judged may have a gap."""
     if np.any(unseen.is_open):
         lacks = analysis.names.remainders(analysis.search.design)
         explained = np.array([np.sum(lack.explained) for lack in lacks])
         return "unexplained" if np.any(explained[unseen.is_open] > _MOST_OF_IT) else "incomplete"
-    return "named" if named else "no gap"
+    return "named" if named else "incomplete" if np.any(unseen.unjudged) else "no gap"
 
 
 def ranking(
