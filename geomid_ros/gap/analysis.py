@@ -107,14 +107,15 @@ def standing_remainder(model: MeasurementModel, records: Records, prior: NamesPr
 def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
     """An analysis, or one of a robot of which a link has been changed since it was identified, if that is the better.
     What contradicts other recordings loosens all links at once, or is told as a payload, which cannot be negative, or
-    as what else may stand in the place of a lighter link. Of links that explain it about as well each is tried; what a
-    link has gained that can be a body is a payload."""
+    as what else may stand in the place of a lighter link. Of links that explain it about as well each is tried; what
+    the end of a limb has gained, if that can be a body, is a payload."""
     search, names = analysis.search, analysis.names
     if search.prior.known is None:
         return analysis
     rests = [search.fit([]), *(search.without(names, c) for c in names.chosen)]
     apart = [c.payload for c in task.tried if c.payload is not None]
-    priors = [search.prior.with_changed(link) for link in apart if link not in names.bodies]
+    loaded = _ends(task.model, apart).intersection(names.bodies)
+    priors = [search.prior.with_changed(link) for link in apart if link not in loaded]
     scores = [min(fit(search.design, prior, rest.chosen, rest).score for rest in rests) for prior in priors]
     if min(scores, default=np.inf) > names.score - CLEARLY:
         return analysis
@@ -127,6 +128,13 @@ def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
     (score, changed), *others = sorted(map(with_changed, likely), key=lambda found: found[0])
     contested = float(sum(np.exp(0.5 * (score - other)) for other, _ in others))
     return replace(changed, contested=contested) if score < names.score - CLEARLY else analysis
+
+
+def _ends(model: MeasurementModel, links: Sequence[int]) -> set[int]:
+    """Those of some links that carry none of the others."""
+    tree, names = model.robot.tree, model.body_names
+    carrying = {joint.parent for link in links for joint in tree.joints_above(names[link])}
+    return {link for link in links if names[link] not in carrying}
 
 
 def _searched(task: _Task, prior: NamesPrior, stage: str) -> Analysis:

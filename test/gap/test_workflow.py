@@ -170,17 +170,17 @@ def test_of_a_payload_whose_mass_is_not_told_the_first_moment_is_said() -> None:
     inertias, centre = planted.true_inertias(51, 0.2), np.array([0.02, 0.0, 0.1])
     before, loaded = identified(51, 53), recordings(planted.rigid(with_body(inertias, 1, centre)), 52)
     result = find_gap(planted.model(), *loaded, nominal=before.parameters, known=said(before))
-    (payload,) = result.findings
-    assert not result.links
-    assert (payload.link, payload.confidence) == (planted.model().body_names[1], "confident")
+    (change,) = result.links
+    assert not result.findings
+    assert (change.link, change.confidence) == (planted.model().body_names[1], "confident")
     assert result.verdict == "named"
     for axis, true in zip("xz", PAYLOAD * centre[[0, 2]], strict=True):
-        moment = payload.moment[f"m {axis}"]
+        moment = change.moment[f"m {axis}"]
         assert abs(moment.value - true) < 3.0 * moment.std
         assert moment.std < 0.15 * true
-    assert payload.moment["m y"].std > 3.0 * payload.moment["m x"].std, "it lies along the axis"
-    assert "this motion does not identify its mass" in payload.sentence
-    assert any("m x 0.01" in sentence for sentence in in_short(result))
+    assert change.moment["m y"].std > 3.0 * change.moment["m x"].std, "it lies along the axis"
+    assert "first moment m x by 0.01" in change.sentence
+    assert any("m x by 0.01" in sentence for sentence in in_short(result))
 
 
 @pytest.mark.parametrize("link", [1, 2])
