@@ -48,12 +48,13 @@ class Analysis:
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """What is searched: the ``model`` in the ``records``, with candidates that are ``tried``, beside what the model is
-    known to lack (``standing``); ``progress`` is told."""
+    """What is searched: the ``model`` in the ``records``, with candidates that are ``tried``, and ``links`` that may
+    have been changed, beside what the model is known to lack (``standing``); ``progress`` is told."""
 
     model: MeasurementModel
     records: Records
     tried: Sequence[Candidate]
+    links: Sequence[int]
     standing: StandingRemainder | None
     progress: Callable[[str, float], None]
 
@@ -69,9 +70,16 @@ def analyse(
     progress: Callable[[str, float], None],
     standing: StandingRemainder | None = None,
 ) -> Analysis:
-    """Find the set of names that explains the records best, and what is to be thought of the links beside it."""
-    tried = library.candidates(model, prior.terms, bare=not prior.identified)
-    task = _Task(model, records, _told(tried, records.moving), standing, progress)
+    """Find the set of names that explains the records best, and what is to be thought of the links beside it.
+
+    A payload hangs at the end of a limb, or lies on a base that moves. What another link has gained is told as a link
+    that has been changed: on the axis of a last joint a payload would else be one of the link before as well.
+    """
+    tried = _told(library.candidates(model, prior.terms, bare=not prior.identified), records.moving)
+    links = [c.payload for c in tried if c.payload is not None]
+    ends = _ends(model, links)
+    tried = [c for c in tried if c.payload is None or c.joint is None or c.payload in ends]
+    task = _Task(model, records, tried, links, standing, progress)
     return _with_changed_link(task, _searched(task, prior, "searching"))
 
 
@@ -107,15 +115,13 @@ def standing_remainder(model: MeasurementModel, records: Records, prior: NamesPr
 def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
     """An analysis, or one of a robot of which a link has been changed since it was identified, if that is the better.
     What contradicts other recordings loosens all links at once, or is told as a payload, which cannot be negative, or
-    as what else may stand in the place of a lighter link. Of links that explain it about as well each is tried; what
-    the end of a limb has gained, if that can be a body, is a payload."""
+    as what else may stand in the place of a lighter link. Of links that explain it about as well each is tried; one
+    that carries a payload has been changed by that."""
     search, names = analysis.search, analysis.names
     if search.prior.known is None:
         return analysis
     rests = [search.fit([]), *(search.without(names, c) for c in names.chosen)]
-    apart = [c.payload for c in task.tried if c.payload is not None]
-    loaded = _ends(task.model, apart).intersection(names.bodies)
-    priors = [search.prior.with_changed(link) for link in apart if link not in loaded]
+    priors = [search.prior.with_changed(link) for link in task.links if link not in names.bodies]
     scores = [min(fit(search.design, prior, rest.chosen, rest).score for rest in rests) for prior in priors]
     if min(scores, default=np.inf) > names.score - CLEARLY:
         return analysis
