@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from geomid_ros.gap import analysis
 from geomid_ros.gap import candidates as library
-from geomid_ros.gap.analysis import _told
+from geomid_ros.gap.analysis import _ends, _told
 from geomid_ros.gap.evidence.record import TotalModel
 from geomid_ros.model.effects import AtJoint, AtJoints, OnLink, OnRobot, Place
 from geomid_ros.model.effects.gravity_tilt import GravityTilt
@@ -174,3 +174,8 @@ def test_what_two_joints_share_is_looked_for_where_they_move_together() -> None:
     assert pair not in found
     moving[50:, 1] = True
     assert pair in looked_for(moving)
+
+
+@pytest.mark.parametrize(("links", "ends"), [([0, 1, 2], {2}), ([0, 1], {1}), ([], set())])
+def test_the_end_of_a_limb_carries_no_other_link(links: list[int], ends: set[int]) -> None:
+    assert _ends(planted.model(), links) == ends
