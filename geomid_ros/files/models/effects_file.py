@@ -64,6 +64,11 @@ _HEADER = """\
 """
 
 
+def payload_name(carrier: str) -> str:
+    """What the payload of a link is called as a link of a description, if no other is called so."""
+    return f"{carrier}_payload"
+
+
 def is_body(effect: KnownEffect) -> bool:
     """Whether it is a body that a link carries."""
     return effect_class(effect.effect).place == "link"

@@ -22,6 +22,7 @@ from geomid_ros.files.models.effects_file import (
     combined,
     continued,
     is_body,
+    payload_name,
     payload_parameters,
     turned_gravity,
 )
@@ -213,16 +214,22 @@ class LoadedModel:
 
     def _check_merged(self, model: MeasurementModel) -> None:
         """Raises InputError if a body consists of other links than the one of its name in the file. Links that weigh
-        nothing here are of no body."""
+        nothing here are of no body, and a payload that the file says may be a link here."""
         moving = {link for body in model.robot.bodies for link in (body.name, *body.merged)}
         for body in (model.robot.bodies[place] for place in model.identified):
-            there, here = self.merged.get(body.name, frozenset(body.merged)), {*body.merged}
+            here = {*body.merged} - {link for link in body.merged if self._is_payload(link, body.name)}
+            there = self.merged.get(body.name, here)
             if there & moving != here:
                 then, now = (", ".join(sorted(links)) or "no other link" for links in (there, here))
                 raise InputError(
                     f"{self.source}: link '{body.name}' was identified together with {then}, here it moves with {now}: "
                     "declare the same mounted wrench sensors and locked joints as then"
                 )
+
+    def _is_payload(self, link: str, carrier: str) -> bool:
+        """Whether a link is the payload of another one in a description that was written of this model."""
+        said = any(is_body(known) and known.link == carrier for known in self.effects)
+        return said and link.rstrip("_") == payload_name(carrier)
 
     def deviations(self, model: MeasurementModel) -> FloatArray:
         """Standard deviations ``(D,)`` of the effects' coefficients in the motion that they are from, NaN where the

@@ -16,7 +16,7 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 
 from geomid_ros.files.disk import read_text
-from geomid_ros.files.models.effects_file import is_body, joint_attributes, payload_parameters
+from geomid_ros.files.models.effects_file import is_body, joint_attributes, payload_name, payload_parameters
 from geomid_ros.files.models.xml_edits import Edit, Span, children_of, edited, end_of_tag, insertion, with_attributes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, values_of
@@ -58,10 +58,10 @@ def with_effects(urdf: str, effects: Iterable[KnownEffect]) -> str:
     """
     data = urdf.encode()
     effects = list(effects)
-    joints, names = children_of(data, "robot", "joint", "dynamics"), payload_links(urdf, effects)
+    joints, links = children_of(data, "robot", "joint", "dynamics"), children_of(data, "robot", "link", "inertial")
     edits = [_dynamics(data, joints[name], own) for name, own in joint_attributes(effects, "dynamics").items()]
     end = data.rindex(b"</robot")
-    payloads = [_payload(effect, names[effect.link]) for effect in effects if is_body(effect)]
+    payloads = [_payload(effect, links, joints) for effect in effects if is_body(effect)]
     edits.append((end, end, b"".join(payloads)))
     return edited(data, edits).decode()
 
@@ -72,20 +72,10 @@ def _dynamics(data: bytes, joint: Span, numbers: Mapping[str, float]) -> Edit:
     return insertion(data, joint, with_attributes(element, {name: f"{value:.9g}" for name, value in numbers.items()}))
 
 
-def payload_links(urdf: str, effects: Iterable[KnownEffect]) -> dict[str, str]:
-    """The links by which :func:`with_effects` says payloads, by those that carry them."""
-    taken = {name for kind in ("link", "joint") for name in children_of(urdf.encode(), "robot", kind, "")}
-    found = {}
-    for effect in effects:
-        if is_body(effect):
-            name = f"{effect.link}_payload"
-            while name in taken:
-                name += "_"
-            found[effect.link] = name
-    return found
-
-
-def _payload(effect: KnownEffect, name: str) -> bytes:
+def _payload(effect: KnownEffect, links: Mapping[str, Span], joints: Mapping[str, Span]) -> bytes:
+    name = payload_name(effect.link)
+    while name in links or name in joints:
+        name += "_"
     inertial = _inertial(payload_parameters(values_of(effect))).decode()
     return (
         f'  <link name="{name}">\n    {inertial}\n  </link>\n  <joint name="{name}" type="fixed">\n'

@@ -36,7 +36,7 @@ from geomid_ros.files.models.estimate_file import (
 )
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.readers import ELEMENTS, READERS, URDF
-from geomid_ros.files.models.urdf import payload_links, with_effects, with_inertials
+from geomid_ros.files.models.urdf import with_effects, with_inertials
 from geomid_ros.files.schema import FORMAT, plain
 from geomid_ros.model.coefficients import Coefficient
 from geomid_ros.model.effects import Effect, KnownEffect, Place, effect_class, values_of
@@ -84,14 +84,11 @@ def write_model(
     whole = WrittenModel(inertias, tuple(effects), folded)
     held = {name: fitted.get(name, whole) for name in READERS}
     alone = {name: replace(own, effects=tuple(_with_folded(own.effects, own.folded))) for name, own in held.items()}
-    of_urdf, of_mjcf = alone[URDF], alone["mujoco"]
     merged = {body.name: body.merged for body in model.robot.bodies if body.name in inertias}
     removed = [name for names in merged.values() for name in names]
-    carried = payload_links(urdf, of_urdf.effects)
-    moving = {name: [*own, *(carried[link] for link in carried if link == name)] for name, own in merged.items()}
     document = {
         "format": FORMAT,
-        "links": [link_entry(name, moving[name], own) for name, own in inertias.items()],
+        "links": [link_entry(name, merged[name], own) for name, own in inertias.items()],
         **effects_entries(effects),
         "handover": {name: handover_entry(own.said_by(ELEMENTS[name]), merged) for name, own in alone.items()},
         "robot": model.robot.name,
@@ -99,6 +96,7 @@ def write_model(
         "verdict": verdict_entry(recording_verdict(findings), findings),
     }
     write_json(folder / ESTIMATE, document | dict(noise))
+    of_urdf, of_mjcf = alone[URDF], alone["mujoco"]
     write_text(folder / IDENTIFIED, with_effects(with_inertials(urdf, of_urdf.inertias, removed), of_urdf.effects))
     write_text(folder / MJCF, mjcf(model.robot, of_mjcf.inertias, of_mjcf.effects, model.sensors, gravity))
     of_sidecar = reader if reader in held else URDF
