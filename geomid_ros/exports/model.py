@@ -20,6 +20,7 @@ from geomid_ros.files.models.effects_file import (
     joint_attributes,
 )
 from geomid_ros.files.models.estimate_file import EstimateFile
+from geomid_ros.files.models.posterior import SAME
 from geomid_ros.files.models.readers import URDF
 from geomid_ros.files.models.urdf import joint_frames, read_urdf, with_inertials
 from geomid_ros.files.models.written_model import written_for
@@ -29,8 +30,6 @@ from geomid_ros.model.robot import GRAVITY
 from geomid_ros.model.urdf_tree import UrdfTree, parse, read_numbers, read_xml
 from geomid_ros.types import FloatArray
 
-SAME = 1e-6
-"""Relative difference of one number in two files of fewer digits."""
 _URDF = "identified.urdf"
 
 

@@ -12,7 +12,8 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.uncertain_inertia import UncertainInertia
-from geomid_ros.exports.model import SAME, Model
+from geomid_ros.exports.model import Model
+from geomid_ros.files.models.posterior import SAME
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.types import FloatArray
 

@@ -18,11 +18,11 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.exports.descriptions import DESCRIPTIONS, as_described
 from geomid_ros.exports.formats import JSON
-from geomid_ros.exports.model import SAME, Model, read_model
+from geomid_ros.exports.model import Model, read_model
 from geomid_ros.exports.patch_mjcf import OwnMjcf, read_own_mjcf
 from geomid_ros.files.models.effects_file import QUANTITY_NAMES, by_parameter, effects_entries
 from geomid_ros.files.models.estimate_file import link_entry
-from geomid_ros.files.models.posterior import beside, read_posterior
+from geomid_ros.files.models.posterior import SAME, beside, check_of, read_posterior
 from geomid_ros.files.models.urdf import with_inertials
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
@@ -119,21 +119,9 @@ def draw_robots(path: Path, count: int, seed: int, spread: float) -> DrawnRobots
         raise InputError(f"{path}: no estimate.json, and so nothing is known of how sure its numbers are")
     file = beside(path)
     posterior = read_posterior(file)
-    _check_same(model, posterior, file)
+    check_of(posterior, file, {name: model.bodies[name].parameters for name in model.estimated}, model.source)
     drawn = posterior.draw(max(count, ENOUGH), np.random.default_rng(seed), spread)
     return DrawnRobots(model, posterior, drawn, count)
-
-
-def _check_same(model: Model, posterior: Posterior, file: Path) -> None:
-    parameters = posterior.parameters[posterior.manifold.inertial].reshape(-1, 10)
-    if posterior.links != model.estimated:
-        raise InputError(
-            f"{file}: of the links {', '.join(posterior.links)}, and {model.source} of {', '.join(model.estimated)}"
-        )
-    for name, own in zip(posterior.links, pseudo_inertia.quantities_of(parameters), strict=True):
-        there = model.bodies[name].quantities
-        if not np.allclose(own, there, rtol=SAME, atol=SAME * np.max(np.abs(there))):
-            raise InputError(f"{file}: not of the estimate beside it, {model.source}; keep together what one run wrote")
 
 
 def described(

@@ -72,12 +72,13 @@ def analyse(
 ) -> Analysis:
     """Find the set of names that explains the records best, and what is to be thought of the links beside it.
 
-    A payload hangs at the end of a limb, or lies on a base that moves. What another link has gained is told as a link
-    that has been changed: on the axis of a last joint a payload would else be one of the link before as well.
+    Beside an identified model a payload hangs at the end of a limb, or lies on a base that moves. What another link has
+    gained is told as a link that has been changed: on the axis of a last joint a payload would else be one of the link
+    before as well.
     """
     tried = _told(library.candidates(model, prior.terms, bare=not prior.identified), records.moving)
     links = [c.payload for c in tried if c.payload is not None]
-    ends = _ends(model, links)
+    ends = {*links} if prior.known is None else _ends(model, links)
     tried = [c for c in tried if c.payload is None or c.joint is None or c.payload in ends]
     task = _Task(model, records, tried, links, standing, progress)
     return _with_changed_link(task, _searched(task, prior, "searching"))

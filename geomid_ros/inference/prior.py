@@ -130,6 +130,21 @@ class Prior(Generic[Term]):
     held: Callable[[Sequence[Term], FloatArray], FloatArray] = nothing_held
 
     @property
+    def by_itself(self) -> Prior[Term]:
+        """The prior without other recordings, with what these and it say of each effect by itself."""
+        if self.known is None:
+            return self
+        manifold = StraightManifold(len(self.inertias) // 10, 0, np.ones(0))
+        links = manifold.whiten(manifold.point(self.inertias), self.known.rows[:, : self.known.links])
+        rows = np.column_stack([links * self.spread, self.known.rows[:, self.known.links :]])
+        told = len(self.known.changes)
+        rows[:, self.known.links :] *= self.spreads[:told]
+        share = np.diag(np.linalg.inv(rows.T @ rows + np.eye(rows.shape[1])))[self.known.links :]
+        then = np.append(np.sqrt(share) * self.spreads[:told], self.spreads[told:])
+        spreads = np.hypot(then, np.append(self.known.changes, np.zeros(len(then) - told)))
+        return replace(self, known=None, spreads=spreads)
+
+    @property
     def link_spreads(self) -> FloatArray:
         """The usual size of each link's error ``(links,)``."""
         spreads = common_spreads(self.alike, np.full(len(self.inertias) // 10, self.spread))

@@ -15,7 +15,7 @@ from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.loaded_model import LoadedModel
-from geomid_ros.files.models.posterior import POSTERIOR, read_posterior, read_remainder
+from geomid_ros.files.models.posterior import POSTERIOR, check_of, read_posterior, read_remainder
 from geomid_ros.gap.candidates import library_columns
 from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.gap.result import GapResult
@@ -165,11 +165,13 @@ def known_of(session: Session) -> tuple[OtherRecordings | None, FloatArray]:
 
 
 def _posterior_of(session: Session) -> Posterior | None:
-    """What is known of the links of the session's model and its effects together."""
-    posterior = session.loaded.posterior
-    if posterior is None:
-        path = Path(session.loaded.source).with_name(POSTERIOR)
-        posterior = read_posterior(path) if path.is_file() else None
+    """What is known of the links of the session's model and its effects together. Raises InputError if the file beside
+    the model is not of it."""
+    loaded, posterior = session.loaded, session.loaded.posterior
+    path = Path(loaded.source).with_name(POSTERIOR)
+    if posterior is None and path.is_file():
+        posterior = read_posterior(path)
+        check_of(posterior, path, loaded.inertias or {}, loaded.source)
     return posterior if posterior is not None and {*session.model.body_names} <= {*posterior.links} else None
 
 

@@ -57,3 +57,21 @@ def test_what_a_changed_link_costs_counts_in_the_score() -> None:
 def test_beside_no_other_recordings_no_link_has_been_changed_since() -> None:
     alone = replace(IDENTIFIED, known=None)
     assert alone.with_changed(1) is alone
+
+
+def test_without_other_recordings_each_effect_is_known_as_well_as_they_said() -> None:
+    """By itself, the links' errors integrated out; and it may have changed since then."""
+    rows, spreads, changes = RANDOM.normal(scale=2.0, size=(12, 32)), np.array([0.3, 5.0, 7.0]), np.array([0.1, 0.2])
+    known = OtherRecordings(rows, np.zeros(12), changes)
+    prior = replace(IDENTIFIED, terms=("a", "b", "c"), values=np.ones(3), spreads=spreads, known=known)
+    manifold = StraightManifold(3, 0, np.ones(0))
+    jacobian = manifold.whiten(manifold.point(IDENTIFIED.inertias), np.eye(30))
+    links = 0.05**2 * jacobian @ jacobian.T
+    covariance = np.zeros((32, 32))
+    covariance[:30, :30], covariance[30:, 30:] = links, np.diag(spreads[:2] ** 2)
+    gain = covariance @ rows.T @ np.linalg.inv(rows @ covariance @ rows.T + np.eye(12))
+    then = np.diag(covariance - gain @ rows @ covariance)[30:]
+    alone = prior.by_itself
+    assert alone.known is None
+    np.testing.assert_allclose(alone.spreads, np.append(np.sqrt(then + changes**2), spreads[2]), rtol=1e-8)
+    assert alone.by_itself is alone

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from gap import planted
 
+from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.files.models.posterior import write_posterior
@@ -101,3 +102,12 @@ def test_a_payload_is_weighed_by_what_both_recordings_say_together(live: Session
     assert mass.std < 0.1 * PAYLOAD
     own.loaded = replace(own.loaded, posterior=None, source="elsewhere/estimate.json")
     assert not sure(*known_of(own))
+
+
+def test_a_posterior_of_another_run_is_refused(live: Session, estimate: Estimate, tmp_path: Path) -> None:
+    own = identified_session(live, estimate)
+    own.loaded = replace(own.loaded, posterior=None, source=str(tmp_path / "estimate.json"))
+    other = replace(estimate.posterior, parameters=1.01 * estimate.posterior.parameters)
+    write_posterior(tmp_path / "posterior.npz", other)
+    with pytest.raises(InputError, match=r"posterior\.npz: not of the estimate beside it, .*estimate\.json; keep"):
+        known_of(own)

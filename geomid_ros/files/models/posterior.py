@@ -31,6 +31,8 @@ from geomid_ros.types import AnyArray, FloatArray, frozen
 
 POSTERIOR = "posterior.npz"
 FORMAT = 2
+SAME = 1e-6
+"""Relative difference of one number in two files of fewer digits."""
 _HEADER = "posterior"
 _VECTORS = ("parameters", "prior", "prior_spreads")
 _MOST_PARAMETERS = 2000
@@ -81,6 +83,17 @@ def beside(estimate: Path) -> Path:
 def read_posterior(path: Path) -> Posterior:
     """Read a posterior. Raises InputError naming the file."""
     return _read(path, _posterior)
+
+
+def check_of(posterior: Posterior, file: Path, inertias: Mapping[str, FloatArray], source: str) -> None:
+    """Raise InputError unless a posterior, read from a ``file``, is that of the estimate ``source``, which has these
+    ``inertias (10,)`` by link."""
+    if posterior.links != tuple(inertias):
+        raise InputError(f"{file}: of the links {', '.join(posterior.links)}, and {source} of {', '.join(inertias)}")
+    links = posterior.parameters[posterior.manifold.inertial].reshape(-1, 10)
+    for own, there in zip(links, inertias.values(), strict=True):
+        if not np.allclose(own, there, rtol=SAME, atol=SAME * np.max(np.abs(there))):
+            raise InputError(f"{file}: not of the estimate beside it, {source}; keep together what one run wrote")
 
 
 def read_remainder(path: Path) -> StandingRemainder | None:

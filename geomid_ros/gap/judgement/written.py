@@ -227,7 +227,8 @@ def _findings_as_written(
             parameters = naming.parameters(model, found, candidate, usual_load=load)
             unsure_too = beside_remainder(analysis, candidate, parameters, finding.was)
             sized = {**finding.parameters, **candidate.effect.sizes(unsure_too)}
-            moment = naming.first_moment(found, candidate) if finding.moment else {}
+            told = analysis.search.prior.identified and finding.moment  # of a drawing the links' are as unsure
+            moment = naming.first_moment(found, candidate) if told else {}
             probability = min(finding.probability, probability_by_size(candidate, moment or parameters, finding.was))
             yield _said_again(replace(finding, parameters=sized, moment=moment, probability=probability))
         else:
