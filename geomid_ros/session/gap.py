@@ -42,8 +42,8 @@ _MOTIONS = 0.5  # of the larger one's standard deviation: a simulation lags and 
 _STILL = 0.02  # [rad, m] standard deviation of a joint that does not move
 _LONGEST_SHIFT = 2.0  # [s] between the beginnings of the two recordings and of the motion in them
 _STEP = 0.02  # [s]
-CUTOFF_PER_RATE = 0.95 / LOWEST_RATE_PER_CUTOFF
-"""The highest cutoff, as a share of the messages' rate, of which others of them tell another one."""
+CUTOFF_PER_RATE = 1.0 / LOWEST_RATE_PER_CUTOFF
+"""The highest cutoff, as a share of the messages' rate."""
 MESSAGES_FOR_RATE = 64
 """The rate is that of so many messages at the beginning."""
 

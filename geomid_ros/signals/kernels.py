@@ -20,7 +20,7 @@ _LENGTH_IN_CUTOFF_PERIODS = 4.0
 _FIRST_DIFFERENCE = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60.0
 _SECOND_DIFFERENCE = np.array([2.0, -27.0, 270.0, -490.0, 270.0, -27.0, 2.0]) / 180.0
 LOWEST_RATE_PER_CUTOFF = 2.5
-_UNSURE = 0.01  # of the highest cutoff, as the period of messages is measured, too
+_UNSURE = 0.05  # of the highest cutoff: messages tell their period no better, each part of them another one
 
 
 def highest_cutoff(period: float) -> float:
