@@ -152,7 +152,7 @@ def known_of(session: Session) -> tuple[OtherRecordings | None, FloatArray]:
     if prior is None or loaded.known is None:
         return None, deviations
     if (posterior := _posterior_of(session)) is not None:
-        known, unsaid = _of_posterior(posterior, model, prior)
+        known, unsaid = _of_posterior(posterior, model)
         deviations = np.where(np.isfinite(unsaid), unsaid, deviations)
     elif (links := loaded.information(model)) is not None:
         known = OtherRecordings(links.rows, links.residuals)
@@ -175,22 +175,18 @@ def _posterior_of(session: Session) -> Posterior | None:
     return posterior if posterior is not None and {*session.model.body_names} <= {*posterior.links} else None
 
 
-def _of_posterior(
-    posterior: Posterior, model: MeasurementModel, prior: FloatArray
-) -> tuple[OtherRecordings, FloatArray]:
-    """What the data of a posterior say of the parameters of a model, off those of its ``prior (D,)``; and the standard
-    deviations ``(D,)`` that its effects had without them, NaN of those that it has not."""
+def _of_posterior(posterior: Posterior, model: MeasurementModel) -> tuple[OtherRecordings, FloatArray]:
+    """What the data of a posterior say of the parameters of a model, off its estimate; and the standard deviations
+    ``(D,)`` that effects had without them, NaN of those that it has not."""
     first = 10 * len(posterior.links)
     places = {(e.name, e.place, e.parameter): first + place for place, e in enumerate(posterior.effects)}
     links = [10 * posterior.links.index(name) + np.arange(10) for name in model.body_names]
     own = [places.get((c.effect.name, c.place_name, c.parameter), -1) for c in model.coefficients]
     order = np.concatenate([*links, np.array(own, dtype=np.int64)])
     rows, _ = posterior.evidence
-    off = np.where(np.isfinite(prior) & (order >= 0), prior - posterior.parameters[order], 0.0)
     unsaid = np.abs(np.diag(posterior.jacobian)) * posterior.prior_spreads
-    unsaid[:first] = np.nan
-    rows = np.where(order >= 0, rows[:, order], 0.0)
-    return OtherRecordings(rows, rows @ off, np.zeros(len(own))), np.where(order >= 0, unsaid[order], np.nan)
+    known = OtherRecordings(np.where(order >= 0, rows[:, order], 0.0), np.zeros(len(rows)), np.zeros(len(own)))
+    return known, np.where(order >= 0, unsaid[order], np.nan)
 
 
 def standing_of(session: Session) -> StandingRemainder | None:

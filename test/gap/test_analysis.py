@@ -1,5 +1,6 @@
 """Rounds of search and linearisation: when they end, and what is noise in them."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,6 +12,7 @@ from geomid_ros.gap import analysis
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.analysis import _ends, _told
 from geomid_ros.gap.evidence.record import TotalModel
+from geomid_ros.inference.prior import OtherRecordings
 from geomid_ros.model.effects import AtJoint, AtJoints, OnLink, OnRobot, Place
 from geomid_ros.model.effects.gravity_tilt import GravityTilt
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
@@ -179,3 +181,16 @@ def test_what_two_joints_share_is_looked_for_where_they_move_together() -> None:
 @pytest.mark.parametrize(("links", "ends"), [([0, 1, 2], {2}), ([0, 1], {1}), ([], set())])
 def test_the_end_of_a_limb_carries_no_other_link(links: list[int], ends: set[int]) -> None:
     assert _ends(planted.model(), links) == ends
+
+
+def test_beside_a_drawing_alone_payloads_are_looked_for_at_all_links(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing else tells there what a link has gained."""
+    monkeypatch.setattr(analysis, "_searched", lambda task, *_: task)
+    monkeypatch.setattr(analysis, "_with_changed_link", lambda task, _: task)
+    records: Any = SimpleNamespace(moving=np.ones((30, 3), dtype=bool))
+    drawing = planted.prior()
+    identified = replace(drawing, known=OtherRecordings(np.zeros((1, 30)), np.zeros(1)))
+    for prior, links in ((drawing, [0, 1, 2]), (identified, [2])):
+        task: Any = analysis.analyse(planted.model(), records, prior, lambda *_: None)
+        assert [c.payload for c in task.tried if c.payload is not None] == links
+        assert task.links == [0, 1, 2]

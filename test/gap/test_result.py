@@ -200,8 +200,11 @@ class TestPrior:
         measured, velocity = (np.sqrt(np.mean(part[:, :2] ** 2, axis=0)) for part in (TRAIN.effort, TRAIN.velocity))
         share = 0.01 * measured / velocity
         prior = self.prior(nominal(**{JOINTS[0]: 0.8 * share[0], JOINTS[1]: 1.2 * share[1]}))
-        found = workflow._with_least_spreads(BARE, records, prior)
+        own = OtherRecordings(np.zeros((1, 32)), np.zeros(1), prior.spreads)
+        found = workflow._with_least_spreads(BARE, records, replace(prior, known=own))
         np.testing.assert_allclose(found.spreads, [share[0], prior.spreads[1]], rtol=0.05)
+        assert found.known is not None
+        np.testing.assert_array_equal(found.known.changes, found.spreads)
 
     @pytest.mark.parametrize(("std", "expected"), [(0.0, 0.02), (0.001, 0.02), (0.02, 0.15), (np.inf, 0.02)])
     def test_an_effect_beside_the_coefficients_is_as_unsure_as_its_motion_says(

@@ -350,6 +350,25 @@ class TestOtherRecordings:
         np.testing.assert_allclose(kept.T @ kept, links, rtol=1e-8, atol=1e-8)
         assert more - cost == pytest.approx(np.log(left[11, 11] * spread**2))
 
+    def test_recordings_that_are_trusted_less_say_less_of_then_and_of_now(self) -> None:
+        rng = np.random.default_rng(4)
+        known = OtherRecordings(rng.normal(size=(12, 12)), rng.normal(size=12), np.array([0.5, 2.0]))
+        (rows, cost), (fewer, same) = (each.of_now(12, 10, {}) for each in (known, known.trusted(9.0)))
+        np.testing.assert_allclose(9.0 * fewer.T @ fewer, rows.T @ rows, rtol=1e-9, atol=1e-9)
+        assert same == pytest.approx(cost)
+
+    def test_what_effects_may_have_changed_by_counts_in_the_score(self) -> None:
+        """The same rows without a change that is to be integrated out are the more probable ones by that."""
+        design = Recording(3, [VISCOUS]).design({})
+        rng, nothing = np.random.default_rng(5), np.zeros(1)
+        known = OtherRecordings(rng.normal(size=(3, 11)), rng.normal(size=3), np.array([1.5]))
+        rows, cost = known.of_now(11, 10, {})
+        done = OtherRecordings(rows[:, :-1], rows[:, -1], nothing)
+        prior = replace(PRIOR, terms=(TERM,), values=nothing, spreads=np.ones(1))
+        scores = [fit(design, replace(prior, known=each), []).score for each in (known, done)]
+        assert scores[0] - scores[1] == pytest.approx(cost)
+        assert cost > 0.1
+
     def test_of_some_coefficients_the_others_are_as_they_were(self) -> None:
         known = OtherRecordings(np.arange(26.0).reshape(2, 13), np.zeros(2), np.zeros(3))
         some = known.of_coefficients(np.array([0, 2]), np.array([0.1, 0.2]))

@@ -13,7 +13,8 @@ from geomid_ros.gap import candidates as library
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.judgement.held_out import located, share, strongest
 from geomid_ros.gap.judgement.naming import sentence, settled_by
-from geomid_ros.gap.result import GapResult, Located
+from geomid_ros.gap.judgement.written import _said_again
+from geomid_ros.gap.result import Finding, GapResult, Located
 from geomid_ros.gap.workflow import GapSettings, find_gap
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import EFFECTS, Quantity
@@ -114,6 +115,26 @@ def test_a_sentence_begins_with_a_capital_and_says_the_first_parameters() -> Non
     assert text.startswith("A payload at link 'hand': mass 1 ± 0.2 m,")
     assert "com_z" in text
     assert "ixx" not in text
+
+
+def test_what_is_written_of_a_payload_says_its_first_moment_again_where_no_mass_is_told() -> None:
+    names = ["mass", "com_x", "com_y", "com_z"]
+    told = Finding(
+        effect="payload",
+        joint="wrist",
+        link="hand",
+        parameters={name: Quantity(1.0, 2.0, "kg" if name == "mass" else "m") for name in names},
+        probability=1.0,
+        rivals=(),
+        separability=1.0,
+        loss=9.0,
+        share=1.0,
+        was={},
+        sentence="",
+        settled_by="",
+        moment={"m x": Quantity(0.02, 0.001, "kg m")},
+    )
+    assert "m x 0.02 ± 0.002 kg m" in _said_again(told).sentence
 
 
 def test_what_settles_payloads_at_two_links_is_a_motion_that_turns_both() -> None:

@@ -9,7 +9,7 @@ import pytest
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.model.dynamics import Dynamics
-from geomid_ros.model.effects import identified_effect
+from geomid_ros.model.effects import EFFECTS, identified_effect
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -154,3 +154,12 @@ def test_in_the_mjcf_they_are_tied_to_their_masters() -> None:
 def test_no_effect_is_at_a_joint_that_follows() -> None:
     model = MeasurementModel(Robot(description(MASSES)), [identified_effect("viscous_friction")])
     assert [c.place_name for c in model.coefficients] == ["lift", "turn", "grip"]
+
+
+def test_what_moves_a_link_of_a_follower_is_its_master() -> None:
+    """So that a load on a finger that follows is not on the hand, which moves without it."""
+    model = MeasurementModel(Robot(description(MASSES)), ())
+    places = dict(zip(model.body_names, model.places.of(EFFECTS["payload"]()), strict=True))
+    assert [model.places.name(places[f"{name}_link"]) for name in MASTERS] == [
+        model.robot.joint_names[master] for master in MASTERS.values()
+    ]

@@ -104,6 +104,15 @@ def test_a_payload_is_weighed_by_what_both_recordings_say_together(live: Session
     assert not sure(*known_of(own))
 
 
+def test_a_posterior_of_other_links_tells_nothing(live: Session, estimate: Estimate) -> None:
+    own = identified_session(live, estimate)
+    other = replace(estimate.posterior, links=("a", "b", "c"))
+    own.loaded = replace(own.loaded, posterior=other)
+    known, _ = known_of(own)
+    assert known is not None
+    assert len(known.changes) == 0
+
+
 def test_a_posterior_of_another_run_is_refused(live: Session, estimate: Estimate, tmp_path: Path) -> None:
     own = identified_session(live, estimate)
     own.loaded = replace(own.loaded, posterior=None, source=str(tmp_path / "estimate.json"))
