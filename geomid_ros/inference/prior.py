@@ -56,10 +56,8 @@ class OtherRecordings:
 
     def of_coefficients(self, places: IntArray, changes: FloatArray) -> OtherRecordings:
         """The same of those of its coefficients at some places ``(n,)``, with what they have changed by ``(n,)``."""
-        rows = np.delete(
-            self.rows, np.setdiff1d(np.arange(self.links, self.rows.shape[1]), self.links + places), axis=1
-        )
-        return replace(self, rows=rows, changes=changes)
+        columns = np.append(np.arange(self.links), self.links + places)
+        return replace(self, rows=self.rows[:, columns], changes=changes)
 
     def beside(self, columns: FloatArray) -> tuple[OtherRecordings, float]:
         """The same beside further unknowns of unit variance, of which the residuals have ``columns (r, n)``; and what
