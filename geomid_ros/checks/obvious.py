@@ -95,14 +95,21 @@ def held_efforts(subject: Subject) -> list[Cause]:
         same = np.abs(np.diff(effort)) <= _SAME * np.ptp(effort)
         begins = np.flatnonzero(np.diff(same.astype(np.int8), prepend=0) == 1)
         ends = np.flatnonzero(np.diff(same.astype(np.int8), append=0) == -1) + 1
+        least = max(float(np.std(effort)), _step(effort[begins]))
         for begin, end in zip(begins, ends, strict=True):
             others = np.delete(same & (changes > LEAST_SIGMA * np.std(effort)), np.arange(begin, end))
             asked = float(np.ptp(rigid[begin : end + 1, channel]))
-            if end - begin >= _FEWEST and np.mean(others) < LEAST_SIGMA and asked > np.std(effort):
+            if end - begin >= _FEWEST and np.mean(others) < LEAST_SIGMA and asked > least:
                 times = {name: (stamps[at] - stamps[0]) * 1e-9 for name, at in (("begin", begin), ("end", end))}
                 found.append(Cause.of("constant", [subject.names[channel]], said="held", asked=asked, **times))
                 break
     return found
+
+
+def _step(levels: FloatArray) -> float:
+    """The least difference between levels at which a channel stays, if only briefly: the step of one that has steps."""
+    gaps = np.diff(np.sort(levels))
+    return float(np.min(gaps[gaps > 2.0 * _SAME * np.ptp(levels)], initial=np.inf)) if np.any(gaps > 0.0) else 0.0
 
 
 def frozen_position(subject: Subject) -> Cause | None:

@@ -87,6 +87,7 @@ class LinkChange:
         probability: that it has changed.
         moment: of a link whose mass may be as it was, by how much its first moment is larger [kg m], about its frame's
             origin, by axis; empty of all others.
+        centre: beside a model of recordings, where that mass is in the link's frame [m], by axis.
     """
 
     link: str
@@ -96,6 +97,7 @@ class LinkChange:
     loss: float
     probability: float
     moment: Mapping[str, Quantity] = field(default_factory=dict)
+    centre: Mapping[str, Quantity] = field(default_factory=dict)
 
     @property
     def confidence(self) -> Confidence:
@@ -117,7 +119,9 @@ class LinkChange:
             return f"link '{self.link}' has changed: first moment {', '.join(changes)} (mass by {by_mass})"
         less = "less" if self.mass.value < 0.0 else "more"
         size = f"{abs(self.mass.value):.3g} ± {OF_95 * self.mass.std:.2g} kg"
-        return f"link '{self.link}' weighs {size} {less} than the {self.was:.3g} kg of the model"
+        said = f"link '{self.link}' weighs {size} {less} than the {self.was:.3g} kg of the model"
+        centre = ", ".join(f"{axis} {q.value:.3g} ± {OF_95 * q.std:.2g}" for axis, q in self.centre.items())
+        return f"{said}; the difference is centred at {centre} m" if centre else said
 
 
 @dataclass(frozen=True)

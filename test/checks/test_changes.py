@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 from estimation.arms import ALL_EFFECTS, Case, Truth, arm, efforts, motion, samples
+from scipy.signal import filtfilt, firwin
 
 from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.check import JudgementTask, RecordingCheck
@@ -129,6 +130,16 @@ def test_an_effort_is_frozen_for_a_while(robot: Case) -> None:
     first, *_ = findings(robot, replace(robot.samples, effort=effort))
     assert (first.cause.kind, first.cause.places) == ("constant", (robot.model.robot.joint_names[1],))
     assert "from about 7 s to 15 s" in first.cause.sentence
+
+
+@pytest.mark.parametrize(("robot", "step"), [(ROBOTS[0], 2.5), (ROBOTS[1], 2.0)], ids=str, indirect=["robot"])
+def test_an_effort_in_coarse_steps_is_not_frozen(robot: Case, step: float) -> None:
+    """What gravity and motion ask for between two steps is not seen."""
+    steps, moves = step * np.std(robot.samples.effort, axis=0), np.sin(0.8 * robot.samples.seconds) > 0.0
+    noise = 0.3 * moves[:, None] * np.random.default_rng(0).normal(size=robot.samples.effort.shape)
+    levels = np.round((robot.samples.effort - np.mean(robot.samples.effort, axis=0)) / steps + noise + 0.5)
+    seen = filtfilt(firwin(41, 5.0, fs=100.0), 1.0, steps * levels, axis=0)
+    assert not [f for f in findings(robot, replace(robot.samples, effort=seen)) if f.cause.kind == "constant"]
 
 
 def test_efforts_of_the_urdf_itself_are_remarked_on(robot: Case) -> None:

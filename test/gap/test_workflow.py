@@ -209,6 +209,10 @@ def test_a_link_that_has_become_lighter_is_told_as_that(link: int, monkeypatch: 
     true = dict(zip(("mass", "m x", "m y", "m z"), lighter[link, :4] - nominal[:4], strict=True))
     for name, size in sizes.items():
         assert abs(size.value - true[name]) < 3.0 * size.std
+    assert bool(change.centre) != bool(change.moment)
+    for (axis, centre), mean in zip(change.centre.items(), nominal[1:4] / nominal[0], strict=False):
+        assert abs(centre.value - mean) < 3.0 * centre.std
+        assert f"{axis} {centre.value:.3g} ± " in change.sentence
 
     certain = analysed[0]
     analysed[0] = replace(certain, contested=0.25)

@@ -40,12 +40,15 @@ def _changes(model: MeasurementModel, analysis: Analysis) -> Iterator[LinkChange
         change = names.inertias[link] - was
         doubt = relative_doubt(search.design, names, link, change)
         std = np.hypot(stds[10 * link : 10 * link + 10], doubt * change)
-        told, moment = (change / std)[:1], {}
+        told, moment, centre = (change / std)[:1], {}, {}
         if abs(change[0]) < _LEAST * was[0] or link == search.prior.changed_link:
             if link != search.prior.changed_link:
                 continue
             if abs(told[0]) < np.max(np.abs(change / std)[1:4]):
                 told, moment = (change / std)[1:4], _first_moment(change, std)
+        if search.prior.identified and not moment:
+            own = slice(10 * link, 10 * link + 4)
+            centre = _centre(change, covariance[own, own])
         if names.inertias[link, 0] > np.sum(nominal[:, 0]):  # as no payload outweighs the robot, no link does
             continue
         spreads = names.spreads.copy()
@@ -65,6 +68,7 @@ def _changes(model: MeasurementModel, analysis: Analysis) -> Iterator[LinkChange
                 loss=loss,
                 probability=probability,
                 moment=moment,
+                centre=centre,
             )
 
 
@@ -72,6 +76,15 @@ def _first_moment(change: FloatArray, std: FloatArray) -> dict[str, Quantity]:
     """That of a change of parameters ``(10,)``, by axis."""
     sizes = zip("xyz", change[1:4].tolist(), std[1:4].tolist(), strict=True)
     return {f"m {axis}": Quantity(size, unsure, "kg m") for axis, size, unsure in sizes}
+
+
+def _centre(change: FloatArray, covariance: FloatArray) -> dict[str, Quantity]:
+    """That of the mass by which a link's parameters have a ``change (10,)``; of mass and first moment the
+    ``covariance (4, 4)``."""
+    centre = change[1:4] / change[0]
+    derivative = np.column_stack([-centre, np.eye(3)]) / change[0]
+    stds = np.sqrt(np.diag(derivative @ covariance @ derivative.T))
+    return {axis: Quantity(float(value), float(std), "m") for axis, value, std in zip("xyz", centre, stds, strict=True)}
 
 
 def with_given_spreads(prior: NamesPrior, inflation: float) -> NamesPrior:

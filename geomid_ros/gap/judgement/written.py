@@ -5,7 +5,7 @@ In a URDF and an MJCF friction that neither can say stands in those kinds that b
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -249,13 +249,17 @@ def _as_written(link: LinkChange, model: MeasurementModel, analysis: Analysis, f
         return link
     place = model.body_names.index(link.link)
     change: FloatArray = found.inertias[place] - analysis.search.prior.inertias.reshape(-1, 10)[place]
-    moment = zip(link.moment.items(), change[1:4].tolist(), strict=False)
     sized = replace(
         link,
         mass=_moved(link.mass, float(change[0])),
-        moment={axis: _moved(quantity, value) for (axis, quantity), value in moment},
+        moment=_all_moved(link.moment, change[1:4]),
+        centre=_all_moved(link.centre, change[1:4] / change[0]),
     )
     return replace(sized, probability=min(link.probability, probability_of_square(sized.told)))
+
+
+def _all_moved(quantities: Mapping[str, Quantity], values: FloatArray) -> dict[str, Quantity]:
+    return {name: _moved(q, value) for (name, q), value in zip(quantities.items(), values.tolist(), strict=False)}
 
 
 def _moved(quantity: Quantity, value: float) -> Quantity:
