@@ -29,6 +29,8 @@ _SENTENCES = {
     "position": f"{{positions}} in {{unit}}: read as such, {_FOLLOW}; send messages in {{right}}",
     "time": f"stamps run {{rate}}: with {{period}} the time between messages, {_FOLLOW}; stamp messages in seconds, "
     "when they are measured",
+    "guided": "the efforts are those that hold the robot, not those that move it: it was moved by hand, or they are "
+    "those of its gravity compensation. Let its motors move it, and record their measured efforts",
     "gravity": "gravity acts {how} than configured: {settings} fits ({check})",
     "level": "the efforts are explained much better if gravity is {vector} in the base frame: the base may be tilted "
     "by {angle:.1f} degrees. Measure it; correct it with --gravity {vector} (the parameter gravity), or let "

@@ -128,18 +128,23 @@ def _moved(samples: Samples, matrix: FloatArray, zero: FloatArray | float = 0.0,
 
 
 def _times(subject: Subject) -> Iterator[Candidate]:
-    """Stamps run too fast or too slow: where inertia does not fit gravity, and there is gravity in the efforts."""
-    same = np.eye(len(subject.robot.joints))
+    """Stamps run too fast or too slow, or someone else moves the robot: where inertia does not fit gravity, and there
+    is gravity in the efforts."""
+    yield _at_rate(subject, 0.0, Cause.of("guided", subject.names))
     for rate in TIMES:
         said = f"{1.0 / rate:g} times as slow" if rate < 1.0 else f"{rate:g} times as fast"
-        cause = Cause.of("time", subject.names, rate=said, period=f"{1.0 / rate:g} times")
+        yield _at_rate(subject, rate, Cause.of("time", subject.names, rate=said, period=f"{1.0 / rate:g} times"))
 
-        def undo(subject: Subject, rate: float = rate) -> Judged:
-            judged = Judged.mended(subject.with_samples(_moved(subject.samples, same, rate=rate)), subject.spread)
-            without = max(Judged.mended(read(subject), subject.spread).log for read in (weightless, compensated))
-            return replace(judged, log=judged.log - max(without - subject.nominal.log, 0.0))
 
-        yield Candidate(undo=undo, cause=cause)
+def _at_rate(subject: Subject, rate: float, cause: Cause) -> Candidate:
+    same = np.eye(len(subject.robot.joints))
+
+    def undo(subject: Subject) -> Judged:
+        judged = Judged.mended(subject.with_samples(_moved(subject.samples, same, rate=rate)), subject.spread)
+        without = max(Judged.mended(read(subject), subject.spread).log for read in (weightless, compensated))
+        return replace(judged, log=judged.log - max(without - subject.nominal.log, 0.0))
+
+    return Candidate(undo=undo, cause=cause)
 
 
 def _zeros(subject: Subject) -> Iterator[Candidate]:

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from estimation.arms import Case, efforts, motion, samples
+from estimation.arms import Case, Motion, efforts, motion, samples
 
 from benchmarks.corruption.__main__ import judged
 from benchmarks.corruption.recording import ARM3, Recording
 from benchmarks.corruption.simulated import RAIL, simulated
-from checks.test_efforts import ROBOTS, case, checked, named
+from checks.test_efforts import ROBOTS, case, checked, findings, named
 from geomid_ros.checks.check import JudgementTask, RecordingCheck
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
@@ -60,6 +60,23 @@ def test_a_clock_that_runs_too_slow_is_named() -> None:
     cause = named(seven.model, moved(seven.samples, 1.0, 2.0))
     assert cause.kind == "time"
     assert "2 times as slow: with 2 times the time between messages" in cause.sentence
+
+
+def test_a_clock_that_runs_far_too_fast_is_named() -> None:
+    seven = case("arm7", 2)
+    cause = named(seven.model, moved(seven.samples, 1.0, 1e3))
+    assert cause.kind == "time"
+    assert "1000 times the time between messages" in cause.sentence
+
+
+def test_a_robot_that_is_guided_by_hand_is_told() -> None:
+    """Its motors hold it: they do not feel who moves it."""
+    seven = case("arm7", 2)
+    still = np.zeros_like(seven.samples.velocity)
+    held = efforts(seven.model.robot, replace(seven.true, effects={}), Motion(seven.samples.position, still, still))
+    noise = 0.05 * np.random.default_rng(3).normal(size=held.shape)
+    (finding,) = findings(seven.model, replace(seven.samples, effort=held + noise))
+    assert (finding.cause.kind, finding.rivals) == ("guided", ())
 
 
 @pytest.mark.parametrize(("robot", "size"), [(ROBOTS[0], 0.0), (ROBOTS[1], 9810.0)], indirect=["robot"])
