@@ -131,12 +131,16 @@ class JudgedFile:
     def worse(self) -> list[str]:
         """Sentences on the channels that it predicts worse than the description that it is from, and so does all that
         was found."""
-        return [sentence for name, sentence in self._worse if self.found[name] > WORSE * self.given[name]]
+        return [f"{said}; {_RECORD}" for name, said in self._worse if self.found[name] > WORSE * self.given[name]]
 
     @property
     def limited(self) -> list[str]:
         """The same where all that was found predicts better: what the file cannot say is why."""
-        return [sentence for name, sentence in self._worse if not self.found[name] > WORSE * self.given[name]]
+        return [
+            f"{said}{self._why(name)}; {_ADVICE}"
+            for name, said in self._worse
+            if not self.found[name] > WORSE * self.given[name]
+        ]
 
     @property
     def _worse(self) -> Iterator[tuple[str, str]]:
@@ -144,7 +148,7 @@ class JudgedFile:
             if min(own, self.corrected[name]) > WORSE * self.given[name]:
                 sentence = (
                     f"'{name}' is predicted worse by {self.name} than by the given description: RMS {own:.3g} "
-                    f"instead of {self.given[name]:.3g}{self._why(name)}; {_ADVICE}"
+                    f"instead of {self.given[name]:.3g}"
                 )
                 yield name, sentence
 
@@ -158,6 +162,10 @@ class JudgedFile:
         return {"file": self.name, "loaded_by": self.program, **entry(self, "alone", "corrected", "given")}
 
 
+_RECORD = (
+    "so does the estimate: what was fitted does not carry over to this motion. Record more motion of this joint, in "
+    "more poses of the others, and check that nothing was carried or touched meanwhile"
+)
 _ADVICE = "choose another format (--for), or record more motion of this joint"
 
 

@@ -8,7 +8,6 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from geomid_ros.estimation.uncertain_inertia import SURE as OF_95
 from geomid_ros.model.effects import KnownEffect, Quantity, Values, effect_class, values_of
 from geomid_ros.types import FloatArray, IntArray
 
@@ -114,13 +113,13 @@ class LinkChange:
     def sentence(self) -> str:
         """In words, with the 95 % interval."""
         if self.moment:
-            changes = (f"{axis} by {q.value:.3g} ± {OF_95 * q.std:.2g} {q.unit}" for axis, q in self.moment.items())
-            by_mass = f"{self.mass.value:.2g} ± {OF_95 * self.mass.std:.2g} kg"
+            changes = (f"{axis} by {q.value:.3g} ± {q.std:.2g} {q.unit}" for axis, q in self.moment.items())
+            by_mass = f"{self.mass.value:.2g} ± {self.mass.std:.2g} kg"
             return f"link '{self.link}' has changed: first moment {', '.join(changes)} (mass by {by_mass})"
         less = "less" if self.mass.value < 0.0 else "more"
-        size = f"{abs(self.mass.value):.3g} ± {OF_95 * self.mass.std:.2g} kg"
+        size = f"{abs(self.mass.value):.3g} ± {self.mass.std:.2g} kg"
         said = f"link '{self.link}' weighs {size} {less} than the {self.was:.3g} kg of the model"
-        centre = ", ".join(f"{axis} {q.value:.3g} ± {OF_95 * q.std:.2g}" for axis, q in self.centre.items())
+        centre = ", ".join(f"{axis} {q.value:.3g} ± {q.std:.2g}" for axis, q in self.centre.items())
         return f"{said}; the difference is centred at {centre} m" if centre else said
 
 

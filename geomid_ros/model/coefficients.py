@@ -99,7 +99,7 @@ class EffectPlaces:
             case "commands":
                 return [OnRobot()] if self.commanded else []
             case "link":
-                return [OnLink(place, self._mover(link)) for place, link in enumerate(self.links)]
+                return [OnLink(place, self.mover(link)) for place, link in enumerate(self.links)]
             case "sensor":
                 return [AtSensor(topic, tuple(channels)) for topic, channels in self.layout.wrenches.items()]
             case "base":
@@ -181,11 +181,11 @@ class EffectPlaces:
     @property
     def _chain(self) -> list[tuple[int, int]]:
         """Pairs of joints of which the second moves on the first, nothing that moves between them."""
-        movers = [(self._mover(joint.parent), joint.name) for joint in self.robot.tree.joints]
+        movers = [(self.mover(joint.parent), joint.name) for joint in self.robot.tree.joints]
         names = self.robot.joint_names
         return [(above, names.index(name)) for above, name in movers if above is not None and name in names]
 
-    def _mover(self, link: str) -> int | None:
+    def mover(self, link: str) -> int | None:
         """The joint that moves a link, itself or one that follows it."""
         places = {f.joint.name: f.master for f in self.robot.followers}
         places |= {name: place for place, name in enumerate(self.robot.joint_names)}

@@ -225,12 +225,16 @@ def _more(count: int) -> str:
 
 
 def _sized(finding: Finding) -> str:
-    """An effect with its place and its first parameter, and what that was; or a payload's first moment."""
+    """An effect with its place and its first parameter, and what that was, of several of one kind the one that is
+    farthest from nothing; or a payload's first moment."""
     if finding.moment:
         return f"{title(finding)} {', '.join(f'{name} {measured(q)}' for name, q in finding.moment.items())}"
-    name, quantity = next(iter(finding.parameters.items()))
+    count = effect_class(finding.effect).count
+    sizes = list(finding.parameters.items())[: max(count, 1)]
+    name, quantity = max(sizes, key=lambda size: abs(size[1].value) / size[1].std if size[1].std > 0.0 else np.inf)
     was = f" instead of {finding.was[name]:.4g}" if name in finding.was else ""
-    return f"{title(finding)} {measured(quantity)}{was}"
+    which = f"{name.replace('_', ' ')} " if count > 1 else ""
+    return f"{title(finding)} {which}{measured(quantity)}{was}"
 
 
 def not_explained(result: GapResult) -> list[tuple[str, float, str]]:

@@ -132,7 +132,7 @@ def inertial(block: Block) -> tuple[FloatArray, AnyArray]:
 
 NOBODY = (
     "if nobody publishes it, name it in the parameter locked_joints (--lock); if another node does, set "
-    "merge_joint_states"
+    "merge_joint_states (--merge)"
 )
 """What to do about a joint that is missing."""
 

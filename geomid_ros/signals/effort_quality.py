@@ -88,8 +88,7 @@ def peculiar(
         Which joints are concerned ``(J,)``, by the kind; and the time between changes [s] ``(J,)``.
     """
     measured = np.isfinite(efforts)
-    mean = np.sum(efforts, axis=0, where=measured) / np.maximum(np.sum(measured, axis=0), 1)
-    efforts = np.where(measured, efforts, mean)
+    efforts = _held(efforts, measured)  # a number of its own would be a step that no sensor has
     size, spread, whole = np.abs(efforts), np.std(efforts, axis=0), np.ptp(efforts, axis=0)
     change, jumps = np.abs(np.diff(efforts, axis=0)), np.diff(size == 0.0, axis=0)
     count = np.count_nonzero(jumps, axis=0)
@@ -119,6 +118,13 @@ def peculiar(
     np.fill_diagonal(alike, val=False)
     copied = np.any(alike & np.outer(fine & turning, fine & turning), axis=0)
     return {"held": held, "zero": zero, "overflow": over, "copied": copied, "coarse": coarse}, every
+
+
+def _held(efforts: FloatArray, measured: BoolArray) -> FloatArray:
+    """Efforts ``(N, J)``, those before, or the first ones, where they are not measured; zero where none ever are."""
+    places = np.where(measured, np.arange(len(efforts))[:, None], np.argmax(measured, axis=0))
+    held = np.take_along_axis(efforts, np.maximum.accumulate(places, axis=0), axis=0)
+    return np.where(np.any(measured, axis=0), held, 0.0)
 
 
 def _mean(values: FloatArray, which: BoolArray) -> FloatArray:

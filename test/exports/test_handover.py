@@ -131,12 +131,13 @@ def judged_file(found: float) -> JudgedFile:
     )
 
 
-def test_a_file_worse_than_what_it_is_from_says_so_with_the_channel_and_what_it_lacks() -> None:
+def test_a_file_worse_than_what_it_is_from_says_so_with_the_channel() -> None:
     judged = judged_file(found=1.1)
     (sentence,) = judged.worse
     assert not judged.limited
     assert sentence.startswith("'a' is predicted worse by f.urdf than by the given description: RMS 2 ")
-    assert "it cannot hold spring of a" in sentence
+    assert "so does the estimate" in sentence
+    assert "cannot hold" not in sentence, "another format has the same"
     offsets = replace(judged_file(found=1.1), corrected={"a": 0.9, "b": 1.0})
     assert not offsets.worse, "an error of a sensor is no part of the robot"
 
@@ -145,7 +146,8 @@ def test_what_a_file_cannot_say_casts_no_doubt_on_a_result_that_predicts_better(
     """It is told, as the file's user has to know it."""
     limited = judged_file(found=0.9)
     assert not limited.worse
-    assert limited.limited == judged_file(found=1.1).worse
+    (sentence,) = limited.limited
+    assert "RMS 2 instead of 1 (it cannot hold spring of a)" in sentence
 
 
 @pytest.mark.parametrize("reader", ["urdf", "mujoco", "drake"])

@@ -63,10 +63,11 @@ def test_links_that_have_changed_are_in_it() -> None:
         "mass": {"value": -0.74, "std": 0.05, "unit": "kg"},
         "was": 1.2,
         "moment": {},
+        "centre": {},
         "loss": 310.0,
         "probability": 0.99,
         "confidence": "confident",
-        "sentence": "link 'hand' weighs 0.74 ± 0.098 kg less than the 1.2 kg of the model",
+        "sentence": "link 'hand' weighs 0.74 ± 0.05 kg less than the 1.2 kg of the model",
     }
 
 

@@ -9,7 +9,7 @@ import pytest
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.model.dynamics import Dynamics
-from geomid_ros.model.effects import EFFECTS, identified_effect
+from geomid_ros.model.effects import EFFECTS, OnLink, identified_effect
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -163,3 +163,13 @@ def test_what_moves_a_link_of_a_follower_is_its_master() -> None:
     assert [model.places.name(places[f"{name}_link"]) for name in MASTERS] == [
         model.robot.joint_names[master] for master in MASTERS.values()
     ]
+
+
+def test_what_moves_a_link_is_the_joint_that_its_own_follows() -> None:
+    """As changed links are told: whatever numbers joints have where some of them follow."""
+    model = MeasurementModel(Robot(description(MASSES)), ())
+    own = [place for place in model.places.of(EFFECTS["payload"]()) if isinstance(place, OnLink)]
+    moved = {model.body_names[place.link]: model.places.name(place) for place in own}
+    movers = {f"{name}_link": model.robot.joint_names[master] for name, master in MASTERS.items()}
+    assert moved == {name: movers[name] for name in model.body_names}
+    assert len(moved) == 6

@@ -66,7 +66,14 @@ def test_links_that_changed_are_named() -> None:
     both = replace(result, links=(change,))
     assert "knee and a change of link 'thigh'. With them, " in verdict_sentence(both)
     first, *_ = in_short(both)
-    assert first.startswith("Sure: link 'thigh' weighs 0.5 ± 0.02 kg more"), "its loss is the larger one"
+    assert first.startswith("Sure: link 'thigh' weighs 0.5 ± 0.01 kg more"), "its loss is the larger one"
+
+
+def test_of_several_sizes_of_one_kind_the_one_that_is_told_is_said() -> None:
+    result = gap_result("named", JOINTS)
+    sizes = {"tilt_x": Quantity(-0.00179, 0.00036, "rad"), "tilt_y": Quantity(0.0339, 0.0011, "rad")}
+    tilt = replace(result.findings[0], effect="gravity_tilt", joint="", link="", parameters=sizes)
+    assert "tilt y 0.0339 ± 0.0011 rad" in in_short(replace(result, findings=(tilt,)))[0]
 
 
 @pytest.mark.parametrize(

@@ -79,9 +79,13 @@ def test_a_copy() -> None:
     assert "'one', 'three' are the same numbers" in sentence
 
 
-def test_a_coarse_sensor_is_noted() -> None:
+@pytest.mark.parametrize("missing", [0.0, 0.05])
+def test_a_coarse_sensor_is_noted(missing: float) -> None:
+    """Also where some of its efforts are not measured, the first one, too."""
     effort = usual()
     effort[:, 0] = np.round(effort[:, 0])
+    effort[np.random.default_rng(2).permutation(COUNT) < missing * COUNT, 0] = np.nan
+    effort[0, 0] = np.nan if missing else effort[0, 0]
     wrong, (sentence,) = told(effort)
     assert wrong == []
     assert "come in steps of a quarter or more of their variation" in sentence

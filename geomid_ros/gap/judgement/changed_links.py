@@ -13,7 +13,7 @@ from geomid_ros.gap.result import LIKELY, LinkChange
 from geomid_ros.inference.fit import fit, scattered
 from geomid_ros.inference.probability import relative_doubt
 from geomid_ros.model.effects import Quantity
-from geomid_ros.model.effects.situation import AtJoint
+from geomid_ros.model.effects.situation import OnLink
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
@@ -62,7 +62,7 @@ def _changes(model: MeasurementModel, analysis: Analysis) -> Iterator[LinkChange
             body = model.robot.bodies[model.identified[link]]
             yield LinkChange(
                 link=body.name,
-                joint=model.places.name(AtJoint(body.joint - 1)) if body.joint > 0 else "",
+                joint=model.places.name(OnLink(link, model.places.mover(body.name))),
                 mass=Quantity(float(change[0]), float(std[0]), "kg"),
                 was=float(was[0]),
                 loss=loss,
