@@ -8,14 +8,14 @@ Needs ROS 2. Start a node and a recording, each in a terminal of its own, then t
 """
 
 import signal
-from contextlib import suppress
+from threading import Event
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import InertiaStamped
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
 
 
 class Listener(Node):
@@ -40,9 +40,10 @@ class Listener(Node):
                 print(f"warning: {status.message}")
 
 
-# Ctrl-C ends rclpy's spin by itself. Python's own KeyboardInterrupt may come while rclpy converts a message, and rclpy
-# then raises another error.
-signal.signal(signal.SIGINT, lambda *_: None)
-rclpy.init()
-with suppress(ExternalShutdownException):
-    rclpy.spin(Listener())
+# Ctrl-C only asks to stop: rclpy may be in the middle of a message.
+stopped = Event()
+signal.signal(signal.SIGINT, lambda *_: stopped.set())
+rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+listener = Listener()
+while not stopped.is_set():
+    rclpy.spin_once(listener, timeout_sec=0.2)
