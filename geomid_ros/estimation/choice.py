@@ -2,10 +2,11 @@
 
 An effect that stands at a place in one of several shapes (the speed over which dry friction changes its sign) has the
 shape of the highest marginal likelihood. Then optional effects are added one by one while they improve the fit visibly,
-and those go again that are not believed. What decides is the squared size of an effect in units of its standard
-deviation, as blocks of time show it: what they say of it, each by itself, scatters far more than independent residuals
-would (jackknife; Liang and Zeger, "Longitudinal data analysis using generalized linear models", 1986). So an effect is
-believed that repeats.
+and those go again that are not believed: first by the rows of motion; then, beside these, those that remember the
+motion before, by the rows at rest and near reversals, too. What decides is the squared size of an effect in units of
+its standard deviation, as blocks of time show it: what they say of it, each by itself, scatters far more than
+independent residuals would (jackknife; Liang and Zeger, "Longitudinal data analysis using generalized linear models",
+1986). So an effect is believed that repeats.
 
 A candidate is tried beside the inertias as they were fitted, and beside inertias that stay near the prior, because a
 link that has swallowed an effect hides it. No effect is negative that cannot be.
@@ -50,9 +51,15 @@ def choose(problem: Problem, earlier: IntArray | None = None) -> Choice:
     rows = CoefficientRows(problem)
     if not (rows.has_choice and rows.enough):
         return Choice(rows.standing)
-    chosen = rows.fit(rows.standing if earlier is None else earlier)
-    chosen = _shaped(chosen, range(len(problem.model.robot.joints)))
-    chosen = _without_unbelieved(chosen)
+    moving = _grown(rows.fit(rows.standing if earlier is None else earlier))
+    chosen = _grown(CoefficientRows(problem, at_rest=True).fit(moving.every))
+    return Choice(chosen.every, chosen.parameters, chosen.fit.scales)
+
+
+def _grown(chosen: CoefficientFit) -> CoefficientFit:
+    """The fit with the optional effects that its rows ask for, and without those that they do not."""
+    rows = chosen.rows
+    chosen = _without_unbelieved(_shaped(chosen, range(len(rows.problem.model.robot.joints))))
     refused: set[Mechanism] = set()
     while len(left := rows.candidates(chosen.every, refused)):
         column, larger = _best(chosen, left)
@@ -61,8 +68,7 @@ def choose(problem: Problem, earlier: IntArray | None = None) -> Choice:
         refused.add(rows.mechanism(column))
         if np.all(larger.possible) and larger.leaves_less(chosen, _VISIBLE):
             chosen = _shaped(larger, joints_of(rows.coefficient(column).place))
-    chosen = _without_unbelieved(chosen)
-    return Choice(chosen.every, chosen.parameters, chosen.fit.scales)
+    return _without_unbelieved(chosen)
 
 
 def _shaped(fit: CoefficientFit, joints: Collection[int]) -> CoefficientFit:

@@ -28,9 +28,14 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class CoefficientRows:
-    """The rows of a ``problem`` with all its coefficients, but those at rest and near reversals."""
+    """The rows of a ``problem`` with all its coefficients: those of motion, by which all effects are judged but those
+    that remember; or, for these, all rows.
+
+    At rest and near reversals dry friction depends on the past, and what does not may stand for it.
+    """
 
     problem: Problem
+    at_rest: bool = False
 
     @property
     def first(self) -> int:
@@ -83,9 +88,10 @@ class CoefficientRows:
 
     @cached_property
     def optional(self) -> list[int]:
-        """The columns of what may be left out."""
+        """The columns of what may be left out, and is judged by these rows."""
         always = set(self.always)
-        return [column for column in self.columns if self.mechanism(column) not in always]
+        own = [column for column in self.columns if self.mechanism(column) not in always]
+        return [column for column in own if self.coefficient(column).effect.remembers or not self.at_rest]
 
     @property
     def has_choice(self) -> bool:
@@ -123,12 +129,13 @@ class CoefficientRows:
     @cached_property
     def counts(self) -> FloatArray:
         """Independent rows of each group."""
-        return self.problem.independent * self.problem.counts[: -len(self.problem.model.channels)]
+        count = len(self.problem.counts) - (0 if self.at_rest else len(self.problem.model.channels))
+        return self.problem.independent * self.problem.counts[:count]
 
     @property
     def fast(self) -> slice:
-        """The groups of fast motion, by which effects are judged: near rest the shape of dry friction may stand for
-        an effect."""
+        """The groups of fast motion, in which an effect has to be visible: near rest the shape of dry friction may
+        stand for it."""
         return slice(len(self.problem.model.channels))
 
     @cached_property

@@ -104,6 +104,12 @@ class Entries:
             values[:, start], values[:, start + 1] = effect.columns(motion.of(first), motion.of(second))
         return values
 
+    @cached_property
+    def remembering(self) -> tuple[JointEffect, ...]:
+        """The effects whose columns depend on the motion before, too."""
+        own = (column.function for column in self.columns if isinstance(column, JointColumn))
+        return tuple(effect for effect in own if isinstance(effect, JointEffect) and effect.remembers)
+
     @property
     def of_own_motion(self) -> Entries:
         """Those of the columns that are functions of each joint's own motion."""

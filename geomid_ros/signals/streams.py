@@ -16,7 +16,7 @@ import numpy as np
 
 from geomid_ros.model import se3
 from geomid_ros.model.columns import Entries
-from geomid_ros.model.effects import Motion
+from geomid_ros.model.effects import JointEffect, Motion
 from geomid_ros.signals.kernels import GridValues, cubic_weights, derivative_kernels, highest_cutoff
 from geomid_ros.signals.limits import MEAN_STEPS, MEAN_TOLERANCE
 from geomid_ros.types import FloatArray, IntArray
@@ -205,6 +205,8 @@ class JointSegment(VectorSegment):
         self._entries = entries
         self._sharp_half = grid.sharp_kernels.shape[1] // 2
         self._entries_on_grid = GridValues()
+        self._past: dict[JointEffect, FloatArray] = {}
+        self._position = np.zeros((0, entries.joints))  # at the last instant that effects remember
 
     def ready(self) -> range:
         motion, margin = super().ready(), self._sharp_half
@@ -220,9 +222,18 @@ class JointSegment(VectorSegment):
         missing = range(start, instants[-1] + half + 1)
         if missing:
             motion = self._on_grid.correlated(missing, self._grid.sharp_kernels, self._entries.joints)
-            known.extend(start, self._entries.values(Motion(*motion)))
+            known.extend(start, self._entries.values(Motion(*motion, past=self._remembered(motion[0]))))
         (filtered,) = known.correlated(instants, self._grid.kernels[:1])
         return np.asarray(filtered)
+
+    def _remembered(self, position: FloatArray) -> dict[JointEffect, FloatArray]:
+        """What effects remember at the next instants, at which joints are at a ``position (N, J)``."""
+        from_before = np.concatenate([self._position, position])
+        moved = np.diff(from_before, axis=0, prepend=from_before[:1])[len(self._position) :]
+        nothing = np.zeros(position.shape[1])
+        found = {e: e.states(moved, self._past.get(e, nothing)) for e in self._entries.remembering}
+        self._past, self._position = {e: states[-1] for e, states in found.items()}, position[-1:]
+        return found
 
     def drop_before(self, instant: int) -> None:
         self._interpolate()

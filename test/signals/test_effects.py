@@ -10,6 +10,7 @@ import pytest
 from geomid_ros.model.columns import JointColumn
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.effort_offset import EffortOffset
+from geomid_ros.model.effects.presliding import DISTANCES, Presliding
 from geomid_ros.model.effects.rotor_inertia import RotorInertia
 from geomid_ros.model.effects.spring import Spring
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
@@ -18,6 +19,7 @@ from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, IntArray
 
+from . import feeding
 from .feeding import JOINTS, START, Motion, assert_same, feed, joint_messages, regular
 from .sent import JointMessage
 
@@ -50,6 +52,25 @@ def test_a_column_is_what_an_effort_of_that_effect_becomes(effect: int) -> None:
     samples = feed(pipeline(), with_efforts(stamps, truth))
     assert samples.effects.shape == (len(samples), 3 * 5)
     assert np.max(np.abs(samples.column(COLUMNS[effect]) - samples.effort)) < 0.02 * np.max(np.abs(truth))
+
+
+def test_what_an_effect_remembers_does_not_depend_on_the_blocks_in_which_messages_come(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Every joint reverses several times; what is remembered begins with nothing."""
+    column = JointColumn(Presliding(DISTANCES[-1]))
+    stamps, motion = regular(0.008, 8.0), Motion()
+    position = motion.derivative(stamps, 0)
+    bent = column.function.states(np.diff(position, axis=0, prepend=position[:1]), np.zeros(3))
+    truth = bent - np.tanh(motion.derivative(stamps, 1) / 0.003)
+    found = []
+    for count in (feeding.AT_ONCE, 7):
+        monkeypatch.setattr(feeding, "AT_ONCE", count)
+        own = SignalPipeline(JOINTS, settings=SignalSettings(period=0.008), effect_columns=(column,))
+        found.append(feed(own, with_efforts(stamps, truth)))
+    assert_same(found[0], found[1], tolerance=1e-12)
+    error = found[0].column(column) - found[0].effort
+    assert np.sqrt(np.mean(error**2)) < 0.05 * np.std(truth)
 
 
 def test_columns_are_not_filtered_across_a_gap() -> None:

@@ -104,6 +104,8 @@ class Effect(ABC):
     usual: ClassVar[tuple[float, ...]] = ()
     """Prior standard deviations of its own coefficients, which any robot may have; empty where these go with what is
     measured."""
+    remembers: ClassVar[bool] = False
+    """Whether it depends on the motion before, too, as friction at rest does."""
     scales_measurement: ClassVar[bool] = False
     """Whether it acts on what is measured after everything else."""
     drift: ClassVar[float] = 0.0
@@ -349,6 +351,11 @@ class JointEffect(MotionEffect):
     @abstractmethod
     def column(self, motion: JointMotion) -> FloatArray:
         """Effort ``(...)`` at the joint per unit of the coefficient, at each instant by itself."""
+
+    def states(self, moved: FloatArray, before: FloatArray) -> FloatArray:  # noqa: ARG002
+        """What it remembers ``(N, J)`` after each of the steps by which joints have ``moved (N, J)``, from what it did
+        ``before`` them ``(J,)``."""
+        return np.zeros(moved.shape)
 
     def efforts(self, motion: Motion, place: Place) -> FloatArray:
         """Those of the one joint."""

@@ -18,18 +18,19 @@ DISTANCES = (3e-3, 1e-2, 3e-2)
 
 @dataclass(frozen=True)
 class Presliding(JointEffect):
-    """Dry friction that keeps its sign after a reversal until the joint has slid: ``-2 level sign(v) exp(-d / d_s)``
-    after a distance d, with d_s the ``distance`` [rad or m].
+    """Dry friction that keeps its sign after a reversal until the joint has slid, and at rest: ``level (z - sign(v))``
+    beside the friction of a joint that slides, with ``dz/dq = (1 - z sign(v)) / distance`` [1/rad or 1/m].
 
-    Surfaces bend before they slide (Dahl, "A solid friction model", 1968). Since the last reversal a joint that speeds
-    up with the acceleration a has moved by ``d = v^2 / (2 a)``; one that slows down has slid.
+    Surfaces bend before they slide (Dahl, "A solid friction model", 1968): z is how far, as a share. Where the motion
+    before is not known, the joint has speeded up with the acceleration a from a reversal on, and has moved by
+    ``v^2 / (2 a)`` since; or it slows down, and slides.
     """
 
     distance: float = 1e-2
 
     name = "presliding"
     label = "presliding"
-    meaning = "effort -2 level sign(v) exp(-v^2/(2 abs(a) distance)) where the joint speeds up"
+    meaning = "effort level (z - sign(v)), where z bends to sign(v): dz/dq = (1 - z sign(v))/distance"
     parameters = (
         ParameterForm("level", EFFORT, above=0.0),
         ParameterForm("distance", ("rad", "m"), above=0.0),
@@ -38,6 +39,7 @@ class Presliding(JointEffect):
     drift = FRICTION_DRIFT
     constant = "distance"
     adds_up = False
+    remembers = True
 
     @classmethod
     def variants(cls) -> tuple[Effect, ...]:
@@ -53,8 +55,22 @@ class Presliding(JointEffect):
         """Whether the joint has as much dry friction as keeps its sign, but for the drift of both."""
         return bool(beside[self] <= (1.0 + self.drift) * np.max(dry_friction(beside)))
 
+    def states(self, moved: FloatArray, before: FloatArray) -> FloatArray:
+        """How far surfaces are bent, z."""
+        left = np.exp(-np.abs(moved) / self.distance)
+        added, bent = (1.0 - left) * np.sign(moved), np.empty(moved.shape)
+        for step, (share, more) in enumerate(zip(left, added, strict=True)):
+            bent[step] = before = share * before + more
+        return bent
+
     def column(self, motion: JointMotion) -> FloatArray:
+        way = np.tanh(motion.velocity / SMOOTHINGS[0])
+        bent = motion.past.get(self)
+        return np.asarray((way * self._bent(motion) if bent is None else bent) - way)
+
+    def _bent(self, motion: JointMotion) -> FloatArray:
+        """How far surfaces are bent the way that the joint moves, if it slid one way before."""
         v, a = motion.velocity, motion.acceleration
         with np.errstate(divide="ignore", invalid="ignore"):
-            held = np.exp(-np.where(a * v > 0.0, v**2 / (2.0 * np.abs(a) * self.distance), np.inf))
-        return np.asarray(-2.0 * np.tanh(v / SMOOTHINGS[0]) * held)
+            slid = np.where(a * v > 0.0, v**2 / (2.0 * np.abs(a) * self.distance), np.inf)
+        return 1.0 - 2.0 * np.exp(-slid)

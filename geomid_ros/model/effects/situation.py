@@ -4,8 +4,8 @@ some instants."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -90,11 +90,13 @@ def joint_of(place: Place) -> int:
 
 @dataclass(frozen=True, eq=False)
 class JointMotion:
-    """One joint's motion, each ``(...)``, in rad, rad/s, rad/s^2 (or m, m/s, m/s^2)."""
+    """One joint's motion, each ``(...)``, in rad, rad/s, rad/s^2 (or m, m/s, m/s^2); and what effects remember of the
+    motion before, by the effect, where that is known."""
 
     position: FloatArray
     velocity: FloatArray
     acceleration: FloatArray
+    past: Mapping[Any, FloatArray] = field(default_factory=dict, kw_only=True)
 
 
 class Motion(JointMotion):
@@ -102,7 +104,10 @@ class Motion(JointMotion):
 
     def of(self, joint: int | IntArray) -> JointMotion:
         """The motion of one joint, or of several, ``(..., n)``."""
-        return JointMotion(self.position[..., joint], self.velocity[..., joint], self.acceleration[..., joint])
+        past = {effect: state[..., joint] for effect, state in self.past.items()}
+        return JointMotion(
+            self.position[..., joint], self.velocity[..., joint], self.acceleration[..., joint], past=past
+        )
 
     @property
     def joints(self) -> int:
