@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.estimation import choice
-from geomid_ros.estimation.coefficient_fit import CoefficientRows
+from geomid_ros.estimation.coefficient_fit import CoefficientFit, CoefficientRows
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.link_spreads import CERTAINTY
@@ -270,6 +270,26 @@ def test_what_remembers_is_judged_at_rest_too_and_nothing_else() -> None:
     assert len(every.counts) == len(moving.counts) + len(case.model.channels)
     assert len(every.products) == len(every.counts)
     np.testing.assert_array_equal(every.counts[: len(moving.counts)], moving.counts)
+
+
+def test_all_rows_have_the_last_word(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On what the rows of motion have asked for, and with a fit of their own."""
+    own = problem(planted("arm3", 1, "spring"))
+    seen: list[tuple[bool, list[int], CoefficientFit]] = []
+
+    def recorded(begun: CoefficientFit) -> CoefficientFit:
+        found = original(begun)
+        seen.append((begun.rows.at_rest, begun.every.tolist(), found))
+        return found
+
+    original = choice._grown
+    monkeypatch.setattr(choice, "_grown", recorded)
+    result = choice.choose(own)
+    (first, _, moving), (second, begun, every) = seen
+    assert (first, second) == (False, True)
+    assert begun == moving.every.tolist()
+    assert result.columns.tolist() == every.every.tolist()
+    np.testing.assert_array_equal(result.parameters, every.parameters)
 
 
 def test_what_a_column_promises_is_what_a_fit_with_it_finds() -> None:

@@ -13,6 +13,7 @@ from geomid_ros.model.effects import JointMotion
 from geomid_ros.model.effects import Motion as WithPast
 from geomid_ros.model.effects.coulomb_friction import SMOOTHINGS, CoulombFriction
 from geomid_ros.model.effects.presliding import DISTANCES, Presliding
+from geomid_ros.model.effects.situation import AtJoint
 from geomid_ros.model.effects.stribeck_friction import StribeckFriction
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
@@ -55,8 +56,9 @@ def test_what_it_remembers_is_dahls_law_also_at_rest(distance: float) -> None:
         states.append(own.states(moved[begin:end], states[-1][-1]))
     remembered = np.concatenate(states[1:])
     np.testing.assert_allclose(remembered[:, 0], dahl(position[:, 0], distance), atol=1e-12)
-    still = JointMotion(*np.zeros((3, 1)), past={own: remembered[-1:, 0]})
-    assert own.column(still) == pytest.approx(-1.0, abs=0.01), "it came from above"
+    still = WithPast(*np.zeros((3, 1, 2)), past={own: np.array([[0.5, remembered[-1, 0]]])})
+    efforts_at_rest = own.efforts(still, AtJoint(1))
+    assert efforts_at_rest == pytest.approx(np.array([[0.0, -1.0]]), abs=0.01), "it came from above"
 
 
 def test_it_is_found_with_the_level_of_dry_friction() -> None:

@@ -232,6 +232,19 @@ def test_a_link_that_has_become_lighter_is_told_as_that(link: int, monkeypatch: 
     np.testing.assert_allclose(result.gap.after, result.gap.before, rtol=0.01)
 
 
+def test_the_centre_of_a_difference_is_as_unsure_as_mass_and_first_moment_together() -> None:
+    """Against draws: a mass and a first moment that err together leave the centre as it is."""
+    mass, centre = 0.5, np.array([0.1, -0.2, 0.3])
+    change = np.concatenate([[mass], mass * centre, np.zeros(6)])
+    along = np.concatenate([[0.02], 0.02 * centre])
+    covariance = np.outer(along, along) + np.diag([1e-8, 1e-4, 4e-4, 9e-4]) * mass**2
+    found = changed_links._centre(change, covariance)
+    draws = np.random.default_rng(0).multivariate_normal(change[:4], covariance, 20_000)
+    for place, axis in enumerate("xyz"):
+        assert found[axis].value == pytest.approx(centre[place])
+        assert found[axis].std == pytest.approx(np.std(draws[:, 1 + place] / draws[:, 0]), rel=0.05)
+
+
 def test_a_gain_of_all_joints_is_no_payload() -> None:
     """Where it is known what the links weigh."""
     before, rigid = identified(51, 53), planted.rigid(planted.true_inertias(51, 0.2))
