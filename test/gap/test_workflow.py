@@ -211,7 +211,7 @@ def test_a_link_that_has_become_lighter_is_told_as_that(link: int, monkeypatch: 
         assert abs(size.value - true[name]) < 3.0 * size.std
     assert bool(change.centre) != bool(change.moment)
     for (axis, centre), mean in zip(change.centre.items(), nominal[1:4] / nominal[0], strict=False):
-        assert abs(centre.value - mean) < 3.0 * centre.std
+        assert abs(centre.value - mean) < 3.0 * centre.std < 0.1
         assert f"{axis} {centre.value:.3g} ± " in change.sentence
 
     certain = analysed[0]
@@ -284,6 +284,7 @@ def test_a_link_is_heavier_by_a_payload_that_the_simulator_lacks_and_its_frictio
     assert abs(change.mass.value - PAYLOAD) < 3.0 * change.mass.std
     assert change.mass.std < 0.1 * PAYLOAD
     assert "more than" in change.sentence
+    assert not change.centre, "of a drawing's own link nobody knows where its mass is"
 
 
 @pytest.mark.parametrize("identified", [False, True])

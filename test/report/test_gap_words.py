@@ -71,7 +71,7 @@ def test_links_that_changed_are_named() -> None:
 
 def test_of_several_sizes_of_one_kind_the_one_that_is_told_is_said() -> None:
     result = gap_result("named", JOINTS)
-    sizes = {"tilt_x": Quantity(-0.00179, 0.00036, "rad"), "tilt_y": Quantity(0.0339, 0.0011, "rad")}
+    sizes = {"tilt_x": Quantity(-0.05, 0.04, "rad"), "tilt_y": Quantity(0.0339, 0.0011, "rad")}
     tilt = replace(result.findings[0], effect="gravity_tilt", joint="", link="", parameters=sizes)
     assert "tilt y 0.0339 ± 0.0011 rad" in in_short(replace(result, findings=(tilt,)))[0]
 
