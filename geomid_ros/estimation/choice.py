@@ -2,11 +2,11 @@
 
 An effect that stands at a place in one of several shapes (the speed over which dry friction changes its sign) has the
 shape of the highest marginal likelihood. Then optional effects are added one by one while they improve the fit visibly,
-and those go again that are not believed: first by the rows of motion; then, beside these, those that remember the
-motion before, by the rows at rest and near reversals, too. What decides is the squared size of an effect in units of
-its standard deviation, as blocks of time show it: what they say of it, each by itself, scatters far more than
-independent residuals would (jackknife; Liang and Zeger, "Longitudinal data analysis using generalized linear models",
-1986). So an effect is believed that repeats.
+and those go again that are not believed: first by the rows of motion; then, beside these, by the rows at rest and near
+reversals, too, which judge the shapes anew, and those effects that remember the motion before. What decides is the
+squared size of an effect in units of its standard deviation, as blocks of time show it: what they say of it, each by
+itself, scatters far more than independent residuals would (jackknife; Liang and Zeger, "Longitudinal data analysis
+using generalized linear models", 1986). So an effect is believed that repeats.
 
 A candidate is tried beside the inertias as they were fitted, and beside inertias that stay near the prior, because a
 link that has swallowed an effect hides it. No effect is negative that cannot be.
