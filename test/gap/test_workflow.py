@@ -209,12 +209,6 @@ def test_a_link_that_has_become_lighter_is_told_as_that(link: int, monkeypatch: 
     true = dict(zip(("mass", "m x", "m y", "m z"), lighter[link, :4] - nominal[:4], strict=True))
     for name, size in sizes.items():
         assert abs(size.value - true[name]) < 3.0 * size.std
-    assert bool(change.centre) != bool(change.moment)
-    written = result.inertias[link] - before.parameters[:30].reshape(-1, 10)[link]
-    for place, (axis, centre) in enumerate(change.centre.items(), 1):
-        assert abs(centre.value - nominal[place] / nominal[0]) < 3.0 * centre.std < 0.1
-        assert centre.value == pytest.approx(written[place] / written[0])
-        assert f"{axis} {centre.value:.3g} ± " in change.sentence
 
     certain = analysed[0]
     analysed[0] = replace(certain, contested=0.25)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,11 @@ from geomid_ros.gap import result as result_module
 from geomid_ros.gap.candidates import NamesFit
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.judgement import written as written_module
-from geomid_ros.gap.result import GapResult
+from geomid_ros.gap.result import GapResult, LinkChange
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.geometry.definite import Packed
 from geomid_ros.inference.design import Design
-from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS
+from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, Quantity
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.model.measurement import MeasurementModel
@@ -80,6 +81,21 @@ def test_a_name_whose_written_size_may_be_nothing_is_none_and_not_written(monkey
     assert (first.effect, first.joint, first.chosen) == ("viscous_friction", JOINTS[1], True)
     assert result.verdict != "named"
     np.testing.assert_allclose(result.gap.after, result.gap.before, rtol=0.01)
+
+
+def test_a_changed_link_is_said_as_it_is_written() -> None:
+    """Its mass and its centre; as unsure as what was said before is off."""
+    before, after = np.zeros((2, 10)), np.zeros((2, 10))
+    after[1, :4] = 0.4, 0.04, -0.08, 0.12
+    centre = {axis: Quantity(value, 0.01, "m") for axis, value in zip("xyz", (0.11, -0.25, 0.3), strict=True)}
+    change = LinkChange("tool", "wrist", Quantity(0.5, 0.02, "kg"), 1.0, 50.0, 1.0, centre=centre)
+    analysis = SimpleNamespace(search=SimpleNamespace(prior=SimpleNamespace(inertias=before)))
+    model, fitted = SimpleNamespace(body_names=["arm", "tool"]), SimpleNamespace(inertias=after)
+    found: LinkChange = written_module._as_written(change, model, analysis, fitted)  # type: ignore[arg-type]
+    assert (found.mass.value, found.mass.std) == pytest.approx((0.4, 0.1))
+    assert [size.value for size in found.centre.values()] == pytest.approx([0.1, -0.2, 0.3])
+    assert [size.std for size in found.centre.values()] == pytest.approx([0.01, 0.05, 0.01])
+    assert found.sentence.endswith("centred at x 0.1 ± 0.01, y -0.2 ± 0.05, z 0.3 ± 0.01 m")
 
 
 def test_beside_a_urdf_joints_have_the_friction_that_every_joint_has(monkeypatch: pytest.MonkeyPatch) -> None:
