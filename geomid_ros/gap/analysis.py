@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.gap import candidates as library
-from geomid_ros.gap.candidates import CLEARLY, Candidate, EffectTerm, NamesFit, NamesPrior, NamesSearch
+from geomid_ros.gap.candidates import CLEARLY, Candidate, NamesFit, NamesPrior, NamesSearch
 from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.gap.evidence.linearised_problem import Columns, LinearisedProblem, mean_of, total_model
 from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
 from geomid_ros.gap.evidence.record import FEWEST_ROWS, Records, TotalModel
-from geomid_ros.gap.result import SURE
 from geomid_ros.inference.fit import fit, unfitted
 from geomid_ros.inference.probability import Support, Supports
 from geomid_ros.inference.selection import Selection
@@ -33,9 +32,9 @@ _WHITENINGS = 4  # of a remainder by the noise that it leaves
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Analysis:
     """Where the search ended: the last ``problem`` and ``search``; the fit with ``names`` and the one without
-    (``bare``); what ``supports`` each name; the standard deviation of each channel's noise, ``floor (C,)``, from
-    repeats of a motion if there are any; ``contested``: the odds that another link than the one that was found has been
-    changed."""
+    (``bare``); what ``supports`` each of these that is likely; the standard deviation of each channel's noise, ``floor
+    (C,)``, from repeats of a motion if there are any; ``contested``: the odds that another link than the one that was
+    found has been changed."""
 
     problem: LinearisedProblem
     search: NamesSearch
@@ -146,7 +145,8 @@ def _ends(model: MeasurementModel, links: Sequence[int]) -> set[int]:
 
 def _searched(task: _Task, prior: NamesPrior, stage: str) -> Analysis:
     """The names beside which the total model settles, and what speaks for each."""
-    last, supports = _supported(_last_round(task, prior, stage))
+    last = _last_round(task, prior, stage)
+    supports = _supports(last.search, last.found)
     task.progress(stage, 1.0)
     problem, search, names = last.problem, last.search, last.found
     design = search.design
@@ -165,55 +165,11 @@ def _searched(task: _Task, prior: NamesPrior, stage: str) -> Analysis:
     )
 
 
-def _supported(last: _Round) -> tuple[_Round, dict[Candidate, Support[Candidate]]]:
-    """A round with the names that are more likely than nothing in their places, beside the remainder that they leave,
-    and what speaks for each. The least likely ones go first, and the search goes on without them."""
-    while True:
-        search = last.search
-        kept, each = _worth_their_place(search, last.found)
-        gone = {c.group for c in last.found.chosen} - {c.group for c in kept.chosen}
-        if not gone:
-            return last, _beside_unsure(search, kept, {candidate: each.of(candidate) for candidate in kept.chosen})
-        tried = [c for c in search.hypotheses if c.group not in gone]
-        search = Selection(kept.settled(search.design), search.prior, tried)
-        last = replace(last, search=search, found=search.settle(search.fit(kept.chosen, kept)))
-
-
-def _beside_unsure(
-    search: NamesSearch, found: NamesFit, supports: dict[Candidate, Support[Candidate]]
-) -> dict[Candidate, Support[Candidate]]:
-    """The supports with the mean of the probabilities that a sure name has beside those that are not, and without
-    them: these are there with the probability of the likeliest."""
-    unsure = {c: support.probability for c, support in supports.items() if support.probability <= SURE}
-    if not 0 < len(unsure) < len(supports):
-        return supports
-    rest = search.without(found, *unsure)
-    alone = Selection(rest.settled(search.design), search.prior, search.hypotheses)
-    each, share = Supports(alone, alone.fit(rest.chosen, rest)), max(unsure.values())
-    mixed = dict(supports)
-    for name in supports.keys() - unsure.keys():
-        both = share * supports[name].probability + (1.0 - share) * each.of(name).probability
-        mixed[name] = replace(supports[name], probability=both)
-    return mixed
-
-
-def _worth_their_place(search: NamesSearch, found: NamesFit) -> tuple[NamesFit, Supports[Candidate, EffectTerm]]:
-    """Without the names that are worth nothing, the least one first. Without one the others are worth more, so that
-    what is asked anew is the least of what they were worth before."""
-    each, asked = Supports(search, found), set[Candidate]()
-    worth = dict.fromkeys(found.chosen, -np.inf)
-    while worth:
-        least = min(worth, key=worth.__getitem__)
-        if least not in asked:
-            worth[least] = each.worth(least)
-            asked.add(least)
-        elif worth[least] > 0.0:
-            break
-        else:
-            found = search.without(found, least)
-            each, asked = Supports(search, found), set()
-            del worth[least]
-    return found, each
+def _supports(search: NamesSearch, found: NamesFit) -> dict[Candidate, Support[Candidate]]:
+    """What speaks for each name that is more likely than nothing in its place. The others are told to nobody, and stay
+    in the fit: without them the model would lack what they explain, for which all others would be doubted."""
+    each = Supports(search, found)
+    return {candidate: each.of(candidate) for candidate in found.chosen if each.worth(candidate) > 0.0}
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,13 +1,11 @@
 """How often names are true that are stated with a probability, on designs of random columns."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from geomid_ros.gap import analysis
 from geomid_ros.inference.probability import Support, Supports, relative_doubt
 from geomid_ros.inference.selection import Selection
 
@@ -73,23 +71,6 @@ def test_what_every_joint_may_have_is_likely_from_three_standard_deviations_on_a
     assert min(len(beyond), len(within)) > 5
     assert min(beyond) > 0.7
     assert max(within) < 0.5 + 1e-9
-
-
-def test_a_name_is_no_surer_than_one_that_is_unsure_without_which_it_would_be_nothing() -> None:
-    """Two nearly equal columns with opposite sizes need each other; a third needs neither."""
-    recording = Recording(3, CANDIDATES, {ROTOR.terms[0]: VISCOUS.terms[0]})
-    design = recording.design({VISCOUS.terms[0]: 1.0, ROTOR.terms[0]: -1.0, OFFSET.terms[0]: 0.3})
-    search = Selection(design, PRIOR, CANDIDATES)
-    found = search.fit([VISCOUS, ROTOR, OFFSET])
-    each = Supports(search, found)
-    supports = {c: each.of(c) for c in found.chosen}
-    assert min(support.probability for support in supports.values()) > 0.95
-    assert analysis._beside_unsure(search, found, supports) == supports
-    supports[ROTOR] = replace(supports[ROTOR], probability=0.6)
-    mixed = {c: support.probability for c, support in analysis._beside_unsure(search, found, supports).items()}
-    assert mixed[ROTOR] == 0.6
-    assert mixed[VISCOUS] == pytest.approx(0.6, abs=0.05)
-    assert mixed[OFFSET] > 0.99
 
 
 def test_half_of_what_is_left_may_lie_along_a_name() -> None:
