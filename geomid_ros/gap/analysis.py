@@ -121,8 +121,15 @@ def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
     if search.prior.known is None:
         return analysis
     rests = [search.fit([]), *(search.without(names, c) for c in names.chosen)]
-    priors = [search.prior.with_changed(link) for link in task.links if link not in names.bodies]
-    scores = [min(fit(search.design, prior, rest.chosen, rest).score for rest in rests) for prior in priors]
+    priors = [search.prior.with_changed(link) for link in task.links]
+    scores = [
+        min(
+            fit(search.design, prior, rest.chosen, rest).score
+            for rest in rests
+            if prior.changed_link not in rest.bodies
+        )
+        for prior in priors
+    ]
     if min(scores, default=np.inf) > names.score - CLEARLY:
         return analysis
 

@@ -11,15 +11,17 @@ from scipy.signal import lfilter
 from geomid_ros.gap import analysis
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.analysis import _ends, _told
+from geomid_ros.gap.candidates import Candidate, NamesPrior
 from geomid_ros.gap.evidence.record import TotalModel
 from geomid_ros.inference.prior import OtherRecordings
+from geomid_ros.inference.selection import Selection
 from geomid_ros.model.effects import AtJoint, AtJoints, OnLink, OnRobot, Place
 from geomid_ros.model.effects.gravity_tilt import GravityTilt
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.types import BoolArray
 
 from . import planted
-from .small import at
+from .small import LINK, PAYLOAD, PRIOR, Recording, at
 
 VISCOUS, OFFSET = at("viscous_friction", 0), at("effort_offset", 0)
 OTHER = at("viscous_friction", 1)
@@ -194,3 +196,21 @@ def test_beside_a_drawing_alone_payloads_are_looked_for_at_all_links(monkeypatch
         task: Any = analysis.analyse(planted.model(), records, prior, lambda *_: None)
         assert [c.payload for c in task.tried if c.payload is not None] == links
         assert task.links == [0, 1, 2]
+
+
+def test_a_link_in_whose_place_a_payload_was_found_may_have_been_changed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is lighter now carries nothing, whatever else makes a payload likely."""
+    known = OtherRecordings(1e2 * np.eye(10), np.zeros(10))
+    identified = replace(PRIOR, spread=0.05, certainty=100.0, identified=True, known=known)
+    design = Recording(7, [PAYLOAD]).design({}, 0.7 * LINK)
+
+    def analysed(prior: NamesPrior, *names: Candidate) -> analysis.Analysis:
+        search = Selection(design, prior, [PAYLOAD])
+        unused: Any = None
+        fits = {"bare": search.fit([]), "names": search.fit(names)}
+        return analysis.Analysis(problem=unused, search=search, supports={}, floor=np.ones(2), **fits)
+
+    monkeypatch.setattr(analysis, "_searched", lambda _, prior, __: analysed(prior))
+    task: Any = SimpleNamespace(links=[0])
+    found = analysis._with_changed_link(task, analysed(identified, PAYLOAD))
+    assert found.search.prior.changed_link == 0

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from geomid_ros.gap import analysis
 from geomid_ros.inference.probability import Support, Supports, relative_doubt
 from geomid_ros.inference.selection import Selection
 
@@ -71,6 +72,13 @@ def test_what_every_joint_may_have_is_likely_from_three_standard_deviations_on_a
     assert min(len(beyond), len(within)) > 5
     assert min(beyond) > 0.7
     assert max(within) < 0.5 + 1e-9
+
+
+def test_of_what_is_less_likely_than_nothing_nothing_is_said_and_the_others_are_judged_beside_it() -> None:
+    """A second column explains nothing, or what else would be taken for a lack along the first one."""
+    search = Selection(Recording(3, CANDIDATES).design({VISCOUS.terms[0]: 1.0}), PRIOR, CANDIDATES)
+    found = search.fit([VISCOUS, OFFSET])
+    assert analysis._supports(search, found) == {VISCOUS: Supports(search, found).of(VISCOUS)}
 
 
 def test_half_of_what_is_left_may_lie_along_a_name() -> None:

@@ -178,8 +178,8 @@ def test_the_scanned_constant_is_as_sure_as_its_logarithm() -> None:
         (JointElasticity(), [-0.8], [-1.2]),
         (Backlash(), [0.15], [0.25]),
         (LoadFriction(), [0.9], [1.1]),
-        (EffortGain(), [0.45], [0.55]),
-        (EffortGain(), [-0.45], [-0.55]),
+        (EffortGain(), [1.9], [2.1]),
+        (EffortGain(), [-0.65], [-0.75]),
         (StribeckFriction(), [1.0, 3.5], [1.0, 4.5]),
         (Spring(), [1.0, 12.0], [1.0, 13.2]),
         (Spring(), [1.0, -12.0], [1.0, -13.2]),
@@ -187,7 +187,7 @@ def test_the_scanned_constant_is_as_sure_as_its_logarithm() -> None:
     ids=lambda value: value.name if isinstance(value, Effect) else str(value),
 )
 def test_sizes_that_no_robot_has_are_absurd(effect: Effect, possible: list[float], absurd: list[float]) -> None:
-    """A gear that gives a radian per N m, play of 0.2 rad, friction that lets no effort through, half or twice the
-    effort, an excess of four times the level, a spring that rests two turns away."""
+    """A gear that gives a radian per N m, play of 0.2 rad, friction that lets no effort through, a third or thrice
+    the effort, an excess of four times the level, a spring that rests two turns away."""
     assert not effect.is_absurd(np.array(possible))
     assert effect.is_absurd(np.array(absurd))

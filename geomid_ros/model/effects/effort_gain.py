@@ -22,9 +22,12 @@ class EffortGain(SituationEffect):
     like_a_payload = True
     absorbed = True
     usual = (0.1,)
-    largest = 0.5  # more would show half or twice the effort
     scales_measurement = True
     corrected_in_samples = True
+
+    def is_absurd(self, coefficients: FloatArray) -> bool:
+        """Whether a model may not be built there."""
+        return bool(np.any(coefficients != self.linearised_at(coefficients)))
 
     def linearised_at(self, coefficients: FloatArray) -> FloatArray:
         return np.clip(coefficients, *_USED)
