@@ -145,12 +145,9 @@ def estimate(
         given_spreads=spreads,
     )
 
-    def fitted(
-        columns: IntArray,
-        begun: WarmStart | None,
-        other: Choice | None = None,
-        weights: Mapping[str, float] | None = None,
-    ) -> _Solved:
+    weights: Mapping[str, float] | None = None  # of the prior's blocks; each fit finds them until the estimate has
+
+    def fitted(columns: IntArray, begun: WarmStart | None, other: Choice | None = None) -> _Solved:
         problem = subproblem(whole, columns)
         solve: Callable[..., Fit] = partial(fit, tolerance=settings.tolerance, max_steps=settings.max_steps)
         if begun is not None:
@@ -177,10 +174,8 @@ def estimate(
         choice = choose(_at_prior(settings, problem), np.searchsorted(held, begun))
         return np.asarray(held[choice.columns])
 
-    untold = _untold_errors(model, result, columns)
-    within = fit_files(
-        model, columns, settings.files, untold, chosen, lambda held: fitted(held, None, weights=solved[1])[0]
-    )
+    untold, weights = _untold_errors(model, result, columns), solved[1]
+    within = fit_files(model, columns, settings.files, untold, chosen, lambda held: fitted(held, None)[0])
     return replace(result, within=within, seconds=time.perf_counter() - begin)
 
 
