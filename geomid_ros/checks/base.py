@@ -60,7 +60,7 @@ def _reach(robot: Robot, link: str) -> float:
 
 
 def never_lifted(model: MeasurementModel, estimate: Estimate) -> list[str]:
-    """That legs stand all of the time, in a sentence, if so: their own efforts then tell nothing."""
+    """That legs stand in all that was fitted, in a sentence, if so: their own efforts then tell nothing."""
     if model.legs is None:
         return []
     names = model.robot.joint_names
@@ -72,8 +72,9 @@ def never_lifted(model: MeasurementModel, estimate: Estimate) -> list[str]:
     if not still:
         return []
     sentence = (
-        f"{', '.join(still)} never left the ground: of these legs only what the base feels is identified. Lift each "
-        "leg and move it in the air for two seconds or more"
+        f"{', '.join(still)} never left the ground in what was fitted: of these legs only what the base feels is "
+        "identified. Lift each leg and move it in the air for two seconds or more; if it was, that was held out "
+        "(--hold-out 0 fits it, too)"
     )
     return [sentence]
 

@@ -101,9 +101,10 @@ def recording_verdict(findings: Sequence[Finding], stopped: str = "", warnings: 
 
 
 def _beyond_reason(estimate: Estimate, model: MeasurementModel) -> Iterator[str]:
-    """That all links together weigh what no such robot weighs, unless something was weighed, or carries the robot."""
+    """That all links together weigh what no such robot weighs, unless something was weighed, or a sensor carries the
+    robot."""
     found, nominal = sum(link.mass for link in estimate.links), float(np.sum(model.nominal_inertias[::10]))
-    weighed = bool(estimate.known) or model.robot.floating_base
+    weighed = bool(estimate.known) or (model.robot.floating_base and model.legs is None)
     if not weighed and not nominal / HEAVIER <= found <= nominal * HEAVIER:
         yield (
             f"the links weigh {found:.3g} kg in all instead of the URDF's {nominal:.3g} kg: the motion does not "

@@ -101,23 +101,26 @@ class CoupledPrior(ABC):
         return np.asarray(moved @ np.linalg.solve(found.information, moved.T))
 
 
-def fit_beside(prior: CoupledPrior, solve: Callable[..., Fit]) -> tuple[Fit, dict[str, float]]:
+def fit_beside(
+    prior: CoupledPrior, solve: Callable[..., Fit], given: Mapping[str, float] | None = None
+) -> tuple[Fit, Mapping[str, float]]:
     """Fit beside a prior.
 
     Args:
         prior: of the problem.
         solve: fits a problem, as :func:`~geomid_ros.estimation.fit.fit` with its other arguments.
+        given: the weights of the prior's blocks, if they are known.
 
     Returns:
         The fit, of the problem with the prior's rows, and the weights of the prior's blocks. A fit that did not settle
         has ``spent`` its budget.
     """
-    found = solve(prior.problem_at(prior.problem.prior_point, prior.trusted))
-    weights = prior.weights(found, prior.trusted)
+    found = solve(prior.problem_at(prior.problem.prior_point, given or prior.trusted))
+    weights = given or prior.weights(found, prior.trusted)
     for _ in range(ROUNDS):
         point, before = found.place, weights
         found = solve(prior.problem_at(point, weights), start=point, spreads=found.spreads)
-        weights = prior.weights(found, before)
+        weights = given or prior.weights(found, before)
         change = max(abs(np.log(weights[name] / before[name])) for name in weights)
         if change < SETTLED and np.max(np.abs(prior.tangent(found.place) - prior.tangent(point))) < SETTLED:
             return found, weights

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import TypeAlias
 
 import numpy as np
 
@@ -40,6 +41,7 @@ _SPENT = (
     "the solver's budget of steps was spent before the spreads of the links had settled: masses are those of the last "
     "step; is the URDF this robot's, in SI units, and do efforts have the signs of its joints?"
 )
+_Solved: TypeAlias = tuple[Fit, Mapping[str, float], Iterable[str]]
 _OF_WHITE_NOISE = 1.79  # independent rows per period of the filter's cutoff: twice its noise bandwidth in cutoffs
 
 
@@ -143,34 +145,36 @@ def estimate(
         given_spreads=spreads,
     )
 
-    def fitted(columns: IntArray, begun: WarmStart | None, other: Choice | None = None) -> tuple[Fit, Iterable[str]]:
+    weights: Mapping[str, float] | None = None  # of the prior's blocks; each fit finds them until the estimate has
+
+    def fitted(columns: IntArray, begun: WarmStart | None, other: Choice | None = None) -> _Solved:
         problem = subproblem(whole, columns)
         solve: Callable[..., Fit] = partial(fit, tolerance=settings.tolerance, max_steps=settings.max_steps)
         if begun is not None:
             solve = partial(solve, start=problem.manifold.point(begun.parameters[columns]), spreads=begun.spreads)
         elif other is not None and other.parameters is not None:
             solve = likelier(solve, problem.place(other.parameters[columns]), other.spreads)
-        return _beside(_coupled(settings, problem), problem, solve)
+        return _beside(_coupled(settings, problem), problem, solve, weights)
 
     kept = None if warm is None else _kept(model, warm)
     if warm is None or kept is None or warm.effects_alone:
         choice = choose(_at_prior(settings, whole), kept)
         columns = choice.columns
-        result = _estimate(columns, model, fitted(columns, None, choice), settings)
+        result = _estimate(columns, model, solved := fitted(columns, None, choice), settings)
         while len(unsure := _unsure(model, result, columns)):
             columns = np.setdiff1d(columns, unsure)
             # What goes leaves no trace: there may be another minimum where it led.
-            result = _estimate(columns, model, fitted(columns, None, choice), settings)
+            result = _estimate(columns, model, solved := fitted(columns, None, choice), settings)
     else:
         columns = kept
-        result = _estimate(columns, model, fitted(columns, warm), settings)
+        result = _estimate(columns, model, solved := fitted(columns, warm), settings)
 
     def chosen(held: IntArray, begun: IntArray) -> IntArray:
         problem = subproblem(whole, held)
         choice = choose(_at_prior(settings, problem), np.searchsorted(held, begun))
         return np.asarray(held[choice.columns])
 
-    untold = _untold_errors(model, result, columns)
+    untold, weights = _untold_errors(model, result, columns), solved[1]
     within = fit_files(model, columns, settings.files, untold, chosen, lambda held: fitted(held, None)[0])
     return replace(result, within=within, seconds=time.perf_counter() - begin)
 
@@ -188,12 +192,14 @@ def _at_prior(settings: EstimatorSettings, problem: Problem) -> Problem:
     return problem if coupled is None else coupled.problem_at(coupled.problem.prior_point, coupled.trusted)
 
 
-def _beside(prior: CoupledPrior | None, problem: Problem, solve: Callable[..., Fit]) -> tuple[Fit, Iterable[str]]:
-    """A fit, beside a coupled prior if there is one, and warnings in sentences."""
+def _beside(
+    prior: CoupledPrior | None, problem: Problem, solve: Callable[..., Fit], weights: Mapping[str, float] | None
+) -> _Solved:
+    """A fit, beside a coupled prior if there is one, the weights of its blocks, and warnings in sentences."""
     if prior is None:
-        return solve(problem), ()
-    found, weights = fit_beside(prior, solve)
-    return found, prior.unlike(weights)
+        return solve(problem), {}, ()
+    found, weights = fit_beside(prior, solve, weights)
+    return found, weights, prior.unlike(weights)
 
 
 def _kept(model: MeasurementModel, warm: WarmStart) -> IntArray:
@@ -252,11 +258,9 @@ def least_inflation(summary: RowSummary, cutoff: float) -> float:
     return max(1.0 / (_OF_WHITE_NOISE * cutoff * summary.period), 1.0)
 
 
-def _estimate(
-    columns: IntArray, whole: MeasurementModel, solved: tuple[Fit, Iterable[str]], settings: EstimatorSettings
-) -> Estimate:
+def _estimate(columns: IntArray, whole: MeasurementModel, solved: _Solved, settings: EstimatorSettings) -> Estimate:
     """All that is said of a fit."""
-    fitted, unlike = solved
+    fitted, _, unlike = solved
     problem = fitted.problem
     model, manifold, summary, known = problem.model, problem.manifold, problem.summary, problem.known
     objective, solution = fitted.objective, fitted.solution

@@ -3,8 +3,9 @@
 A robot description holds some effects and lacks others: a URDF says damping and friction, no rotor inertia. To drop
 what it lacks from a sum that needs it makes the file worse than one without any effects. So each file has a minimum of
 its own, over the inertias and the effects that it holds. What it lacks is part of the noise, which is estimated anew.
-Errors of sensors stay in the fit. They move nothing, and a file does not have to hold them; without them a mass would
-stand in for an offset. Those that may as well be nothing go: the weights that they stand in for would be lost.
+Which parts of the robot are unlike those that they should be like the estimate says. Errors of sensors stay in the fit.
+They move nothing, and a file does not have to hold them; without them a mass would stand in for an offset. Those that
+may as well be nothing go: the weights that they stand in for would be lost.
 """
 
 from __future__ import annotations

@@ -65,18 +65,18 @@ def _least_residual(factor: FloatArray) -> tuple[float, int]:
 
 
 def scales_of_coefficients(model: MeasurementModel, summary: RowSummary) -> FloatArray:
-    """The scale of each coefficient: that with which it is as large as the channel that it adds to, of several the
-    largest."""
-    scales = np.zeros(model.dimension)
+    """The scale of each coefficient: that with which it is as large as the channel that it adds to, of several that
+    in which it shows most."""
+    scales = np.full(model.dimension, np.inf)
     sizes, factors = channel_sizes(summary, model.dimension), summary.factors()
     counts = np.sum(summary.counts().reshape(REGIMES, -1), axis=0)
     for index, channel in enumerate(model.channels):
         squares = sum(np.sum(factor[:, :-1] ** 2, axis=0) for factor in factors[index :: len(sizes)])
         columns = np.sqrt(squares / max(counts[index], 1.0))
         large = columns > ROUNDING_OF_PRODUCTS
-        own = sizes[index] / np.where(large, columns, np.inf)
-        scales[channel.columns] = np.maximum(scales[channel.columns], own)
-    return np.where(scales > 0.0, scales, 1.0)[len(model.nominal_inertias) :]
+        own = sizes[index] / np.where(large, columns, 1.0)
+        scales[channel.columns] = np.minimum(scales[channel.columns], np.where(large, own, np.inf))
+    return np.where(np.isfinite(scales), scales, 1.0)[len(model.nominal_inertias) :]
 
 
 def usual_spreads(manifold: ParameterManifold) -> FloatArray:

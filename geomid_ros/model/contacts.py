@@ -1,7 +1,8 @@
 """Feet on the ground whose forces nobody measures: the efforts of their legs tell them.
 
-A point foot at the end of a leg obeys ``J^T f = Y phi - tau`` in the leg's joints. Solved for the force f and put into
-the six equations of the base, that leaves rows which hold whatever the ground does.
+A foot at the end of a leg obeys ``J^T f = Y phi - tau`` in the leg's joints. Solved for the force f and put into the
+six equations of the base, that leaves rows which hold whatever the ground does. Six joints tell the moment on a flat
+foot, too; at the end of fewer a foot touches in a point.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ _NEARLY_SINGULAR = 0.1
 
 @dataclass(frozen=True)
 class Contact:
-    """A foot that touches the ground in a point: the URDF link ``frame`` has its centre at the origin, and it is round
-    with a ``radius`` [m]."""
+    """A foot on the ground: the URDF link ``frame`` has its centre at the origin, and it is round with a ``radius``
+    [m]."""
 
     frame: str
     radius: float = 0.0
@@ -96,7 +97,7 @@ class Legs:
         q, v, a = self._robot.configuration(samples)
         missing = self._robot.joint_efforts(q, v, a) - samples.effort
         found = [
-            (inverse @ missing[:, joints, None])[:, :, 0]
+            (inverse @ missing[:, joints, None])[:, :DIRECTIONS, 0]
             for joints, (_, inverse) in zip(self.joints, self._transmissions(q), strict=True)
         ]
         return np.stack(found, axis=1)
@@ -130,12 +131,16 @@ class Legs:
         return found
 
     def _transmissions(self, q: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-        """Of each foot the Jacobian ``(N, 3, 6 + joints)`` of where it touches, in the world's axes, and the matrix
-        ``(N, 3, leg)`` that makes forces of the leg's efforts, NaN where it is nearly singular."""
+        """Of each foot the Jacobian ``(N, k, 6 + joints)`` of where it touches, in the world's axes, and the matrix
+        ``(N, k, leg)`` that makes forces, of six joints also moments, of the leg's efforts; NaN where it is nearly
+        singular."""
         found = []
         for contact, joints in zip(self.contacts, self.joints, strict=True):
-            jacobian = self._robot.contact_jacobians(q, contact.frame, contact.radius)
-            u, s, vt = np.linalg.svd(jacobian[:, :, 6 + joints].transpose(0, 2, 1), full_matrices=False)
-            s[s[:, -1] < _NEARLY_SINGULAR * s[:, 0]] = np.nan
-            found.append((jacobian, (vt.transpose(0, 2, 1) / s[:, None]) @ u.transpose(0, 2, 1)))
+            told = DIRECTIONS * min(len(joints) // DIRECTIONS, 2)
+            jacobian = self._robot.contact_jacobians(q, contact.frame, contact.radius)[:, :told]
+            leg = jacobian[:, :, 6 + joints]
+            s = np.linalg.svd(leg[:, :DIRECTIONS], compute_uv=False)
+            nearly_singular = s[:, -1] < _NEARLY_SINGULAR * s[:, 0]
+            inverse = np.where(nearly_singular[:, None, None], np.nan, np.linalg.pinv(leg.transpose(0, 2, 1)))
+            found.append((jacobian, inverse))
         return found

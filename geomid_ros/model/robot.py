@@ -484,15 +484,15 @@ class Robot:
         return self._of_joints(jacobian.reshape(6, self._model.nv).T).T
 
     def contact_jacobians(self, q: FloatArray, frame: str, radius: float) -> FloatArray:
-        """Jacobians ``(N, 3, 6 + joints)`` of the lowest point of a ball around the origin of a link, in the world's
-        axes: by the velocity of a floating base, in its own axes, and by those of the joints."""
+        """Jacobians ``(N, 6, 6 + joints)`` of the lowest point of a ball around the origin of a link, how it moves and
+        turns in the world's axes: by the velocity of a floating base, in its own axes, and by those of the joints."""
         index = self._model.getFrameId(frame, pin.BODY)
         full = np.empty((len(q), 6, self._model.nv))
         for jacobian, state in zip(full, q, strict=True):
             jacobian[:] = pin.computeFrameJacobian(self._model, self._data, state, index, pin.LOCAL_WORLD_ALIGNED)
         down = radius * self.gravity / np.linalg.norm(self.gravity)
-        rows = full[:, :3] - pin.skew(down) @ full[:, 3:]
-        return np.concatenate([rows[:, :, :6], self._of_joints(rows.transpose(0, 2, 1)).transpose(0, 2, 1)], axis=2)
+        full[:, :3] -= pin.skew(down) @ full[:, 3:]
+        return np.concatenate([full[:, :, :6], self._of_joints(full.transpose(0, 2, 1)).transpose(0, 2, 1)], axis=2)
 
     @property
     def weight(self) -> float:

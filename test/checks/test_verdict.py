@@ -8,11 +8,16 @@ from functools import cache
 import numpy as np
 import pytest
 from estimation.arms import Case, arm
+from model.robots import urdf
 
 from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.verdict import Verdict, unlike, verdict, worse_channels
 from geomid_ros.estimation.estimate import Estimate, WeighedEstimate
 from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.model.channels import WrenchSensor
+from geomid_ros.model.contacts import Contact
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray
 
 FINDING = Finding(cause=Cause(kind="sign", sentence="all is reversed"), sure=False)
@@ -53,6 +58,17 @@ def test_masses_beyond_reason_are_doubted(factor: float, status: int) -> None:
     result = judged(weighing(estimate, factor))
     assert result.status == status
     assert any("kg in all" in reason for reason in result.reasons) == (status == 4)
+
+
+@pytest.mark.parametrize(("contacts", "status"), [((), 0), (("FL_foot", "RR_foot"), 4)])
+def test_legs_do_not_carry_what_no_such_robot_weighs(contacts: tuple[str, ...], status: int) -> None:
+    """Only a sensor that carries a robot has weighed it."""
+    _, estimate = solved()
+    robot = Robot(urdf("go2.urdf"), floating_base=True)
+    plate = [] if contacts else [WrenchSensor("/plate", "odom", "external")]
+    model = MeasurementModel(robot, [], plate, contacts=[Contact(foot) for foot in contacts])
+    factor = 3.0 * np.sum(model.nominal_inertias[::10]) / sum(link.mass for link in estimate.links)
+    assert verdict(weighing(estimate, factor), (), model).status == status
 
 
 def test_what_was_weighed_may_weigh_anything() -> None:

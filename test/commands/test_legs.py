@@ -99,7 +99,8 @@ def test_a_foot_that_no_contact_names_is_found(folder: Path) -> None:
     share = float(re.findall(r"(\d+) % at 'RR_foot'", sentence)[0])
     assert 10.0 < share < 50.0
     (standing,) = (each for each in found.warnings if "never left the ground" in each)
-    assert standing.startswith("RL_foot never")
+    assert standing.startswith("RL_foot never left the ground in what was fitted:")
+    assert "--hold-out 0" in standing
 
 
 def test_an_imu_that_is_turned_is_told(folder: Path, tmp_path: Path) -> None:

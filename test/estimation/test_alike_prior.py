@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache
 
 import numpy as np
@@ -12,11 +13,14 @@ from geomid_ros.estimation import coupled_prior
 from geomid_ros.estimation.alike_prior import AlikePrior
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings
+from geomid_ros.estimation.fit import Fit
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.objective import ProductsObjective
 from geomid_ros.estimation.problem import Problem
+from geomid_ros.files.models.readers import ELEMENTS
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.alike_parts import AlikeParts, alike_parts
+from geomid_ros.model.effects import identifiable
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.weighed_masses import weighed_rows
@@ -138,6 +142,26 @@ def test_parts_that_are_alike_are_not_told_as_unlike() -> None:
     assert not [warning for warning in found.warnings if "same part" in warning]
     every = np.array([masses(found)[name] for name in THIGHS])
     assert np.ptp(every) < 0.05
+
+
+def test_what_a_file_lacks_makes_no_part_unlike_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which parts are unlike is decided beside all effects; a file, which lacks the rotors, takes it from there."""
+    robot, rng = quadruped().robot, np.random.default_rng(5)
+    model = MeasurementModel(robot, [identifiable()["rotor_inertia"]])
+    moving = motion(rng, len(robot.joints), 10.0, rate=50.0)
+    measured = efforts(robot, Truth(nominal(), {"rotor_inertia": np.full(len(robot.joints), 0.05)}), moving)
+    measured += 0.05 * rng.normal(size=measured.shape)
+    told = Identifier(model, EstimatorSettings(alike=parts(), files={"urdf": ELEMENTS["urdf"]}))
+    told.add(samples(moving, measured, rate=50.0))
+    decide, among = AlikePrior.weights, set[int]()
+
+    def decided(prior: AlikePrior, found: Fit, before: Mapping[str, float]) -> dict[str, float]:
+        among.add(prior.problem.model.dimension)
+        return decide(prior, found, before)
+
+    monkeypatch.setattr(AlikePrior, "weights", decided)
+    assert "urdf" in told.solve().within
+    assert among == {model.dimension}
 
 
 @pytest.mark.parametrize(("rounds", "told"), [(1, True), (50, False)])

@@ -127,6 +127,21 @@ def test_a_coefficients_scale_is_that_with_which_it_is_as_large_as_its_channel()
         np.testing.assert_allclose(scales_of_coefficients(model, found)[model.positives :], expected, rtol=1e-9)
 
 
+def test_of_several_channels_that_counts_which_a_coefficient_shows_most_in() -> None:
+    """What hardly shows in a channel, as the offset of a leg's motor in the force along its axis, may not be as large
+    as would be seen there."""
+    case = arm("arm3", 0, seconds=8)
+    model = MeasurementModel(case.model.robot, [identifiable()["coupled_viscous_friction"]])
+    rows = model.rows(case.samples)
+    rows.targets[:, 1] *= 100.0
+    found = arms.summary(model, rows.coefficients, rows.targets)
+    first = len(model.nominal_inertias)
+    shown = (
+        np.sqrt(np.mean(rows.coefficients[:, :, first:] ** 2, axis=0)) / channel_sizes(found, model.dimension)[:, None]
+    )
+    np.testing.assert_allclose(scales_of_coefficients(model, found), 1.0 / np.max(shown, axis=0), rtol=1e-9)
+
+
 def test_what_is_known_of_the_prior_replaces_what_is_not() -> None:
     case = arm("arm3", 0, seconds=4)
     known = np.full(case.model.dimension, np.nan)

@@ -78,6 +78,21 @@ def test_forces_of_the_ground_drop_out_of_the_rows(name: str, feet: tuple[str, .
         assert_equal(predicted[~stands][:, joints], measured[~stands][:, joints])
 
 
+def test_a_leg_of_six_joints_has_a_flat_foot() -> None:
+    """Forces and moments of the ground drop out of the base's rows."""
+    name, feet = "talos_reduced.urdf", ("left_sole_link", "right_sole_link")
+    robot, reference = Robot(urdf(name), floating_base=True), Reference(urdf(name), floating_base=True)
+    model = MeasurementModel(robot, [], contacts=[Contact(foot) for foot in feet])
+    samples = random_samples(robot, seed=2)
+    knees = [name in ("leg_left_4_joint", "leg_right_4_joint") for name in robot.joint_names]
+    samples = with_values(samples, position=0.2 * samples.position + knees)
+    ground = 50.0 * np.random.default_rng(3).normal(size=(len(feet), len(samples), 6))
+    base, efforts = reference.inverse_dynamics(samples, robot.joint_names, dict(zip(feet, ground, strict=True)))
+    samples = replace(with_values(samples, effort=efforts), standing=np.ones((len(samples), len(feet)), dtype=bool))
+    measured, predicted = model.predict(samples, model.nominal_inertias)
+    np.testing.assert_allclose((predicted - measured)[:, -6:], base, rtol=0.0, atol=1e-8 * np.max(np.abs(efforts)))
+
+
 def test_columns_of_effects_lose_the_ground_as_rows_do() -> None:
     """Column by column, what effects add to each channel is what the rows have of them where a target is left."""
     robot = Robot(urdf("go2.urdf"), floating_base=True)
