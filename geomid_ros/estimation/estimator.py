@@ -145,9 +145,12 @@ def estimate(
         given_spreads=spreads,
     )
 
-    weights: Mapping[str, float] | None = None  # of the prior's blocks; each fit finds them until the estimate has
-
-    def fitted(columns: IntArray, begun: WarmStart | None, other: Choice | None = None) -> _Solved:
+    def fitted(
+        columns: IntArray,
+        begun: WarmStart | None = None,
+        other: Choice | None = None,
+        weights: Mapping[str, float] | None = None,
+    ) -> _Solved:
         problem = subproblem(whole, columns)
         solve: Callable[..., Fit] = partial(fit, tolerance=settings.tolerance, max_steps=settings.max_steps)
         if begun is not None:
@@ -160,11 +163,11 @@ def estimate(
     if warm is None or kept is None or warm.effects_alone:
         choice = choose(_at_prior(settings, whole), kept)
         columns = choice.columns
-        result = _estimate(columns, model, solved := fitted(columns, None, choice), settings)
+        result = _estimate(columns, model, solved := fitted(columns, other=choice), settings)
         while len(unsure := _unsure(model, result, columns)):
             columns = np.setdiff1d(columns, unsure)
             # What goes leaves no trace: there may be another minimum where it led.
-            result = _estimate(columns, model, solved := fitted(columns, None, choice), settings)
+            result = _estimate(columns, model, solved := fitted(columns, other=choice), settings)
     else:
         columns = kept
         result = _estimate(columns, model, solved := fitted(columns, warm), settings)
@@ -174,8 +177,8 @@ def estimate(
         choice = choose(_at_prior(settings, problem), np.searchsorted(held, begun))
         return np.asarray(held[choice.columns])
 
-    untold, weights = _untold_errors(model, result, columns), solved[1]
-    within = fit_files(model, columns, settings.files, untold, chosen, lambda held: fitted(held, None)[0])
+    untold, (_, weights, _) = _untold_errors(model, result, columns), solved
+    within = fit_files(model, columns, settings.files, untold, chosen, lambda held: fitted(held, weights=weights)[0])
     return replace(result, within=within, seconds=time.perf_counter() - begin)
 
 
