@@ -214,10 +214,13 @@ class RowSummary:
     def with_columns(self, channels: Sequence[Channel], chosen: IntArray) -> RowSummary:
         """A copy in which only the ``chosen`` of the D parameters are left; ``channels`` are those of what is left."""
         copy = self._copy(channels)
-        for index, group in enumerate(self.groups):
-            kept = np.append(np.flatnonzero(np.isin(group.columns, chosen)), -1)
-            for fold in copy._summaries:  # noqa: SLF001 its own
-                fold[index].factor = fold[index].factor.take(kept, axis=1)
+        kept = [np.append(np.flatnonzero(np.isin(group.columns, chosen)), -1) for group in self.groups]
+        for fold in copy._summaries:  # noqa: SLF001 its own
+            for part, own in zip(fold, kept, strict=True):
+                part.factor = part.factor.take(own, axis=1)
+        if self._factors is not None:  # their columns are factors, too, and lower than those of all folds together
+            pairs = zip(self._factors, kept, strict=True)
+            copy._factors = tuple(triangular(factor.take(own, axis=1)) for factor, own in pairs)  # noqa: SLF001
         return copy
 
     def with_more(self, channel: int, parameters: FloatArray) -> RowSummary:
