@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -59,15 +58,11 @@ class ChannelProducts:
     @cached_property
     def packed(self) -> Packed:
         """Packed layout for the compiled loops."""
-        sizes = [len(own) for own in self.places]
-        runs = np.empty(sum(sizes), dtype=np.int64)
+        sizes, places = np.array([len(own) for own in self.places]), np.concatenate(self.places)
         ends = np.cumsum(sizes)
-        for own, part in zip(self.places, np.split(runs, ends[:-1]), strict=True):
-            breaks = np.flatnonzero(np.diff(own) != 1) + 1
-            for begin, end in pairwise([0, *breaks.tolist(), len(own)]):
-                part[begin:end] = end
-        blocks = np.concatenate([block.ravel() for block in self.blocks])
-        return Packed(blocks, np.concatenate(self.places), runs, ends)
+        breaks = np.union1d(np.flatnonzero(np.diff(places) != 1) + 1, ends)
+        runs = breaks[np.searchsorted(breaks, np.arange(len(places)), side="right")] - np.repeat(ends - sizes, sizes)
+        return Packed(np.concatenate([block.ravel() for block in self.blocks]), places, runs, ends)
 
     def first(self, count: int) -> ChannelProducts:
         """The first ``count`` channels."""
