@@ -133,6 +133,12 @@ class Subject:
         """The same robot in another motion."""
         return replace(self, samples=samples)
 
+    def at(self, position: FloatArray) -> Subject:
+        """The same motion at other positions ``(N, joints)``, which friction does not depend on."""
+        other = self.with_samples(replace(self.samples, position=position))
+        other.__dict__["_bases"] = self._bases
+        return other
+
     def under(self, gravity: FloatArray) -> Subject:
         """The same under another ``gravity (3,)`` in the base frame [m/s^2]."""
         return replace(self, robot=self.robot.with_gravity(gravity))
@@ -175,8 +181,7 @@ class Subject:
     @cached_property
     def predicted(self) -> FloatArray:
         """Efforts of the URDF's links ``(N, C)``."""
-        motion = self.robot.configuration(self.samples)
-        return self.robot.joint_efforts(*motion, self.prior.reshape(-1, 10))[:, self.joints]
+        return self.robot.joint_efforts(*self.robot.configuration(self.samples))[:, self.joints]
 
     @property
     def weight(self) -> FloatArray:

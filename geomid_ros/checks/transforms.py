@@ -173,7 +173,9 @@ def _best_start(few: Subject, joint: int, sign: float) -> float:
     predicted most."""
     near = 0.5 * TILT
     starts = np.array([0.0, near, -near, 0.5 * np.pi, -0.5 * np.pi, np.pi])
-    read = [few.with_samples(_recounted(few.samples, joint, sign, start)) for start in starts]
+    counted = few.with_samples(_recounted(few.samples, joint, sign, 0.0))
+    at = np.arange(counted.samples.position.shape[1]) == joint
+    read = [counted.at(counted.samples.position + start * at) for start in starts]
     return float(starts[int(np.argmax([each.resemblance for each in read]))])
 
 
