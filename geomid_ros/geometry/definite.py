@@ -48,9 +48,13 @@ def _lapack() -> ModuleType:
 
 
 def solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """The x with ``matrix (n, n) x = right (n,)``. Raises LinAlgError for a matrix that is not positive definite."""
-    if compiled.native is not None and right.ndim == 1:
-        return damped_step(matrix, -right, 0.0)[0]
+    """The x with ``matrix (n, n) x = right (n, ...)``. Raises LinAlgError for one that is not positive definite."""
+    if compiled.native is not None:
+        if right.ndim == 1:
+            return damped_step(matrix, -right, 0.0)[0]
+        if (root := _native_roots(matrix, len(matrix))) is None:
+            raise LinAlgError("not positive definite")
+        return np.asarray(root @ (root.T @ right))
     _, x, failed = _lapack().dposv(matrix, right, lower=1)
     if failed:
         raise LinAlgError("not positive definite")
@@ -85,22 +89,31 @@ def solved_anyway(matrix: FloatArray, right: FloatArray) -> FloatArray:
 def whitener(matrix: FloatArray) -> FloatArray:
     """A triangular T ``(n, n)`` with ``T matrix T' = 1``, so that ``T'T`` is the inverse; where rounding leaves the
     matrix not quite positive definite, that of the nearest one which is."""
-    if not len(matrix):
-        return matrix
-    factor, failed = _lapack().dpotrf(matrix, lower=1, clean=1)
-    if failed:
-        values, vectors = np.linalg.eigh(matrix)
-        values = np.maximum(values, np.finfo(np.float64).eps * values[-1])
-        return np.asarray(np.linalg.qr((vectors / np.sqrt(values)).T, mode="r"))
-    return np.asarray(_lapack().dtrtri(factor, lower=1)[0])
+    return np.asarray(roots(matrix, len(matrix)).T)
 
 
 def roots(matrix: FloatArray, count: int) -> FloatArray:
-    """R ``(count, n)`` of which ``R R'`` is the first block of the inverse of ``matrix (n, n)``."""
+    """R ``(count, n)`` of which ``R R'`` is the first block of the inverse of ``matrix (n, n)``, or of the nearest one
+    that is positive definite."""
+    if not len(matrix):
+        return matrix
+    if (found := _native_roots(matrix, count)) is not None:
+        return found
+    factor, failed = _lapack().dpotrf(matrix, lower=1, clean=1)
+    if not failed:
+        return np.asarray(_lapack().dtrtri(factor, lower=1)[0][:, :count].T)
+    values, vectors = np.linalg.eigh(matrix)
+    values = np.maximum(values, np.finfo(np.float64).eps * values[-1])
+    nearest = np.asarray(np.linalg.qr((vectors / np.sqrt(values)).T, mode="r"))
+    return np.asarray(nearest[:, :count].T)
+
+
+def _native_roots(matrix: FloatArray, count: int) -> FloatArray | None:
+    """The same by the compiled decomposition; None without it, and for a matrix that is not positive definite."""
     found = np.empty((count, len(matrix)))
     if compiled.native is not None and compiled.native.roots(matrix.copy(), found)[0]:
         return found
-    return whitener(matrix)[:, :count].T
+    return None
 
 
 def log_determinant(matrix: FloatArray) -> float:
@@ -120,6 +133,8 @@ def variances(matrix: FloatArray, count: int) -> FloatArray:
 
 def inverse(matrix: FloatArray) -> FloatArray:
     """The inverse of ``matrix (n, n)``; by a general method where rounding leaves it not quite positive definite."""
+    if (root := _native_roots(matrix, len(matrix))) is not None:
+        return np.asarray(root @ root.T)
     factor, failed = _lapack().dpotrf(matrix, lower=1, clean=1)
     if failed:
         return np.asarray(np.linalg.inv(matrix))
