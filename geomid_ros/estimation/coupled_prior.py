@@ -16,6 +16,7 @@ import numpy as np
 from geomid_ros.estimation.fit import Fit
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.tolerances import ROUNDS, SETTLED
+from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.types import FloatArray, IntArray
@@ -86,19 +87,20 @@ class CoupledPrior(ABC):
     def weights(self, found: Fit, before: Mapping[str, float]) -> dict[str, float]:
         """The weights of the blocks, by the expected squares of their coordinates at a fit."""
         tangent = self.tangent(found.place)
-        expected = np.outer(tangent, tangent) + self._covariance(found, tangent)
+        expected = np.column_stack([tangent, self._unsure(found, tangent)])
         weights = {}
         for name, off in zip(self.names, self.offs(before), strict=True):
-            square = float(np.sum((off @ expected) * off))
+            square = float(np.sum((off @ expected) ** 2))
             weights[name] = min(1.0, (self.freedom + len(off)) / (self.freedom + square))
         return weights
 
-    def _covariance(self, found: Fit, tangent: FloatArray) -> FloatArray:
-        """The posterior's, in the prior's coordinates."""
+    def _unsure(self, found: Fit, tangent: FloatArray) -> FloatArray:
+        """A root ``(k, r)`` of the posterior's covariance, in the prior's coordinates."""
         manifold = self.problem.manifold
-        derivative = manifold.exp_derivative(found.place, np.zeros(manifold.dimension))[self.columns]
-        moved = np.linalg.solve(self._derivative(tangent), derivative)
-        return np.asarray(moved @ np.linalg.solve(found.information, moved.T))
+        derivative = manifold.exp_derivative(found.place, np.zeros(manifold.dimension))
+        own = derivative[self.columns[:, None], self.columns]  # of what is no other's
+        root = definite.roots(found.information, int(np.max(self.columns, initial=-1)) + 1)[self.columns]
+        return np.asarray(np.linalg.solve(self._derivative(tangent), own @ root))
 
 
 def fit_beside(prior: CoupledPrior, solve: Callable[..., Fit]) -> tuple[Fit, dict[str, float]]:
