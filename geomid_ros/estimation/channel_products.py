@@ -16,15 +16,31 @@ import numpy as np
 from geomid_ros.geometry import compiled
 from geomid_ros.types import FloatArray, IntArray
 
+_TINY = float(np.finfo(float).tiny)
+
 
 class Packed(NamedTuple):
-    """Layout for the compiled loops: ``blocks`` one after the other; ``places`` of their columns; for each place the
-    end of its run of consecutive columns (``runs``), within the channel; ``ends (C,)`` of the channels."""
+    """Layout for the compiled loops: ``blocks`` one after the other, of these ``widths (C,)``; of the columns that are
+    taken their ``rows`` in the block of their channel, and their ``places``; for each the end of its run of columns
+    that are consecutive in both (``runs``), within the channel; ``ends (C,)`` of the channels."""
 
     blocks: FloatArray
+    widths: IntArray
+    rows: IntArray
     places: IntArray
     runs: IntArray
     ends: IntArray
+
+
+def _weighed(
+    packed: Packed, vector: FloatArray, counts: FloatArray, least: FloatArray
+) -> tuple[FloatArray, FloatArray] | None:
+    """As :meth:`ChannelProducts.weighed_by_squares`, of the columns that are taken; None without compiled loops."""
+    if compiled.native is None:
+        return None
+    squares, total = np.empty(len(packed.ends)), np.empty((len(vector), len(vector)))
+    compiled.native.weigh(*packed, vector, counts, least, squares, total)
+    return squares, total
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,11 +74,26 @@ class ChannelProducts:
     @cached_property
     def packed(self) -> Packed:
         """Packed layout for the compiled loops."""
-        sizes, places = np.array([len(own) for own in self.places]), np.concatenate(self.places)
-        ends = np.cumsum(sizes)
-        breaks = np.union1d(np.flatnonzero(np.diff(places) != 1) + 1, ends)
-        runs = breaks[np.searchsorted(breaks, np.arange(len(places)), side="right")] - np.repeat(ends - sizes, sizes)
-        return Packed(np.concatenate([block.ravel() for block in self.blocks]), places, runs, ends)
+        return self._packed(np.arange(self.size - 1))
+
+    @cached_property
+    def _joined(self) -> tuple[FloatArray, IntArray, IntArray]:
+        """All blocks, how wide they are, and the places of their columns, one after the other."""
+        widths = np.array([len(own) for own in self.places])
+        return np.concatenate([block.ravel() for block in self.blocks]), widths, np.concatenate(self.places)
+
+    def _packed(self, columns: IntArray) -> Packed:
+        """The same of some ``columns``, increasing, and the target."""
+        blocks, widths, places = self._joined
+        new = np.full(self.size, -1)
+        new[columns], new[-1] = np.arange(len(columns)), len(columns)
+        (kept,) = np.nonzero(new[places] >= 0)
+        at, channel = new[places[kept]], np.repeat(np.arange(len(widths)), widths)[kept]
+        counts = np.bincount(channel, minlength=len(widths))
+        ends = np.cumsum(counts)
+        breaks = np.union1d(np.flatnonzero((np.diff(at) != 1) | (np.diff(kept) != 1)) + 1, ends)
+        runs = breaks[np.searchsorted(breaks, np.arange(len(at)), side="right")] - np.repeat(ends - counts, counts)
+        return Packed(blocks, widths, kept - (np.cumsum(widths) - widths)[channel], at, runs, ends)
 
     def first(self, count: int) -> ChannelProducts:
         """The first ``count`` channels."""
@@ -72,17 +103,9 @@ class ChannelProducts:
         """All blocks multiplied by ``factor``."""
         return ChannelProducts(self.size, self.places, tuple(factor * block for block in self.blocks))
 
-    def select(self, columns: IntArray) -> ChannelProducts:
-        """Gram matrices of some ``columns``, increasing, and the target."""
-        new = np.full(self.size, -1)
-        new[columns], new[-1] = np.arange(len(columns)), len(columns)
-
-        def selected() -> Iterator[tuple[IntArray, FloatArray]]:
-            for places, block in zip(self.places, self.blocks, strict=True):
-                own = np.flatnonzero(new[places] >= 0)
-                yield new[places[own]], block[own[:, None], own]
-
-        return ChannelProducts.of(len(columns) + 1, selected())
+    def select(self, columns: IntArray) -> SelectedProducts:
+        """Those of some ``columns``, increasing, and the target."""
+        return SelectedProducts(self, columns)
 
     def dense(self, channel: int) -> FloatArray:
         """Gram matrix of one channel over all columns ``(size, size)``."""
@@ -93,7 +116,7 @@ class ChannelProducts:
     def squares(self, vector: FloatArray) -> FloatArray:
         """Squared norm per channel ``(C,)`` of the columns times ``vector (size,)``."""
         if compiled.native is not None:
-            return self.weighed_by_squares(vector, np.zeros(len(self)), np.full(len(self), np.finfo(float).tiny))[0]
+            return self.weighed_by_squares(vector, np.zeros(len(self)), np.full(len(self), _TINY))[0]
         pairs = zip(self.places, self.blocks, strict=True)
         return np.array([float(vector[own] @ block @ vector[own]) for own, block in pairs])
 
@@ -124,9 +147,40 @@ class ChannelProducts:
     ) -> tuple[FloatArray, FloatArray]:
         """Squared norms ``(C,)`` at ``vector (size,)``, with the lower bound ``least (C,)``; and the sum of the Gram
         matrices weighted by ``counts`` over these."""
-        if compiled.native is None:
-            squares = np.maximum(self.squares(vector), least)
-            return squares, self.weighed(counts / squares)
-        squares, total = np.empty(len(self)), np.empty((self.size, self.size))
-        compiled.native.weigh(*self.packed, vector, counts, least, squares, total)
-        return squares, total
+        if (found := _weighed(self.packed, vector, counts, least)) is not None:
+            return found
+        squares = np.maximum(self.squares(vector), least)
+        return squares, self.weighed(counts / squares)
+
+
+@dataclass(frozen=True, eq=False)
+class SelectedProducts:
+    """Those of some ``columns (k,)`` of the ``whole``, increasing, and the target. Nothing is copied."""
+
+    whole: ChannelProducts
+    columns: IntArray
+
+    @property
+    def targets(self) -> FloatArray:
+        """See :class:`ChannelProducts`."""
+        return self.whole.targets
+
+    @cached_property
+    def packed(self) -> Packed:
+        """Packed layout for the compiled loops."""
+        return self.whole._packed(self.columns)  # noqa: SLF001 of which it is a part
+
+    def squares(self, vector: FloatArray) -> FloatArray:
+        """See :class:`ChannelProducts`; ``vector (k + 1,)``."""
+        return self.weighed_by_squares(vector, np.zeros(len(self.whole)), np.full(len(self.whole), _TINY))[0]
+
+    def weighed_by_squares(
+        self, vector: FloatArray, counts: FloatArray, least: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """See :class:`ChannelProducts`; ``vector (k + 1,)``."""
+        if (found := _weighed(self.packed, vector, counts, least)) is not None:
+            return found
+        own, every = np.append(self.columns, self.whole.size - 1), np.zeros(self.whole.size)
+        every[own] = vector
+        squares, total = self.whole.weighed_by_squares(every, counts, least)
+        return squares, total[own[:, None], own]

@@ -178,7 +178,7 @@ class CoefficientRows:
         if start is not None:
             point, spreads = manifold.point(start.parameters[columns]), start.fit.scales
         own = np.append(columns, self.size)
-        products = self.known_products[own[:, None], own]
+        products = self.known_products.take(own, 0).take(own, 1)
         profile = Profile(manifold, self.products.select(columns), self.counts, prior, self.floors)
 
         def objective(spreads: FloatArray) -> ProfileObjective:

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.linalg import LinAlgError
 
-from geomid_ros.estimation.channel_products import ChannelProducts
+from geomid_ros.estimation.channel_products import ChannelProducts, SelectedProducts
 from geomid_ros.estimation.objective import Evaluation, with_prior
 from geomid_ros.estimation.solvers import ENDS, GRADIENT, Solution, trust_region
 from geomid_ros.estimation.tolerances import ROUNDS
@@ -41,7 +41,7 @@ class Profile:
     ``counts (C,)`` of rows; and the ``prior``."""
 
     manifold: ParameterManifold
-    products: ChannelProducts
+    products: ChannelProducts | SelectedProducts
     counts: FloatArray
     prior: Point
     floors: FloatArray | float = 0.0
