@@ -16,8 +16,6 @@ import numpy as np
 from geomid_ros.geometry import compiled
 from geomid_ros.types import FloatArray, IntArray
 
-_TINY = float(np.finfo(float).tiny)
-
 
 class Packed(NamedTuple):
     """Layout for the compiled loops: ``blocks`` one after the other, of these ``widths (C,)``; of the columns that are
@@ -33,12 +31,13 @@ class Packed(NamedTuple):
 
 
 def _weighed(
-    packed: Packed, vector: FloatArray, counts: FloatArray, least: FloatArray
+    packed: Packed, vector: FloatArray, counts: FloatArray, least: FloatArray, *, alone: bool = False
 ) -> tuple[FloatArray, FloatArray] | None:
-    """As :meth:`ChannelProducts.weighed_by_squares`, of the columns that are taken; None without compiled loops."""
+    """As :meth:`ChannelProducts.weighed_by_squares`, of the columns that are taken; the squares ``alone``, and no sum,
+    if that is said. None without compiled loops."""
     if compiled.native is None:
         return None
-    squares, total = np.empty(len(packed.ends)), np.empty((len(vector), len(vector)))
+    squares, total = np.empty(len(packed.ends)), np.empty((0 if alone else len(vector), len(vector)))
     compiled.native.weigh(*packed, vector, counts, least, squares, total)
     return squares, total
 
@@ -91,7 +90,10 @@ class ChannelProducts:
         at, channel = new[places[kept]], np.repeat(np.arange(len(widths)), widths)[kept]
         counts = np.bincount(channel, minlength=len(widths))
         ends = np.cumsum(counts)
-        breaks = np.union1d(np.flatnonzero((np.diff(at) != 1) | (np.diff(kept) != 1)) + 1, ends)
+        begins = np.ones(len(at) + 1, dtype=np.bool_)
+        begins[1:-1] = (np.diff(at) != 1) | (np.diff(kept) != 1)
+        begins[ends] = True
+        breaks = np.flatnonzero(begins)
         runs = breaks[np.searchsorted(breaks, np.arange(len(at)), side="right")] - np.repeat(ends - counts, counts)
         return Packed(blocks, widths, kept - (np.cumsum(widths) - widths)[channel], at, runs, ends)
 
@@ -115,8 +117,9 @@ class ChannelProducts:
 
     def squares(self, vector: FloatArray) -> FloatArray:
         """Squared norm per channel ``(C,)`` of the columns times ``vector (size,)``."""
-        if compiled.native is not None:
-            return self.weighed_by_squares(vector, np.zeros(len(self)), np.full(len(self), _TINY))[0]
+        nothing = np.zeros(len(self))
+        if (found := _weighed(self.packed, vector, nothing, nothing, alone=True)) is not None:
+            return found[0]
         pairs = zip(self.places, self.blocks, strict=True)
         return np.array([float(vector[own] @ block @ vector[own]) for own, block in pairs])
 
@@ -172,7 +175,9 @@ class SelectedProducts:
 
     def squares(self, vector: FloatArray) -> FloatArray:
         """See :class:`ChannelProducts`; ``vector (k + 1,)``."""
-        return self.weighed_by_squares(vector, np.zeros(len(self.whole)), np.full(len(self.whole), _TINY))[0]
+        nothing = np.zeros(len(self.whole))
+        found = _weighed(self.packed, vector, nothing, nothing, alone=True)
+        return self.whole.squares(self._every(vector)) if found is None else found[0]
 
     def weighed_by_squares(
         self, vector: FloatArray, counts: FloatArray, least: FloatArray
@@ -180,7 +185,12 @@ class SelectedProducts:
         """See :class:`ChannelProducts`; ``vector (k + 1,)``."""
         if (found := _weighed(self.packed, vector, counts, least)) is not None:
             return found
-        own, every = np.append(self.columns, self.whole.size - 1), np.zeros(self.whole.size)
-        every[own] = vector
-        squares, total = self.whole.weighed_by_squares(every, counts, least)
+        own = np.append(self.columns, self.whole.size - 1)
+        squares, total = self.whole.weighed_by_squares(self._every(vector), counts, least)
         return squares, total[own[:, None], own]
+
+    def _every(self, vector: FloatArray) -> FloatArray:
+        """A vector of the whole, zero elsewhere."""
+        every = np.zeros(self.whole.size)
+        every[self.columns], every[-1] = vector[:-1], vector[-1]
+        return every

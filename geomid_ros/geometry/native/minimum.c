@@ -264,12 +264,13 @@ typedef struct {
 
 enum { TILE = 32 };
 
-/* The sums of squares at `vector` (size,), and the sum of the products with each channel's count over them. */
+/* The sums of squares at `vector` (size,), and the sum of the products with each channel's count over them, if that is
+ * asked for. */
 FOR_EACH_PROCESSOR static void weigh(
     const Packed *packed, const double *restrict vector, const double *counts, const double *least, int channels, int size,
     double *restrict own, double *squares, double *restrict total) {
     const double *products = packed->products;
-    memset(total, 0, sizeof(double) * size * size);
+    if (total) memset(total, 0, sizeof(double) * size * size);
     long long begin = 0;
     for (int channel = 0; channel < channels; begin = packed->ends[channel++]) {
         const long long m = packed->ends[channel] - begin, width = packed->widths[channel];
@@ -293,7 +294,7 @@ FOR_EACH_PROCESSOR static void weigh(
         square = square < least[channel] ? least[channel] : square; /* not a number stays that */
         squares[channel] = square;
         const double weight = counts[channel] / square;
-        for (long long k = 0; k < m; k++) {
+        for (long long k = 0; total && k < m; k++) {
             const double *row = products + from[k] * width;
             for (long long j = k; j < m;) {
                 const long long end = until[j];
@@ -304,7 +305,7 @@ FOR_EACH_PROCESSOR static void weigh(
         }
         products += width * width;
     }
-    for (int row = 0; row < size; row += TILE) /* by tiles, which stay in the nearest memory */
+    for (int row = 0; total && row < size; row += TILE) /* by tiles, which stay in the nearest memory */
         for (int column = 0; column <= row; column += TILE)
             for (int i = row; i < size && i < row + TILE; i++)
                 for (int j = column; j < i && j < column + TILE; j++)
@@ -609,7 +610,7 @@ PyObject *native_weigh(PyObject *module, PyObject *arguments) {
     if (own)
         weigh(
             &packed, vector.buf, counts.buf, least.buf, (int)(counts.len / sizeof(double)),
-            (int)(vector.len / sizeof(double)), own, squares.buf, total.buf);
+            (int)(vector.len / sizeof(double)), own, squares.buf, total.len ? total.buf : NULL);
     const int failed = own == NULL;
     PyMem_Free(own);
     release(
