@@ -215,7 +215,7 @@ def _zero(subject: Subject, joint: int, sign: float, start: float) -> Candidate:
             rate = (ahead.regressor - behind.regressor) @ links * (0.5 * TILT / STEP)
             mended = read(subject, zero)
             mended.__dict__["predicted"] = mended.predicted + (start - zero) / TILT * rate
-            found = mended.evidence(unknown=rate)
+            found = mended.evidence(unknown=rate[:, :, None])
             zero = start + TILT * float(found.links[-1])
         deviations = TILT * found.deviations()[-1:]
         return Judged.mended(mended, subject.spread, found, estimates=np.array([zero]), deviations=deviations)

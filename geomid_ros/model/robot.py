@@ -357,14 +357,14 @@ class Robot:
             rows[:] = pin.computeJointTorqueRegressor(self._model, self._data, *state).reshape(rows.shape)
         rows = np.concatenate([self._of_joints(full), full[:, :6]], axis=1) if base else self._of_joints(full)
         found = np.zeros((len(q), rows.shape[1], len(self.bodies), 10))
-        felt = np.concatenate([self._carries, np.tile(self._moved_by >= 0, (rows.shape[1] - len(self.joints), 1))])
+        felt = np.concatenate([self.carries, np.tile(self._moved_by >= 0, (rows.shape[1] - len(self.joints), 1))])
         joints, bodies = np.nonzero(felt)
         pairs = rows.reshape(len(q), rows.shape[1], -1, 10)[:, joints, self._moved_by[bodies]].transpose(1, 0, 2)
         found[:, joints, bodies] = (pairs @ self._to_joints[bodies]).transpose(1, 0, 2)
         return found
 
     @cached_property
-    def _carries(self) -> BoolArray:
+    def carries(self) -> BoolArray:
         """Whether each joint, or what follows it, moves each body ``(joints, bodies)``."""
         carries = np.zeros((len(self.joints), len(self.bodies)), dtype=np.bool_)
         moving = {joint.name: place for place, joint in enumerate(self.joints)}
