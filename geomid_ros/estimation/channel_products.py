@@ -138,12 +138,20 @@ class ChannelProducts:
 
     def some(self, columns: IntArray, weights: FloatArray) -> FloatArray:
         """The rows of the weighted sum for some ``columns``, ``(len(columns), size)``."""
-        total = np.zeros((len(columns), self.size))
-        for weight, own, block in zip(weights, self.places, self.blocks, strict=True):
-            places = np.searchsorted(own, columns)
-            found = np.flatnonzero(own[places] == columns)
-            total[found[:, None], own] += weight * block[places[found]]
+        total, rows = np.zeros((len(columns), self.size)), self._rows[:, columns]
+        for channel in np.flatnonzero(np.any(rows >= 0, axis=1)).tolist():
+            (found,) = np.nonzero(rows[channel] >= 0)
+            own, block = self.places[channel], self.blocks[channel]
+            total[found[:, None], own] += weights[channel] * block[rows[channel, found]]
         return total
+
+    @cached_property
+    def _rows(self) -> IntArray:
+        """The row of each column in each channel's block ``(C, size)``; -1 where the channel does not have it."""
+        rows = np.full((len(self), self.size), -1)
+        for own, places in zip(rows, self.places, strict=True):
+            own[places] = np.arange(len(places))
+        return rows
 
     def weighed_by_squares(
         self, vector: FloatArray, counts: FloatArray, least: FloatArray

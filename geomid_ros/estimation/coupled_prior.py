@@ -76,13 +76,11 @@ class CoupledPrior(ABC):
     def problem_at(self, point: Point, weights: Mapping[str, float]) -> Problem:
         """The problem with the prior's rows, linearised at a point of its manifold, for these weights of the blocks."""
         tangent, root = self.tangent(point), self.root(weights)
+        blocks, diagonal = self.manifold.exp_jacobian(self.mean, tangent)
         rows = np.zeros((len(root), self.problem.model.dimension))
-        rows[:, self.columns] = np.linalg.solve(self._derivative(tangent).T, root.T).T
+        rows[:, self.columns] = self.manifold.by_blocks(root, np.asarray(np.linalg.inv(blocks)), 1.0 / diagonal)
         targets = rows @ point.parameters - root @ tangent
         return self.problem.beside(WeighedRows(rows, targets))
-
-    def _derivative(self, tangent: FloatArray) -> FloatArray:
-        return self.manifold.exp_derivative(self.mean, tangent)
 
     def weights(self, found: Fit, before: Mapping[str, float]) -> dict[str, float]:
         """The weights of the blocks, by the expected squares of their coordinates at a fit."""
@@ -96,11 +94,13 @@ class CoupledPrior(ABC):
 
     def _unsure(self, found: Fit, tangent: FloatArray) -> FloatArray:
         """A root ``(k, r)`` of the posterior's covariance, in the prior's coordinates."""
-        manifold = self.problem.manifold
-        derivative = manifold.exp_derivative(found.place, np.zeros(manifold.dimension))
-        own = derivative[self.columns[:, None], self.columns]  # of what is no other's
+        whole, own = self.problem.manifold, self.manifold
+        blocks, diagonal = own.exp_jacobian(self.mean, tangent)
+        links = own.point(found.place.parameters[self.columns]).links_jacobian
+        rest = whole.jacobian(found.place)[1][self.columns[own.inertial.stop :] - whole.inertial.stop]
         root = definite.roots(found.information, int(np.max(self.columns, initial=-1)) + 1)[self.columns]
-        return np.asarray(np.linalg.solve(self._derivative(tangent), own @ root))
+        moved = np.swapaxes(np.linalg.solve(blocks, links), -1, -2)
+        return own.by_blocks(root.T, moved, rest / diagonal).T
 
 
 def fit_beside(prior: CoupledPrior, solve: Callable[..., Fit]) -> tuple[Fit, dict[str, float]]:
