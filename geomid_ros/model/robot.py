@@ -404,6 +404,8 @@ class Robot:
 
     def _of_joints(self, rows: FloatArray) -> FloatArray:
         """The rows ``(..., joints, k)`` of the robot's joints, of those ``(..., nv, k)`` of all that moves."""
+        if self._velocity_rows == [*range(rows.shape[-2])]:
+            return rows
         own = rows[..., self._velocity_rows, :]
         for follower in self.followers:
             own[..., follower.master, :] += follower.factor * rows[..., follower.joint.v, :]
