@@ -150,13 +150,6 @@ class ParameterManifold:
         blocks = pseudo_inertia.to_parameters(spd.congruence(base.root[:, None], changes))
         return np.swapaxes(blocks, -1, -2), np.append(base.positives * np.exp(tangent[self.positive]), self.scales)
 
-    def exp_derivative(self, base: Point, tangent: FloatArray) -> FloatArray:
-        """The same as a matrix ``(D, D)``."""
-        blocks, diagonal = self.exp_jacobian(base, tangent)
-        derivative = np.zeros((self.dimension, self.dimension))
-        self.add_blocks(derivative, blocks, diagonal)
-        return derivative
-
     def straight(self, base: Point, tangent: FloatArray) -> Point:
         """The end of a straight line of the parameters that leaves ``base`` with tangent coordinates ``(D,)``.
 
