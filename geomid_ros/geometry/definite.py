@@ -109,7 +109,8 @@ def log_determinant(matrix: FloatArray) -> float:
 
 def variances(matrix: FloatArray, count: int) -> FloatArray:
     """The first elements of the diagonal of the inverse of ``matrix (n, n)``, ``(count,)``."""
-    return np.asarray(np.sum(roots(matrix, count) ** 2, axis=1))
+    root = roots(matrix, count)
+    return np.asarray(np.einsum("ij,ij->i", root, root))
 
 
 def inverse(matrix: FloatArray) -> FloatArray:

@@ -389,7 +389,9 @@ class Robot:
     ) -> FloatArray:
         """The joints' efforts ``(N, joints)`` at N instants by the recursive Newton-Euler algorithm, with ``inertias
         (all bodies, 10)``; those of the URDF if None."""
-        model = self._model if inertias is None else self.with_inertias(inertias, range(len(inertias)))
+        if inertias is None:
+            return self.efforts_of(self._model, self._data, q, v, a)
+        model = self.with_inertias(inertias, range(len(inertias)))
         return self.efforts_of(model, model.createData(), q, v, a)
 
     def efforts_of(self, model: pin.Model, data: pin.Data, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
