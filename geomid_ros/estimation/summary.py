@@ -315,13 +315,14 @@ class RowSummary:
             sigmas: Standard deviations ``(groups,)``, or ``(channels,)`` for those of both groups.
             dimension: D.
         """
-        # First by group: most have few columns, and many small decompositions stop no other thread for long.
+        # First by channel: most have few columns, and many small decompositions stop no other thread for long.
         stacked = [np.zeros((0, dimension + 1))]
-        scales = np.resize(sigmas, len(self.groups))
-        for group, sigma, factor in zip(self.groups, scales, self.factors(), strict=True):
+        scales, factors, count = np.resize(sigmas, len(self.groups)), self.factors(), len(self.channels)
+        for index, channel in enumerate(self.channels):
+            own = [factor / sigma for factor, sigma in zip(factors[index::count], scales[index::count], strict=True)]
+            factor = triangular(np.concatenate(own))
             widened = np.zeros((len(factor), dimension + 1))
-            widened[:, group.columns] = factor[:, :-1] / sigma
-            widened[:, -1] = factor[:, -1] / sigma
+            widened[:, channel.columns], widened[:, -1] = factor[:, :-1], factor[:, -1]
             stacked.append(widened)
         whole = triangular(np.concatenate(stacked))[:dimension]
         return whole[:, :-1], whole[:, -1]
