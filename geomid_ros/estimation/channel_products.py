@@ -166,7 +166,7 @@ class ChannelProducts:
 
 @dataclass(frozen=True, eq=False)
 class SelectedProducts:
-    """Those of some ``columns (k,)`` of the ``whole``, increasing, and the target. Nothing is copied."""
+    """Those of some ``columns (k,)`` of the ``whole``, increasing, and the target. The compiled loops copy nothing."""
 
     whole: ChannelProducts
     columns: IntArray
@@ -181,24 +181,26 @@ class SelectedProducts:
         """Packed layout for the compiled loops."""
         return self.whole._packed(self.columns)  # noqa: SLF001 of which it is a part
 
+    @cached_property
+    def _copied(self) -> ChannelProducts:
+        new = np.full(self.whole.size, -1)
+        new[self.columns], new[-1] = np.arange(len(self.columns)), len(self.columns)
+        pairs = [(np.flatnonzero(new[own] >= 0), own) for own in self.whole.places]
+        places = tuple(new[own[kept]] for kept, own in pairs)
+        blocks = zip(pairs, self.whole.blocks, strict=True)
+        return ChannelProducts(
+            len(self.columns) + 1, places, tuple(block[kept[:, None], kept] for (kept, _), block in blocks)
+        )
+
     def squares(self, vector: FloatArray) -> FloatArray:
         """See :class:`ChannelProducts`; ``vector (k + 1,)``."""
         nothing = np.zeros(len(self.whole))
         found = _weighed(self.packed, vector, nothing, nothing, alone=True)
-        return self.whole.squares(self._every(vector)) if found is None else found[0]
+        return self._copied.squares(vector) if found is None else found[0]
 
     def weighed_by_squares(
         self, vector: FloatArray, counts: FloatArray, least: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """See :class:`ChannelProducts`; ``vector (k + 1,)``."""
-        if (found := _weighed(self.packed, vector, counts, least)) is not None:
-            return found
-        own = np.append(self.columns, self.whole.size - 1)
-        squares, total = self.whole.weighed_by_squares(self._every(vector), counts, least)
-        return squares, total[own[:, None], own]
-
-    def _every(self, vector: FloatArray) -> FloatArray:
-        """A vector of the whole, zero elsewhere."""
-        every = np.zeros(self.whole.size)
-        every[self.columns], every[-1] = vector[:-1], vector[-1]
-        return every
+        found = _weighed(self.packed, vector, counts, least)
+        return self._copied.weighed_by_squares(vector, counts, least) if found is None else found
