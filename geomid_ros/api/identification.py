@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from geomid_ros.checks.verdict import DOUBTFUL, Verdict
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
 from geomid_ros.estimation.suggested_motions import suggested_motions
@@ -105,12 +107,18 @@ class IdentificationSummary:
         """RMS of the URDF's residual, by channel [N m, N], with its inertias and no effects."""
         if not self.held_out:
             return self._by_channel(self.estimate.rms_nominal)
-        return self._by_channel(self.session.rms(self.held_out, self.session.model.nominal_parameters))
+        return self._by_channel(self._rms_on_held_out[:, 0])
 
     @cached_property
     def held_out_rms(self) -> FloatArray | None:
         """RMS of the residuals on held-out data ``(channels,)``; None if nothing was held out."""
-        return self.session.rms(self.held_out, self.estimate.parameters) if self.held_out else None
+        return self._rms_on_held_out[:, 1] if self.held_out else None
+
+    @cached_property
+    def _rms_on_held_out(self) -> FloatArray:
+        """Of the URDF and of the estimate ``(channels, 2)``."""
+        parameters = np.column_stack([self.session.model.nominal_parameters, self.estimate.parameters])
+        return self.session.rms(self.held_out, parameters)
 
     @cached_property
     def tracking(self) -> Tracking | None:

@@ -217,7 +217,8 @@ def _switched(whole: Subject, place: float, factor: float) -> Judged:
     subject = whole.moving
     later = subject.shares >= place
     readings = []
-    for sign in {1.0, float(np.sign(factor))}:
+    # Of efforts that are reversed the opposite of the one reading is the other.
+    for sign in {1.0, 1.0 if factor == -1.0 else float(np.sign(factor))}:
         for part, size in ((later, 1.0 / factor), (~later, factor)):
             gains = np.where(part, size, 1.0) * sign
             mended = subject.with_efforts(subject.measured * gains[:, None])

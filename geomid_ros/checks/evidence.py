@@ -8,8 +8,8 @@ probability density of u with x and f integrated out; sigma is found per channel
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import ONE_BODY, ParameterManifold
 from geomid_ros.inference.prior import SPREAD_OF_PAYLOADS, usual_payload
 from geomid_ros.model.robot import Robot
-from geomid_ros.types import BoolArray, FloatArray, IntArray
+from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 LEAST_SIGMA = 0.1
 """Of a channel's standard deviation: no model is believed to be better."""
@@ -59,12 +59,87 @@ class Evidence:
         return np.sqrt(definite.variances(self.precision, len(self.links)))
 
 
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """What unknowns add to C channels at N instants.
+
+    Attributes:
+        links: number r of the links' errors.
+        felt: of each channel the errors that it feels ``(m,)``.
+        columns: of each channel ``(N, m + k)``: of these, and of the k unknowns that it has for itself.
+    """
+
+    links: int
+    felt: tuple[IntArray, ...]
+    columns: tuple[FloatArray, ...]
+
+    @staticmethod
+    def of(links: FloatArray, own: FloatArray) -> Unknowns:
+        """Columns ``(N, C, r)`` of the links' errors, and ``(N, C, k)`` that each channel has for itself: others, then
+        the five of friction."""
+        felt = tuple(map(np.flatnonzero, np.any(links, axis=0)))
+        columns = [np.column_stack([links[:, c, own_links], own[:, c]]) for c, own_links in enumerate(felt)]
+        return Unknowns(links.shape[2], felt, tuple(columns))
+
+    def part(self, chosen: AnyArray | slice) -> Unknowns:
+        """The same at some of the instants, chosen by a mask, an index array or a slice."""
+        return replace(self, columns=tuple(own[chosen] for own in self.columns))
+
+    def with_own(self, own: FloatArray) -> Unknowns:
+        """The same links, and other columns ``(N, C, k)`` that each channel has for itself."""
+        pairs = enumerate(zip(self.felt, self.columns, strict=True))
+        columns = [np.column_stack([columns[:, : len(felt)], own[:, c]]) for c, (felt, columns) in pairs]
+        return replace(self, columns=tuple(columns))
+
+    def with_more(self, links: FloatArray) -> Unknowns:
+        """The same, and columns ``(N, C, j)`` of more errors, which are the last ones."""
+        more = [np.flatnonzero(told) for told in np.any(links, axis=0)]
+        columns = [
+            np.column_stack([columns[:, : len(felt)], links[:, c, new], columns[:, len(felt) :]])
+            for c, (felt, new, columns) in enumerate(zip(self.felt, more, self.columns, strict=True))
+        ]
+        felt = [np.append(own, self.links + new) for own, new in zip(self.felt, more, strict=True)]
+        return Unknowns(self.links + links.shape[2], tuple(felt), tuple(columns))
+
+    def times(self, weights: FloatArray) -> Unknowns:
+        """Rows times the ``weights (N, C)`` of their channels."""
+        return replace(self, columns=tuple(w[:, None] * own for w, own in zip(weights.T, self.columns, strict=True)))
+
+    @cached_property
+    def places(self) -> list[IntArray]:
+        """The columns of each channel among r + C k unknowns."""
+        count = self.columns[0].shape[1] - len(self.felt[0])
+        return [np.append(own, self.links + count * c + np.arange(count)) for c, own in enumerate(self.felt)]
+
+    @cached_property
+    def products(self) -> list[FloatArray]:
+        """The columns of each channel by each other."""
+        return [own.T @ own for own in self.columns]
+
+    def taken(self, errors: FloatArray) -> FloatArray:
+        """What the links take at errors ``(r,)``, ``(N, C)``."""
+        pairs = zip(self.felt, self.columns, strict=True)
+        return np.stack([own[:, : len(felt)] @ errors[felt] for felt, own in pairs], axis=1)
+
+    def with_target(self, target: FloatArray, units: FloatArray) -> ChannelProducts:
+        """Products of the columns and of a ``target (N, C)``, those of links in ``units (C,)`` of the channels."""
+        size, blocks = int(self.places[-1][-1]) + 1, []
+        for channel, (felt, own, products) in enumerate(zip(self.felt, self.columns, self.products, strict=True)):
+            scales = np.ones(len(products) + 1)
+            scales[: len(felt)] /= units[channel]
+            block, measured = np.empty((len(scales), len(scales))), target[:, channel]
+            block[:-1, :-1], block[-1, -1] = products, measured @ measured
+            block[-1, :-1] = block[:-1, -1] = measured @ own
+            blocks.append(scales[:, None] * block * scales)
+        return ChannelProducts(size + 1, tuple(np.append(own, size) for own in self.places), tuple(blocks))
+
+
 def evidence(
     target: FloatArray,
-    links: FloatArray,
-    own: FloatArray,
+    unknowns: Unknowns,
     tolerated: FloatArray,
     *,
+    units: FloatArray | float = 1.0,
     counted: FloatArray | None = None,
     either_sign: BoolArray | bool = False,
 ) -> Evidence:
@@ -72,16 +147,17 @@ def evidence(
 
     Args:
         target: ``(N, C)`` what is measured beside what the URDF's links predict.
-        links: ``(N, C, r)`` columns of the links' errors.
-        own: ``(N, C, k)`` columns that each channel has for itself: others, then the five of friction.
+        unknowns: what they add.
+        units: ``(C,)`` what one of the target is in those of the links' columns.
         tolerated: ``(C, k)`` standard deviations of their coefficients: about what explains all of a channel.
         counted: ``(N, C)`` 1 for the instants that count at a channel, 0 for others; None if all do.
         either_sign: whether viscous and dry friction may be below zero, of all channels or of each ``(C,)``.
     """
-    counted = np.ones(target.shape) if counted is None else counted
-    sums = products_of(rows_by_channel(target, links, own, counted))
-    counts = np.maximum(np.sum(counted, axis=0), 1.0)
-    rank = links.shape[2]
+    counts = np.full(target.shape[1], float(len(target)))
+    if counted is not None:
+        unknowns, target, counts = unknowns.times(counted), counted * target, np.maximum(np.sum(counted, axis=0), 1.0)
+    sums = unknowns.with_target(target, np.broadcast_to(units, counts.shape))
+    rank = unknowns.links
     precision = np.concatenate([np.ones(rank), (1.0 / tolerated**2).ravel()])
     of_own = np.zeros(tolerated.shape, dtype=bool)
     of_own[:, 1 - FRICTION : -1] = ~np.broadcast_to(either_sign, len(tolerated))[:, None]
@@ -108,25 +184,6 @@ def evidence(
         friction=mean[rank:].reshape(tolerated.shape)[:, -FRICTION:],
         precision=posterior,
     )
-
-
-def rows_by_channel(
-    target: FloatArray, links: FloatArray, own: FloatArray, weights: FloatArray
-) -> list[tuple[IntArray, FloatArray]]:
-    """Rows of each channel, times its ``weights (N, C)``, and the places of their columns among r + C k + 1: of the r
-    links' those that are not zero, of the C k ``own`` ones its k, and the target."""
-    rank, count, found = links.shape[2], own.shape[2], []
-    for channel, told in enumerate(np.any(links, axis=0)):
-        felt, first = np.flatnonzero(told), rank + count * channel
-        parts = links[:, channel, felt], own[:, channel], target[:, channel, None]
-        places = np.concatenate([felt, np.arange(first, first + count), [rank + own[0].size]])
-        found.append((places, weights[:, channel, None] * np.concatenate(parts, axis=1)))
-    return found
-
-
-def products_of(rows: Sequence[tuple[IntArray, FloatArray]]) -> ChannelProducts:
-    """Products of the columns of each channel's rows, which have the target as the last one."""
-    return ChannelProducts.of(int(rows[0][0][-1]) + 1, ((places, own.T @ own) for places, own in rows))
 
 
 def _solved(
@@ -160,13 +217,6 @@ def prior_factor(robot: Robot) -> FloatArray:
             covariance[index] += payload @ payload.T
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None])
-
-
-def by_unit_errors(regressor: FloatArray, factor: FloatArray) -> FloatArray:
-    """Columns ``(N, C, D)`` of errors of unit variance, of rows ``(N, C, D)`` over the links' parameters and the
-    ``factor (bodies, 10, 10)`` of these errors' covariance."""
-    by_body = regressor.reshape(-1, *factor.shape[:2]).transpose(1, 0, 2) @ factor
-    return by_body.transpose(1, 0, 2).reshape(regressor.shape)
 
 
 def payload_factor(bodies: FloatArray, carrier: int) -> FloatArray:

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from geomid_ros.checks.evidence import SPREAD, Evidence, evidence, products_of, rows_by_channel
+from geomid_ros.checks.evidence import SPREAD, Evidence, Unknowns, evidence
 from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry import definite
 from geomid_ros.model.samples import STILL
@@ -49,7 +49,7 @@ class FlexibleFit:
         *,
         measured: FloatArray,
         predicted: FloatArray,
-        links: FloatArray,
+        links: Unknowns,
         friction: FloatArray,
         tolerated: FloatArray,
         position: FloatArray,
@@ -58,12 +58,12 @@ class FlexibleFit:
         """
         Args:
             measured, predicted: ``(N, C)`` the efforts, and those of the URDF's links.
-            links: ``(N, C, r)`` columns of the links' errors.
+            links: what the links' errors add.
             friction: ``(N, C, 5)`` those of friction.
             tolerated: ``(C, 5)`` standard deviations of friction's coefficients.
             position, velocity: ``(N, C)`` of the joints.
         """
-        self.measured, self._predicted, self._links = measured, predicted, links
+        self.measured, self._predicted = measured, predicted
         self.spread = np.std(measured, axis=0)
         self._moving = moving(velocity).astype(np.float64)
         self.instants = float(np.mean(np.maximum(np.sum(self._moving, axis=0), 1.0)))
@@ -71,7 +71,8 @@ class FlexibleFit:
         self._own = np.concatenate([_curves(position, friction, predicted), friction], axis=2)
         self._tolerated = np.ones(self._own.shape[1:])
         self._tolerated[:, -tolerated.shape[1] :] = tolerated
-        self.nominal = self._evidence(links)
+        self._unknowns = links.with_own(self._own)
+        self.nominal = self._evidence(self._unknowns)
         """The evidence of nothing else."""
         self.links = self.nominal.links
         """The links' errors ``(r,)`` that are found."""
@@ -102,11 +103,11 @@ class FlexibleFit:
         all in units of the noise."""
         count, size = columns.shape[2], len(self._whitener)
         found = np.zeros((size + count + 1, count))
-        for channel, (places, known) in enumerate(self._known):
+        for channel, (places, known) in enumerate(zip(self._known.places, self._known.columns, strict=True)):
             felt = np.flatnonzero(np.any(columns[part, channel], axis=0))
             rows = self._weights[part, channel, None] * columns[part, channel, felt]
-            at = np.concatenate([places[:-1], size + felt, [size + count]])
-            found[at[:, None], felt] += np.column_stack([known[part, :-1], rows, known[part, -1]]).T @ rows
+            at = np.concatenate([places, size + felt, [size + count]])
+            found[at[:, None], felt] += np.column_stack([known[part], rows, self._target[part, channel]]).T @ rows
         return found
 
     def _promise(self, crossed: FloatArray) -> float:
@@ -119,7 +120,7 @@ class FlexibleFit:
 
     def gain(self, columns: FloatArray) -> Gain:
         """What columns explain, as :meth:`promises` takes them."""
-        found, rank = self._evidence(np.concatenate([self._links, columns], axis=2)), self._links.shape[2]
+        found, rank = self._evidence(self._unknowns.with_more(columns)), self._unknowns.links
         return Gain(
             per_instant=(found.log - self.nominal.log) / self.instants,
             ratios=found.sigmas / self.nominal.sigmas,
@@ -129,19 +130,21 @@ class FlexibleFit:
         )
 
     def _rigid(self, links: FloatArray) -> FloatArray:
-        return np.asarray(self._predicted + self._links @ links)
+        return np.asarray(self._predicted + self._unknowns.taken(links))
 
-    def _evidence(self, links: FloatArray) -> Evidence:
-        """The evidence of columns ``(N, C, r)`` whose coefficients have unit variance, curves and friction."""
+    def _evidence(self, unknowns: Unknowns) -> Evidence:
+        """The evidence of unknowns of unit variance, curves and friction."""
         target = (self.measured - self._predicted) / self.spread
-        return evidence(target, links / self.spread[:, None], self._own, self._tolerated, counted=self._moving)
+        return evidence(target, unknowns, self._tolerated, units=self.spread, counted=self._moving)
 
     def _screen(self) -> None:
         """Linearise at what was found, with the friction that may have either sign."""
         self._weights = self._moving / (self.spread * self.nominal.sigmas)
         scaled = self._own * self._tolerated * self.spread[:, None]
-        self._known = rows_by_channel(self.measured - self._predicted, self._links, scaled, self._weights)
-        products = products_of(self._known).weighed(np.ones(len(self._known)))
+        self._known = self._unknowns.with_own(scaled).times(self._weights)
+        self._target = self._weights * (self.measured - self._predicted)
+        sums = self._known.with_target(self._target, np.ones(self._target.shape[1]))
+        products = sums.weighed(np.ones(len(sums)))
         self._whitener = definite.whitener(products[:-1, :-1] + np.eye(len(products) - 1))
         self._explained = self._whitener @ products[:-1, -1]
 

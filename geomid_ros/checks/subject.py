@@ -14,7 +14,7 @@ from geomid_ros.checks.evidence import (
     HALF,
     LEAST_SIGMA,
     Evidence,
-    by_unit_errors,
+    Unknowns,
     evidence,
     prior_factor,
 )
@@ -27,7 +27,7 @@ from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 STRETCHES = 20
 """Of a recording: something may begin with each, and they are alternately in one part and in the other."""
 _OF_MOTION = (
-    "regressor", "predicted", "friction", "columns", "tolerated", "_bases",
+    "regressor", "predicted", "friction", "unknowns", "tolerated", "_bases",
 )  # fmt: skip
 
 
@@ -100,18 +100,26 @@ class Subject:
         )
         if "regressor" in self.__dict__:
             part.__dict__["regressor"] = self.regressor[chosen]
+        if "unknowns" in self.__dict__:
+            part.__dict__["unknowns"] = self.unknowns.part(chosen)
         return part
 
     def parts(self, *, alternating: bool = False) -> list[Subject]:
         """The recordings that this is of, or both halves of the motion of a single one; or two sets of stretches in
         turn, which both have something of all of the motion, if ``alternating``. In each every effort changes."""
+        return self._alternating if alternating else self._halves
+
+    @cached_property
+    def _halves(self) -> list[Subject]:
+        moved, several = np.cumsum(self.is_moving), len(np.unique(self.recordings)) > 1
+        return self._divided(self.recordings if several else 2 * moved // (moved[-1] + 1))
+
+    @cached_property
+    def _alternating(self) -> list[Subject]:
         moved = np.cumsum(self.is_moving)
-        total = moved[-1] + 1
-        if alternating:
-            which = (STRETCHES * moved // total) % 2
-        else:
-            several = len(np.unique(self.recordings)) > 1
-            which = self.recordings if several else 2 * moved // total
+        return self._divided((STRETCHES * moved // (moved[-1] + 1)) % 2)
+
+    def _divided(self, which: IntArray) -> list[Subject]:
         parts = [self.part(which == one) for one in np.unique(which)]
         return [part for part in parts if 2 * len(part.samples) >= FEWEST and np.all(part.spread > 0.0)]
 
@@ -132,6 +140,12 @@ class Subject:
     def with_samples(self, samples: Samples) -> Subject:
         """The same robot in another motion."""
         return replace(self, samples=samples)
+
+    def at(self, position: FloatArray) -> Subject:
+        """The same motion at other positions ``(N, joints)``, which friction does not depend on."""
+        other = self.with_samples(replace(self.samples, position=position))
+        other.__dict__["_bases"] = self._bases
+        return other
 
     def under(self, gravity: FloatArray) -> Subject:
         """The same under another ``gravity (3,)`` in the base frame [m/s^2]."""
@@ -175,8 +189,7 @@ class Subject:
     @cached_property
     def predicted(self) -> FloatArray:
         """Efforts of the URDF's links ``(N, C)``."""
-        motion = self.robot.configuration(self.samples)
-        return self.robot.joint_efforts(*motion, self.prior.reshape(-1, 10))[:, self.joints]
+        return self.robot.joint_efforts(*self.robot.configuration(self.samples))[:, self.joints]
 
     @property
     def weight(self) -> FloatArray:
@@ -197,9 +210,16 @@ class Subject:
         return np.asarray(np.einsum("nck,ck->nc", self.friction[:, :, 1:-1], found.friction[:, 1:-1]))
 
     @cached_property
-    def columns(self) -> FloatArray:
-        """What the links' errors, of unit variance, add to the efforts ``(N, C, D)``."""
-        return by_unit_errors(self.regressor, self.factor)
+    def unknowns(self) -> Unknowns:
+        """What the links' errors, of unit variance, and friction add to the efforts."""
+        felt, columns = list[IntArray](), list[FloatArray]()
+        for channel, carried in enumerate(self.robot.carries[self.joints]):
+            (bodies,) = np.nonzero(carried)
+            rows = self.regressor[:, channel].reshape(-1, len(carried), 10)[:, bodies].transpose(1, 0, 2)
+            by_errors = (rows @ self.factor[bodies]).transpose(1, 0, 2).reshape(len(self.regressor), -1)
+            columns.append(np.column_stack([by_errors, self.friction[:, channel]]))
+            felt.append((10 * bodies[:, None] + np.arange(10)).ravel())
+        return Unknowns(len(self.prior), tuple(felt), tuple(columns))
 
     @cached_property
     def tolerated(self) -> FloatArray:
@@ -227,7 +247,7 @@ class Subject:
         return FlexibleFit(
             measured=self.measured,
             predicted=self.predicted,
-            links=self.columns,
+            links=self.unknowns,
             friction=self.friction,
             tolerated=self.tolerated,
             position=self.samples.position[:, self.joints],
@@ -247,14 +267,14 @@ class Subject:
         Args:
             either_sign: whether friction may be of either sign, of all channels or of each ``(C,)``.
             friction: whether there is any; a constant there may be in any case.
-            unknown: ``(N, C)`` what another unknown of unit variance adds to the efforts; it is the last of the links'
-                errors then.
+            unknown: ``(N, C, j)`` what other unknowns of unit variance add to the efforts; they are the last of the
+                links' errors then.
         """
-        columns = self.columns if unknown is None else np.dstack([self.columns, unknown])
+        unknowns = self.unknowns if unknown is None else self.unknowns.with_more(unknown)
+        if not friction:
+            unknowns = unknowns.with_own(self.friction * (np.arange(FRICTION) == 0))
         target = (self.measured - self.predicted) / self.spread
-        columns = columns / self.spread[:, None]
-        rubbing = self.friction if friction else self.friction * (np.arange(FRICTION) == 0)
-        return evidence(target, columns, rubbing, self.tolerated, either_sign=either_sign)
+        return evidence(target, unknowns, self.tolerated, units=self.spread, either_sign=either_sign)
 
     def links(self, found: Evidence) -> FloatArray:
         """The links' parameters ``(D,)`` that an evidence finds."""

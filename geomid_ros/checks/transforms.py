@@ -173,7 +173,9 @@ def _best_start(few: Subject, joint: int, sign: float) -> float:
     predicted most."""
     near = 0.5 * TILT
     starts = np.array([0.0, near, -near, 0.5 * np.pi, -0.5 * np.pi, np.pi])
-    read = [few.with_samples(_recounted(few.samples, joint, sign, start)) for start in starts]
+    counted = few.with_samples(_recounted(few.samples, joint, sign, 0.0))
+    at = np.arange(counted.samples.position.shape[1]) == joint
+    read = [counted.at(counted.samples.position + start * at) for start in starts]
     return float(starts[int(np.argmax([each.resemblance for each in read]))])
 
 
@@ -213,7 +215,7 @@ def _zero(subject: Subject, joint: int, sign: float, start: float) -> Candidate:
             rate = (ahead.regressor - behind.regressor) @ links * (0.5 * TILT / STEP)
             mended = read(subject, zero)
             mended.__dict__["predicted"] = mended.predicted + (start - zero) / TILT * rate
-            found = mended.evidence(unknown=rate)
+            found = mended.evidence(unknown=rate[:, :, None])
             zero = start + TILT * float(found.links[-1])
         deviations = TILT * found.deviations()[-1:]
         return Judged.mended(mended, subject.spread, found, estimates=np.array([zero]), deviations=deviations)

@@ -15,7 +15,7 @@ import numpy as np
 
 from geomid_ros.checks.candidates import PROBABLE, REASON, TILT, probabilities
 from geomid_ros.checks.causes import Cause, Finding, written
-from geomid_ros.checks.evidence import FOLLOWS, FRICTION, by_unit_errors, evidence, prior_factor
+from geomid_ros.checks.evidence import FOLLOWS, FRICTION, Unknowns, evidence, prior_factor
 from geomid_ros.checks.instants import FEWEST, STEP
 from geomid_ros.model.channels import AXES, WrenchSensor
 from geomid_ros.model.measurement import MeasurementModel, Rows
@@ -140,12 +140,13 @@ class WrenchSensorCheck:
         heavier = max(float(np.sqrt(np.sum(wrench[:, :3] ** 2) / square)), 1.0)
         # Of a channel's three axes each is an instant.
         target = wrench.reshape(-1, 2, 3).swapaxes(1, 2).reshape(-1, 2)
-        by_errors = by_unit_errors(regressor, heavier * self._factor)
+        by_body = regressor.reshape(-1, *self._factor.shape[:2]).transpose(1, 0, 2) @ (heavier * self._factor)
+        by_errors = by_body.transpose(1, 0, 2).reshape(regressor.shape)
         by_axis = by_errors.reshape(len(wrench), 2, 3, -1).swapaxes(1, 2)
         columns = by_axis.reshape(len(target), 2, -1)
         sizes = np.maximum(np.sqrt(np.mean(target**2, axis=0)), _FLOOR)
         none = np.zeros((len(target), 2, FRICTION))
-        found = evidence(target / sizes, columns / sizes[:, None], none, np.ones((2, FRICTION)))
+        found = evidence(target / sizes, Unknowns.of(columns, none), np.ones((2, FRICTION)), units=sizes)
         taken = (columns @ found.links).reshape(-1, 3, 2)[:, :, 0]
         return _Fit(found.log / len(wrench), found.sigmas, float(np.sum(taken * nominal)) / square)
 

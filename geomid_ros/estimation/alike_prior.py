@@ -76,7 +76,7 @@ class AlikePrior(CoupledPrior):
     @staticmethod
     def of(parts: Sequence[AlikeParts], problem: Problem) -> AlikePrior:
         """The prior of a problem whose links have those of the URDF."""
-        spreads, columns = common_spreads(parts, problem.usual), np.arange(problem.manifold.inertial.stop)
+        spreads, columns = common_spreads(parts, problem.usual), np.arange(len(problem.model.nominal_inertias))
         return AlikePrior(replace(problem, given_spreads=spreads), columns, parts)
 
     @cached_property

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -19,13 +18,28 @@ from geomid_ros.types import FloatArray, IntArray
 
 
 class Packed(NamedTuple):
-    """Layout for the compiled loops: ``blocks`` one after the other; ``places`` of their columns; for each place the
-    end of its run of consecutive columns (``runs``), within the channel; ``ends (C,)`` of the channels."""
+    """Layout for the compiled loops: ``blocks`` one after the other, of these ``widths (C,)``; of the columns that are
+    taken their ``rows`` in the block of their channel, and their ``places``; for each the end of its run of columns
+    that are consecutive in both (``runs``), within the channel; ``ends (C,)`` of the channels."""
 
     blocks: FloatArray
+    widths: IntArray
+    rows: IntArray
     places: IntArray
     runs: IntArray
     ends: IntArray
+
+
+def _weighed(
+    packed: Packed, vector: FloatArray, counts: FloatArray, least: FloatArray, *, alone: bool = False
+) -> tuple[FloatArray, FloatArray] | None:
+    """As :meth:`ChannelProducts.weighed_by_squares`, of the columns that are taken; the squares ``alone``, and no sum,
+    if that is said. None without compiled loops."""
+    if compiled.native is None:
+        return None
+    squares, total = np.empty(len(packed.ends)), np.empty((0 if alone else len(vector), len(vector)))
+    compiled.native.weigh(*packed, vector, counts, least, squares, total)
+    return squares, total
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,15 +73,29 @@ class ChannelProducts:
     @cached_property
     def packed(self) -> Packed:
         """Packed layout for the compiled loops."""
-        sizes = [len(own) for own in self.places]
-        runs = np.empty(sum(sizes), dtype=np.int64)
-        ends = np.cumsum(sizes)
-        for own, part in zip(self.places, np.split(runs, ends[:-1]), strict=True):
-            breaks = np.flatnonzero(np.diff(own) != 1) + 1
-            for begin, end in pairwise([0, *breaks.tolist(), len(own)]):
-                part[begin:end] = end
-        blocks = np.concatenate([block.ravel() for block in self.blocks])
-        return Packed(blocks, np.concatenate(self.places), runs, ends)
+        return self._packed(np.arange(self.size - 1))
+
+    @cached_property
+    def _joined(self) -> tuple[FloatArray, IntArray, IntArray]:
+        """All blocks, how wide they are, and the places of their columns, one after the other."""
+        widths = np.array([len(own) for own in self.places])
+        return np.concatenate([block.ravel() for block in self.blocks]), widths, np.concatenate(self.places)
+
+    def _packed(self, columns: IntArray) -> Packed:
+        """The same of some ``columns``, increasing, and the target."""
+        blocks, widths, places = self._joined
+        new = np.full(self.size, -1)
+        new[columns], new[-1] = np.arange(len(columns)), len(columns)
+        (kept,) = np.nonzero(new[places] >= 0)
+        at, channel = new[places[kept]], np.repeat(np.arange(len(widths)), widths)[kept]
+        counts = np.bincount(channel, minlength=len(widths))
+        ends = np.cumsum(counts)
+        begins = np.ones(len(at) + 1, dtype=np.bool_)
+        begins[1:-1] = (np.diff(at) != 1) | (np.diff(kept) != 1)
+        begins[ends] = True
+        breaks = np.flatnonzero(begins)
+        runs = breaks[np.searchsorted(breaks, np.arange(len(at)), side="right")] - np.repeat(ends - counts, counts)
+        return Packed(blocks, widths, kept - (np.cumsum(widths) - widths)[channel], at, runs, ends)
 
     def first(self, count: int) -> ChannelProducts:
         """The first ``count`` channels."""
@@ -77,17 +105,9 @@ class ChannelProducts:
         """All blocks multiplied by ``factor``."""
         return ChannelProducts(self.size, self.places, tuple(factor * block for block in self.blocks))
 
-    def select(self, columns: IntArray) -> ChannelProducts:
-        """Gram matrices of some ``columns``, increasing, and the target."""
-        new = np.full(self.size, -1)
-        new[columns], new[-1] = np.arange(len(columns)), len(columns)
-
-        def selected() -> Iterator[tuple[IntArray, FloatArray]]:
-            for places, block in zip(self.places, self.blocks, strict=True):
-                own = np.flatnonzero(new[places] >= 0)
-                yield new[places[own]], block[own[:, None], own]
-
-        return ChannelProducts.of(len(columns) + 1, selected())
+    def select(self, columns: IntArray) -> SelectedProducts:
+        """Those of some ``columns``, increasing, and the target."""
+        return SelectedProducts(self, columns)
 
     def dense(self, channel: int) -> FloatArray:
         """Gram matrix of one channel over all columns ``(size, size)``."""
@@ -97,6 +117,9 @@ class ChannelProducts:
 
     def squares(self, vector: FloatArray) -> FloatArray:
         """Squared norm per channel ``(C,)`` of the columns times ``vector (size,)``."""
+        nothing = np.zeros(len(self))
+        if (found := _weighed(self.packed, vector, nothing, nothing, alone=True)) is not None:
+            return found[0]
         pairs = zip(self.places, self.blocks, strict=True)
         return np.array([float(vector[own] @ block @ vector[own]) for own, block in pairs])
 
@@ -115,21 +138,69 @@ class ChannelProducts:
 
     def some(self, columns: IntArray, weights: FloatArray) -> FloatArray:
         """The rows of the weighted sum for some ``columns``, ``(len(columns), size)``."""
-        total = np.zeros((len(columns), self.size))
-        for weight, own, block in zip(weights, self.places, self.blocks, strict=True):
-            places = np.searchsorted(own, columns)
-            found = np.flatnonzero(own[places] == columns)
-            total[found[:, None], own] += weight * block[places[found]]
+        total, rows = np.zeros((len(columns), self.size)), self._rows[:, columns]
+        for channel in np.flatnonzero(np.any(rows >= 0, axis=1)).tolist():
+            (found,) = np.nonzero(rows[channel] >= 0)
+            own, block = self.places[channel], self.blocks[channel]
+            total[found[:, None], own] += weights[channel] * block[rows[channel, found]]
         return total
+
+    @cached_property
+    def _rows(self) -> IntArray:
+        """The row of each column in each channel's block ``(C, size)``; -1 where the channel does not have it."""
+        rows = np.full((len(self), self.size), -1)
+        for own, places in zip(rows, self.places, strict=True):
+            own[places] = np.arange(len(places))
+        return rows
 
     def weighed_by_squares(
         self, vector: FloatArray, counts: FloatArray, least: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Squared norms ``(C,)`` at ``vector (size,)``, with the lower bound ``least (C,)``; and the sum of the Gram
         matrices weighted by ``counts`` over these."""
-        if compiled.native is None:
-            squares = np.maximum(self.squares(vector), least)
-            return squares, self.weighed(counts / squares)
-        squares, total = np.empty(len(self)), np.empty((self.size, self.size))
-        compiled.native.weigh(*self.packed, vector, counts, least, squares, total)
-        return squares, total
+        if (found := _weighed(self.packed, vector, counts, least)) is not None:
+            return found
+        squares = np.maximum(self.squares(vector), least)
+        return squares, self.weighed(counts / squares)
+
+
+@dataclass(frozen=True, eq=False)
+class SelectedProducts:
+    """Those of some ``columns (k,)`` of the ``whole``, increasing, and the target. The compiled loops copy nothing."""
+
+    whole: ChannelProducts
+    columns: IntArray
+
+    @property
+    def targets(self) -> FloatArray:
+        """See :class:`ChannelProducts`."""
+        return self.whole.targets
+
+    @cached_property
+    def packed(self) -> Packed:
+        """Packed layout for the compiled loops."""
+        return self.whole._packed(self.columns)  # noqa: SLF001 of which it is a part
+
+    @cached_property
+    def _copied(self) -> ChannelProducts:
+        new = np.full(self.whole.size, -1)
+        new[self.columns], new[-1] = np.arange(len(self.columns)), len(self.columns)
+        pairs = [(np.flatnonzero(new[own] >= 0), own) for own in self.whole.places]
+        places = tuple(new[own[kept]] for kept, own in pairs)
+        blocks = zip(pairs, self.whole.blocks, strict=True)
+        return ChannelProducts(
+            len(self.columns) + 1, places, tuple(block[kept[:, None], kept] for (kept, _), block in blocks)
+        )
+
+    def squares(self, vector: FloatArray) -> FloatArray:
+        """See :class:`ChannelProducts`; ``vector (k + 1,)``."""
+        nothing = np.zeros(len(self.whole))
+        found = _weighed(self.packed, vector, nothing, nothing, alone=True)
+        return self._copied.squares(vector) if found is None else found[0]
+
+    def weighed_by_squares(
+        self, vector: FloatArray, counts: FloatArray, least: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """See :class:`ChannelProducts`; ``vector (k + 1,)``."""
+        found = _weighed(self.packed, vector, counts, least)
+        return self._copied.weighed_by_squares(vector, counts, least) if found is None else found

@@ -54,7 +54,8 @@ def together(parts: Sequence[ChannelSummary]) -> ChannelSummary:
 
 def usable(coefficients: FloatArray, targets: FloatArray) -> BoolArray:
     """Which rows ``(..., D)`` have a target ``(...)`` and coefficients that are numbers: one NaN would spoil all."""
-    return np.asarray(np.isfinite(targets) & np.all(np.isfinite(coefficients), axis=-1))
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.isfinite(targets) & np.isfinite(np.sum(coefficients, axis=-1)))  # a sum of numbers is one
 
 
 def triangular(matrix: FloatArray) -> FloatArray:

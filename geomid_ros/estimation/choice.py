@@ -14,7 +14,7 @@ link that has swallowed an effect hides it. No effect is negative that cannot be
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,17 +40,22 @@ class Choice:
     spreads: FloatArray | None = None
 
 
-def choose(problem: Problem, earlier: IntArray | None = None) -> Choice:
+def choose(
+    problem: Problem, earlier: IntArray | None = None, beside: Callable[[Problem], Problem] = lambda alone: alone
+) -> Choice:
     """The parameters that the rows ask for: all that are not optional, each in its best shape, and the optional ones
     that are believed.
 
     Args:
         problem: with all coefficients.
         earlier: what was chosen for fewer of the same rows, to go on from.
+        beside: the problem with what is known beside it; found only where there is a choice.
     """
     rows = CoefficientRows(problem)
     if not (rows.has_choice and rows.enough):
         return Choice(rows.standing)
+    problem = beside(problem)
+    rows = CoefficientRows(problem)
     moving = _grown(rows.fit(rows.standing if earlier is None else earlier))
     chosen = _grown(CoefficientRows(problem, at_rest=True).fit(moving.every))
     return Choice(chosen.every, chosen.parameters, chosen.fit.scales)

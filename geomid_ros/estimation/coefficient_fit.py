@@ -10,6 +10,7 @@ import numpy as np
 
 from geomid_ros.estimation.channel_products import ChannelProducts
 from geomid_ros.estimation.link_spreads import cost_of_spreads, likely_spreads
+from geomid_ros.estimation.objective import rows_at
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.profile_objective import (
     Profile,
@@ -120,11 +121,12 @@ class CoefficientRows:
         return self.problem.products.first(len(self.counts)).times(self.problem.independent)
 
     @cached_property
-    def known_residuals(self) -> FloatArray:
-        """Of the rows that are known, at the prior without effects."""
-        prior = self.problem.model.nominal_parameters
-        prior[: self.first] = self.problem.prior[: self.first]
-        return np.asarray(self.problem.known.rows @ prior - self.problem.known.targets)
+    def known_products(self) -> FloatArray:
+        """Of the rows that are known, at the prior without effects: all columns and the residual by each other."""
+        manifold = StraightManifold(len(self.problem.usual), 0, self.problem.scales)
+        prior = manifold.point(np.append(self.problem.prior[: self.first], np.zeros(len(manifold.scales))))
+        known = rows_at(manifold, prior, self.problem.known.rows, self.problem.known.targets)
+        return np.asarray(known.T @ known)
 
     @cached_property
     def counts(self) -> FloatArray:
@@ -175,8 +177,8 @@ class CoefficientRows:
         point, spreads = prior, usual
         if start is not None:
             point, spreads = manifold.point(start.parameters[columns]), start.fit.scales
-        known = np.column_stack([manifold.rows_off(prior, problem.known.rows[:, columns]), self.known_residuals])
-        products = known.T @ known
+        own = np.append(columns, self.size)
+        products = self.known_products.take(own, 0).take(own, 1)
         profile = Profile(manifold, self.products.select(columns), self.counts, prior, self.floors)
 
         def objective(spreads: FloatArray) -> ProfileObjective:

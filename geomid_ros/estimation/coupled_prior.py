@@ -16,6 +16,7 @@ import numpy as np
 from geomid_ros.estimation.fit import Fit
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.tolerances import ROUNDS, SETTLED
+from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.types import FloatArray, IntArray
@@ -75,30 +76,31 @@ class CoupledPrior(ABC):
     def problem_at(self, point: Point, weights: Mapping[str, float]) -> Problem:
         """The problem with the prior's rows, linearised at a point of its manifold, for these weights of the blocks."""
         tangent, root = self.tangent(point), self.root(weights)
+        blocks, diagonal = self.manifold.exp_jacobian(self.mean, tangent)
         rows = np.zeros((len(root), self.problem.model.dimension))
-        rows[:, self.columns] = np.linalg.solve(self._derivative(tangent).T, root.T).T
+        rows[:, self.columns] = self.manifold.by_blocks(root, np.asarray(np.linalg.inv(blocks)), 1.0 / diagonal)
         targets = rows @ point.parameters - root @ tangent
         return self.problem.beside(WeighedRows(rows, targets))
-
-    def _derivative(self, tangent: FloatArray) -> FloatArray:
-        return self.manifold.exp_derivative(self.mean, tangent)
 
     def weights(self, found: Fit, before: Mapping[str, float]) -> dict[str, float]:
         """The weights of the blocks, by the expected squares of their coordinates at a fit."""
         tangent = self.tangent(found.place)
-        expected = np.outer(tangent, tangent) + self._covariance(found, tangent)
+        expected = np.column_stack([tangent, self._unsure(found, tangent)])
         weights = {}
         for name, off in zip(self.names, self.offs(before), strict=True):
-            square = float(np.sum((off @ expected) * off))
+            square = float(np.sum((off @ expected) ** 2))
             weights[name] = min(1.0, (self.freedom + len(off)) / (self.freedom + square))
         return weights
 
-    def _covariance(self, found: Fit, tangent: FloatArray) -> FloatArray:
-        """The posterior's, in the prior's coordinates."""
-        manifold = self.problem.manifold
-        derivative = manifold.exp_derivative(found.place, np.zeros(manifold.dimension))[self.columns]
-        moved = np.linalg.solve(self._derivative(tangent), derivative)
-        return np.asarray(moved @ np.linalg.solve(found.information, moved.T))
+    def _unsure(self, found: Fit, tangent: FloatArray) -> FloatArray:
+        """A root ``(k, r)`` of the posterior's covariance, in the prior's coordinates."""
+        whole, own = self.problem.manifold, self.manifold
+        blocks, diagonal = own.exp_jacobian(self.mean, tangent)
+        links = own.point(found.place.parameters[self.columns]).links_jacobian
+        rest = whole.jacobian(found.place)[1][self.columns[own.inertial.stop :] - whole.inertial.stop]
+        root = definite.roots(found.information, int(np.max(self.columns, initial=-1)) + 1)[self.columns]
+        moved = np.swapaxes(np.linalg.solve(blocks, links), -1, -2)
+        return own.by_blocks(root.T, moved, rest / diagonal).T
 
 
 def fit_beside(

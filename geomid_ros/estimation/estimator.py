@@ -161,7 +161,7 @@ def estimate(
 
     kept = None if warm is None else _kept(model, warm)
     if warm is None or kept is None or warm.effects_alone:
-        choice = choose(_at_prior(settings, whole), kept)
+        choice = choose(whole, kept, partial(_at_prior, settings))
         columns = choice.columns
         result = _estimate(columns, model, solved := fitted(columns, other=choice), settings)
         while len(unsure := _unsure(model, result, columns)):
@@ -173,8 +173,7 @@ def estimate(
         result = _estimate(columns, model, solved := fitted(columns, warm), settings)
 
     def chosen(held: IntArray, begun: IntArray) -> IntArray:
-        problem = subproblem(whole, held)
-        choice = choose(_at_prior(settings, problem), np.searchsorted(held, begun))
+        choice = choose(subproblem(whole, held), np.searchsorted(held, begun), partial(_at_prior, settings))
         return np.asarray(held[choice.columns])
 
     untold, (_, weights, _) = _untold_errors(model, result, columns), solved

@@ -43,8 +43,8 @@ def fit_files(
     within = {}
     for reader, elements in files.items():
         held = np.setdiff1d(held_columns(model, np.arange(model.dimension), elements), untold)
-        if (key := tuple(held.tolist())) not in found:
-            columns = choose(held, np.setdiff1d(held_columns(model, chosen, elements), untold))
+        columns = choose(held, np.setdiff1d(held_columns(model, chosen, elements), untold))
+        if (key := tuple(columns.tolist())) not in found:  # files that differ may be asked to hold the same
             parameters = np.zeros(model.dimension)
             parameters[columns] = fitted(columns).point.parameters
             found[key] = frozen(parameters)

@@ -169,7 +169,7 @@ class Identifier:
                     self._rejected[STANDING_STILL] += int(counts[index])
                 else:
                     moving[index] = True
-            taken = Rows(rows.coefficients[moving], rows.targets[moving])
+            taken = rows if np.all(moving) else Rows(rows.coefficients[moving], rows.targets[moving])
             self._take(taken.coefficients, targets[moving], elapsed[moving], of_motion[moving])
         return samples.stamps[moving], taken, of_motion[moving] == REGIMES - 1
 

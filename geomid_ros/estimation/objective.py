@@ -255,13 +255,13 @@ def rows_at(manifold: ParameterManifold, prior: Point, rows: FloatArray, targets
     return np.column_stack([manifold.rows_off(prior, rows), rows @ prior.parameters - targets])
 
 
-def dual_square(manifold: ParameterManifold, point: Point, products: FloatArray) -> float:
-    """Sum of the squared dual norms at ``point`` of rows with these products of their columns: of their weights (Remark
-    2), if they have the standard deviation 1."""
+def dual_metric(manifold: ParameterManifold, point: Point) -> FloatArray:
+    """M^-1 ``(D, D)`` at ``point``: what products of rows of standard deviation 1 have in common with it is the sum of
+    their weights (Remark 2)."""
     blocks, diagonal = manifold.jacobian(point)
-    metric = blocks @ np.swapaxes(blocks, -1, -2)
-    rest = np.diagonal(products)[manifold.inertial.stop : manifold.dimension]
-    return float(np.sum(metric * products[manifold.links_blocks]) + rest @ diagonal**2)
+    metric = np.zeros((manifold.dimension, manifold.dimension))
+    manifold.add_blocks(metric, blocks @ np.swapaxes(blocks, -1, -2), diagonal**2)
+    return metric
 
 
 def row_weights(manifold: ParameterManifold, prior: Point, rows: FloatArray, sigmas: FloatArray) -> FloatArray:

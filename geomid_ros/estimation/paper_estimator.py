@@ -9,7 +9,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.channel_summary import triangular
-from geomid_ros.estimation.objective import GeodesicObjective, ProductsObjective, ResidualObjective, dual_square
+from geomid_ros.estimation.objective import GeodesicObjective, ProductsObjective, ResidualObjective, dual_metric
 from geomid_ros.estimation.solvers import SOLVERS, Solution, trust_region
 from geomid_ros.estimation.tolerances import LEAST_GRADIENT, ROUNDING_OF_PRODUCTS
 from geomid_ros.geometry import pseudo_inertia
@@ -228,7 +228,7 @@ def _minimiser_of_remark_3(objective: GeodesicObjective | ResidualObjective) -> 
     if isinstance(objective, GeodesicObjective):
         rows, targets, sigmas = objective.rows, objective.targets, objective.sigmas
         objective = ResidualObjective(manifold, rows, targets, sigmas, prior, objective.gamma)
-    weight = dual_square(manifold, prior, objective.products)
+    weight = float(np.sum(dual_metric(manifold, prior) * objective.products[:-1, :-1]))
     content = ProductsObjective(manifold, objective.products, prior, objective.prior_weights, weight)
     return trust_region(content, prior, _START_TOLERANCE, radius=_RADIUS).point
 

@@ -231,6 +231,6 @@ def linear(
     """What a robot's rows, linearised at ``point``, say of its tangent coordinates t at ``base``: the information
     ``(D, D)`` and the vector ``(D,)`` that it is of ``information @ t``."""
     tangent = manifold.log(base, point)
-    rows = robot.rows @ manifold.exp_derivative(base, tangent)
+    rows = manifold.by_blocks(robot.rows, *manifold.exp_jacobian(base, tangent))
     targets = robot.targets - robot.rows @ point.parameters + rows @ tangent
     return rows.T @ rows, rows.T @ targets

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.estimation.channel_products import ChannelProducts
-from geomid_ros.estimation.objective import dual_square, row_weights, rows_at
+from geomid_ros.estimation.objective import dual_metric, row_weights, rows_at
 from geomid_ros.estimation.starting_point import (
     USUAL_SPREAD_OF_LINKS,
     USUAL_SPREAD_OF_REALS,
@@ -66,7 +66,7 @@ class Problem:
         """The usual spreads of the links' priors ``(links,)``."""
         if self.given_spreads is not None:
             return self.given_spreads
-        return np.full(self.manifold.links, USUAL_SPREAD_OF_LINKS)
+        return np.full(len(self.model.body_names), USUAL_SPREAD_OF_LINKS)
 
     @cached_property
     def manifold(self) -> ParameterManifold:
@@ -128,8 +128,9 @@ class Problem:
     @cached_property
     def row_weights(self) -> FloatArray:
         """Of each group: the sum of the weights (Remark 2) of its rows, if their standard deviation is 1."""
-        every = map(self.products.dense, range(len(self.products)))
-        return np.array([dual_square(self.manifold, self.prior_point, own) for own in every])
+        metric = dual_metric(self.manifold, self.prior_point)
+        pairs = zip(self.products.places, self.products.blocks, strict=True)
+        return np.array([np.sum(metric[own[:-1, None], own[:-1]] * block[:-1, :-1]) for own, block in pairs])
 
     @cached_property
     def known_weight(self) -> float:

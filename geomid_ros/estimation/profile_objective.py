@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.linalg import LinAlgError
 
-from geomid_ros.estimation.channel_products import ChannelProducts
+from geomid_ros.estimation.channel_products import ChannelProducts, SelectedProducts
 from geomid_ros.estimation.objective import Evaluation, with_prior
 from geomid_ros.estimation.solvers import ENDS, GRADIENT, Solution, trust_region
 from geomid_ros.estimation.tolerances import ROUNDS
@@ -41,7 +41,7 @@ class Profile:
     ``counts (C,)`` of rows; and the ``prior``."""
 
     manifold: ParameterManifold
-    products: ChannelProducts
+    products: ChannelProducts | SelectedProducts
     counts: FloatArray
     prior: Point
     floors: FloatArray | float = 0.0
@@ -97,16 +97,12 @@ class ProfileObjective:
 
 @dataclass(frozen=True, eq=False)
 class ProfileFit:
-    """Where a fit ended, with the ``scales`` of the prior that go with it."""
+    """Where a fit ended, with the ``scales`` of the prior that go with it, and the objective there."""
 
     objective: ProfileObjective
     point: Point
     scales: FloatArray
-
-    @cached_property
-    def evaluation(self) -> Evaluation:
-        """The objective there."""
-        return self.objective.evaluate(self.point)
+    evaluation: Evaluation
 
     @cached_property
     def hessian(self) -> FloatArray:
@@ -140,11 +136,12 @@ def fit_scales(
         solution = minimum(trusted, point)
         point, before = solution.point, scales
         if likely is None:
-            break
+            return ProfileFit(trusted, point, scales, solution.evaluation)
         scales = likely(point, solution.evaluation.information + np.diag(trusted.weights), scales)
         if np.all(np.abs(np.log(scales / before)) < _SETTLED):
             break
-    return ProfileFit(objective(scales), point, scales)
+    trusted = objective(scales)
+    return ProfileFit(trusted, point, scales, trusted.evaluate(point))
 
 
 def minimum(objective: ProfileObjective, start: Point) -> Solution:

@@ -214,10 +214,13 @@ class RowSummary:
     def with_columns(self, channels: Sequence[Channel], chosen: IntArray) -> RowSummary:
         """A copy in which only the ``chosen`` of the D parameters are left; ``channels`` are those of what is left."""
         copy = self._copy(channels)
-        for index, group in enumerate(self.groups):
-            kept = np.append(np.flatnonzero(np.isin(group.columns, chosen)), -1)
-            for fold in copy._summaries:  # noqa: SLF001 its own
-                fold[index].factor = fold[index].factor.take(kept, axis=1)
+        kept = [np.append(np.flatnonzero(np.isin(group.columns, chosen)), -1) for group in self.groups]
+        for fold in copy._summaries:  # noqa: SLF001 its own
+            for part, own in zip(fold, kept, strict=True):
+                part.factor = part.factor.take(own, axis=1)
+        if self._factors is not None:  # their columns are factors, too, and lower than those of all folds together
+            pairs = zip(self._factors, kept, strict=True)
+            copy._factors = tuple(triangular(factor.take(own, axis=1)) for factor, own in pairs)  # noqa: SLF001
         return copy
 
     def with_more(self, channel: int, parameters: FloatArray) -> RowSummary:
@@ -312,13 +315,14 @@ class RowSummary:
             sigmas: Standard deviations ``(groups,)``, or ``(channels,)`` for those of both groups.
             dimension: D.
         """
-        # First by group: most have few columns, and many small decompositions stop no other thread for long.
+        # First by channel: most have few columns, and many small decompositions stop no other thread for long.
         stacked = [np.zeros((0, dimension + 1))]
-        scales = np.resize(sigmas, len(self.groups))
-        for group, sigma, factor in zip(self.groups, scales, self.factors(), strict=True):
+        scales, factors, count = np.resize(sigmas, len(self.groups)), self.factors(), len(self.channels)
+        for index, channel in enumerate(self.channels):
+            own = [factor / sigma for factor, sigma in zip(factors[index::count], scales[index::count], strict=True)]
+            factor = triangular(np.concatenate(own))
             widened = np.zeros((len(factor), dimension + 1))
-            widened[:, group.columns] = factor[:, :-1] / sigma
-            widened[:, -1] = factor[:, -1] / sigma
+            widened[:, channel.columns], widened[:, -1] = factor[:, :-1], factor[:, -1]
             stacked.append(widened)
         whole = triangular(np.concatenate(stacked))[:dimension]
         return whole[:, :-1], whole[:, -1]

@@ -115,16 +115,18 @@ def estimate_uncertainty(
     """
     weights = np.maximum(prior_weights, np.finfo(float).tiny)
     measured = _sum(folds, len(weights))
+    information = measured.information + trust * known.information
+    inverse = information_inverse(information, weights)
     blocks = [_together(folds, count) for count in _FOLDS_OF_BLOCKS]
-    each = [variance_inflation(many, trust * known.information, weights, groups, least_inflation) for many in blocks]
+    each = [variance_inflation(many, information, inverse, weights, groups, least_inflation) for many in blocks]
     factors = np.max(each, axis=0)
     share = 1.0 / float(np.mean(factors))
     independent = Fold(share * measured.gradient + known.gradient, share * measured.information + known.information)
     spreads = np.maximum(prior_spreads(independent, from_prior, groups), assumed_spreads)
-    noise, inherited = error_covariance(measured.information, known.information, trust, weights, factors, spreads)
+    parts = measured.information, trust, known.information
+    noise, inherited = error_covariance(inverse, *parts, factors, weights * spreads)
     covariance = noise + inherited
-    prior = _inverse(np.zeros_like(covariance) + expected, spreads**-2.0)
-    inverse = _inverse(measured.information + trust * known.information, weights)
+    prior = information_inverse(np.zeros_like(covariance) + expected, spreads**-2.0)
     by_rows = np.maximum(1.0 / np.diag(inverse) - weights, 0.0) / factors
     return Uncertainty(covariance, inherited, prior, share, by_rows)
 
@@ -140,24 +142,23 @@ def _sum(folds: Sequence[Fold], dimension: int) -> Fold:
 
 
 def error_covariance(
-    measured: FloatArray, known: FloatArray, trust: float, weights: FloatArray, factors: FloatArray, spreads: FloatArray
+    inverse: FloatArray, measured: FloatArray, trust: float, known: FloatArray, factors: FloatArray, pulls: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Covariance ``(D, D)`` of the estimate's error ``H^-1 (noise + W error of the prior)``: its two parts.
 
     With ``W = 1 / spreads^2``, and all factors and trust 1, they add up to ``H^-1``, the Bayesian posterior.
 
     Args:
-        measured, known: Information ``(D, D)`` of the rows; H is ``measured + trust known + W``. The noise of the
-            measured rows has the covariance ``measured``, enlarged by ``factors``.
+        inverse: ``(D, D)`` of H, which is ``measured + trust known + W``.
+        measured, known: Information ``(D, D)`` of the rows. The noise of the measured rows has the covariance
+            ``measured``, enlarged by ``factors``.
         trust: Weight of the known rows.
-        weights: The prior's weights ``(D,)``, the diagonal of W.
         factors: Variance inflation ``(D,)``.
-        spreads: Standard deviations ``(D,)`` of the prior's error.
+        pulls: Standard deviations ``(D,)`` of the prior's error, times the prior's weights, the diagonal of W.
     """
-    inverse = _inverse(measured + trust * known, weights)
     of_rows = np.sqrt(factors)[:, None] * (inverse @ _root(measured))
     of_known = trust * (inverse @ _root(known))
-    of_prior = inverse * (weights * spreads)
+    of_prior = inverse * pulls
     return of_rows @ of_rows.T + of_known @ of_known.T, of_prior @ of_prior.T
 
 
@@ -173,7 +174,7 @@ def _root(information: FloatArray) -> FloatArray:
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def _inverse(information: FloatArray, weights: FloatArray) -> FloatArray:
+def information_inverse(information: FloatArray, weights: FloatArray) -> FloatArray:
     """``(information + W)^-1`` for any weights above zero: rounding cannot make it indefinite."""
     units = np.sqrt(weights)
     values, vectors = np.linalg.eigh(information / np.outer(units, units))
@@ -182,11 +183,11 @@ def _inverse(information: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def _solved(information: FloatArray, weights: FloatArray, gradient: FloatArray) -> FloatArray:
-    """``(information + W)^-1 gradient``, as :func:`_inverse` is right for any weights above zero."""
+    """``(information + W)^-1 gradient``, as :func:`information_inverse` is right for any weights above zero."""
     units = np.sqrt(weights)
     scaled = information / np.outer(units, units)
     np.fill_diagonal(scaled, np.diag(scaled) + _own_part(scaled))
-    return np.asarray(np.linalg.solve(scaled, gradient / units) / units)
+    return np.asarray(definite.solved_anyway(scaled, gradient / units) / units)
 
 
 def _own_part(scaled: FloatArray) -> float:
@@ -196,7 +197,12 @@ def _own_part(scaled: FloatArray) -> float:
 
 
 def variance_inflation(
-    folds: Sequence[Fold], known: FloatArray, weights: FloatArray, groups: Sequence[ParameterGroup], least: float = 1.0
+    folds: Sequence[Fold],
+    information: FloatArray,
+    inverse: FloatArray,
+    weights: FloatArray,
+    groups: Sequence[ParameterGroup],
+    least: float = 1.0,
 ) -> FloatArray:
     """Factors ``(D,)``, not below ``least``, by which errors vary more than under independent residuals.
 
@@ -209,10 +215,8 @@ def variance_inflation(
     if len(folds) < 2:
         return result
     measured = _sum(folds, len(weights)).information
-    total = measured + known
-    moves = np.array([_solved(total - fold.information, weights, fold.gradient) for fold in folds])
+    moves = np.array([_solved(information - fold.information, weights, fold.gradient) for fold in folds])
     moves = np.sqrt(1.0 - 1.0 / len(folds)) * (moves - np.mean(moves, axis=0))
-    inverse = _inverse(total, weights)
     independent = inverse @ measured @ inverse
     for group in groups:
         block = independent[np.ix_(group.columns, group.columns)]

@@ -43,6 +43,8 @@ def second_order(
 ) -> float: ...
 def weigh(
     products: FloatArray,
+    widths: IntArray,
+    rows: IntArray,
     places: IntArray,
     runs: IntArray,
     ends: IntArray,

@@ -6,8 +6,6 @@ The compiled one leaves out what is zero, and stays zero: limbs know nothing of 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
-from types import ModuleType
 
 import numpy as np
 from numpy.linalg import LinAlgError
@@ -40,21 +38,12 @@ class Packed:
         return found + np.tril(found, -1).T
 
 
-@cache
-def _lapack() -> ModuleType:
-    from scipy.linalg import lapack  # noqa: PLC0415 what solves nothing need not load it
-
-    return lapack  # type: ignore[no-any-return]
-
-
 def solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """The x with ``matrix (n, n) x = right (n,)``. Raises LinAlgError for a matrix that is not positive definite."""
-    if compiled.native is not None and right.ndim == 1:
+    """The x with ``matrix (n, n) x = right (n, ...)``. Raises LinAlgError for one that is not positive definite."""
+    if right.ndim == 1:
         return damped_step(matrix, -right, 0.0)[0]
-    _, x, failed = _lapack().dposv(matrix, right, lower=1)
-    if failed:
-        raise LinAlgError("not positive definite")
-    return np.asarray(x)
+    root = _factored(matrix, len(matrix))
+    return np.asarray(root @ (root.T @ right))
 
 
 def damped_step(matrix: FloatArray, gradient: FloatArray, damping: float) -> tuple[FloatArray, float]:
@@ -66,11 +55,9 @@ def damped_step(matrix: FloatArray, gradient: FloatArray, damping: float) -> tup
         if not bend >= 0.0:
             raise LinAlgError("not positive definite")
         return x, float(bend)
-    factor, x, failed = _lapack().dposv(matrix + damping * np.eye(len(matrix)), -gradient, lower=1)
-    if failed:
-        raise LinAlgError("not positive definite")
-    y, _ = _lapack().dpotrs(factor, x, lower=1)
-    return np.asarray(x), float(x @ y)
+    root = _factored(matrix + damping * np.eye(len(matrix)), len(matrix))
+    y = root.T @ gradient
+    return np.asarray(-root @ y), float(np.sum((root.T @ (root @ y)) ** 2))
 
 
 def solved_anyway(matrix: FloatArray, right: FloatArray) -> FloatArray:
@@ -85,22 +72,29 @@ def solved_anyway(matrix: FloatArray, right: FloatArray) -> FloatArray:
 def whitener(matrix: FloatArray) -> FloatArray:
     """A triangular T ``(n, n)`` with ``T matrix T' = 1``, so that ``T'T`` is the inverse; where rounding leaves the
     matrix not quite positive definite, that of the nearest one which is."""
-    if not len(matrix):
-        return matrix
-    factor, failed = _lapack().dpotrf(matrix, lower=1, clean=1)
-    if failed:
-        values, vectors = np.linalg.eigh(matrix)
-        values = np.maximum(values, np.finfo(np.float64).eps * values[-1])
-        return np.asarray(np.linalg.qr((vectors / np.sqrt(values)).T, mode="r"))
-    return np.asarray(_lapack().dtrtri(factor, lower=1)[0])
+    return np.asarray(roots(matrix, len(matrix)).T)
 
 
 def roots(matrix: FloatArray, count: int) -> FloatArray:
-    """R ``(count, n)`` of which ``R R'`` is the first block of the inverse of ``matrix (n, n)``."""
+    """R ``(count, n)`` of which ``R R'`` is the first block of the inverse of ``matrix (n, n)``, or of the nearest one
+    that is positive definite."""
+    try:
+        return _factored(matrix, count)
+    except LinAlgError:
+        values, vectors = np.linalg.eigh(matrix)
+        values = np.maximum(values, np.finfo(np.float64).eps * values[-1])
+        nearest = np.asarray(np.linalg.qr((vectors / np.sqrt(values)).T, mode="r"))
+        return np.asarray(nearest[:, :count].T)
+
+
+def _factored(matrix: FloatArray, count: int) -> FloatArray:
+    """The same. Raises LinAlgError for a matrix that is not positive definite."""
+    if compiled.native is None:
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(matrix))[:, :count].T)
     found = np.empty((count, len(matrix)))
-    if compiled.native is not None and compiled.native.roots(matrix.copy(), found)[0]:
-        return found
-    return whitener(matrix)[:, :count].T
+    if not compiled.native.roots(matrix.copy(), found)[0]:
+        raise LinAlgError("not positive definite")
+    return found
 
 
 def log_determinant(matrix: FloatArray) -> float:
@@ -115,15 +109,14 @@ def log_determinant(matrix: FloatArray) -> float:
 
 def variances(matrix: FloatArray, count: int) -> FloatArray:
     """The first elements of the diagonal of the inverse of ``matrix (n, n)``, ``(count,)``."""
-    return np.asarray(np.sum(roots(matrix, count) ** 2, axis=1))
+    root = roots(matrix, count)
+    return np.asarray(np.einsum("ij,ij->i", root, root))
 
 
 def inverse(matrix: FloatArray) -> FloatArray:
     """The inverse of ``matrix (n, n)``; by a general method where rounding leaves it not quite positive definite."""
-    factor, failed = _lapack().dpotrf(matrix, lower=1, clean=1)
-    if failed:
+    try:
+        root = _factored(matrix, len(matrix))
+    except LinAlgError:
         return np.asarray(np.linalg.inv(matrix))
-    half, _ = _lapack().dpotri(factor, lower=1)
-    whole = half + half.T
-    np.fill_diagonal(whole, np.diag(half))
-    return np.asarray(whole)
+    return np.asarray(root @ root.T)

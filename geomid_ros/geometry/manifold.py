@@ -140,18 +140,15 @@ class ParameterManifold:
             base.reals + self.scales * tangent[self.real],
         )
 
-    def exp_derivative(self, base: Point, tangent: FloatArray) -> FloatArray:
-        """Derivative ``(D, D)`` of the parameters of ``exp(base, tangent)`` by the tangent coordinates at ``base``."""
+    def exp_jacobian(self, base: Point, tangent: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Derivative of the parameters of ``exp(base, tangent)`` by the tangent coordinates at ``base``, by blocks as
+        of :meth:`jacobian`."""
         matrices = symmetric.to_matrix(tangent[self.inertial].reshape(self.links, symmetric.SIZE))
         values, vectors = np.linalg.eigh(matrices)
         turned = spd.congruence(np.swapaxes(vectors, -1, -2)[:, None], _UNITS)
         changes = spd.congruence(vectors[:, None], spd.exp_differences(values)[:, None] * turned)
         blocks = pseudo_inertia.to_parameters(spd.congruence(base.root[:, None], changes))
-        derivative = np.diag(
-            np.concatenate([np.zeros(self.inertial.stop), base.positives * np.exp(tangent[self.positive]), self.scales])
-        )
-        derivative[self.links_blocks] = np.swapaxes(blocks, -1, -2)
-        return derivative
+        return np.swapaxes(blocks, -1, -2), np.append(base.positives * np.exp(tangent[self.positive]), self.scales)
 
     def straight(self, base: Point, tangent: FloatArray) -> Point:
         """The end of a straight line of the parameters that leaves ``base`` with tangent coordinates ``(D,)``.
@@ -222,7 +219,7 @@ class ParameterManifold:
 
     def whiten(self, base: Point, rows: FloatArray) -> FloatArray:
         """Coordinates ``(N, D)`` of rows ``(N, D)`` at ``base``; their norm is the rows' dual norm there."""
-        return self._by_tangent(rows, *self.jacobian(base))
+        return self.by_blocks(rows, *self.jacobian(base))
 
     def off(self, base: Point, point: Point) -> FloatArray:
         """How far ``point`` is off ``base``, ``(D,)``: the links' tangent coordinates along the straight line, and the
@@ -238,14 +235,14 @@ class ParameterManifold:
 
     def rows_off(self, base: Point, rows: FloatArray) -> FloatArray:
         """Rows ``(N, D)`` of the parameters as rows of :meth:`off`."""
-        return self._by_tangent(rows, base.links_jacobian, np.ones(self.dimension - self.inertial.stop))
+        return self.by_blocks(rows, base.links_jacobian, np.ones(self.dimension - self.inertial.stop))
 
     def whiten_off(self, base: Point, point: Point, rows: FloatArray) -> FloatArray:
         """:meth:`whiten` at ``point`` for rows of :meth:`off`."""
-        return self._by_tangent(rows, base.to_tangent @ symmetric.congruence(point.root), self.jacobian(point)[1])
+        return self.by_blocks(rows, base.to_tangent @ symmetric.congruence(point.root), self.jacobian(point)[1])
 
-    def _by_tangent(self, rows: FloatArray, blocks: FloatArray, diagonal: FloatArray) -> FloatArray:
-        """Rows ``(N, D)`` times a Jacobian, by blocks as of :meth:`jacobian`."""
+    def by_blocks(self, rows: FloatArray, blocks: FloatArray, diagonal: FloatArray) -> FloatArray:
+        """Rows ``(N, D)`` times a matrix, by blocks as of :meth:`jacobian`."""
         whitened = np.empty(rows.shape)
         by_link = (rows[:, self.inertial], whitened[:, self.inertial])
         before, after = (part.reshape(len(rows), self.links, symmetric.SIZE).swapaxes(0, 1) for part in by_link)

@@ -357,14 +357,14 @@ class Robot:
             rows[:] = pin.computeJointTorqueRegressor(self._model, self._data, *state).reshape(rows.shape)
         rows = np.concatenate([self._of_joints(full), full[:, :6]], axis=1) if base else self._of_joints(full)
         found = np.zeros((len(q), rows.shape[1], len(self.bodies), 10))
-        felt = np.concatenate([self._carries, np.tile(self._moved_by >= 0, (rows.shape[1] - len(self.joints), 1))])
+        felt = np.concatenate([self.carries, np.tile(self._moved_by >= 0, (rows.shape[1] - len(self.joints), 1))])
         joints, bodies = np.nonzero(felt)
         pairs = rows.reshape(len(q), rows.shape[1], -1, 10)[:, joints, self._moved_by[bodies]].transpose(1, 0, 2)
         found[:, joints, bodies] = (pairs @ self._to_joints[bodies]).transpose(1, 0, 2)
         return found
 
     @cached_property
-    def _carries(self) -> BoolArray:
+    def carries(self) -> BoolArray:
         """Whether each joint, or what follows it, moves each body ``(joints, bodies)``."""
         carries = np.zeros((len(self.joints), len(self.bodies)), dtype=np.bool_)
         moving = {joint.name: place for place, joint in enumerate(self.joints)}
@@ -389,7 +389,9 @@ class Robot:
     ) -> FloatArray:
         """The joints' efforts ``(N, joints)`` at N instants by the recursive Newton-Euler algorithm, with ``inertias
         (all bodies, 10)``; those of the URDF if None."""
-        model = self._model if inertias is None else self.with_inertias(inertias, range(len(inertias)))
+        if inertias is None:
+            return self.efforts_of(self._model, self._data, q, v, a)
+        model = self.with_inertias(inertias, range(len(inertias)))
         return self.efforts_of(model, model.createData(), q, v, a)
 
     def efforts_of(self, model: pin.Model, data: pin.Data, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
@@ -404,6 +406,8 @@ class Robot:
 
     def _of_joints(self, rows: FloatArray) -> FloatArray:
         """The rows ``(..., joints, k)`` of the robot's joints, of those ``(..., nv, k)`` of all that moves."""
+        if self._velocity_rows == [*range(rows.shape[-2])]:
+            return rows
         own = rows[..., self._velocity_rows, :]
         for follower in self.followers:
             own[..., follower.master, :] += follower.factor * rows[..., follower.joint.v, :]

@@ -9,15 +9,17 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup, escape
 
 from geomid_ros.files.disk import write_text
 from geomid_ros.report import gap_words
 from geomid_ros.types import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+    from markupsafe import Markup
 
 NONE = "—"
 _FOLDER = Path(__file__).parent
@@ -50,6 +52,8 @@ def rendered_page(template: str, content: Mapping[str, Any]) -> str:
 @cache
 def _templates() -> Environment:
     """Those of this folder. They are kept: to compile one takes longer than to fill it in."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # noqa: PLC0415 of pages alone
+
     environment = Environment(
         loader=FileSystemLoader(_FOLDER),
         autoescape=True,
@@ -66,6 +70,8 @@ def _templates() -> Environment:
 
 def _breakable(name: str) -> Markup:
     """A name whose lines may end behind an underscore, and not in the midst of a word, where a column is narrow."""
+    from markupsafe import Markup, escape  # noqa: PLC0415 as above
+
     return escape(name).replace("_", Markup("_<wbr>"))
 
 

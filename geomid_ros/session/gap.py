@@ -315,14 +315,17 @@ class GapReader:
         return Recordings(cutoff=cutoff, train=train, held_out=held_out, simulated=twins)
 
     def train(self) -> tuple[float, list[Samples]]:
-        """Read what is fitted: the cutoff of its samples [Hz], and these, one element per bag.
+        """Read what is fitted, for the model as it is: the cutoff of its samples [Hz], and these, one element per bag.
 
         Raises:
             InputError: a bag cannot be used; it is named.
         """
-        cutoff = gap_cutoff(self.session, self._rate(self.bags.fitted))
-        parts = [divided([self._whole(path, cutoff)], self.bags.share)[0] for path in self.bags.fitted]
-        return cutoff, [early for early, _ in parts]
+        session, cutoff = self.session, gap_cutoff(self.session, self._rate(self.bags.fitted))
+        # Effects beside the model's coefficients are of the library.
+        columns = library_columns(session.model) if session.loaded.beside_coefficients else session.model.columns
+        pipelines = [session.new_pipeline(_filtered_at(session, cutoff), columns) for _ in self.bags.fitted]
+        whole = map(self._samples, self.bags.fitted, pipelines)
+        return cutoff, [divided([samples], self.bags.share)[0][0] for samples in whole]
 
     def sharp(self, topic: str = "") -> list[Samples]:
         """Read what is judged on, one element per bag, with as high a cutoff as its rate allows.

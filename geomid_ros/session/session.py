@@ -109,14 +109,17 @@ class Session(Setup):
         return [*self.review.notes, *said_alike(self.alike)]
 
     def rms(self, batches: Iterable[Samples], parameters: FloatArray) -> FloatArray:
-        """RMS residual of each channel over samples at parameters ``(D,)``; NaN where nothing was measured."""
-        squares = np.zeros(len(self.model.channels))
-        counts = np.zeros(len(self.model.channels))
+        """RMS residual of each channel over samples at parameters ``(D,)``, ``(channels,)``, or at several ``(D, K)``,
+        ``(channels, K)``; NaN where nothing was measured."""
+        several = parameters.reshape(len(parameters), -1)
+        squares = np.zeros((len(self.model.channels), several.shape[1]))
+        counts = np.zeros((len(self.model.channels), 1))
         for samples in batches:
-            measured, predicted = self.model.predict(samples, parameters)
-            squares += np.nansum((measured - predicted) ** 2, axis=0)
-            counts += np.count_nonzero(np.isfinite(measured), axis=0)
-        return np.sqrt(np.divide(squares, counts, out=np.full_like(squares, np.nan), where=counts > 0))
+            measured, predicted = self.model.predict(samples, several)
+            squares += np.nansum((measured[:, :, None] - predicted) ** 2, axis=0)
+            counts += np.count_nonzero(np.isfinite(measured), axis=0)[:, None]
+        mean = np.divide(squares, counts, out=np.full_like(squares, np.nan), where=counts > 0)
+        return np.sqrt(mean).reshape(len(squares), *parameters.shape[1:])
 
     def checkpoint(self) -> Checkpoint:
         """All that is known so far, to be written to disk."""

@@ -114,9 +114,11 @@ def peculiar(
     over = fine & ~held & ~zero & (usual < _SMALL * whole) & (np.minimum(*both) >= _OVERFLOWS)
     over &= whole < 2.0 * CLEAR * spread  # else it is a few spikes that make the range
 
-    alike = np.array([np.mean((size > 0.0) & (efforts == own[:, None]), axis=0) > 1.0 - _SMALL for own in efforts.T])
-    np.fill_diagonal(alike, val=False)
-    copied = np.any(alike & np.outer(fine & turning, fine & turning), axis=0)
+    copied = np.zeros(len(whole), dtype=np.bool_)
+    few = np.where(size > 0.0, efforts, np.nan)[: int(_SMALL * len(efforts)) + 1].T  # not all of these may differ
+    for one, other in np.argwhere(np.any(few[:, None] == few, axis=2) & np.outer(fine & turning, fine & turning)):
+        if one < other and np.mean((size[:, one] > 0.0) & (efforts[:, one] == efforts[:, other])) > 1.0 - _SMALL:
+            copied[[one, other]] = True
     return {"held": held, "zero": zero, "overflow": over, "copied": copied, "coarse": coarse}, every
 
 

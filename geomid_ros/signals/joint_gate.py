@@ -106,7 +106,7 @@ class JointGate(Gate):
     def _distance(self, first: FloatArray, second: FloatArray) -> FloatArray:
         """How far positions ``(..., joints)`` are apart, but for whole turns."""
         apart = np.abs(first - second)
-        return np.asarray(np.abs(apart - self._turn * np.round(apart / tau)))
+        return np.asarray(np.abs(apart - self._turn * np.rint(apart / tau)))
 
     def _pass(self, stamps: IntArray, numbers: FloatArray) -> None:
         if not len(stamps):
@@ -168,7 +168,10 @@ class JointGate(Gate):
         last, reach = self._last[-1], self._elapsed(stamps, length) * self._speed
         away, back, later = numbers[:length], numbers[length], numbers[length + 1]
         far = np.min(np.minimum(self._distance(away[:, 0], last[0]), self._distance(away[:, 0], back[0])), axis=0)
-        jumps = (far > reach) & (self._distance(back[0], last[0]) < reach)
+        jumps = far > reach
+        if not jumps.any():  # of nearly all that are suspicious
+            return ""
+        jumps &= self._distance(back[0], last[0]) < reach
         jumps &= self._distance(later[0], last[0]) < 2.0 * reach
         jumps &= far > CLEAR * np.maximum(self._largest_step(self._last), self._largest_step(numbers[length:]))
         return (
@@ -181,6 +184,8 @@ class JointGate(Gate):
         """Whether a position goes on elsewhere, farther than the joint can move."""
         reach = self._elapsed(stamps, 0) * self._speed
         far = self._distance(numbers[0, 0], self._last[-1, 0])
+        if not (far > reach).any():
+            return False
         usual = np.maximum(self._largest_step(self._last), self._largest_step(numbers))
         return bool(np.any((far > reach) & (far > CLEAR * usual)))
 
@@ -188,8 +193,10 @@ class JointGate(Gate):
         """The effort that leaves what is usual, and comes back."""
         last, away, back, later = self._last[-1, 2], numbers[:length, 2], numbers[length, 2], numbers[length + 1, 2]
         height = np.min(np.minimum(np.abs(away - last), np.abs(away - back)), axis=0)
-        left = np.maximum(np.abs(back - last), np.abs(later - last))
-        spikes = (height > self._efforts.least) & (left < height / CLEAR)
+        spikes = height > self._efforts.least
+        if not spikes.any():
+            return ""
+        spikes &= np.maximum(np.abs(back - last), np.abs(later - last)) < height / CLEAR
         return f"effort of '{self._joints[int(np.argmax(spikes))]}'" if spikes.any() else ""
 
     def _largest_step(self, numbers: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
 from geomid_ros.checks import flexible
-from geomid_ros.checks.evidence import FRICTION, Evidence, evidence
+from geomid_ros.checks.evidence import FRICTION, Evidence, Unknowns, evidence
 from geomid_ros.types import FloatArray
 
 INSTANTS, CHANNELS, LINKS = 40, 2, 3
@@ -27,7 +27,7 @@ def drawn(seed: int, friction: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def found(columns: FloatArray, targets: FloatArray, tolerated: FloatArray) -> Evidence:
     by_instant = columns.transpose(1, 0, 2)
-    return evidence(targets.T, by_instant[:, :, :LINKS], by_instant[:, :, LINKS:], tolerated)
+    return evidence(targets.T, Unknowns.of(by_instant[:, :, :LINKS], by_instant[:, :, LINKS:]), tolerated)
 
 
 def test_instants_that_do_not_count_are_as_if_they_were_not_there() -> None:
@@ -35,10 +35,35 @@ def test_instants_that_do_not_count_are_as_if_they_were_not_there() -> None:
     columns, targets = drawn(0, SURE)
     by_instant, counted = columns.transpose(1, 0, 2), np.ones((INSTANTS, CHANNELS))
     counted[30:] = 0.0
-    some = evidence(targets.T, by_instant[:, :, :LINKS], by_instant[:, :, LINKS:], tolerated, counted=counted)
+    unknowns = Unknowns.of(by_instant[:, :, :LINKS], by_instant[:, :, LINKS:])
+    some = evidence(targets.T, unknowns, tolerated, counted=counted)
     fewer = found(columns[:, :30], targets[:, :30], tolerated)
     assert some.log == pytest.approx(fewer.log)
     assert some.links == pytest.approx(fewer.links)
+
+
+def test_by_channel_unknowns_are_those_of_all_columns() -> None:
+    """Of links of which a channel does not feel all, in other units, with more of them and with others of its own."""
+    rng = np.random.default_rng(5)
+    links, more = rng.normal(size=(INSTANTS, CHANNELS, LINKS)), rng.normal(size=(INSTANTS, CHANNELS, 2))
+    links[:, 0, 1] = more[:, 1, 0] = 0.0
+    own, other = rng.normal(size=(2, INSTANTS, CHANNELS, 3))
+    target, units, weights = (
+        rng.normal(size=(INSTANTS, CHANNELS)),
+        np.array([0.5, 3.0]),
+        rng.random((INSTANTS, CHANNELS)),
+    )
+    unknowns = Unknowns.of(links, own).with_own(other).with_more(more).times(weights).part(slice(10, None))
+    every = np.concatenate([links, more], axis=2)
+    errors = rng.normal(size=LINKS + 2)
+    assert unknowns.taken(errors) == pytest.approx((weights * (every @ errors))[10:])
+    sums = unknowns.with_target(target[10:], units)
+    for channel in range(CHANNELS):
+        of_own = np.zeros((INSTANTS, 3 * CHANNELS))
+        of_own[:, 3 * channel : 3 * channel + 3] = other[:, channel]
+        felt = weights[:, channel, None] * np.column_stack([every[:, channel] / units[channel], of_own])
+        rows = np.column_stack([felt, target[:, channel]])[10:]
+        assert sums.dense(channel) == pytest.approx(rows.T @ rows)
 
 
 def test_it_is_the_density_of_all_targets_together() -> None:

@@ -34,21 +34,22 @@ def test_they_are_those_of_all_columns() -> None:
     rng = np.random.default_rng(1)
     every = rows(rng)
     columns = np.flatnonzero(rng.random(SIZE - 1) < 0.7)
-    products, left = own(every).select(columns), every[:, :, [*columns, SIZE - 1]]
-    vector, weights = rng.normal(size=len(columns) + 1), rng.uniform(0.5, 2.0, CHANNELS)
-    squares = np.sum((left @ vector) ** 2, axis=1)
-    expected = np.einsum("c,cni,cnj->ij", weights, left, left)
-    np.testing.assert_allclose(products.squares(vector), squares)
-    np.testing.assert_allclose(products.weighed(weights), expected, atol=1e-12)
-    least = np.where(np.arange(CHANNELS) == 1, 2.0 * squares, 0.0)
-    found, total = products.weighed_by_squares(vector, weights, least)
-    np.testing.assert_allclose(found, np.maximum(squares, least))
-    np.testing.assert_allclose(total, np.einsum("c,cni,cnj->ij", weights / found, left, left), atol=1e-12)
-    np.testing.assert_allclose(products.targets, np.sum(left[:, :, -1] ** 2, axis=1))
-    for channel, moved in enumerate(products.moved(vector)):
-        expected = left[channel].T @ left[channel]
-        np.testing.assert_allclose(products.dense(channel), expected, atol=1e-12)
-        np.testing.assert_allclose(moved, (expected @ vector)[products.places[channel]], atol=1e-12)
+    whole, weights = own(every), rng.uniform(0.5, 2.0, CHANNELS)
+    np.testing.assert_allclose(whole.weighed(weights), np.einsum("c,cni,cnj->ij", weights, every, every), atol=1e-12)
+    for products, left in ((whole, every), (whole.select(columns), every[:, :, [*columns, SIZE - 1]])):
+        vector = rng.normal(size=left.shape[2])
+        squares = np.sum((left @ vector) ** 2, axis=1)
+        np.testing.assert_allclose(products.squares(vector), squares)
+        least = np.where(np.arange(CHANNELS) == 1, 2.0 * squares, 0.0)
+        found, total = products.weighed_by_squares(vector, weights, least)
+        np.testing.assert_allclose(found, np.maximum(squares, least))
+        np.testing.assert_allclose(total, np.einsum("c,cni,cnj->ij", weights / found, left, left), atol=1e-12)
+        np.testing.assert_allclose(products.targets, np.sum(left[:, :, -1] ** 2, axis=1))
+    vector = rng.normal(size=SIZE)
+    for channel, moved in enumerate(whole.moved(vector)):
+        expected = every[channel].T @ every[channel]
+        np.testing.assert_allclose(whole.dense(channel), expected, atol=1e-12)
+        np.testing.assert_allclose(moved, (expected @ vector)[whole.places[channel]], atol=1e-12)
 
 
 def test_a_channel_has_no_room_for_what_it_does_not_have() -> None:

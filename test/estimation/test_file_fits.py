@@ -130,3 +130,20 @@ def test_of_all_that_a_file_holds_the_rows_choose_anew() -> None:
     assert (held - begun, "stribeck_friction" in held) == ({"spring"}, False)
     springs = [k for k in range(first, model.dimension) if names[k - first + 1] == "spring"]
     np.testing.assert_array_equal(within[springs], 1.0)
+
+
+def test_files_that_are_asked_to_hold_the_same_are_fitted_once() -> None:
+    """One of them could hold a spring, which the rows do not ask for."""
+    case = arm("arm3", 1, noise=0.05)
+    model = MeasurementModel(case.model.robot, case.model.places.common, candidates=[identifiable()["spring"]])
+    files, fits = {name: ELEMENTS[name] for name in ("urdf", "gazebo", "isaac")}, list[FloatArray]()
+    springs = [c.effect.name == "spring" for c in model.coefficients]
+    chosen = np.setdiff1d(np.arange(model.dimension), len(model.nominal_inertias) + np.flatnonzero(springs))
+    none = np.zeros(0, dtype=np.int64)
+
+    def fitted(columns: FloatArray) -> Any:
+        fits.append(columns)
+        return SimpleNamespace(point=SimpleNamespace(parameters=np.full(len(columns), float(len(fits)))))
+
+    within = fit_files(model, chosen, files, none, lambda _, begun: begun, fitted)
+    assert [len(fits), *(set(own.tolist()) for own in within.values())] == [2, {0.0, 1.0}, {0.0, 1.0}, {0.0, 2.0}]

@@ -206,6 +206,24 @@ def test_a_snapshot_stays_as_it_was_and_goes_on_by_itself(forgetting_time: float
         np.testing.assert_allclose(content(other, x), content(whole, x), rtol=CONTENT)
 
 
+@pytest.mark.parametrize("count", [5, 90, 600])
+def test_parameters_that_are_left_out_are_zero(count: int) -> None:
+    """Whether factors of all parameters were asked for before, or not."""
+    coefficients, targets = rows(6, count)
+    chosen = np.array([0, 3, 4, 7, 10])
+    left = [np.isin(chosen, channel.columns) for channel in CHANNELS]
+    channels = [replace(c, columns=np.flatnonzero(own)) for c, own in zip(CHANNELS, left, strict=True)]
+    x = np.zeros(DIMENSION)
+    x[chosen] = np.random.default_rng(6).normal(size=len(chosen))
+    for known in (False, True):
+        whole = summary(coefficients, targets)
+        if known:
+            whole.factors()
+        part = whole.with_columns(channels, chosen)
+        np.testing.assert_allclose(part.rms(x[chosen]), whole.rms(x), rtol=CONTENT)
+        np.testing.assert_allclose(content(part, x[chosen]), content(whole, x), rtol=CONTENT)
+
+
 def test_what_waits_is_absorbed_channel_by_channel_without_changing_anything() -> None:
     coefficients, targets = rows(5, 90)
     found, x = summary(coefficients, targets, block=20, forgetting_time=50.0), np.ones(DIMENSION)

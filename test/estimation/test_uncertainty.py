@@ -58,7 +58,9 @@ def test_the_covariance_is_the_bayesian_posterior_where_the_weights_are_those_of
     rng = np.random.default_rng(0)
     rows, weighed = rng.normal(size=(4, 6)), rng.normal(size=(1, 6))
     spreads = rng.uniform(0.1, 2.0, 6)
-    found = sum(error_covariance(rows.T @ rows, weighed.T @ weighed, 1.0, spreads**-2.0, np.ones(6), spreads))
+    measured, known = rows.T @ rows, weighed.T @ weighed
+    inverse = np.linalg.inv(measured + known + np.diag(spreads**-2.0))
+    found = sum(error_covariance(inverse, measured, 1.0, known, np.ones(6), 1.0 / spreads))
     prior, all_rows = np.diag(spreads**2), np.concatenate([rows, weighed])
     gain = prior @ all_rows.T @ np.linalg.inv(all_rows @ prior @ all_rows.T + np.eye(5))
     np.testing.assert_allclose(found, prior - gain @ all_rows @ prior, rtol=0, atol=1e-12)
@@ -75,7 +77,9 @@ def test_the_covariance_is_that_of_the_errors_whatever_the_weights() -> None:
     of_rows = np.sqrt(inflation) * rng.normal(size=(5, runs))
     of_weighed = np.sqrt(trust) * rng.normal(size=(2, runs))
     of_prior = np.sqrt(weights * spreads**2)[:, None] * rng.normal(size=(6, runs))
-    parts = error_covariance(rows.T @ rows, weighed.T @ weighed, trust, weights, np.full(6, inflation), spreads)
+    measured, known = rows.T @ rows, weighed.T @ weighed
+    inverse = np.linalg.inv(measured + trust * known + np.diag(weights))
+    parts = error_covariance(inverse, measured, trust, known, np.full(6, inflation), weights * spreads)
     for found, larger in ((sum(parts), 1.0), (doubted(sum(parts), parts[1]), 3.0)):
         errors = np.linalg.lstsq(left, np.concatenate([of_rows, of_weighed, larger * of_prior]), rcond=None)[0]
         np.testing.assert_allclose(errors @ errors.T / runs, found, rtol=0, atol=0.05 * np.max(found))
@@ -84,8 +88,9 @@ def test_the_covariance_is_that_of_the_errors_whatever_the_weights() -> None:
 def test_where_the_weight_is_that_of_bayes_from_data_is_the_trace_of_the_resolution_matrix() -> None:
     rng = np.random.default_rng(2)
     fisher, spreads = information(rng, 6, 3), np.full(6, 0.3)
-    noise, inherited = error_covariance(fisher, np.zeros((6, 6)), 1.0, spreads**-2.0, np.ones(6), spreads)
-    resolution = np.linalg.inv(fisher + np.diag(spreads**-2.0)) @ fisher
+    inverse = np.linalg.inv(fisher + np.diag(spreads**-2.0))
+    noise, inherited = error_covariance(inverse, fisher, 1.0, np.zeros((6, 6)), np.ones(6), 1.0 / spreads)
+    resolution = inverse @ fisher
     found = Uncertainty(noise + inherited, inherited, np.diag(spreads**2), 1.0)
     assert found.from_data(slice(0, 6)) == pytest.approx(np.trace(resolution) / 6.0, rel=1e-9)
 
@@ -154,7 +159,9 @@ def test_inflation_is_that_of_its_own_kind() -> None:
     rows[np.arange(count), 10 + channel] = np.where(np.arange(count) // 10 % 2, 1.0, -1.0)
     slow = lfilter([1.0], [1.0, -0.9], rng.normal(size=(count // 10, 10)), axis=0) * np.sqrt(1.0 - 0.9**2)
     groups = [ParameterGroup(np.arange(10), 0.2), ParameterGroup(np.arange(10, 20), 0.2)]
-    found = variance_inflation(recorded(rows, slow.ravel()), np.zeros((20, 20)), np.full(20, 1e-6), groups)
+    information = rows.T @ rows
+    inverse = np.linalg.inv(information + 1e-6 * np.eye(20))
+    found = variance_inflation(recorded(rows, slow.ravel()), information, inverse, np.full(20, 1e-6), groups)
     assert 9.0 < found[0] < 29.0  # (1 + 0.9) / (1 - 0.9) in blocks without end
     assert found[10] == 1.0
 

@@ -11,7 +11,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element
-from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 
@@ -128,20 +127,27 @@ def _rotor(inertia: float) -> bytes:
 
 
 def _transmission(joint: str, inside: bytes) -> bytes:
-    named = quoteattr(joint)
+    named = _quoted(joint)
     return (
-        f"  <transmission name={quoteattr(joint + '_transmission')}>\n"
+        f"  <transmission name={_quoted(joint + '_transmission')}>\n"
         f"    <type>transmission_interface/SimpleTransmission</type>\n    <joint name={named}/>\n"
         f"    <actuator name={named}>\n      {inside.decode()}\n    </actuator>\n  </transmission>\n"
     ).encode()
+
+
+def _quoted(text: str) -> str:
+    """A text as the value of an attribute."""
+    from xml.sax.saxutils import quoteattr  # noqa: PLC0415 which loads what opens URLs
+
+    return quoteattr(text)
 
 
 def for_gazebo(urdf: str, effects: Iterable[KnownEffect]) -> str:
     """``urdf`` with springs as elements ``<gazebo>`` of joints (SDFormat's extensions to URDF)."""
     data = urdf.encode()
     added = "".join(
-        f"  <gazebo reference={quoteattr(joint)}>\n"
-        + "".join(f"    <{name}>{escape(f'{value:.9g}')}</{name}>\n" for name, value in said.items())
+        f"  <gazebo reference={_quoted(joint)}>\n"
+        + "".join(f"    <{name}>{value:.9g}</{name}>\n" for name, value in said.items())
         + "  </gazebo>\n"
         for joint, said in joint_attributes(effects, "gazebo").items()
     )

@@ -254,45 +254,62 @@ FOR_EACH_PROCESSOR static double second_order(const Problem *p) {
     return value;
 }
 
-/* Of channels' products the sums of squares at `vector` (size,), and the sum of the products with each channel's count
- * over them. A channel has those of its own columns, (m, m) for the m `places` of these, one channel after the other;
- * neighbours among the places are next to each other in `total`, too, up to the end of their run. */
+/* Of each channel the products (width, width) of all of its columns, one channel after the other, and some of these up
+ * to its end: their `rows` there, and their `places` among all that are taken. Neighbours in both stand next to each
+ * other up to the end of their run. */
+typedef struct {
+    const double *products;
+    const long long *widths, *rows, *places, *runs, *ends;
+} Packed;
+
+enum { TILE = 32 };
+
+/* The sums of squares at `vector` (size,), and the sum of the products with each channel's count over them, if that is
+ * asked for. */
 FOR_EACH_PROCESSOR static void weigh(
-    const double *restrict products, const long long *places, const long long *runs, const long long *ends,
-    const double *restrict vector, const double *counts, const double *least, int channels, int size,
+    const Packed *packed, const double *restrict vector, const double *counts, const double *least, int channels, int size,
     double *restrict own, double *squares, double *restrict total) {
-    memset(total, 0, sizeof(double) * size * size);
+    const double *products = packed->products;
+    if (total) memset(total, 0, sizeof(double) * size * size);
     long long begin = 0;
-    for (int channel = 0; channel < channels; begin = ends[channel++]) {
-        const long long m = ends[channel] - begin, *at = places + begin, *until = runs + begin;
+    for (int channel = 0; channel < channels; begin = packed->ends[channel++]) {
+        const long long m = packed->ends[channel] - begin, width = packed->widths[channel];
+        const long long *at = packed->places + begin, *from = packed->rows + begin, *until = packed->runs + begin;
         double square = 0.0;
         for (long long k = 0; k < m; k++) own[k] = vector[at[k]];
         for (long long k = 0; k < m; k++) {
-            const double *row = products + k * m;
+            const double *row = products + from[k] * width;
             Lane moved = {0.0};
-            long long j = k + 1;
-            for (; j + LANES <= m; j += LANES)
-                for (int lane = 0; lane < LANES; lane++) moved[lane] += row[j + lane] * own[j + lane];
-            for (; j < m; j++) moved[0] += row[j] * own[j];
+            for (long long j = k + 1; j < m;) {
+                const long long end = until[j];
+                const double *run = row + from[j] - j;
+                for (; j + LANES <= end; j += LANES)
+                    for (int lane = 0; lane < LANES; lane++) moved[lane] += run[j + lane] * own[j + lane];
+                for (; j < end; j++) moved[0] += run[j] * own[j];
+            }
             double sum = 0.0;
             for (int lane = 0; lane < LANES; lane++) sum += moved[lane];
-            square += own[k] * (row[k] * own[k] + 2.0 * sum);
+            square += own[k] * (row[from[k]] * own[k] + 2.0 * sum);
         }
         square = square < least[channel] ? least[channel] : square; /* not a number stays that */
         squares[channel] = square;
         const double weight = counts[channel] / square;
-        for (long long k = 0; k < m; k++) {
-            const double *row = products + k * m;
+        for (long long k = 0; total && k < m; k++) {
+            const double *row = products + from[k] * width;
             for (long long j = k; j < m;) {
                 const long long end = until[j];
+                const double *run = row + from[j] - j;
                 double *into = total + at[k] * size + at[j] - j;
-                for (; j < end; j++) into[j] += weight * row[j];
+                for (; j < end; j++) into[j] += weight * run[j];
             }
         }
-        products += m * m;
+        products += width * width;
     }
-    for (int i = 0; i < size; i++)
-        for (int j = 0; j < i; j++) total[(long)i * size + j] = total[(long)j * size + i];
+    for (int row = 0; total && row < size; row += TILE) /* by tiles, which stay in the nearest memory */
+        for (int column = 0; column <= row; column += TILE)
+            for (int i = row; i < size && i < row + TILE; i++)
+                for (int j = column; j < i && j < column + TILE; j++)
+                    total[(long)i * size + j] = total[(long)j * size + i];
 }
 
 /* What profile_objective.py minimises, and room for an evaluation: `problem` has what does not depend on the point. What
@@ -300,8 +317,8 @@ FOR_EACH_PROCESSOR static void weigh(
 typedef struct {
     Problem problem;
     int channels;
-    const double *products, *counts, *least;
-    const long long *places, *runs, *ends;
+    Packed packed;
+    const double *counts, *least;
     double *squares, *total, *vector, *off, *slope, *pull;
 } Profile;
 
@@ -340,8 +357,8 @@ FOR_EACH_PROCESSOR static void evaluate(const Profile *profile, State *at) {
     parameters_of(&problem, problem.rows + MEASURED, at->inertias, at->rest, vector);
     vector[size] = -1.0;
     weigh(
-        profile->products, profile->places, profile->runs, profile->ends, vector, profile->counts, profile->least,
-        profile->channels, stride, slope, profile->squares, total);
+        &profile->packed, vector, profile->counts, profile->least, profile->channels, stride, slope, profile->squares,
+        total);
     for (int channel = 0; channel < profile->channels; channel++)
         value += 0.5 * profile->counts[channel] * log(profile->squares[channel]);
     for (int k = 0; k < size; k++) slope[k] = dot(total + (long)k * stride, vector, stride);
@@ -371,9 +388,13 @@ static void stepped(const Problem *p, const State *from, const double *tangent, 
 }
 
 static int is_finite(const State *at, int size) {
+    Vector lanes = {0.0};
     double sum = at->value;
     for (int k = 0; k < size; k++) sum += at->gradient[k];
-    for (long k = 0; k < (long)size * size; k++) sum += at->hessian[k];
+    long k = 0, count = (long)size * size;
+    for (; k + LANES <= count; k += LANES) lanes += loaded(at->hessian + k);
+    for (; k < count; k++) sum += at->hessian[k];
+    for (int lane = 0; lane < LANES; lane++) sum += lanes[lane];
     return isfinite(sum);
 }
 
@@ -578,19 +599,23 @@ PyObject *native_second_order(PyObject *module, PyObject *arguments) {
 }
 
 PyObject *native_weigh(PyObject *module, PyObject *arguments) {
-    Py_buffer products, places, runs, ends, vector, counts, least, squares, total;
+    Py_buffer products, widths, rows, places, runs, ends, vector, counts, least, squares, total;
     (void)module;
     if (!PyArg_ParseTuple(
-            arguments, "y*y*y*y*y*y*y*w*w*", &products, &places, &runs, &ends, &vector, &counts, &least, &squares, &total))
+            arguments, "y*y*y*y*y*y*y*y*y*w*w*", &products, &widths, &rows, &places, &runs, &ends, &vector, &counts,
+            &least, &squares, &total))
         return NULL;
+    const Packed packed = {products.buf, widths.buf, rows.buf, places.buf, runs.buf, ends.buf};
     double *own = PyMem_Malloc(vector.len);
     if (own)
         weigh(
-            products.buf, places.buf, runs.buf, ends.buf, vector.buf, counts.buf, least.buf,
-            (int)(counts.len / sizeof(double)), (int)(vector.len / sizeof(double)), own, squares.buf, total.buf);
+            &packed, vector.buf, counts.buf, least.buf, (int)(counts.len / sizeof(double)),
+            (int)(vector.len / sizeof(double)), own, squares.buf, total.len ? total.buf : NULL);
     const int failed = own == NULL;
     PyMem_Free(own);
-    release(9, (Py_buffer *[]){&products, &places, &runs, &ends, &vector, &counts, &least, &squares, &total});
+    release(
+        11, (Py_buffer *[]){
+                &products, &widths, &rows, &places, &runs, &ends, &vector, &counts, &least, &squares, &total});
     if (failed) return PyErr_NoMemory();
     Py_RETURN_NONE;
 }
@@ -622,13 +647,13 @@ PyObject *native_roots(PyObject *module, PyObject *arguments) {
 }
 
 PyObject *native_descend(PyObject *module, PyObject *arguments) {
-    Py_buffer basis, bases, priors, prior_rest, scales, weights, products, places, runs, ends, counts, least, known, limits;
-    Py_buffer inertias, rest, gradient, information, hessian, values;
+    Py_buffer basis, bases, priors, prior_rest, scales, weights, products, widths, rows, places, runs, ends;
+    Py_buffer counts, least, known, limits, inertias, rest, gradient, information, hessian, values;
     (void)module;
     if (!PyArg_ParseTuple(
-            arguments, "y*y*y*y*y*y*y*y*y*y*y*y*y*y*w*w*w*w*w*w*", &basis, &bases, &priors, &prior_rest, &scales, &weights,
-            &products, &places, &runs, &ends, &counts, &least, &known, &limits, &inertias, &rest, &gradient, &information,
-            &hessian, &values))
+            arguments, "y*y*y*y*y*y*y*y*y*y*y*y*y*y*y*y*w*w*w*w*w*w*", &basis, &bases, &priors, &prior_rest, &scales,
+            &weights, &products, &widths, &rows, &places, &runs, &ends, &counts, &least, &known, &limits, &inertias, &rest,
+            &gradient, &information, &hessian, &values))
         return NULL;
     const int size = (int)(weights.len / sizeof(double)), channels = (int)(counts.len / sizeof(double));
     const long square = (long)size * size, stride = size + 1;
@@ -641,12 +666,9 @@ PyObject *native_descend(PyObject *module, PyObject *arguments) {
              .scales = scales.buf,
              .weights = weights.buf},
         .channels = channels,
-        .products = products.buf,
+        .packed = {products.buf, widths.buf, rows.buf, places.buf, runs.buf, ends.buf},
         .counts = counts.buf,
         .least = least.buf,
-        .places = places.buf,
-        .runs = runs.buf,
-        .ends = ends.buf,
     };
     double *room = PyMem_Malloc(sizeof(double) * (3 * square + stride * stride + 9 * stride + 16 * stride + channels));
     Link *terms = PyMem_Malloc((profile.problem.links + 1) * sizeof(Link));
@@ -684,8 +706,8 @@ PyObject *native_descend(PyObject *module, PyObject *arguments) {
     PyMem_Free(room);
     PyMem_Free(terms);
     release(
-        20, (Py_buffer *[]){
-                &basis, &bases, &priors, &prior_rest, &scales, &weights, &products, &places, &runs, &ends, &counts, &least, &known,
-                &limits, &inertias, &rest, &gradient, &information, &hessian, &values});
+        22, (Py_buffer *[]){
+                &basis, &bases, &priors, &prior_rest, &scales, &weights, &products, &widths, &rows, &places, &runs, &ends,
+                &counts, &least, &known, &limits, &inertias, &rest, &gradient, &information, &hessian, &values});
     return failed ? PyErr_NoMemory() : Py_BuildValue("ii", reason, steps);
 }
