@@ -1,4 +1,5 @@
-"""Joints whose efforts are badly explained: what is left is a good part of their variation, and large on this robot.
+"""Joints, and bases that move, whose efforts are badly explained: what is left is a good part of their variation, and
+large on this robot.
 
 The efforts of a wrist are often mostly friction and noise: there a good part is left of sound recordings, too. What is
 left is told where it is large beside the largest variation of an effort of this robot.
@@ -27,6 +28,12 @@ _ELSE = (
 )
 
 
+_OF_BASE = (
+    "what the feet bear and what the base does do not belong together: check that the clocks of the IMU and of the "
+    "joints agree, that efforts are not late, the IMU's frame, and that all feet are named"
+)
+
+
 def badly_explained(
     channels: Sequence[tuple[str, str]],
     left: FloatArray,
@@ -35,16 +42,18 @@ def badly_explained(
     *,
     before: FloatArray | float = np.inf,
     allowed: float = HALF,
+    what: str = "joint",
 ) -> tuple[Finding, ...]:
-    """The joints whose efforts are not explained, the worst first, and what to look at; nothing if all are.
+    """The channels whose efforts are not explained, the worst first, and what to look at; nothing if all are.
 
     Args:
-        channels: name and unit of the effort of each of C joints.
+        channels: name and unit of each of C joints' efforts, or of what a base feels.
         left: ``(C,)`` RMS of what is left of the efforts.
         variation: ``(C,)`` standard deviations of the efforts.
-        hint: says what to look at, by a joint's name and the share of its effort's variation that is left.
+        hint: says what to look at, by a channel's name and the share of its variation that is left.
         before: ``(C,)`` RMS of what the input's file leaves, infinite where that is not known.
         allowed: share of the variation that may be left.
+        what: the channels are.
     """
     units = [unit for _, unit in channels]
     share = left / np.maximum(variation, np.finfo(float).tiny)
@@ -59,7 +68,7 @@ def badly_explained(
         f"{units[j]} are left)"
         for name, j in zip(names, worst, strict=True)
     )
-    sentence = f"joint {said}; {hint(names[0], float(share[worst[0]]))}"
+    sentence = f"{what} {said}; {hint(names[0], float(share[worst[0]]))}"
     return (Finding(cause=Cause(kind="unexplained", sentence=sentence, places=names)),)
 
 
@@ -132,6 +141,22 @@ def unexplained(
         for left, _ in judged
     )
     return next(filter(None, found), ())
+
+
+def unexplained_base(
+    model: MeasurementModel, batches: Sequence[Samples], parameters: FloatArray
+) -> tuple[Finding, ...]:
+    """The forces and moments on a base that moves which a model does not explain, see :func:`unexplained`."""
+    base = list(model.layout.base)
+    if not base or not batches:
+        return ()
+    both = np.column_stack([parameters, model.nominal_parameters])
+    pairs = [model.predict(samples, both) for samples in batches]
+    measured = np.concatenate([measured[:, base] for measured, _ in pairs])
+    predicted = np.concatenate([predicted[:, base] for _, predicted in pairs])
+    left, before = (rms(measured - own) for own in np.moveaxis(predicted, 2, 0))
+    channels = [(model.channels[channel].name, model.channels[channel].unit) for channel in base]
+    return badly_explained(channels, left, rms(measured), lambda *_: _OF_BASE, before=before, what="on the base")
 
 
 def _left(model: MeasurementModel, judged: Sequence[Samples], both: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -116,28 +116,27 @@ def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
     """An analysis, or one of a robot of which a link has been changed since it was identified, if that is the better.
     What contradicts other recordings loosens all links at once, or is told as a payload, which cannot be negative, or
     as what else may stand in the place of a lighter link. Of links that explain it about as well each is tried; one
-    that carries a payload has been changed by that."""
+    that carries a payload has been changed by that, unless it is lighter."""
     search, names = analysis.search, analysis.names
     if search.prior.known is None:
         return analysis
     rests = [search.fit([]), *(search.without(names, c) for c in names.chosen)]
-    priors = [search.prior.with_changed(link) for link in task.links]
-    scores = [
-        min(
-            fit(search.design, prior, rest.chosen, rest).score
-            for rest in rests
-            if prior.changed_link not in rest.bodies
-        )
-        for prior in priors
-    ]
-    if min(scores, default=np.inf) > names.score - CLEARLY:
+    tried = list[tuple[NamesPrior, float]]()
+    for link in task.links:
+        prior = search.prior.with_changed(link)
+        fits = (fit(search.design, prior, rest.chosen, rest) for rest in rests if link not in rest.bodies)
+        best = min(fits, key=lambda found: found.score)
+        if link not in names.bodies or best.inertias[link, 0] < prior.inertias[10 * link]:
+            tried.append((prior, best.score))
+    least = min((score for _, score in tried), default=np.inf)
+    if least > names.score - CLEARLY:
         return analysis
 
     def with_changed(prior: NamesPrior) -> tuple[float, Analysis]:
         changed = _searched(task, prior, "searching with a link changed")
         return fit(search.design, prior, changed.names.chosen, changed.names).score, changed
 
-    likely = [prior for prior, score in zip(priors, scores, strict=True) if score < min(scores) + CLEARLY]
+    likely = [prior for prior, score in tried if score < least + CLEARLY]
     (score, changed), *others = sorted(map(with_changed, likely), key=lambda found: found[0])
     contested = float(sum(np.exp(0.5 * (score - other)) for other, _ in others))
     return replace(changed, contested=contested) if score < names.score - CLEARLY else analysis

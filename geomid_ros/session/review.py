@@ -9,7 +9,7 @@ from geomid_ros.checks.base import displaced_imu, never_lifted, turned_imu
 from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.check import Judge, JudgementTask, RecordingCheck, efforts_alone
 from geomid_ros.checks.obvious import encoder_zeros
-from geomid_ros.checks.unexplained import unexplained
+from geomid_ros.checks.unexplained import unexplained, unexplained_base
 from geomid_ros.checks.verdict import (
     HEAVIER,
     Verdict,
@@ -141,6 +141,7 @@ class Review:
         if self._setup.base_topic == IMU:
             peculiar += turned_imu(self._model, estimate)
             findings = findings or displaced_imu(self._model, samples, estimate.parameters)
+        findings = findings or unexplained_base(self._model, samples, estimate.parameters)
         if (controller := self._setup.controller) is not None:
             peculiar += encoder_zeros(controller, estimate.effects, self._robot.joint_names)
         peculiar += never_lifted(self._model, estimate)

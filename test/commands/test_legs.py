@@ -173,6 +173,28 @@ def test_the_messages_of_unitree_say_what_those_of_ros_do(folder: Path, tmp_path
         samples_of(folder, tmp_path / "unitree", topics, motors=[])
 
 
+def later(item: Recorded) -> Recorded:
+    """The messages of an IMU whose clock is 60 ms ahead."""
+    if item.topic != "/imu":
+        return item
+    header = item.message.header
+    stamp = header.stamp.sec * 1_000_000_000 + header.stamp.nanosec + 60_000_000
+    return item.changed(header=replace(header, stamp=replace(header.stamp, **in_parts(stamp))))
+
+
+def in_parts(stamp: int) -> dict[str, int]:
+    """Of a stamp [ns]."""
+    return dict(zip(("sec", "nanosec"), divmod(stamp, 1_000_000_000), strict=True))
+
+
+def test_an_imu_with_another_clock_is_doubted(folder: Path, tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "late", map(later, recorded(folder / "walk")))
+    found = identified(bag, folder / "go2.urdf")
+    assert found.verdict.word == DOUBTFUL
+    (sentence,) = (each for each in found.verdict.reasons if "on the base" in each)
+    assert "clocks of the IMU and of the joints" in sentence
+
+
 def scaled(key: str, factor: float) -> Callable[[Recorded], Recorded]:
     """Messages with a field multiplied."""
 
