@@ -49,7 +49,7 @@ def badly_explained(
     Args:
         channels: name and unit of each of C joints' efforts, or of what a base feels.
         left: ``(C,)`` RMS of what is left of the efforts.
-        variation: ``(C,)`` standard deviations of the efforts.
+        variation: ``(C,)`` standard deviations of the efforts, or their RMS.
         hint: says what to look at, by a channel's name and the share of its variation that is left.
         before: ``(C,)`` RMS of what the input's file leaves, infinite where that is not known.
         allowed: share of the variation that may be left.
@@ -143,20 +143,19 @@ def unexplained(
     return next(filter(None, found), ())
 
 
-def unexplained_base(
-    model: MeasurementModel, batches: Sequence[Samples], parameters: FloatArray
-) -> tuple[Finding, ...]:
-    """The forces and moments on a base that moves which a model does not explain, see :func:`unexplained`."""
+def unexplained_base(model: MeasurementModel, batches: Sequence[Samples], parameters: FloatArray) -> list[str]:
+    """The forces and moments on a base that moves of which a model leaves half, in a sentence, if so.
+
+    Small moments may be mostly noise of the efforts of the legs, so that this alone is no doubt.
+    """
     base = list(model.layout.base)
     if not base or not batches:
-        return ()
-    both = np.column_stack([parameters, model.nominal_parameters])
-    pairs = [model.predict(samples, both) for samples in batches]
-    measured = np.concatenate([measured[:, base] for measured, _ in pairs])
-    predicted = np.concatenate([predicted[:, base] for _, predicted in pairs])
-    left, before = (rms(measured - own) for own in np.moveaxis(predicted, 2, 0))
+        return []
+    pairs = [model.predict(samples, parameters) for samples in batches]
+    measured, predicted = (np.concatenate([each[:, base] for each in own]) for own in zip(*pairs, strict=True))
     channels = [(model.channels[channel].name, model.channels[channel].unit) for channel in base]
-    return badly_explained(channels, left, rms(measured), lambda *_: _OF_BASE, before=before, what="on the base")
+    found = badly_explained(channels, rms(measured - predicted), rms(measured), lambda *_: _OF_BASE, what="on the base")
+    return [finding.sentence for finding in found]
 
 
 def _left(model: MeasurementModel, judged: Sequence[Samples], both: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -38,7 +38,7 @@ def _weighed(
     if compiled.native is None:
         return None
     squares, total = np.empty(len(packed.ends)), np.empty((0 if alone else len(vector), len(vector)))
-    compiled.native.weigh(*packed, vector, counts, least, squares, total)
+    compiled.native.weigh(*packed, np.ascontiguousarray(vector, dtype=np.float64), counts, least, squares, total)
     return squares, total
 
 

@@ -117,6 +117,7 @@ def fit_beside(
         The fit, of the problem with the prior's rows, and the weights of the prior's blocks. A fit that did not settle
         has ``spent`` its budget.
     """
+    given = given and {**prior.trusted, **given}  # with blocks of which nothing is told
     found = solve(prior.problem_at(prior.problem.prior_point, given or prior.trusted))
     weights = given or prior.weights(found, prior.trusted)
     for _ in range(ROUNDS):

@@ -44,6 +44,11 @@ class Analysis:
     floor: FloatArray
     contested: float = 0.0
 
+    @property
+    def likely(self) -> NamesFit:
+        """The fit with the names that are likely alone."""
+        return self.search.without(self.names, *(c for c in self.names.chosen if c not in self.supports))
+
 
 @dataclass(frozen=True, eq=False)
 class _Task:

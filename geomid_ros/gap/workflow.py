@@ -332,7 +332,7 @@ def _as_simulated(
 ) -> NamesPrior:
     """What the user's simulator shows: its inertias with their payloads, and its effects, in place of the model's."""
     _check(model, records)
-    found = analyse(model, records, prior.by_itself, report).names
+    found = analyse(model, records, prior.by_itself, report).likely
     inertias = total_model(model, found).inertias[list(model.identified)].ravel()
     values = np.array([found.value(term) for term in found.terms])
     spreads = np.maximum(_SPREAD_OF_EFFECTS * np.abs(values), _LEAST_SPREAD)

@@ -92,7 +92,7 @@ def _factored(matrix: FloatArray, count: int) -> FloatArray:
     if compiled.native is None:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(matrix))[:, :count].T)
     found = np.empty((count, len(matrix)))
-    if not compiled.native.roots(matrix.copy(), found)[0]:
+    if not compiled.native.roots(np.array(matrix, dtype=np.float64, order="C"), found)[0]:
         raise LinAlgError("not positive definite")
     return found
 

@@ -140,7 +140,8 @@ class Legs:
             jacobian = self._robot.contact_jacobians(q, contact.frame, contact.radius)[:, :told]
             leg = jacobian[:, :, 6 + joints]
             s = np.linalg.svd(leg[:, :DIRECTIONS], compute_uv=False)
-            nearly_singular = s[:, -1] < _NEARLY_SINGULAR * s[:, 0]
-            inverse = np.where(nearly_singular[:, None, None], np.nan, np.linalg.pinv(leg.transpose(0, 2, 1)))
+            inverse: FloatArray = np.asarray(np.linalg.pinv(leg.transpose(0, 2, 1)))
+            gain = np.linalg.norm(inverse[:, :DIRECTIONS], ord=2, axis=(1, 2))
+            inverse[(s[:, -1] <= _NEARLY_SINGULAR * s[:, 0]) | (_NEARLY_SINGULAR * s[:, 0] * gain > 1.0)] = np.nan
             found.append((jacobian, inverse))
         return found

@@ -141,9 +141,9 @@ class Review:
         if self._setup.base_topic == IMU:
             peculiar += turned_imu(self._model, estimate)
             findings = findings or displaced_imu(self._model, samples, estimate.parameters)
-        findings = findings or unexplained_base(self._model, samples, estimate.parameters)
         if (controller := self._setup.controller) is not None:
             peculiar += encoder_zeros(controller, estimate.effects, self._robot.joint_names)
+        peculiar += unexplained_base(self._model, samples, estimate.parameters)
         peculiar += never_lifted(self._model, estimate)
         peculiar += [] if held_out is None else unlike(estimate, held_out)
         impossible = tuple(impossible_links(self._setup.urdf, self._setup.source, self._suspects(estimate)))

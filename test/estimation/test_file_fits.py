@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from geomid_ros.estimation.file_fits import fit_files, held_columns
+from geomid_ros.estimation.population import Population
+from geomid_ros.estimation.posterior import EffectCoordinate
 from geomid_ros.files.models.readers import ELEMENTS
 from geomid_ros.model.effects import identifiable
 from geomid_ros.model.measurement import MeasurementModel
@@ -147,3 +149,39 @@ def test_files_that_are_asked_to_hold_the_same_are_fitted_once() -> None:
 
     within = fit_files(model, chosen, files, none, lambda _, begun: begun, fitted)
     assert [len(fits), *(set(own.tolist()) for own in within.values())] == [2, {0.0, 1.0}, {0.0, 1.0}, {0.0, 2.0}]
+
+
+def test_a_file_may_choose_what_a_population_tells_and_the_estimate_has_not() -> None:
+    """Quadratic friction, which a URDF does not hold: viscous friction is in its place."""
+    case = arm("arm3", 1, noise=0.05)
+    standing = [effect for effect in case.model.places.common if effect.name != "viscous_friction"]
+    tried = [identifiable()[name] for name in ("viscous_friction", "quadratic_friction")]
+    model = MeasurementModel(case.model.robot, standing, candidates=tried)
+    true = {"quadratic_friction": 1.0, "coulomb_friction": 0.3, "rotor_inertia": 0.02}
+    sizes = [true.get(coefficient.effect.name, 0.0) for coefficient in model.coefficients]
+    truth = np.append(case.truth[: len(model.nominal_inertias)], sizes)
+    targets = np.einsum("ncd,d->nc", model.rows(case.samples).coefficients, truth)
+    targets += 0.05 * np.random.default_rng(0).normal(size=targets.shape)
+    recorded = Case(model, replace(case.samples, effort=targets), targets, truth, case.true)
+    found = solved(recorded, files=URDF, population=population(model))
+    assert not np.any(viscous(recorded, found.parameters))
+    assert np.any(viscous(recorded, found.within["urdf"]))
+
+
+def population(model: MeasurementModel) -> Population:
+    """Of ten robots that differ in all that a model has."""
+    effects = tuple(
+        EffectCoordinate(name=c.effect.name, place=c.place_name, parameter=c.parameter, unit="", positive=c.positive)
+        for c in model.coefficients
+    )
+    parameters = np.append(model.nominal_inertias, np.full(len(effects), 0.1))
+    signed = sum(not coefficient.positive for coefficient in model.coefficients)
+    covariance = np.diag(np.full(len(parameters), 0.3**2))
+    return Population(
+        links=model.body_names,
+        effects=effects,
+        parameters=parameters,
+        scales=np.ones(signed),
+        covariance=covariance,
+        robots=10,
+    )

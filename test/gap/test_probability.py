@@ -81,6 +81,12 @@ def test_of_what_is_less_likely_than_nothing_nothing_is_said_and_the_others_are_
     (said,) = analysis._supports(search, found).items()
     assert said[0] is VISCOUS
     assert said[1].loss == pytest.approx(search.without(found, VISCOUS).score - found.score)
+    unused: Any = None
+    whole = analysis.Analysis(
+        problem=unused, search=search, bare=search.fit([]), names=found, supports=dict([said]), floor=unused
+    )
+    assert whole.likely.chosen == (VISCOUS,)
+    assert OFFSET.group in {trial.candidate.group for trial in search.ranked(whole.likely)}
 
 
 def test_half_of_what_is_left_may_lie_along_a_name() -> None:

@@ -93,6 +93,20 @@ def test_a_leg_of_six_joints_has_a_flat_foot() -> None:
     np.testing.assert_allclose((predicted - measured)[:, -6:], base, rtol=0.0, atol=1e-8 * np.max(np.abs(efforts)))
 
 
+def test_a_leg_of_six_joints_that_hardly_tells_the_ground_says_nothing() -> None:
+    """In a posture in which the moment on a foot takes all efforts, and turns of the hips beside it none."""
+    robot = Robot(urdf("talos_reduced.urdf"), floating_base=True)
+    model = MeasurementModel(robot, [], contacts=[Contact("left_sole_link")])
+    samples = random_samples(robot, seed=2)
+    position = 0.2 * samples.position
+    leg = [robot.joint_names.index(f"leg_left_{number}_joint") for number in range(1, 7)]
+    position[:, leg[3]] += 1.0
+    position[1, leg] = 1.54, -0.49, -1.78, 1.66, 0.65, -0.18
+    standing = np.ones((len(samples), 1), dtype=bool)
+    rows = model.rows(replace(with_values(samples, position=position), standing=standing))
+    assert np.isnan(rows.targets[:, -6:]).any(axis=1).tolist() == [index == 1 for index in range(len(samples))]
+
+
 def test_columns_of_effects_lose_the_ground_as_rows_do() -> None:
     """Column by column, what effects add to each channel is what the rows have of them where a target is left."""
     robot = Robot(urdf("go2.urdf"), floating_base=True)

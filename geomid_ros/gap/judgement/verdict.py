@@ -141,7 +141,7 @@ def ranking(
     chosen = [Ranked(f.effect, model.places.name(c.place), f.loss, f.separability, True) for c, f in named]
     others = [
         Ranked(t.candidate.name, model.places.name(t.candidate.place), t.gain, t.separability, False)
-        for t in analysis.search.ranked(analysis.names)
+        for t in analysis.search.ranked(analysis.likely)
         if np.isfinite(t.gain)
     ]
     return (*chosen, *others[:20])
