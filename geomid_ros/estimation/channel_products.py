@@ -123,10 +123,6 @@ class ChannelProducts:
         pairs = zip(self.places, self.blocks, strict=True)
         return np.array([float(vector[own] @ block @ vector[own]) for own, block in pairs])
 
-    def moved(self, vector: FloatArray) -> list[FloatArray]:
-        """Gram matrix of each channel times ``vector (size,)``, on its own columns ``(m,)``."""
-        return [block @ vector[own] for own, block in zip(self.places, self.blocks, strict=True)]
-
     def weighed(self, weights: Sequence[float] | FloatArray) -> FloatArray:
         """Weighted sum of the Gram matrices ``(size, size)``, for ``weights (C,)``."""
         if compiled.native is not None:
