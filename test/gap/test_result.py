@@ -229,7 +229,7 @@ def test_what_a_simulator_shows_stands_in_the_place_of_the_model(monkeypatch: py
 
     def analyse(_: object, __: object, prior: workflow.Prior, ___: object) -> object:
         asked.append(prior)
-        return type("Analysis", (), {"names": workflow.unfitted(shown)})
+        return type("Analysis", (), {"likely": workflow.unfitted(shown)})
 
     monkeypatch.setattr(workflow, "analyse", analyse)
     prior = workflow._as_simulated(BARE, records, given, lambda *_: None)
