@@ -150,6 +150,10 @@ def test_files_that_are_asked_to_hold_the_same_are_fitted_once() -> None:
     within = fit_files(model, chosen, files, none, lambda _, begun: begun, fitted)
     assert [len(fits), *(set(own.tolist()) for own in within.values())] == [2, {0.0, 1.0}, {0.0, 1.0}, {0.0, 2.0}]
 
+    turns = iter(range(len(files)))
+    within = fit_files(model, chosen, files, none, lambda held, _: held[(turn := next(turns)) : turn + 5], fitted)
+    assert [set(own.tolist()) for own in within.values()] == [{0.0, 3.0}, {0.0, 4.0}, {0.0, 5.0}], "as many are no same"
+
 
 def test_a_file_may_choose_what_a_population_tells_and_the_estimate_has_not() -> None:
     """Quadratic friction, which a URDF does not hold: viscous friction is in its place."""

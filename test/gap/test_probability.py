@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from geomid_ros.gap import analysis
+from geomid_ros.gap.judgement.verdict import ranking
 from geomid_ros.inference.probability import Support, Supports, relative_doubt
 from geomid_ros.inference.selection import Selection
 
+from . import planted
 from .small import PRIOR, ROWS, Recording, at
 
 CANDIDATES = [
@@ -86,7 +88,8 @@ def test_of_what_is_less_likely_than_nothing_nothing_is_said_and_the_others_are_
         problem=unused, search=search, bare=search.fit([]), names=found, supports=dict([said]), floor=unused
     )
     assert whole.likely.chosen == (VISCOUS,)
-    assert OFFSET.group in {trial.candidate.group for trial in search.ranked(whole.likely)}
+    ranked = ranking(planted.model(), whole, ())
+    assert (OFFSET.name, "joint1") in {(each.effect, each.joint) for each in ranked}
 
 
 def test_half_of_what_is_left_may_lie_along_a_name() -> None:
