@@ -14,9 +14,8 @@ import numpy as np
 from geomid_ros.estimation.estimate import Estimate, LinkEstimate, LinksInformation
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.gap.result import GapResult
-from geomid_ros.live.background_search import SearchStatus
-from geomid_ros.live.gap_search import FoundGap
 from geomid_ros.live.saving import Checkpoints, CheckpointStatus
+from geomid_ros.live.searches import FoundGap, SearchStatus
 from geomid_ros.live.status import Status
 from geomid_ros.monitoring.change_detection import ChannelGap
 from geomid_ros.monitoring.payload_watch import Carried

@@ -33,10 +33,9 @@ from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import gap_session, remainder_of
 from geomid_ros.session.options import PathLike
 from geomid_ros.session.recordings import Bags, read_bags
-from geomid_ros.session.results import identified_urdf
+from geomid_ros.session.results import identified_urdf, installed_version
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import Training
-from geomid_ros.session.version import installed_version
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,7 +11,7 @@ from contextlib import suppress
 from typing import Any, Self, TypeVar
 
 from geomid_ros.errors import GeomidError, InputError
-from geomid_ros.session.version import installed_version
+from geomid_ros.session.results import installed_version
 
 _PATIENCE = 120.0  # [s] for a scheduler that was restarted, with its workers
 _CONNECT = 10.0  # [s]

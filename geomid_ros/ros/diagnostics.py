@@ -15,9 +15,8 @@ from geomid_ros.estimation.estimate import Estimate, LinkEstimate
 from geomid_ros.estimation.identifier import STANDING_STILL
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.live.background_search import SearchStatus
-from geomid_ros.live.gap_search import FoundGap
 from geomid_ros.live.saving import CheckpointStatus
+from geomid_ros.live.searches import FoundGap, SearchStatus
 from geomid_ros.live.status import Status
 from geomid_ros.model.channels import is_of
 from geomid_ros.monitoring.change_detection import ChannelGap

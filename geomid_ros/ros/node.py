@@ -19,10 +19,8 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from geomid_ros.errors import GeomidError, InputError
-from geomid_ros.live.background_search import BackgroundSearch
-from geomid_ros.live.gap_search import look_for_gap
 from geomid_ros.live.inbox import Received
-from geomid_ros.live.payload_search import NO_DATA, PayloadSearch
+from geomid_ros.live.searches import NO_DATA, BackgroundSearch, PayloadSearch, look_for_gap
 from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.live.status import Status
 from geomid_ros.live.supervisor import Supervisor
@@ -30,10 +28,9 @@ from geomid_ros.live.worker import Worker
 from geomid_ros.ros.console import Console, News
 from geomid_ros.ros.dashboard import DashboardProcess
 from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, UNCONFIGURED, Diagnostics
-from geomid_ros.ros.inputs import Inputs, RosTypes
+from geomid_ros.ros.inputs import Inputs, RosTypes, changed_names, depends_on_rows, read_parameters
 from geomid_ros.ros.managed import Managed
 from geomid_ros.ros.outputs import Outputs, latched
-from geomid_ros.ros.parameters import changed_names, depends_on_rows, read_parameters
 from geomid_ros.ros.starting import starting_ros
 from geomid_ros.ros.streaming import Streaming
 from geomid_ros.session.configuration import Configuration

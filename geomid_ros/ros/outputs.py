@@ -19,8 +19,7 @@ from geomid_ros.estimation.estimate import Estimate, LinkEstimate, effort_deviat
 from geomid_ros.exports.weighed_payload import Payload
 from geomid_ros.files.schema import FORMAT
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.live.background_search import SearchStatus
-from geomid_ros.live.gap_search import FoundGap
+from geomid_ros.live.searches import FoundGap, SearchStatus
 from geomid_ros.live.status import Listener
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples

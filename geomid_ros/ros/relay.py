@@ -1,22 +1,181 @@
-"""A relay to a joint_trajectory_controller that fills the efforts of trajectories."""
+"""A relay to a joint_trajectory_controller that fills the efforts of trajectories, and adapts them to a payload.
+
+Natural adaptation: joint states in, the link's inertia and correcting efforts out.
+"""
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import InertiaStamped
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from geomid_ros.api.feedforward import filled, robot_to_move
 from geomid_ros.api.options import FillOptions
-from geomid_ros.errors import GeomidError, InputError
+from geomid_ros.api.verify import identified
+from geomid_ros.control.correction import LASTING, Correction, Reading
+from geomid_ros.control.feedforward import MotorEfforts
+from geomid_ros.errors import GeomidError, InputError, one_line
 from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.files.trajectories import trajectory_of
-from geomid_ros.ros.adapting import Adapting
+from geomid_ros.model.effects import EFFECTS
+from geomid_ros.ros.diagnostics import status_message
 from geomid_ros.ros.excite.controller import message_of
+from geomid_ros.ros.outputs import inertia_message, ros_time
 from geomid_ros.session.session import Session
+from geomid_ros.types import FloatArray
+
+_GAP = "geomid/gap"  # of the identification node in the same namespace
+
+
+class Adapting:
+    """Answers every joint state on ``~/inertia`` and ``~/correction``; its status is in ``/diagnostics``."""
+
+    def __init__(self, node: Node, session: Session, link: str, heaviest: float) -> None:
+        """
+        Args:
+            node: publishes and subscribes.
+            session: the robot and its model.
+            link: that adapts; the last one if empty.
+            heaviest: payload [kg].
+
+        Raises:
+            InputError: this link cannot adapt.
+        """
+        self._node = node
+        self._joints = session.robot.joint_names
+        self._link = link or session.robot.body_names[-1]
+        self._heaviest = heaviest
+        self._session = session
+        self._correction = self._new()
+        self._trajectory: Trajectory | None = None
+        self._start = 0.0
+        self._position = np.zeros(len(self._joints))
+        self._said = ""
+        self._lacking = "none has come"  # why no joint states can be used
+        self._inertias = node.create_publisher(InertiaStamped, "~/inertia", 10)
+        self._corrections = node.create_publisher(JointState, "~/correction", 10)
+        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        latest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        node.create_subscription(JointState, "joint_states", self._on_state, latest)
+        self._gap = node.create_subscription(String, _GAP, self._on_gap, 10).topic_name
+        node.create_service(Trigger, "~/reset", self._reset)
+        node.create_timer(LASTING / 4.0, self._send)
+        node.create_timer(1.0, self._report)
+        node.get_logger().info(f"link '{self._link}' adapts to a payload of at most {heaviest:g} kg")
+
+    def _new(self) -> Correction:
+        model, parameters = self._session.model, identified(self._session)
+        efforts = MotorEfforts(model, parameters, self._session.effort_gains, self._joints, "the adaptation")
+        return Correction(efforts, self._joints, self._link, self._heaviest)
+
+    def use(self, session: Session) -> None:
+        """Begin anew from another model of the robot; what is off stays off."""
+        reason = self._correction.latch.reason
+        self._session = session
+        self._begin_anew()
+        if reason:
+            self._correction.latch.close(reason)
+
+    def _begin_anew(self) -> None:
+        before, self._correction = self._correction, self._new()
+        self._correction.go_on_from(before)
+
+    @property
+    def _now(self) -> float:
+        return float(1e-9 * self._node.get_clock().now().nanoseconds)
+
+    def follow(self, trajectory: Trajectory | None, start: float) -> None:
+        """Note what the controller follows from ``start`` [s] on, or from now on if that is zero; None: it stops."""
+        self._trajectory, self._start = trajectory, start or self._now
+
+    def _commanded(self, time: float) -> FloatArray:
+        """The motion ``(3, joints)`` at a time [s]; where nothing is commanded, rest at the last reading."""
+        still = np.array([self._position, *np.zeros((2, len(self._joints)))])
+        if self._trajectory is None:
+            return still
+        passed = time - self._start
+        order = [self._trajectory.joints.index(joint) for joint in self._joints]
+        motion = self._trajectory.states(np.array([passed]))[:3, 0, order]
+        if not 0.0 <= passed <= self._trajectory.duration:
+            motion[1:] = 0.0
+        return np.asarray(motion)
+
+    def _on_state(self, message: JointState) -> None:
+        places = {name: place for place, name in enumerate(message.name)}
+        fields = {"positions": message.position, "velocities": message.velocity, "efforts": message.effort}
+        absent = [f"'{joint}'" for joint in self._joints if joint not in places]
+        absent = absent or [name for name, values in fields.items() if len(values) != len(message.name)]
+        if absent:
+            self._lacking = f"they lack {', '.join(absent)}"
+            return  # if some came before, the watchdog says so
+        own = [places[joint] for joint in self._joints]
+        position, velocity, effort = (np.array(values)[own] for values in fields.values())
+        stamp = message.header.stamp
+        time = stamp.sec + 1e-9 * stamp.nanosec or self._now
+        reading = Reading(time, position, velocity, effort)
+        self._lacking = "" if reading.is_complete else "they are not finite"
+        if reading.is_complete:
+            self._position = position
+        self._correction.learn(self._now, reading, self._commanded(time))
+        self._send()
+
+    def _send(self) -> None:
+        """Publish inertia and correction as they are now; also when no joint states come."""
+        now = self._now
+        sent = self._correction(now, self._commanded(now))
+        stamp = round(1e9 * now)
+        self._inertias.publish(inertia_message(self._link, self._correction.adaptation.point.parameters, stamp))
+        message = JointState(name=list(self._joints), effort=sent.tolist())
+        message.header.stamp = ros_time(stamp)
+        self._corrections.publish(message)
+        if self._correction.latch.reason != self._said:
+            self._report()
+
+    def _on_gap(self, message: String) -> None:
+        """Switch off where the identification node found that something else than a payload has changed."""
+        try:
+            names = [str(finding["effect"]) for finding in json.loads(message.data)["findings"]]
+        except (ValueError, TypeError, KeyError, RecursionError):
+            self._node.get_logger().warning(f"a message on {self._gap} is left out: it has no findings")
+            return
+        others = [name for name in names if name not in EFFECTS or EFFECTS[name].place != "link"]
+        if others:
+            self._correction.latch.close(one_line(f"{self._gap} found {others[0].replace('_', ' ')}"))
+            self._report()
+
+    def _report(self) -> None:
+        """Publish the status, and log once why the correction is off."""
+        reason, change = self._correction.latch.reason, float(self._correction.adaptation.change[0])
+        level, sentence = DiagnosticStatus.OK, f"{change:+.2f} kg"
+        if reason:
+            level, sentence = DiagnosticStatus.ERROR, f"off until ~/reset: {reason}"
+        elif self._lacking:
+            level, sentence = DiagnosticStatus.WARN, f"no usable joint states: {self._lacking}"
+        if reason and reason != self._said:
+            self._node.get_logger().error(f"adaptation of '{self._link}' is {sentence}")
+        self._said = reason
+        name = f"{self._node.get_fully_qualified_name().lstrip('/')}: adaptation of {self._link}"
+        values = {"mass change": change, "delay [ms]": 1e3 * self._correction.delay.usual}
+        array = DiagnosticArray(status=[status_message(name, level, sentence, values)])
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+    def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._begin_anew()
+        response.success, response.message = True, "adaptation begins anew from the identified model"
+        return response
+
 
 _IN = "~/joint_trajectory"
 _CONTROLLER = "/joint_trajectory_controller"
@@ -27,7 +186,7 @@ class FeedforwardRelay:
 
     Parameters of its node: ``model`` (an estimate.json, which is read again when it has changed), ``urdf``, ``config``,
     ``tolerance`` and ``force``, as of :func:`geomid_ros.feedforward`; ``controller``. What is refused is not sent on.
-    With ``heaviest_payload`` [kg] a ``link`` adapts to one (:class:`~geomid_ros.ros.adapting.Adapting`).
+    With ``heaviest_payload`` [kg] a ``link`` adapts to one (:class:`~geomid_ros.ros.relay.Adapting`).
     """
 
     def __init__(self, node: Node) -> None:

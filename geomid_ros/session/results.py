@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,14 @@ from geomid_ros.files.models.urdf import with_effects, with_inertials
 from geomid_ros.files.models.written_model import WrittenModel, handover_entry, written_model
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
+
+
+def installed_version() -> str:
+    """The version that is installed here."""
+    try:
+        return version("geomid_ros")
+    except PackageNotFoundError:
+        return "not installed"
 
 
 def document(

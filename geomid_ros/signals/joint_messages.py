@@ -9,8 +9,7 @@ import numpy as np
 
 from geomid_ros.model.samples import STILL
 from geomid_ros.signals.arrived import missing_joint, plausible, without_refusal
-from geomid_ros.signals.effort_quality import EffortQuality
-from geomid_ros.signals.effort_sizes import SaturationDetector
+from geomid_ros.signals.effort_quality import EffortQuality, SaturationDetector
 from geomid_ros.signals.ledger import Reason, driver_error
 from geomid_ros.signals.messages import Block
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray

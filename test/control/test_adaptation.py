@@ -20,8 +20,20 @@ from benchmarks.adaptation import LATE, SLOW, Robot
 from geomid_ros.api.feedforward import robot_to_move
 from geomid_ros.api.options import FillOptions
 from geomid_ros.api.verify import identified
-from geomid_ros.control.adaptation import MARGIN, Adaptation, divergence, needed, share_of
-from geomid_ros.control.correction import FASTEST, LARGEST_SHARE, LASTING, LATER, Correction, Latch, Reading
+from geomid_ros.control.correction import (
+    FASTEST,
+    LARGEST_SHARE,
+    LASTING,
+    LATER,
+    MARGIN,
+    Adaptation,
+    Correction,
+    Latch,
+    Reading,
+    divergence,
+    needed,
+    share_of,
+)
 from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.errors import InputError
 from geomid_ros.geometry import pseudo_inertia, spd

@@ -14,8 +14,8 @@ from geomid_ros.errors import InputError
 from geomid_ros.files.models.posterior import POSTERIOR, read_posterior, read_remainder
 from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.live import saving as module
-from geomid_ros.live.gap_search import look_for_gap
 from geomid_ros.live.saving import Saving
+from geomid_ros.live.searches import look_for_gap
 from geomid_ros.live.worker import Worker
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.robot import Robot

@@ -11,7 +11,7 @@ from estimation.arms import Motion, efforts, motion, samples, shipped, truth
 
 from geomid_ros.exports.weighed_payload import weigh_at
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.live.gap_search import look_for_gap
+from geomid_ros.live.searches import look_for_gap
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.options import silent

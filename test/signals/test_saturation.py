@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomid_ros.signals.effort_sizes import SaturationDetector
+from geomid_ros.signals.effort_quality import SaturationDetector
 from geomid_ros.signals.joint_messages import JointReader
 from geomid_ros.types import BoolArray, FloatArray
 

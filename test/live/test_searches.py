@@ -7,7 +7,7 @@ import threading
 from types import SimpleNamespace
 from typing import Any
 
-from geomid_ros.live.background_search import BackgroundSearch
+from geomid_ros.live.searches import BackgroundSearch
 from geomid_ros.options import Progress
 
 PATIENCE = 60.0  # [s]

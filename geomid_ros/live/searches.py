@@ -1,0 +1,266 @@
+"""What a node looks for beside its estimate, a gap and a payload: one search at a time, in a thread, for which the
+end of the node does not wait."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Generic, Protocol, TypeVar
+
+from geomid_ros.checks.causes import Finding
+from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.exports.weighed_payload import Payload, weigh_at
+from geomid_ros.files.models.estimate_file import causes_entry
+from geomid_ros.files.models.gap_file import gap_document
+from geomid_ros.gap.result import GapResult
+from geomid_ros.live.threads import start_daemon
+from geomid_ros.live.worker import Worker
+from geomid_ros.model.samples import Samples
+from geomid_ros.options import Progress
+from geomid_ros.report.gap_words import verdict_sentence
+from geomid_ros.session.payload import payload_session
+from geomid_ros.session.recordings import samples_of_messages
+from geomid_ros.session.session import Session
+from geomid_ros.signals.messages import JOINT_STATES, Accepted
+
+_PATIENCE = 0.2  # [s] for a search to notice that it is to end
+
+
+class Found(Protocol):
+    """What a search finds."""
+
+    @property
+    def sentence(self) -> str:
+        """In short."""
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """As a whole, for JSON."""
+
+
+R = TypeVar("R", bound=Found)
+
+
+@dataclass(frozen=True)
+class SearchStatus(Generic[R]):
+    """The state of a search in a ``sentence``; its ``stage`` while it runs, then its ``result``, or neither when it has
+    failed."""
+
+    sentence: str
+    stage: str = ""
+    result: R | None = None
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """What was found; only the sentence, as ``error``, when the search failed."""
+        return self.result.document if self.result else {"error": self.sentence}
+
+
+class _EndedError(Exception):
+    """The search was closed."""
+
+
+class BackgroundSearch(Generic[R]):
+    """Looks for something."""
+
+    def __init__(self, failure: str, on_end: Callable[[SearchStatus[R]], None]) -> None:
+        """
+        Args:
+            failure: what is said of a search that found nothing, before the reason.
+            on_end: ``on_end(status)`` is called in the search's thread when a search ends by itself.
+        """
+        self._failure = failure
+        self._on_end = on_end
+        self.status: SearchStatus[R] | None = None  # of the present or the last search
+        self._thread: threading.Thread | None = None
+        self._ended = threading.Event()  # the present search, from outside
+        self._lock = threading.Lock()  # held while on_end is called
+
+    @property
+    def running(self) -> bool:
+        """Whether a search is going on; one that was ended does until it notices."""
+        ending = self._ended.is_set() and self._thread is not None and self._thread.is_alive()
+        return ending or (self.status is not None and self.status.stage != "")
+
+    def start(self, look: Callable[[Progress], R]) -> None:
+        """Begin a search: ``look(progress)``, in a thread."""
+        self._ended = threading.Event()
+        self._progress(self._ended, "beginning", 0.0)
+        self._thread = start_daemon("search", self._run, look, self._ended)
+
+    def close(self) -> None:
+        """End the present search, without calling ``on_end``, and forget the last one."""
+        with self._lock:
+            self._ended.set()
+            self.status = None
+        if self._thread is not None:
+            self._thread.join(_PATIENCE)
+
+    def _run(self, look: Callable[[Progress], R], ended: threading.Event) -> None:
+        try:
+            result = look(partial(self._progress, ended))
+            status = SearchStatus(result.sentence, result=result)
+        except _EndedError:
+            return
+        except InputError as error:
+            status = SearchStatus(f"{self._failure}: {error}")
+        except Exception as error:  # noqa: BLE001 the caller must have an answer
+            status = SearchStatus(f"{self._failure}: {type(error).__name__}: {error}")
+        with self._lock:
+            if not ended.is_set():
+                self.status = status
+                self._on_end(status)
+
+    def _progress(self, ended: threading.Event, stage: str, share: float) -> None:
+        with self._lock:
+            if ended.is_set():
+                raise _EndedError
+            self.status = SearchStatus(f"running: {stage}, {100.0 * share:.0f} %", stage)
+
+
+COMPARED = "compared with the estimate before the gap"
+
+
+@dataclass(frozen=True)
+class FoundGap:
+    """The ``result`` of a search, the ``causes`` that make it doubtful, ``warnings`` and ``notes`` beside, and what the
+    robot was ``compared`` with, if not with its description."""
+
+    result: GapResult
+    causes: Sequence[Finding] = ()
+    warnings: Sequence[str] = ()
+    notes: Sequence[str] = ()
+    compared: str = ""
+
+    @property
+    def sentence(self) -> str:
+        """The verdict."""
+        sentence = verdict_sentence(self.result)
+        return f"{sentence} ({self.compared})" if self.compared else sentence
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """The document of ``gap.json``."""
+        remarks = {"causes": causes_entry(self.causes), "warnings": [*self.warnings], "notes": [*self.notes]}
+        document = gap_document(self.result, {}) | remarks
+        return document | ({"compared_with": self.compared} if self.compared else {})
+
+
+def look_for_gap(
+    session: Session,
+    before: Estimate | None,
+    earlier: Sequence[Accepted],
+    messages: Sequence[Accepted],
+    progress: Progress,
+) -> FoundGap:
+    """Look for a gap in messages that the pipeline of a live session has accepted.
+
+    Args:
+        session: of the node.
+        before: what it had identified before a gap opened, to which the robot is compared; None to compare it with the
+            robot description and the configured model.
+        earlier: messages that it is from: what it lacked there is no change.
+        messages: what to look at.
+        progress: called with what is being done.
+
+    Raises:
+        InputError: too little was measured.
+    """
+    # A third of a node's start, which few ever need.
+    from geomid_ros.session.gap import (  # noqa: PLC0415
+        find_in_messages,
+        gap_session,
+        identified_session,
+        lacking_in_messages,
+        standing_of,
+    )
+
+    if before is None:
+        own = gap_session(session.urdf, session.configuration, "robot_description")
+        result = find_in_messages(own, messages, standing_of(own), progress)
+        return FoundGap(result, own.review.findings, own.review.warnings(), [*session.notes, *own.review.settled])
+    own = identified_session(session, before)
+    result = find_in_messages(own, messages, lacking_in_messages(own, earlier, progress), progress)
+    compared = f"{COMPARED}, of {before.rows_accepted} rows"
+    return FoundGap(result, own.review.findings, own.review.warnings(), session.notes, compared)
+
+
+NO_DATA = "no data yet"
+
+
+class PayloadSearch:
+    """Remembers the motion without the payload, and weighs it when there is one with it."""
+
+    def __init__(self, on_end: Callable[[SearchStatus[Payload]], None]) -> None:
+        """``on_end``: see :class:`BackgroundSearch`."""
+        self._search = BackgroundSearch("not weighed", on_end)
+        self._empty: Sequence[Accepted] = ()
+
+    def forget(self) -> None:
+        """Forget the motion without the payload."""
+        self._empty = ()
+
+    def close(self) -> None:
+        """The same, and end the search without an answer."""
+        self.forget()
+        self._search.close()
+
+    def take_empty(self, worker: Worker) -> tuple[bool, str]:
+        """Remember what the robot did lately as its motion without the payload. Whether that succeeded, and a
+        sentence."""
+        messages = worker.recent_messages()
+        if not messages:
+            return False, NO_DATA
+        self._empty = messages
+        return (
+            True,
+            f"{_seconds(messages):.0f} s without the payload are stored; mount it, move, and call ~/payload/loaded",
+        )
+
+    def take_loaded(self, worker: Worker) -> tuple[bool, str]:
+        """Begin to weigh what the robot has carried since then. Whether it can be, and a sentence."""
+        if not self._empty:
+            return False, "no motion without the payload yet: move the robot without it, and call ~/payload/empty"
+        if self._search.running:
+            return False, "already running; the result is published on ~/payload"
+        begin = _last_stamp(self._empty) + 1
+        loaded = [late for each in worker.recent_messages() if len(late := each.since(begin))]
+        if not loaded:
+            return False, "no data since the motion without the payload"
+        live, empty = worker.session, self._empty
+
+        def look(progress: Progress) -> Payload:
+            session = payload_session(live.urdf, live.configuration, "robot_description")
+            return _weigh(session, empty, loaded, progress)
+
+        self._search.start(look)
+        return True, f"identifying the payload from {_seconds(loaded):.0f} s; the result is published on ~/payload"
+
+
+def _weigh(session: Session, empty: Sequence[Accepted], loaded: Sequence[Accepted], progress: Progress) -> Payload:
+    samples: list[Samples] = []
+    for what, messages in (("without", empty), ("with", loaded)):
+        stage = f"reading the motion {what} the payload"
+        found = samples_of_messages(session.new_pipeline(), messages, stage, progress)
+        if found is None:
+            raise InputError(f"too little motion {what} the payload: move all joints for half a minute")
+        session.review.judge_apart()
+        session.review.check.add(found)
+        session.review.judge()
+        samples.append(found)
+    progress("solving", 0.0)
+    frame, gain = session.configuration["payload.frame"], session.configuration["payload.gain"]
+    return weigh_at(session, samples[:1], samples[1:], frame, gain)
+
+
+def _last_stamp(messages: Sequence[Accepted]) -> int:
+    return max(int(each.stamps[-1]) for each in messages)
+
+
+def _seconds(messages: Sequence[Accepted]) -> float:
+    """The time that joint messages span [s]."""
+    joints = [each for each in messages if each.topic == JOINT_STATES] or messages
+    return 1e-9 * float(_last_stamp(joints) - min(int(each.stamps[0]) for each in joints))
