@@ -26,9 +26,10 @@ from geomid_ros.files.schema import plain
 from geomid_ros.gap.result import Finding, GapResult, Verdict
 from geomid_ros.model.samples import Samples
 from geomid_ros.options import Progress, shared, silent, takes
-from geomid_ros.report.gap_page import GapPage, SimulatedAgain, simulated_again, write_gap_page
+from geomid_ros.report.gap_page import GapPage, write_gap_page
 from geomid_ros.report.gap_words import verdict_sentence
 from geomid_ros.report.series import elapsed
+from geomid_ros.resimulation.resimulate import Resimulated
 from geomid_ros.session.gap import GapReader, find, gap_session, standing_of
 from geomid_ros.session.options import PathLike
 from geomid_ros.session.recordings import Bags
@@ -55,7 +56,7 @@ class Gap:
     bags: Bags
     result: GapResult
     held_out: Sequence[Samples]
-    simulated: Sequence[SimulatedAgain]
+    simulated: Sequence[Resimulated]
     not_simulated: str
     reader: str = URDF
     with_simulator: bool = False
@@ -217,14 +218,14 @@ def find_gap(options: GapOptions) -> Gap:
     except InputError as error:
         raise InputError(f"{', '.join(map(str, recorded.fitted))}: {error}") from error
     options.progress("simulating again", 0.0)
-    again = simulate_again(session, result, sharp, commands, samples.cutoff)
+    again, not_simulated = simulate_again(session, result, sharp, commands, samples.cutoff)
     return Gap(
         session=session,
         bags=recorded,
         result=result,
         held_out=samples.held_out,
-        simulated=simulated_again(session.model, again),
-        not_simulated=again.skipped,
+        simulated=again,
+        not_simulated=not_simulated,
         reader=options.reader,
         with_simulator=bool(twins),
     )

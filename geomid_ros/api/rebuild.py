@@ -13,8 +13,9 @@ from geomid_ros.errors import InputError
 from geomid_ros.files.models.estimate_file import OF_PAGE, EstimateFile
 from geomid_ros.files.models.gap_file import Errors, GapFile, read_gap
 from geomid_ros.files.models.tables import tables, write_tables
-from geomid_ros.report.gap_page import GapPage, Kind, SimulatedAgain, write_gap_page
+from geomid_ros.report.gap_page import GapPage, write_gap_page
 from geomid_ros.report.identification_page import write_identification_page
+from geomid_ros.resimulation.resimulate import Kind, Resimulated
 from geomid_ros.session.options import PathLike
 
 _GAP, _ESTIMATE, _PAGE = "gap.json", "estimate.json", "report.html"
@@ -73,7 +74,11 @@ def _gap_page(file: GapFile) -> GapPage:
     return GapPage(file=file, result=result, rigid=np.zeros((0, len(result.channels))), simulated=_simulated(file))
 
 
-def _simulated(file: GapFile) -> list[SimulatedAgain]:
+def _simulated(file: GapFile) -> list[Resimulated]:
     """The errors of the simulations that there were, without their motions."""
     kinds: list[tuple[Kind, Errors | None]] = [("windows", file.resimulated), ("closed_loop", file.closed_loop)]
-    return [SimulatedAgain(kind=kind, errors=errors) for kind, errors in kinds if errors is not None]
+    return [
+        Resimulated(kind=kind, before=errors["before"], after=errors["after"])
+        for kind, errors in kinds
+        if errors is not None
+    ]

@@ -15,7 +15,7 @@ from geomid_ros.commands.terminal import lines, number_columns, plain_table, pri
 from geomid_ros.exports.handover import JudgedFile
 from geomid_ros.gap.result import GapResult
 from geomid_ros.report import gap_words
-from geomid_ros.report.gap_page import SimulatedAgain
+from geomid_ros.resimulation.resimulate import Resimulated
 
 _BAR = 24  # characters
 _AFTER, _INERTIAS, _BEFORE = "█", "▓", "░"
@@ -112,11 +112,11 @@ def _length(value: float, end: float) -> int:
     return round(_BAR * math.log(max(value, 1.0)) / math.log(end)) if math.isfinite(value) else 0
 
 
-def _simulated_table(simulation: SimulatedAgain) -> Table:
+def _simulated_table(simulation: Resimulated) -> Table:
     how = {"windows": "in short windows", "closed_loop": "in closed loop"}[simulation.kind]
     table = plain_table(f"Resimulation {how}\n(error in units of the noise)", ["channel"], ["before", "after"])
-    for name, before in simulation.errors["before"].items():
-        table.add_row(name, gap_words.ratio(before), gap_words.ratio(simulation.errors["after"][name]))
+    for name, before in simulation.before.items():
+        table.add_row(name, gap_words.ratio(before), gap_words.ratio(simulation.after[name]))
     return table
 
 

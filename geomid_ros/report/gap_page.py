@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -17,21 +17,18 @@ from geomid_ros.gap.result import Finding, GapResult, Located
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.channels import is_of
 from geomid_ros.model.effects import KnownEffect
-from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.report import gap_words
 from geomid_ros.report.page import Bars, Script, write_page
 from geomid_ros.report.residual_picture import Residuals, residual_picture
 from geomid_ros.report.series import MOST_DRAWN, SCRIPT, ChannelTrace, Series, elapsed, traces
-from geomid_ros.resimulation.resimulate import Resimulated
+from geomid_ros.resimulation.resimulate import Kind, Resimulated
 from geomid_ros.resimulation.windows import HORIZON
-from geomid_ros.session.written_simulation import Simulations
 from geomid_ros.types import FloatArray
 
 _MOST_CHANNELS = 6  # whose remainder is drawn
 _CHANGED = 0.01  # geodesic distance from which on a link's inertia has changed
 _KINDS = {"before": "nominal", "inertias_only": "inertias only", "after": "with effect"}
 
-Kind: TypeAlias = Literal["windows", "closed_loop"]
 _WINDOWS = (
     f"Velocities simulated in MuJoCo with the written MJCF. The measured efforts are applied; every {HORIZON:g} s the "
     "simulation restarts from the measured state."
@@ -48,41 +45,6 @@ _SIMULATIONS: Mapping[Kind, tuple[str, str]] = {
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SimulatedAgain:
-    """The robot's simulation before and after: its ``kind``, its ``errors`` {before, after}, each by channel in units
-    of the floor, and in closed loop efforts over time, as ``series``."""
-
-    kind: Kind
-    errors: Mapping[str, Mapping[str, float]]
-    series: Sequence[Series] = ()
-
-
-def simulated_again(model: MeasurementModel, simulations: Simulations) -> list[SimulatedAgain]:
-    """The simulations that there are, in short windows first."""
-    windows, loop = simulations.windows, simulations.closed_loop
-    return [
-        *([SimulatedAgain(kind="windows", errors=_errors(windows))] if windows else []),
-        *([SimulatedAgain(kind="closed_loop", errors=_errors(loop), series=_efforts(model, loop))] if loop else []),
-    ]
-
-
-def _errors(found: Resimulated) -> dict[str, Mapping[str, float]]:
-    return {"before": found.before, "after": found.after}
-
-
-def _efforts(model: MeasurementModel, loop: Resimulated) -> list[Series]:
-    """Efforts of the joints, measured and simulated, recordings one after the other."""
-    starts = np.cumsum([0.0, *(np.ptp(trace.times) for trace in loop.traces)])
-    times = [trace.times.ravel() - trace.times.min() + s for trace, s in zip(loop.traces, starts, strict=False)]
-    kinds = ("measured", "before", "after")
-    lines = [np.concatenate([np.vstack(getattr(trace, kind)) for trace in loop.traces]) for kind in kinds]
-    return [
-        Series(joint.name, joint.unit, np.concatenate(times), *(line[:, index] for line in lines))
-        for index, joint in enumerate(model.robot.joints)
-    ]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class GapPage:
     """What the page is made of.
 
@@ -96,7 +58,7 @@ class GapPage:
     rigid: FloatArray
     joints: Sequence[str] = ()
     units: Sequence[str] = ()
-    simulated: Sequence[SimulatedAgain] = ()
+    simulated: Sequence[Resimulated] = ()
 
 
 def write_gap_page(path: Path, page: GapPage) -> None:
@@ -116,7 +78,7 @@ def _content(page: GapPage) -> dict[str, Any]:
         "residuals": [residual_picture(_residuals(page, channel)) for channel in _telling_channels(result)],
         "traces": _traces(result),
         "simulations": [
-            (*_SIMULATIONS[again.kind], _simulation_bars(again), traces(_worst_joints(again)))
+            (*_SIMULATIONS[again.kind], _simulation_bars(again), traces(_worst_joints(page, again)))
             for again in page.simulated
         ],
         "located": _located(result),
@@ -136,9 +98,8 @@ def _bars(result: GapResult) -> Bars:
     )
 
 
-def _simulation_bars(again: SimulatedAgain) -> Bars:
-    names, kinds = again.errors["before"], ("before", "after")
-    return Bars.of_gaps((name, "", {kind: again.errors[kind][name] for kind in kinds}) for name in names)
+def _simulation_bars(again: Resimulated) -> Bars:
+    return Bars.of_gaps((name, "", {"before": old, "after": again.after[name]}) for name, old in again.before.items())
 
 
 # --- Which channels, against what ---
@@ -208,11 +169,21 @@ def _traces(result: GapResult) -> list[ChannelTrace]:
     )
 
 
-def _worst_joints(again: SimulatedAgain) -> list[Series]:
-    """Joints whose simulation was judged, the worst before first."""
-    before = again.errors["before"]
-    judged = [series for series in again.series if series.name in before]
-    return sorted(judged, key=lambda series: -before[series.name])[:MOST_DRAWN]
+def _worst_joints(page: GapPage, again: Resimulated) -> list[Series]:
+    """Efforts of joints whose simulation was judged, the worst before first; recordings one after the other."""
+    if not again.efforts:
+        return []
+    starts = np.cumsum([0.0, *(np.ptp(part.times) for part in again.efforts)])
+    times = np.concatenate([part.times + start for part, start in zip(again.efforts, starts, strict=False)])
+    measured, before, after = (
+        np.concatenate([getattr(part, kind) for part in again.efforts]) for kind in ("measured", "before", "after")
+    )
+    judged = [
+        Series(name, page.result.units[k], times, measured[:, k], before[:, k], after[:, k])
+        for k, name in enumerate(page.joints)
+        if name in again.before
+    ]
+    return sorted(judged, key=lambda series: -again.before[series.name])[:MOST_DRAWN]
 
 
 # --- The model file ---

@@ -10,7 +10,7 @@ import numpy as np
 from geomid_ros.files.models.written_model import ModelFiles
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
-from geomid_ros.resimulation.resimulate import Resimulated, SimulatedTrace, in_units
+from geomid_ros.resimulation.resimulate import NotSimulatedError, Resimulated, SimulatedEfforts, in_units
 from geomid_ros.resimulation.windows import (
     Noise,
     Stretch,
@@ -96,22 +96,22 @@ def closed_loop(
     Returns:
         Errors of the efforts that the controller needs, without the joints whose efforts do not follow from the
         commands.
+
+    Raises:
+        NotSimulatedError: This robot or recording cannot be simulated so.
     """
-    try:
-        parts, robots, controller = _prepared(model, (before, after), recordings, commands)
-    except _NotSimulatedError as reason:
-        return Resimulated({}, {}, (), str(reason))
+    parts, robots, controller = _prepared(model, (before, after), recordings, commands)
     joints = model.robot.joint_names
     traces = [_simulated(part, controller, *robots) for part in parts]
     floor = np.sqrt(np.mean(noise.only(joints).values ** 2, axis=0))
     known = controller.found & (floor > 0.0)
 
     def ratios(kind: str) -> dict[str, float]:
-        errors = [(trace.measured - getattr(trace, kind))[0] for trace in traces]
+        errors = [trace.measured - getattr(trace, kind) for trace in traces]
         low = [filtered(e, cutoff, p.stretch.period)[0] for e, p in zip(errors, parts, strict=True)]
         return in_units(floor, joints, known, low)
 
-    return Resimulated(ratios("before"), ratios("after"), tuple(traces))
+    return Resimulated(kind="closed_loop", before=ratios("before"), after=ratios("after"), efforts=traces)
 
 
 def tracking(
@@ -126,7 +126,7 @@ def tracking(
     """
     try:
         parts, (robot,), controller = _prepared(model, (files,), recordings, commands)
-    except _NotSimulatedError as reason:
+    except NotSimulatedError as reason:
         return Tracking({}, str(reason))
     errors = [_simulated_motion(part, controller, robot)[0] - part.stretch.samples.position for part in parts]
     rms = root_mean_square(errors)
@@ -134,27 +134,23 @@ def tracking(
     return Tracking({name: value for name, value, found in pairs if found})
 
 
-class _NotSimulatedError(Exception):
-    """Why a recording cannot be simulated under its commands."""
-
-
 def _prepared(
     model: MeasurementModel, files: Sequence[ModelFiles], recordings: Sequence[Samples], commands: Sequence[Samples]
 ) -> tuple[list[_Commanded], list[WrittenRobot], FittedController]:
     """The stretches with their commands, the robots of ``files``, and the controller as the last of them explains it.
 
-    Raises _NotSimulatedError.
+    Raises NotSimulatedError.
     """
     if model.robot.floating_base:
-        raise _NotSimulatedError(FLOATING)
+        raise NotSimulatedError(FLOATING)
     parts = [part for pair in zip(recordings, commands, strict=True) for part in _commanded(*pair)]
     if not parts:
-        raise _NotSimulatedError("commands and measurements do not overlap in time")
+        raise NotSimulatedError("commands and measurements do not overlap in time")
     efforts = np.concatenate([part.stretch.samples.effort for part in parts])
     robots = loaded_robots(files, model.robot.joint_names, efforts)
     controller = fitted_controller(parts, robots[-1])
     if not np.any(controller.found):
-        raise _NotSimulatedError(
+        raise NotSimulatedError(
             "the measured efforts cannot be reproduced from the commands with gains and feed-forward"
         )
     return parts, robots, controller
@@ -215,10 +211,10 @@ def _true_time(stretch: Stretch, robot: WrittenRobot) -> FloatArray:
     return np.where(np.all(np.isfinite(effort), axis=0), shifted, np.nan)
 
 
-def _simulated(part: _Commanded, controller: FittedController, *robots: WrittenRobot) -> SimulatedTrace:
-    """The efforts of a stretch, as one window, of the robots before and after."""
-    efforts = (_simulated_effort(part, controller, robot)[None] for robot in robots)
-    return SimulatedTrace(part.stretch.times[None], part.stretch.samples.effort[None], *efforts)
+def _simulated(part: _Commanded, controller: FittedController, *robots: WrittenRobot) -> SimulatedEfforts:
+    """The efforts of a stretch, of the robots before and after."""
+    efforts = (_simulated_effort(part, controller, robot) for robot in robots)
+    return SimulatedEfforts(part.stretch.times, part.stretch.samples.effort, *efforts)
 
 
 def _simulated_effort(part: _Commanded, controller: FittedController, robot: WrittenRobot) -> FloatArray:

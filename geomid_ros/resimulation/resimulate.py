@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -30,10 +31,17 @@ reverses, and a simulation feels every moment by which the measured effort jumps
 _STILL = 1e-3  # [rad, m] a joint that moves less is held by forces that are not measured
 
 
+Kind: TypeAlias = Literal["windows", "closed_loop"]
+
+
+class NotSimulatedError(Exception):
+    """Why a recording cannot be simulated."""
+
+
 @dataclass(frozen=True, eq=False)
-class SimulatedTrace:
-    """The joints in the windows of one stretch: ``times (W, K)`` [s] and the velocities (in closed loop, the efforts)
-    that were ``measured`` and come ``before, after`` the findings, each ``(W, K, J)``."""
+class SimulatedEfforts:
+    """Efforts of the joints in one stretch, in closed loop: ``times (N,)`` [s], and what was ``measured`` and comes
+    ``before, after`` the findings, each ``(N, J)``."""
 
     times: FloatArray
     measured: FloatArray
@@ -41,21 +49,26 @@ class SimulatedTrace:
     after: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Resimulated:
-    """Errors of a simulation, in short windows or in closed loop.
+    """Errors of a simulation, in short windows or in closed loop, before the findings and after.
 
     Attributes:
+        kind: Which of the two.
         before, after: Root mean square by joint (velocity at the window's end, or effort in closed loop) or wrench
             channel (mean), in units of the errors that noise alone causes; without those that cannot be judged.
-        traces: The windows of each stretch.
-        skipped: Why there is nothing, else empty.
+        efforts: In closed loop, of each stretch, unless it is read from a file.
     """
 
+    kind: Kind
     before: Mapping[str, float]
     after: Mapping[str, float]
-    traces: tuple[SimulatedTrace, ...]
-    skipped: str = ""
+    efforts: Sequence[SimulatedEfforts] = ()
+
+    @property
+    def errors(self) -> dict[str, Mapping[str, float]]:
+        """{before, after}."""
+        return {"before": self.before, "after": self.after}
 
 
 def resimulate(
@@ -70,10 +83,10 @@ def resimulate(
 
     Raises:
         InputError: The files cannot be read.
+        NotSimulatedError: This robot or recording cannot be simulated so.
     """
-    reason = _why_not(model, recordings)
-    if reason:
-        return Resimulated({}, {}, (), reason)
+    if reason := _why_not(model, recordings):
+        raise NotSimulatedError(reason)
     parts = stretches(recordings)
     efforts, judged = np.concatenate([part.samples.effort for part in parts]), _judged_joints(parts)
     robots = loaded_robots((before, after), model.robot.joint_names, efforts)
@@ -84,8 +97,8 @@ def resimulate(
     floor = root_mean_square([run.noise for run in runs])
     known = np.concatenate([judged, errors.measured_wrenches(parts)]) & (floor > 0.0)
     in_noise = partial(in_units, floor, errors.names, known)
-    traces = tuple(run.trace for run in runs)
-    return Resimulated(in_noise([run.before for run in runs]), in_noise([run.after for run in runs]), traces)
+    of_before, of_after = in_noise([run.before for run in runs]), in_noise([run.after for run in runs])
+    return Resimulated(kind="windows", before=of_before, after=of_after)
 
 
 def in_units(
@@ -104,21 +117,16 @@ class _Run:
     before: FloatArray
     after: FloatArray
     noise: FloatArray
-    trace: SimulatedTrace
 
 
 def _simulated(stretch: Stretch, errors: Errors, before: WrittenRobot, after: WrittenRobot) -> _Run:
     windows = Windows.of(stretch, min(before.step, after.step))
     first, last = WindowSimulation(before, windows), WindowSimulation(after, windows)
-    of_first, of_last = first.run(), last.run()
-    trace = SimulatedTrace(
-        stretch.times[windows.samples], stretch.samples.velocity[windows.samples], of_first.velocity, of_last.velocity
-    )
+    of_last = last.run()
     return _Run(
-        errors.of(windows, first.instants, before, of_first),
+        errors.of(windows, first.instants, before, first.run()),
         errors.of(windows, last.instants, after, of_last),
         errors.of_noise(last, after, of_last),
-        trace,
     )
 
 

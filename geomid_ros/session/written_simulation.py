@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -24,7 +25,7 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.closed_loop import Tracking, closed_loop, tracking
-from geomid_ros.resimulation.resimulate import Resimulated, resimulate
+from geomid_ros.resimulation.resimulate import NotSimulatedError, Resimulated, resimulate
 from geomid_ros.resimulation.windows import Noise
 from geomid_ros.session.gap import GapReader
 from geomid_ros.session.recordings import Bags
@@ -33,21 +34,6 @@ from geomid_ros.signals.messages import JOINT_STATES, message_type
 from geomid_ros.types import FloatArray, IntArray
 
 _NO_MUJOCO = "MuJoCo is not installed (pip install mujoco)"
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Simulations:
-    """Held-out recordings simulated again from the models before and after.
-
-    Attributes:
-        windows: in short windows; None where that could not be done.
-        closed_loop: under the recorded commands; None where that was not asked for or could not be done.
-        skipped: why there is none, or not both.
-    """
-
-    windows: Resimulated | None = None
-    closed_loop: Resimulated | None = None
-    skipped: str = ""
 
 
 def write_found(folder: Path, session: Session, result: GapResult, reader: str = URDF) -> list[Path]:
@@ -109,7 +95,7 @@ def without_findings(session: Session, result: GapResult, held_out: Sequence[Sam
 
 def simulate_again(
     session: Session, result: GapResult, sharp: Sequence[Samples], commands: Sequence[Samples], cutoff: float
-) -> Simulations:
+) -> tuple[list[Resimulated], str]:
     """Simulate held-out recordings from the written models, before and after the findings.
 
     What was known of the sensors before is corrected in the samples, and so it is not in these models.
@@ -120,38 +106,32 @@ def simulate_again(
         sharp: held-out samples with a high cutoff, one element per recording.
         commands: the joints' set-points in them, to simulate in closed loop as well; or nothing.
         cutoff: low-pass [Hz] of the samples that the result is from.
+
+    Returns:
+        The simulations that could be done, in short windows first, and why there is none, or not both.
     """
     if find_spec("mujoco") is None:
-        return Simulations(skipped=_NO_MUJOCO)
+        return [], _NO_MUJOCO
     known = session.loaded
     fitted = known.refitted(session.model, result.coefficients, result.beside)
     with TemporaryDirectory() as folder:
         before, after = Path(folder) / "before", Path(folder) / "after"
         _write(before, session, nominal_inertias(session), known.in_samples)
         _write(after, session, result.inertias, [*fitted.in_samples, *result.ordinary, *result.sure])
-        files = ModelFiles.of(before), ModelFiles.of(after)
-        try:
-            return _simulated(session, Noise.of(result), files, sharp, commands, cutoff)
-        except InputError as error:  # what was found is worth more than its simulation
-            return Simulations(skipped=str(error))
-
-
-def _simulated(
-    session: Session,
-    noise: Noise,
-    files: tuple[ModelFiles, ModelFiles],
-    sharp: Sequence[Samples],
-    commands: Sequence[Samples],
-    cutoff: float,
-) -> Simulations:
-    windows = resimulate(session.model, *files, sharp, noise)
-    loop = closed_loop(session.model, *files, sharp, commands, noise=noise, cutoff=cutoff) if commands else None
-    reasons = [windows.skipped, f"in closed loop, {loop.skipped}" if loop and loop.skipped else ""]
-    return Simulations(
-        windows=None if windows.skipped else windows,
-        closed_loop=None if loop is None or loop.skipped else loop,
-        skipped="; ".join(filter(None, reasons)),
-    )
+        robots, noise = (session.model, ModelFiles.of(before), ModelFiles.of(after)), Noise.of(result)
+        simulations = [("", partial(resimulate, *robots, sharp, noise))]
+        if commands:
+            loop = partial(closed_loop, *robots, sharp, commands, noise=noise, cutoff=cutoff)
+            simulations.append(("in closed loop, ", loop))
+        found, reasons = list[Resimulated](), list[str]()
+        for where, simulate in simulations:
+            try:
+                found.append(simulate())
+            except NotSimulatedError as reason:
+                reasons.append(f"{where}{reason}")
+            except InputError as error:  # what was found is worth more than its simulation
+                return [], str(error)
+    return found, "; ".join(reasons)
 
 
 def _write(

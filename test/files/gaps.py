@@ -23,8 +23,8 @@ from geomid_ros.gap.result import (
 )
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import Quantity
-from geomid_ros.report.gap_page import GapPage, SimulatedAgain
-from geomid_ros.report.series import Series
+from geomid_ros.report.gap_page import GapPage
+from geomid_ros.resimulation.resimulate import Resimulated, SimulatedEfforts
 from geomid_ros.types import FloatArray
 
 FLOOR = 0.05  # [N m]
@@ -183,12 +183,9 @@ def _bodies(count: int, error: float) -> FloatArray:
     return pseudo_inertia.assemble(masses, centres, inertias)
 
 
-def _simulated_again(joints: Sequence[str], trace: Trace) -> SimulatedAgain:
-    errors = {kind: dict.fromkeys(joints, value) for kind, value in (("before", 10.9), ("after", 1.02))}
-    drift = 0.2 * np.linspace(0.0, 1.0, len(trace.stamps))
-    times = (trace.stamps - trace.stamps[0]) * 1e-9
-    series = [
-        Series(joint, "N m", times, own, own + drift, own + 1e-3)
-        for joint, own in zip(joints, trace.position.T, strict=True)
-    ]
-    return SimulatedAgain(kind="closed_loop", errors=errors, series=series)
+def _simulated_again(joints: Sequence[str], trace: Trace) -> Resimulated:
+    before, after = dict.fromkeys(joints, 10.9), dict.fromkeys(joints, 1.02)
+    drift = 0.2 * np.linspace(0.0, 1.0, len(trace.stamps))[:, None]
+    times, own = (trace.stamps - trace.stamps[0]) * 1e-9, trace.position
+    efforts = SimulatedEfforts(times, own, own + drift, own + 1e-3)
+    return Resimulated(kind="closed_loop", before=before, after=after, efforts=[efforts])
