@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import difflib
 import resource
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 _LONGEST = 4000  # characters of a message
 _NO_MEMORY = ("failed to map segment", "annot allocate memory", "ould not allocate memory", "Unable to allocate")
@@ -93,3 +94,12 @@ def unknown_name(kind: str, name: str, valid: Iterable[str]) -> InputError:
     close = difflib.get_close_matches(name, short, n=1) if len(name) <= _LONGEST_GUESS else []
     guess = f" Did you mean '{close[0]}'?" if close else ""
     return InputError(f"unknown {kind} '{name}'.{guess} Valid: {', '.join(names) or '(none)'}")
+
+
+@contextmanager
+def needing_ros(what: str) -> Iterator[None]:
+    """Import what needs ROS. Raises InputError where there is none; ``what`` needs it, in words."""
+    try:
+        yield
+    except ImportError as error:
+        raise InputError(f"{what} needs ROS 2, which cannot be imported ({error})") from error

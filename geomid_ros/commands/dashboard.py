@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from geomid_ros.errors import InputError, printable
+from geomid_ros.errors import needing_ros, printable
 
 
 @click.command()
@@ -18,8 +18,6 @@ def dashboard(node: str, port: int | None) -> None:
     Shows masses with their intervals, fit, gaps and diagnostics. The page is on 127.0.0.1, not visible from the
     network. It is read-only and needs no network. Ctrl+C ends it.
     """
-    try:
+    with needing_ros("the dashboard"):
         from geomid_ros.ros.dashboard import run_dashboard
-    except ImportError as error:
-        raise InputError(f"the dashboard needs ROS 2, which cannot be imported ({error})") from error
     run_dashboard(node, port, lambda said: click.echo(printable(said)))

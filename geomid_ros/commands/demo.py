@@ -13,7 +13,7 @@ import click
 import geomid_ros
 from geomid_ros.commands.options import OUT
 from geomid_ros.commands.terminal import progress_bar, results_console
-from geomid_ros.errors import InputError
+from geomid_ros.errors import InputError, needing_ros
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -47,10 +47,8 @@ def demo(out: Path, rate: float) -> None:
     from geomid_ros.report.sheet import write_picture
     from geomid_ros.session.session import Session
 
-    try:
+    with needing_ros("the demonstration"):
         from geomid_ros.ros.live_run import LiveRun
-    except ImportError as error:
-        raise InputError(f"the demonstration needs ROS 2, which cannot be imported ({error})") from error
     bag, urdf = shared_file("bags/arm7"), shared_file("bags/arm7.urdf")
     options = RobotOptions(wrench="/wrench:wrist_ft:mounted", config={"solve_period": max(0.1, 0.3 / rate)})
     configuration = configured(options)

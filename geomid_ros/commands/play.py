@@ -8,7 +8,7 @@ import click
 
 from geomid_ros.commands.options import PATH
 from geomid_ros.commands.terminal import progress_bar
-from geomid_ros.errors import InputError, printable
+from geomid_ros.errors import needing_ros, printable
 
 
 @click.command()
@@ -37,10 +37,8 @@ def play(bag: Path, rate: float, wait: float, topic: tuple[str, ...], config: Pa
     """
     from geomid_ros.session.configuration import Configuration
 
-    try:
+    with needing_ros("playing a bag"):
         from geomid_ros.ros.player import play as published
-    except ImportError as error:
-        raise InputError(f"playing a bag needs ROS 2, which cannot be imported ({error})") from error
     sensors = Configuration.read(config).sensors if config else []
     named = [*topic, *(sensor.topic for sensor in sensors)]
     count = 0

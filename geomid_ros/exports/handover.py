@@ -13,14 +13,13 @@ import numpy as np
 from geomid_ros.checks.unexplained import WORSE
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.exports.descriptions import DESCRIPTIONS, RobotToDescribe, Whole
-from geomid_ros.exports.read_back import ReadBack, read_mjcf_back, read_urdf_back
+from geomid_ros.exports.read_back import read_mjcf_back, read_urdf_back
 from geomid_ros.files.models.effects_file import coefficients_of, unsaid
 from geomid_ros.files.models.estimate_file import model_effects
 from geomid_ros.files.models.readers import ELEMENTS, URDF
 from geomid_ros.files.models.written_model import WrittenModel, written_model
 from geomid_ros.files.schema import entry
 from geomid_ros.model.effects import effect_class
-from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.results import with_inertias_of
 from geomid_ros.session.session import Session
@@ -198,28 +197,16 @@ def judge(
     else:
         written = read_urdf_back(session.read_robot(whole.text, name), reader, whole.beside)
     given = read_urdf_back(session.robot, URDF if reader == MUJOCO else reader)
-    channels = [channel.name for channel in session.model.channels]
-    none = np.zeros(session.model.dimension)
+    model, none = session.model, np.zeros(session.model.dimension)
     kinds = (written, none), (written, none if errors is None else errors), (given, none)
-    alone, corrected, before = (
-        dict(zip(channels, own, strict=True)) for own in _rms(session.model, batches, kinds).tolist()
-    )
+    parameters = np.column_stack([read.parameters(model) + beside for read, beside in kinds])
+
+    def added(samples: Samples) -> FloatArray:
+        return np.stack([read.efforts(model.robot.joint_names, samples) for read, _ in kinds], axis=2)
+
+    channels = [channel.name for channel in model.channels]
+    left = session.rms(batches, parameters, added).T.tolist()
+    alone, corrected, before = (dict(zip(channels, own, strict=True)) for own in left)
     return JudgedFile(
         name=name, program=program, alone=alone, corrected=corrected, given=before, found=found, lacks=lacks
     )
-
-
-def _rms(
-    model: MeasurementModel, batches: Sequence[Samples], kinds: Sequence[tuple[ReadBack, FloatArray]]
-) -> FloatArray:
-    """RMS ``(kinds, channels)`` of what descriptions leave, each with what parameters ``(D,)`` say beside it."""
-    parameters = np.column_stack([read.parameters(model) + beside for read, beside in kinds])
-    squares, counts = np.zeros((len(kinds), len(model.channels))), np.zeros(len(model.channels))
-    for samples in batches:
-        measured, predicted = model.predict(samples, parameters)
-        if model.layout.efforts:
-            added = [read.efforts(model.robot.joint_names, samples) for read, _ in kinds]
-            predicted[:, model.layout.efforts] += np.stack(added, axis=2)
-        squares += np.nansum((measured[:, :, None] - predicted) ** 2, axis=0).T
-        counts += np.count_nonzero(np.isfinite(measured), axis=0)
-    return np.sqrt(np.divide(squares, counts, out=np.full_like(squares, np.nan), where=counts > 0))

@@ -10,6 +10,7 @@ from geomid_ros.estimation.suggested_motions import instants
 from geomid_ros.exports.descriptions import described_robot
 from geomid_ros.exports.posterior_samples import BAND, ENOUGH, DrawnRobots
 from geomid_ros.files.models.loaded_model import LoadedModel
+from geomid_ros.files.models.posterior import places_in
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
@@ -68,18 +69,8 @@ def torque_bands(model: MeasurementModel, motion: Samples, parameters: FloatArra
 
 def _in_order(model: MeasurementModel, robots: DrawnRobots, parameters: FloatArray) -> FloatArray:
     """Drawn ``parameters (N, D)`` in the order of a measurement model; links that were not drawn are the URDF's."""
-    posterior = robots.posterior
-    result = np.tile(model.nominal_parameters, (len(parameters), 1))
-    for place, name in enumerate(model.body_names):
-        if name in posterior.links:
-            column = 10 * posterior.links.index(name)
-            result[:, 10 * place : 10 * place + 10] = parameters[:, column : column + 10]
-    columns = {(c.name, c.place, c.parameter): column for column, c in enumerate(posterior.effects)}
-    for place, c in enumerate(model.coefficients, 10 * len(model.body_names)):
-        effect = columns.get((c.effect.name, c.place_name, c.parameter))
-        if effect is not None:
-            result[:, place] = parameters[:, 10 * len(posterior.links) + effect]
-    return result
+    order = places_in(robots.posterior, model)
+    return np.where(order >= 0, parameters[:, order], model.nominal_parameters)
 
 
 def within_ranges(model: MeasurementModel, estimate: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -22,7 +22,6 @@ from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.disk import read_text, write_text
-from geomid_ros.types import FloatArray
 
 TOPIC = "/joint_trajectory_controller/joint_trajectory"
 _TYPES = get_typestore(Stores.ROS2_JAZZY)
@@ -43,8 +42,8 @@ def save_trajectory(path: Path, trajectory: Trajectory) -> None:
 def write_yaml(path: Path, trajectory: Trajectory) -> None:
     """Write ``trajectory.yaml``. Raises GeomidError naming the file."""
     lines = [f"joint_names: [{', '.join(map(_quoted, trajectory.joints))}]", "points:"]
-    for row, (seconds, nanoseconds) in enumerate(_stamps(trajectory)):
-        fields = [f"{name}: [{_numbers(own[row])}]" for name, own in _fields(trajectory).items()]
+    for numbers, seconds, nanoseconds in points_of(trajectory):
+        fields = [f"{name}: [{', '.join(map(repr, own))}]" for name, own in numbers.items() if own]
         fields.append(f"time_from_start: {{sec: {seconds}, nanosec: {nanoseconds}}}")
         lines += [f"{'  ' if place else '- '}{text}" for place, text in enumerate(fields)]
     write_text(path, "\n".join(lines) + "\n")
@@ -52,10 +51,11 @@ def write_yaml(path: Path, trajectory: Trajectory) -> None:
 
 def write_csv(path: Path, trajectory: Trajectory) -> None:
     """Write one line per point: time, then positions, velocities, accelerations and efforts. Raises GeomidError."""
-    fields = _fields(trajectory)
-    lines = [",".join(["time", *(f"{name} {_ONE_OF[kind]}" for kind in fields for name in trajectory.joints)])]
-    for row, time in enumerate(trajectory.times.tolist()):
-        lines.append(f"{time!r},{_numbers(np.concatenate([own[row] for own in fields.values()]), ',')}")
+    points = [numbers for numbers, _, _ in points_of(trajectory)]
+    kinds = [_ONE_OF[kind] for kind, own in points[0].items() if own]
+    lines = [",".join(["time", *(f"{name} {kind}" for kind in kinds for name in trajectory.joints)])]
+    for time, numbers in zip(trajectory.times.tolist(), points, strict=True):
+        lines.append(",".join(map(repr, [time, *chain(*numbers.values())])))
     write_text(path, "\n".join(lines) + "\n")
 
 
@@ -67,10 +67,10 @@ def write_bag(folder: Path, trajectory: Trajectory) -> None:
     types = _TYPES.types
     points = [
         types["trajectory_msgs/msg/JointTrajectoryPoint"](
-            **{name: np.array(own[row]) for name, own in _arrays(trajectory).items()},
+            **{name: np.array(own) for name, own in numbers.items()},
             time_from_start=types["builtin_interfaces/msg/Duration"](sec=seconds, nanosec=nanoseconds),
         )
-        for row, (seconds, nanoseconds) in enumerate(_stamps(trajectory))
+        for numbers, seconds, nanoseconds in points_of(trajectory)
     ]
     time = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
     header = types["std_msgs/msg/Header"](stamp=time, frame_id="")
@@ -102,24 +102,12 @@ _ONE_OF = {
 }
 
 
-def _arrays(trajectory: Trajectory) -> dict[str, FloatArray]:
-    """The numbers of a trajectory by the name of the message's field, each ``(N, joints)`` or, of none, ``(N, 0)``."""
+def points_of(trajectory: Trajectory) -> Iterator[tuple[dict[str, list[float]], int, int]]:
+    """Of each point the numbers by the message's field, no number in what the trajectory has none of; and seconds and
+    nanoseconds from the start."""
     arrays = trajectory.positions, trajectory.velocities, trajectory.accelerations, trajectory.efforts
-    return dict(zip(_ONE_OF, arrays, strict=True))
-
-
-def _fields(trajectory: Trajectory) -> dict[str, FloatArray]:
-    """Those that a trajectory has."""
-    return {name: array for name, array in _arrays(trajectory).items() if array.shape[1]}
-
-
-def _stamps(trajectory: Trajectory) -> list[tuple[int, int]]:
-    """Seconds and nanoseconds from the start, of each point."""
-    return [divmod(round(1e9 * time), 10**9) for time in trajectory.times.tolist()]
-
-
-def _numbers(values: FloatArray, separator: str = ", ") -> str:
-    return separator.join(map(repr, values.tolist()))
+    for time, *numbers in zip(trajectory.times.tolist(), *(own.tolist() for own in arrays), strict=True):
+        yield dict(zip(_ONE_OF, numbers, strict=True)), *divmod(round(1e9 * time), 10**9)
 
 
 def _quoted(name: str) -> str:

@@ -15,7 +15,7 @@ from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.loaded_model import LoadedModel
-from geomid_ros.files.models.posterior import POSTERIOR, check_of, read_posterior, read_remainder
+from geomid_ros.files.models.posterior import POSTERIOR, check_of, places_in, read_posterior, read_remainder
 from geomid_ros.gap.candidates import library_columns
 from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.gap.result import GapResult
@@ -178,14 +178,11 @@ def _posterior_of(session: Session) -> Posterior | None:
 def _of_posterior(posterior: Posterior, model: MeasurementModel) -> tuple[OtherRecordings, FloatArray]:
     """What the data of a posterior say of the parameters of a model, off its estimate; and the standard deviations
     ``(D,)`` that effects had without them, NaN of those that it has not."""
-    first = 10 * len(posterior.links)
-    places = {(e.name, e.place, e.parameter): first + place for place, e in enumerate(posterior.effects)}
-    links = [10 * posterior.links.index(name) + np.arange(10) for name in model.body_names]
-    own = [places.get((c.effect.name, c.place_name, c.parameter), -1) for c in model.coefficients]
-    order = np.concatenate([*links, np.array(own, dtype=np.int64)])
-    rows, _ = posterior.evidence
+    order, (rows, _) = places_in(posterior, model), posterior.evidence
     unsaid = np.abs(np.diag(posterior.jacobian)) * posterior.prior_spreads
-    known = OtherRecordings(np.where(order >= 0, rows[:, order], 0.0), np.zeros(len(rows)), np.zeros(len(own)))
+    known = OtherRecordings(
+        np.where(order >= 0, rows[:, order], 0.0), np.zeros(len(rows)), np.zeros(len(model.coefficients))
+    )
     return known, np.where(order >= 0, unsaid[order], np.nan)
 
 

@@ -20,16 +20,16 @@ from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UncertainInertia
+from geomid_ros.files.models.posterior import places_in
 from geomid_ros.geometry.symmetric import SIZE
 from geomid_ros.inference.prior import GAIN, SPREAD_OF_PAYLOADS, usual_payload
 from geomid_ros.model.channels import Channel
-from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.monitoring.payload_watch import PayloadWatch
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
-from geomid_ros.types import FloatArray, IntArray
+from geomid_ros.types import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -131,16 +131,16 @@ def weigh(
     prior, known = np.full(carrying.dimension, np.nan), None
     prior[first : first + 10] = usual_payload(model.nominal_inertias.reshape(-1, 10), model.body_names.index(link))
     if isinstance(empty, Posterior):
-        columns = _columns(empty, carrying)
-        prior[columns] = empty.prior
-        known = _in_columns(empty, columns, carrying.dimension)
+        order, (rows, targets) = places_in(empty, carrying), empty.evidence
+        prior = np.where(order >= 0, empty.prior[order], prior)
+        known = WeighedRows(np.where(order >= 0, rows[:, order], 0.0), targets)
     spreads = np.append(np.full(len(model.identified), USUAL_SPREAD_OF_LINKS), SPREAD_OF_PAYLOADS)
-    rows = identifier.snapshot()
+    summary = identifier.snapshot()
     solve = partial(estimate, carrying, settings=settings, prior=prior, spreads=spreads, known=known)
-    found = solve(rows)
+    found = solve(summary)
     shifted = [
         solve(more, warm=WarmStart(found.parameters, spreads=found.spreads))
-        for more in _with_more(rows, found, gain, slice(first, first + 10))
+        for more in _with_more(summary, found, gain, slice(first, first + 10))
     ]
     return _payload(link, found, gain, shifted, session)
 
@@ -152,23 +152,6 @@ def _with_more(rows: RowSummary, found: Estimate, gain: float, columns: slice) -
     more = np.zeros(len(found.parameters))
     more[columns] = gain * found.parameters[columns]
     return (rows.with_more(channel, more) for channel in range(len(rows.channels)) if gain > 0.0)
-
-
-def _columns(posterior: Posterior, model: MeasurementModel) -> IntArray:
-    """The parameters of a model that those of a posterior are ``(D,)``."""
-    bodies = [10 * model.body_names.index(link) + np.arange(10) for link in posterior.links]
-    first = 10 * len(model.body_names)
-    places = {(c.effect.name, c.place_name, c.parameter): first + k for k, c in enumerate(model.coefficients)}
-    effects = [places[effect.name, effect.place, effect.parameter] for effect in posterior.effects]
-    return np.concatenate([*bodies, np.array(effects, dtype=int)])
-
-
-def _in_columns(posterior: Posterior, columns: IntArray, dimension: int) -> WeighedRows:
-    """What the data of a posterior say, as rows of a model with its parameters in these columns."""
-    own, targets = posterior.evidence
-    rows = np.zeros((len(own), dimension))
-    rows[:, columns] = own
-    return WeighedRows(rows, targets)
 
 
 def _payload(link: str, found: Estimate, gain: float, shifted: Sequence[Estimate], session: Session) -> WeighedPayload:

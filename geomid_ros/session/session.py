@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -108,14 +108,21 @@ class Session(Setup):
         """What is worth knowing, in sentences, and casts no doubt on results."""
         return [*self.review.notes, *said_alike(self.alike)]
 
-    def rms(self, batches: Iterable[Samples], parameters: FloatArray) -> FloatArray:
+    def rms(
+        self,
+        batches: Iterable[Samples],
+        parameters: FloatArray,
+        added: Callable[[Samples], FloatArray] | None = None,
+    ) -> FloatArray:
         """RMS residual of each channel over samples at parameters ``(D,)``, ``(channels,)``, or at several ``(D, K)``,
-        ``(channels, K)``; NaN where nothing was measured."""
+        ``(channels, K)``; NaN where nothing was measured. Efforts ``(N, joints, K)`` of N samples may be ``added``."""
         several = parameters.reshape(len(parameters), -1)
         squares = np.zeros((len(self.model.channels), several.shape[1]))
         counts = np.zeros((len(self.model.channels), 1))
         for samples in batches:
             measured, predicted = self.model.predict(samples, several)
+            if added is not None and self.model.layout.efforts:
+                predicted[:, self.model.layout.efforts] += added(samples)
             squares += np.nansum((measured[:, :, None] - predicted) ** 2, axis=0)
             counts += np.count_nonzero(np.isfinite(measured), axis=0)[:, None]
         mean = np.divide(squares, counts, out=np.full_like(squares, np.nan), where=counts > 0)

@@ -178,10 +178,6 @@ class GridValues:
                 result[:, index] = kernels @ values[start : start + kernels.shape[1]]
         return result
 
-    def inside(self, half: int) -> range:
-        """Instants with ``half`` neighbours on both sides."""
-        return range(self.first + half, self.end - half)
-
     def drop_before(self, instant: int) -> None:
         """Forget older instants."""
         surplus = instant - self.first

@@ -11,7 +11,7 @@ import click
 
 from geomid_ros.commands.options import PATH, UNTRIED_OUT, options_of
 from geomid_ros.commands.terminal import plain_table, results_console, say
-from geomid_ros.errors import InputError, printable
+from geomid_ros.errors import needing_ros, printable
 from geomid_ros.session.options import DescriptionOptions, RunOptions
 
 if TYPE_CHECKING:
@@ -73,10 +73,8 @@ def run(
 
 def ros_runs() -> ModuleType:
     """What runs motions. Raises InputError where there is no ROS."""
-    try:
+    with needing_ros("running a motion"):
         from geomid_ros.ros.excite import run
-    except ImportError as error:
-        raise InputError(f"running a motion needs ROS 2, which cannot be imported ({error})") from error
     return run
 
 

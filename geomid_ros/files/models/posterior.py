@@ -27,7 +27,8 @@ from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.files.disk import read_bytes, write_bytes
 from geomid_ros.files.schema import plain, structured, upper_triangle
 from geomid_ros.gap.evidence.features import LARGEST_SCALE, Basis, StandingRemainder
-from geomid_ros.types import AnyArray, FloatArray, frozen
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.types import AnyArray, FloatArray, IntArray, frozen
 
 POSTERIOR = "posterior.npz"
 FORMAT = 2
@@ -94,6 +95,15 @@ def check_of(posterior: Posterior, file: Path, inertias: Mapping[str, FloatArray
     for own, there in zip(links, inertias.values(), strict=True):
         if not np.allclose(own, there, rtol=SAME, atol=SAME * np.max(np.abs(there))):
             raise InputError(f"{file}: not of the estimate beside it, {source}; keep together what one run wrote")
+
+
+def places_in(posterior: Posterior, model: MeasurementModel) -> IntArray:
+    """Where in a posterior each parameter of a model is ``(D,)``; -1 where it has none."""
+    bodies = {name: 10 * place for place, name in enumerate(posterior.links)}
+    effects = {(e.name, e.place, e.parameter): place for place, e in enumerate(posterior.effects, 10 * len(bodies))}
+    links = [bodies[name] + np.arange(10) if name in bodies else np.full(10, -1) for name in model.body_names]
+    own = [effects.get((c.effect.name, c.place_name, c.parameter), -1) for c in model.coefficients]
+    return np.concatenate([*links, np.array(own, dtype=np.int64)])
 
 
 def read_remainder(path: Path) -> StandingRemainder | None:

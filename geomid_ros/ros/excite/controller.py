@@ -13,6 +13,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.files.trajectories import points_of
 from geomid_ros.ros.starting import MATCHING, PATIENCE
 
 _KIND = "trajectory_msgs/msg/JointTrajectory"
@@ -98,17 +99,9 @@ class ActionController:
 def message_of(trajectory: Trajectory) -> JointTrajectory:
     """The message, to be followed from when it arrives."""
     message = JointTrajectory(joint_names=list(trajectory.joints))
-    for row, time_from_start in enumerate(trajectory.times):
-        seconds, nanoseconds = divmod(round(1e9 * time_from_start), 1_000_000_000)
-        message.points.append(
-            JointTrajectoryPoint(
-                positions=trajectory.positions[row].tolist(),
-                velocities=trajectory.velocities[row].tolist(),
-                accelerations=trajectory.accelerations[row].tolist(),
-                effort=trajectory.efforts[row].tolist(),
-                time_from_start=Duration(sec=seconds, nanosec=nanoseconds),
-            )
-        )
+    for numbers, seconds, nanoseconds in points_of(trajectory):
+        time_from_start = Duration(sec=seconds, nanosec=nanoseconds)
+        message.points.append(JointTrajectoryPoint(**numbers, time_from_start=time_from_start))
     return message
 
 
