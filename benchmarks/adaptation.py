@@ -37,10 +37,9 @@ from geomid_ros.api.options import FillOptions
 from geomid_ros.api.verify import identified
 from geomid_ros.control.correction import Correction, Reading
 from geomid_ros.control.feedforward import MotorEfforts
-from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.simulation import SimulationOptions, simulate
-from geomid_ros.simulation.description import LinkInertia
-from geomid_ros.simulation.inertias import body_of, pseudo_inertia
+from geomid_ros.simulation.description import LinkInertia, body_of, pseudo_inertia
 from geomid_ros.simulation.motion import exciting_motion
 from geomid_ros.simulation.options import RandomStream, generator
 from geomid_ros.simulation.plant import Plant

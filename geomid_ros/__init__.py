@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from geomid_ros.api.compare import Comparison, compare
     from geomid_ros.api.excite import MotionDesign, excite
-    from geomid_ros.api.export import Exported, export
+    from geomid_ros.api.export import Exported, SampledRobots, export, sample
     from geomid_ros.api.feedforward import Feedforward, feedforward
     from geomid_ros.api.fleet import FleetIdentification, identify_fleet
     from geomid_ros.api.gap import Gap, find_gap
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from geomid_ros.api.options import RecordingOptions, RobotOptions
     from geomid_ros.api.payload import weigh_payload
     from geomid_ros.api.rebuild import rebuild_report
-    from geomid_ros.api.sample import SampledRobots, sample
     from geomid_ros.api.verify import Verification, verify
     from geomid_ros.errors import GeomidError, InputError
     from geomid_ros.estimation.paper_estimator import RowsSolution, solve_rows
@@ -83,7 +82,7 @@ __all__ = [
 _NAMES = {
     "geomid_ros.api.compare": ("Comparison", "compare"),
     "geomid_ros.api.excite": ("MotionDesign", "excite"),
-    "geomid_ros.api.export": ("Exported", "export"),
+    "geomid_ros.api.export": ("Exported", "SampledRobots", "export", "sample"),
     "geomid_ros.api.feedforward": ("Feedforward", "feedforward"),
     "geomid_ros.api.fleet": ("FleetIdentification", "identify_fleet"),
     "geomid_ros.api.gap": ("Gap", "find_gap"),
@@ -91,7 +90,6 @@ _NAMES = {
     "geomid_ros.api.options": ("RecordingOptions", "RobotOptions"),
     "geomid_ros.api.payload": ("weigh_payload",),
     "geomid_ros.api.rebuild": ("rebuild_report",),
-    "geomid_ros.api.sample": ("SampledRobots", "sample"),
     "geomid_ros.api.verify": ("Verification", "verify"),
     "geomid_ros.errors": ("GeomidError", "InputError"),
     "geomid_ros.estimation.paper_estimator": ("RowsSolution", "solve_rows"),

@@ -20,8 +20,8 @@ from geomid_ros.simulation.motion import FADE_IN, SetPoints, exciting_motion
 from geomid_ros.simulation.options import RandomStream, generator
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.realistic.robot import RealisticLoop, RealisticRobot, build_realistic
-from geomid_ros.simulation.recorder import JointController, check_motion, run, tuned_controller
 from geomid_ros.simulation.recording import sampling
+from geomid_ros.simulation.robot import JointController, check_motion, run, tuned_controller
 from geomid_ros.types import FloatArray
 
 REST = "rest"

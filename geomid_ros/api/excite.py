@@ -7,7 +7,7 @@ from pathlib import Path
 
 from geomid_ros.api.robot import DescribedRobot, configuration, description
 from geomid_ros.errors import InputError
-from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.options import takes
 from geomid_ros.report.excitation import save
 from geomid_ros.session import excitation

@@ -12,7 +12,7 @@ from geomid_ros.api.robot import beside, configuration, description
 from geomid_ros.api.verify import identified
 from geomid_ros.control.feedforward import MotorEfforts, interpolation_errors, with_efforts
 from geomid_ros.errors import InputError
-from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.trajectories import read_trajectory, save_trajectory, trajectory_in_bag
 from geomid_ros.options import takes

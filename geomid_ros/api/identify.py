@@ -138,7 +138,7 @@ class Identification(IdentificationSummary):
         return [*written, sidecar, *posterior, *csv]
 
     def _write_report(self, folder: Path, progress: Progress, command: str) -> list[Path]:
-        from geomid_ros.report.sheet import write_picture  # noqa: PLC0415 as above
+        from geomid_ros.report.pictures import write_picture  # noqa: PLC0415 as above
 
         picture = folder / "identification.png"
         progress("drawing", 0.0)

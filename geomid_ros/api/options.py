@@ -10,7 +10,7 @@ from geomid_ros.options import Options, Progress, option, silent
 from geomid_ros.session.options import DescriptionOptions, PackageOptions, PathLike, Paths, Texts
 
 if TYPE_CHECKING:
-    from geomid_ros.excitation.trajectory import Trajectory
+    from geomid_ros.excitation.motion import Trajectory
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,8 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 from geomid_ros.api.options import RecordingOptions, RobotOptions
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import bags_in
-from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.files.models.xacro import SUFFIX, urdf_of_xacro
+from geomid_ros.files.models.urdf import SUFFIX, read_urdf, urdf_of_xacro
 from geomid_ros.files.parameter_file import read_parameter_file
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.imu import Imu

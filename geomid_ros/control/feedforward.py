@@ -15,7 +15,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.tolerances import ROUNDING
-from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.model.dynamics import InverseDynamics
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray

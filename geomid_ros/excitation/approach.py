@@ -10,7 +10,7 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.feasibility import Distances, clearances_from, overlap
 from geomid_ros.excitation.limits import TRIED
-from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.model.collision import CollisionModel, Pair
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import WIDEST

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.model.robot import Robot
 from geomid_ros.signals.messages import Message
 from geomid_ros.types import FloatArray

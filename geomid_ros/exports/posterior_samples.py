@@ -124,7 +124,7 @@ def draw_robots(path: Path, count: int, seed: int, spread: float) -> DrawnRobots
     return DrawnRobots(model, posterior, drawn, count)
 
 
-def described(
+def descriptions_of(
     robots: DrawnRobots, tool: str, into: Path | None, packages: Mapping[str, Path]
 ) -> Iterator[tuple[str, str]]:
     """Names and texts of files of the drawn robots.

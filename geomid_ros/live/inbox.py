@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
-from geomid_ros.signals.limits import MOST_BYTES, MOST_WAITING
+from geomid_ros.signals.settings import MOST_BYTES, MOST_WAITING
 
 MOST_AT_ONCE = 1000
 """Messages that are taken together, before anything else has its turn."""

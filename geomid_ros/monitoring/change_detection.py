@@ -29,7 +29,7 @@ from geomid_ros.geometry import definite
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.monitoring.payload_watch import REMEMBERED, Noise, PayloadWatch
-from geomid_ros.signals.limits import MOST_BYTES
+from geomid_ros.signals.settings import MOST_BYTES
 from geomid_ros.types import FloatArray, IntArray
 
 BLOCK = 40

@@ -16,9 +16,7 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.samples import Samples
 from geomid_ros.report.ellipsoids import BodyDrawing, Ellipsoid
 from geomid_ros.report.page import number
-from geomid_ros.report.robot_drawing import draw_bodies
-from geomid_ros.report.series import MOST_DRAWN, Clock, Series, limits, thinned
-from geomid_ros.report.sheet import (
+from geomid_ros.report.pictures import (
     CHANNELS,
     FAINT,
     IDENTIFIED,
@@ -32,6 +30,8 @@ from geomid_ros.report.sheet import (
     shortened,
     text_width,
 )
+from geomid_ros.report.robot_drawing import draw_bodies
+from geomid_ros.report.series import MOST_DRAWN, Clock, Series, limits, thinned
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 

@@ -19,7 +19,7 @@ from geomid_ros.model.collision import HalfSpace, Obstacle
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import samples_of
 from geomid_ros.report.page import Script, write_page
-from geomid_ros.report.sheet import FAINT, IDENTIFIED, INK, new_figure, write_picture
+from geomid_ros.report.pictures import FAINT, IDENTIFIED, INK, new_figure, write_picture
 from geomid_ros.session.excitation import Excitation
 from geomid_ros.types import FloatArray
 

@@ -31,7 +31,7 @@ from geomid_ros.report.ellipsoids import (
 )
 from geomid_ros.report.page import NONE
 from geomid_ros.report.page import number as written
-from geomid_ros.report.sheet import FAINT, INK, ROBOT, URDF, Place, add_area, add_axes, add_text, shortened
+from geomid_ros.report.pictures import FAINT, INK, ROBOT, URDF, Place, add_area, add_axes, add_text, shortened
 from geomid_ros.types import FloatArray
 
 Color: TypeAlias = tuple[float, float, float]

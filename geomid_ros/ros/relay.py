@@ -26,7 +26,7 @@ from geomid_ros.api.verify import identified
 from geomid_ros.control.correction import LASTING, Correction, Reading
 from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.errors import GeomidError, InputError, one_line
-from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.files.trajectories import trajectory_of
 from geomid_ros.model.effects import EFFECTS
 from geomid_ros.ros.diagnostics import status_message

@@ -22,10 +22,9 @@ from geomid_ros.excitation.knowledge import (
     weight_of,
 )
 from geomid_ros.excitation.limits import MotionLimits, motion_limits, starts
-from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
+from geomid_ros.excitation.motion import ExcitingMotion, MotionForm, Trajectory
 from geomid_ros.excitation.rivals import DECIDED, DiscriminationCriterion, deciding_motion
 from geomid_ros.excitation.search import Search, expected_error, other_motions, random_feasible
-from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.posterior import beside, read_posterior
 from geomid_ros.files.parameter_file import read_joint_limits

@@ -18,10 +18,9 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.model.urdf_tree import parse
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.ledger import Ledger
-from geomid_ros.signals.limits import ACCELEROMETER_BIAS
 from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, Accepted
 from geomid_ros.signals.pipeline import SignalPipeline, ignore
-from geomid_ros.signals.settings import SignalSettings
+from geomid_ros.signals.settings import ACCELEROMETER_BIAS, SignalSettings
 from geomid_ros.signals.unitree import UnitreeMessages
 from geomid_ros.types import FloatArray
 

@@ -14,7 +14,7 @@ from geomid_ros.model.measurement import Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import sensor_channels
 from geomid_ros.session.session import Session
-from geomid_ros.signals.limits import MOST_BYTES
+from geomid_ros.signals.settings import MOST_BYTES
 
 
 class Training:

@@ -17,8 +17,8 @@ import numpy as np
 
 from geomid_ros.signals.arrived import NOTHING, Arrived
 from geomid_ros.signals.ledger import Reason
-from geomid_ros.signals.limits import PATIENCE
 from geomid_ros.signals.messages import JOINT_STATES
+from geomid_ros.signals.settings import PATIENCE
 from geomid_ros.types import FloatArray, IntArray
 
 NOT_LATER = Reason("stamp not later than the one before", "repeated")

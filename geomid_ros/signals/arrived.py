@@ -9,8 +9,8 @@ import numpy as np
 
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.signals.ledger import Reason, driver_error
-from geomid_ros.signals.limits import LARGEST_NUMBER, UNLIKE_ONE
 from geomid_ros.signals.messages import Block
+from geomid_ros.signals.settings import LARGEST_NUMBER, UNLIKE_ONE
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 NO_STAMP = "stamp is zero: whoever publishes has to fill in header.stamp"

@@ -10,8 +10,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from geomid_ros.signals.limits import MOST_KINDS
 from geomid_ros.signals.messages import COMMANDS, JOINT_STATES, ODOM, Block, message_type, parse
+from geomid_ros.signals.settings import MOST_KINDS
 from geomid_ros.types import AnyArray, BoolArray, IntArray
 
 _STAMP = slice(4, 12)  # seconds and nanoseconds, 4 bytes each

@@ -9,7 +9,7 @@ import numpy as np
 
 from geomid_ros.model.samples import STILL
 from geomid_ros.signals.ledger import Reason, driver_error
-from geomid_ros.signals.limits import CLEAR, LONGEST_SAME
+from geomid_ros.signals.settings import CLEAR, LONGEST_SAME
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _CHUNK = 128  # messages that are learned from at once

@@ -10,8 +10,8 @@ import numpy as np
 
 from geomid_ros.signals.joint_messages import JointReader, RejectedError
 from geomid_ros.signals.ledger import driver_error
-from geomid_ros.signals.limits import MOST_WAITING
 from geomid_ros.signals.periods import MISSED
+from geomid_ros.signals.settings import MOST_WAITING
 from geomid_ros.types import FloatArray
 
 SILENT = 1_000_000_000

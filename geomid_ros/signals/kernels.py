@@ -11,7 +11,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from geomid_ros.errors import InputError
 from geomid_ros.model.samples import PIECE
-from geomid_ros.signals.limits import LARGEST_NOISE_GAIN
+from geomid_ros.signals.settings import LARGEST_NOISE_GAIN
 from geomid_ros.types import FloatArray, IntArray
 
 # Passband ripple and stopband below 1e-3 (Kaiser beta 6); the transition is as wide as the cutoff, centred on it.

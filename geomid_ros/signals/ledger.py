@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, Self, TypeAlias
 
 from geomid_ros.errors import one_line
-from geomid_ros.signals.limits import LONGEST_REASON, MOST_KINDS
+from geomid_ros.signals.settings import LONGEST_REASON, MOST_KINDS
 
 _OTHER = "other reasons"
 _HEADING = "driver error: "

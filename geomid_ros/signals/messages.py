@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from geomid_ros.signals.limits import BYTES_BESIDE_NUMBERS, MOST_BYTES
+from geomid_ros.signals.settings import BYTES_BESIDE_NUMBERS, MOST_BYTES
 from geomid_ros.types import FloatArray, IntArray, frozen
 
 JOINT_STATES = "joint_states"

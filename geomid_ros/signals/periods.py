@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomid_ros.signals.limits import CLEAR
+from geomid_ros.signals.settings import CLEAR
 from geomid_ros.types import IntArray
 
 FEWEST = 32

@@ -37,10 +37,9 @@ from geomid_ros.signals.joint_gate import JointGate
 from geomid_ros.signals.joint_messages import JointReader, RejectedError
 from geomid_ros.signals.joint_parts import SILENT, JointParts, Part
 from geomid_ros.signals.ledger import Ledger
-from geomid_ros.signals.limits import MOST_WAITING
 from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, Accepted, Block, Message
 from geomid_ros.signals.sampler import Sampler
-from geomid_ros.signals.settings import SignalSettings
+from geomid_ros.signals.settings import MOST_WAITING, SignalSettings
 from geomid_ros.types import AnyArray, FloatArray
 
 _DEFAULTS = SignalSettings()

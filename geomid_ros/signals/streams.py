@@ -18,7 +18,7 @@ from geomid_ros.model import se3
 from geomid_ros.model.columns import Entries
 from geomid_ros.model.effects import JointEffect, Motion
 from geomid_ros.signals.kernels import GridValues, cubic_weights, derivative_kernels, highest_cutoff
-from geomid_ros.signals.limits import MEAN_STEPS, MEAN_TOLERANCE
+from geomid_ros.signals.settings import MEAN_STEPS, MEAN_TOLERANCE
 from geomid_ros.types import FloatArray, IntArray
 
 _SHARPER = 4.0  # cutoff of the motion that effects are computed on, in units of the filter's

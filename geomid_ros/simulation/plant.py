@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.simulation.description import Description, LinkInertia
+from geomid_ros.simulation.description import Description, LinkInertia, set_inertia
 from geomid_ros.simulation.effects.physics import (
     FORCES,
     FRICTION,
@@ -23,7 +23,6 @@ from geomid_ros.simulation.effects.physics import (
     play_name,
     wound,
 )
-from geomid_ros.simulation.inertias import set_inertia
 from geomid_ros.types import FloatArray, IntArray
 
 

@@ -21,8 +21,17 @@ from geomid_ros.simulation.motion import RunTrace, exciting_motion
 from geomid_ros.simulation.options import RandomStream, SimulationOptions, generator
 from geomid_ros.simulation.plant import GRAVITY, Plant
 from geomid_ros.simulation.realistic.robot import build_realistic
-from geomid_ros.simulation.recorder import ControlLoop, JointController, Sampling, check_motion, run, tuned_controller
-from geomid_ros.simulation.robot import Builder, TrueRobot, build_robot
+from geomid_ros.simulation.robot import (
+    Builder,
+    ControlLoop,
+    JointController,
+    Sampling,
+    TrueRobot,
+    build_robot,
+    check_motion,
+    run,
+    tuned_controller,
+)
 from geomid_ros.types import FloatArray
 
 Progress = Callable[[float], None]

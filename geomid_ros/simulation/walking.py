@@ -15,9 +15,15 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.simulation.bag import write_walk
-from geomid_ros.simulation.description import Description, LinkInertia, read_description
+from geomid_ros.simulation.description import (
+    Description,
+    LinkInertia,
+    body_of,
+    perturbed,
+    pseudo_inertia,
+    read_description,
+)
 from geomid_ros.simulation.gaits import GAITS, WalkOptions
-from geomid_ros.simulation.inertias import body_of, perturbed, pseudo_inertia
 from geomid_ros.simulation.motion import WalkTrace
 from geomid_ros.simulation.options import LONGEST_STEP, RandomStream, generator
 from geomid_ros.simulation.plant import buildable, load_mujoco, rigid_bodies

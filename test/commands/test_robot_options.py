@@ -14,7 +14,7 @@ import pytest
 from files.recordings import BAGS, QUICK, Recorded, altered, recorded, write_bag
 
 import geomid_ros
-from geomid_ros.files.models import xacro
+from geomid_ros.files.models import urdf
 from geomid_ros.simulation import SimulationOptions, simulate
 
 from .running import NO_CHOICE, done, geomid, read, refused
@@ -173,7 +173,7 @@ def test_a_xacro_that_fails_says_why(robot_xacro: Path) -> None:
 
 @pytest.mark.parametrize("forever", ["${max(i for i in python.range(10**12))}", "${'a' * 10**7}" * 3])
 def test_a_xacro_is_bounded(forever: str, robot_xacro: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(xacro, "_SECONDS", 3)
+    monkeypatch.setattr(urdf, "_SECONDS", 3)
     robot_xacro.write_text(XACRO.replace("$(arg prefix)", forever))
     assert re.search(
         r"xacro (takes longer than 3 s|cannot make a URDF)|larger than 5 MB",
@@ -182,7 +182,7 @@ def test_a_xacro_is_bounded(forever: str, robot_xacro: Path, monkeypatch: pytest
 
 
 def test_without_the_package_the_command_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(xacro, "find_spec", lambda _: None)
+    monkeypatch.setattr(urdf, "find_spec", lambda _: None)
     (tmp_path / "robot.urdf.xacro").write_text(XACRO)
     text = refused("identify", BAG, "--urdf", tmp_path / "robot.urdf.xacro", "--xacro-arg", "prefix:=a b")
     assert re.search(r"this command makes a URDF: xacro \S*robot.urdf.xacro 'prefix:=a b' > robot.urdf", text), text

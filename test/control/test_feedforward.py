@@ -17,7 +17,7 @@ from benchmarks.feedforward import errors
 from geomid_ros.api.verify import identified
 from geomid_ros.control.feedforward import SHORTEST, MotorEfforts, with_efforts
 from geomid_ros.errors import InputError
-from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.types import FloatArray
 
 URDF = BAGS / "arm3.urdf"

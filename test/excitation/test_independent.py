@@ -11,8 +11,8 @@ import pytest
 
 from benchmarks.excite.independent import Limits, Simulated
 from benchmarks.excite.robots import Description
+from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.excitation.search import random_feasible
-from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.files.trajectories import write_yaml
 
 from .arm import small_task, urdf

@@ -10,7 +10,7 @@ from files.recordings import BAGS
 
 from excitation.motions import BUMP, Motion, bump
 from geomid_ros.errors import InputError
-from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.excitation.watch import RobotLimits, check_motion
 from geomid_ros.files.trajectories import read_trajectory
 from geomid_ros.model.robot import Robot

@@ -10,7 +10,7 @@ from rosbags.rosbag2 import StoragePlugin
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.bags.storage import RawMessage
-from geomid_ros.signals.limits import MOST_WAITING
+from geomid_ros.signals.settings import MOST_WAITING
 
 from .recordings import BAGS, altered, recorded, write_bag
 

@@ -15,7 +15,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from geomid_ros.errors import InputError
-from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.trajectories import read_trajectory, save_trajectory, trajectory_in_bag
 

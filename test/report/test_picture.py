@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from geomid_ros.report import sheet
+from geomid_ros.report import pictures
 from geomid_ros.report.drawing import identification_figure
 from geomid_ros.report.ellipsoids import BodyDrawing, Ellipsoid
 from geomid_ros.report.page import ticks
+from geomid_ros.report.pictures import write_picture
 from geomid_ros.report.series import Series
-from geomid_ros.report.sheet import write_picture
 
 POINT = Ellipsoid(np.zeros(3), np.zeros(3), np.eye(3), 0.0)
 NOWHERE = Ellipsoid(np.full(3, np.nan), np.full(3, np.nan), np.eye(3), np.nan)
@@ -46,7 +46,7 @@ def channels(count: int) -> list[Series]:
 
 def is_whole_picture(path: Path) -> bool:
     data = path.read_bytes()
-    size = tuple(round(inches * sheet.DPI) for inches in sheet.SIZE)
+    size = tuple(round(inches * pictures.DPI) for inches in pictures.SIZE)
     return data[:8] == b"\x89PNG\r\n\x1a\n" and struct.unpack(">II", data[16:24]) == size and b"IEND" in data[-12:]
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from rclpy.action import client as rclpy_client
 
-from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.ros.excite.controller import ActionController, TopicController, find_controller, message_of
 
 from .stage import Stage

@@ -12,7 +12,7 @@ from files.recordings import BAGS
 from trajectory_msgs.msg import JointTrajectory
 
 import geomid_ros
-from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.ros.excite.controller import message_of
 
 from .stage import Stage

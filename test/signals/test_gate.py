@@ -7,7 +7,7 @@ import pytest
 
 from geomid_ros.signals.admission import FROM_THE_FUTURE, NOT_LATER, PAUSE, SET_BACK, TOO_OLD, Admission, Gate
 from geomid_ros.signals.arrived import NOTHING, Arrived
-from geomid_ros.signals.limits import PATIENCE
+from geomid_ros.signals.settings import PATIENCE
 
 from .feeding import START
 

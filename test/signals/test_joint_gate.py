@@ -18,10 +18,10 @@ from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.signals.decoding import Decoder
 from geomid_ros.signals.joint_gate import CLOCK_SET, EARLY, LEAP, SPIKE_OR_CONTACT
-from geomid_ros.signals.limits import PATIENCE
 from geomid_ros.signals.messages import JOINT_STATES, Block
 from geomid_ros.signals.pipeline import UNDECIDED
 from geomid_ros.signals.sampler import IN_BURSTS
+from geomid_ros.signals.settings import PATIENCE
 from geomid_ros.types import FloatArray, IntArray
 
 from .feeding import blocks, joint_messages, regular, wrench_messages

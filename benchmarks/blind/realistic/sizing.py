@@ -11,8 +11,8 @@ from benchmarks.blind.case import robot_file
 from benchmarks.blind.realistic.case import RealisticCase
 from geomid_ros.errors import InputError
 from geomid_ros.simulation import SimulationOptions
+from geomid_ros.simulation.description import body_of, pseudo_inertia
 from geomid_ros.simulation.effects.physics import sensed
-from geomid_ros.simulation.inertias import body_of, pseudo_inertia
 from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.realistic.parts import published

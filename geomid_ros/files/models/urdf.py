@@ -1,31 +1,96 @@
-"""Reading robot descriptions, and writing identified inertias and effects into them without touching anything else.
-
-Where their joints sit, what they turn about and how far.
+"""Robot descriptions: read, made of xacro files, and with identified inertias and effects in place of their own and no
+other change; and where their joints sit, what they turn about and how far.
 """
 
 from __future__ import annotations
 
 import math
 import re
+import resource
+import shlex
+import subprocess
+import sys
+import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from geomid_ros.errors import InputError
 from geomid_ros.files.disk import read_text
 from geomid_ros.files.models.effects_file import is_body, joint_attributes, payload_name, payload_parameters
 from geomid_ros.files.models.xml_edits import Edit, Span, children_of, edited, end_of_tag, insertion, with_attributes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, values_of
 from geomid_ros.model.urdf_tree import MOST_BYTES, origin_of, read_numbers, read_xml
+from geomid_ros.signals.settings import LONGEST_REASON
 from geomid_ros.types import FloatArray
+
+SUFFIX = ".xacro"
+_SECONDS = 30  # in which a xacro file becomes a URDF
+_MEMORY = 2_000_000_000  # bytes that this may take
 
 
 def read_urdf(path: Path) -> str:
     """The text of a URDF file, with the line ends it has. Raises InputError naming it."""
     return read_text(path, "robot description", MOST_BYTES)
+
+
+def urdf_of_xacro(path: Path, arguments: Sequence[str] = ()) -> str:
+    """The URDF that a xacro file becomes.
+
+    A xacro file is a program: it computes by Python expressions, and includes any file that the user may read.
+
+    Args:
+        path: the file.
+        arguments: for it, as ``NAME:=VALUE``.
+
+    Raises:
+        InputError: naming the file, and the command that makes the URDF where the package is not installed.
+    """
+    wrong = next((argument for argument in arguments if ":=" not in argument), None)
+    if wrong is not None:
+        raise InputError(f"xacro's argument '{wrong}' is not of the form NAME:=VALUE")
+    if not path.is_file():
+        raise InputError(f"{path}: no regular file, as a robot description is")
+    if find_spec("xacro") is None:
+        command = shlex.join(["xacro", str(path), *arguments])
+        raise InputError(
+            f"{path}: a xacro file, of which this command makes a URDF: {command} > robot.urdf (after 'pip install "
+            "xacro', or in a sourced workspace, geomid runs it by itself)"
+        )
+    return _run_xacro([sys.executable, "-c", "import xacro; xacro.main()", str(path), *arguments], path)
+
+
+def _run_xacro(command: Sequence[str], path: Path) -> str:
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as errors:
+        try:
+            status = subprocess.run(  # noqa: S603 what the user gave to run
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=errors,
+                timeout=_SECONDS,
+                check=False,
+                preexec_fn=_bounds,
+            ).returncode
+        except subprocess.TimeoutExpired as error:
+            raise InputError(f"{path}: xacro takes longer than {_SECONDS} s") from error
+        out.seek(0), errors.seek(0)
+        text, said = out.read(MOST_BYTES + 1), errors.read(MOST_BYTES)
+    if status != 0:
+        last = " ".join(said.decode(errors="replace").split())[-LONGEST_REASON:]
+        raise InputError(f"{path}: xacro cannot make a URDF of it ({last or status}); is an --xacro-arg missing?")
+    return text.decode(errors="replace")
+
+
+def _bounds() -> None:
+    """Limit what the process may take and write."""
+    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (MOST_BYTES + 1, MOST_BYTES + 1))
 
 
 def with_inertials(urdf: str, inertias: Mapping[str, FloatArray], removed: Sequence[str] = ()) -> str:

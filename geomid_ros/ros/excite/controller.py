@@ -12,7 +12,7 @@ from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from geomid_ros.errors import InputError
-from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.files.trajectories import points_of
 from geomid_ros.ros.starting import MATCHING, PATIENCE
 

@@ -14,7 +14,7 @@ from rclpy.node import Node
 
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.excitation.approach import Passage, stopping_accelerations, way_by, way_to_rest
-from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.excitation.watch import JointState, RobotLimits, Watch, check_motion
 from geomid_ros.model.robot import Robot
 from geomid_ros.ros.excite.controller import Controller, find_controller

@@ -14,8 +14,7 @@ from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
-from geomid_ros.simulation.description import INERTIA_NAMES, LinkInertia
-from geomid_ros.simulation.inertias import set_inertia
+from geomid_ros.simulation.description import INERTIA_NAMES, LinkInertia, set_inertia
 from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.types import FloatArray
 

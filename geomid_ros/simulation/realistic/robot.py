@@ -15,16 +15,14 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.simulation.description import Description, LinkInertia, UrdfLimits, read_description
+from geomid_ros.simulation.description import Description, LinkInertia, UrdfLimits, perturbed, read_description
 from geomid_ros.simulation.effects.choice import chosen_effects
 from geomid_ros.simulation.effects.physics import FRICTION, GEARS, TrueEffect, sensed
-from geomid_ros.simulation.inertias import perturbed
 from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.simulation.options import LINK_MASS, Hidden, RandomStream, SimulationOptions, generator
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.realistic.parts import LuGre, Motors, Sensors, WarmUp, published
-from geomid_ros.simulation.recorder import ControlLoop, JointController
-from geomid_ros.simulation.robot import TrueRobot
+from geomid_ros.simulation.robot import ControlLoop, JointController, TrueRobot
 from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import FloatArray
 
