@@ -34,7 +34,6 @@ import geomid_ros
 from benchmarks.feedforward import described, hand_error
 from geomid_ros.api.feedforward import robot_to_move
 from geomid_ros.api.options import FillOptions
-from geomid_ros.api.verify import identified
 from geomid_ros.control.correction import Correction, Reading
 from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.excitation.motion import Trajectory
@@ -168,7 +167,7 @@ class Robot:
 
     def model(self, prior: float = 0.0) -> MotorEfforts:
         """Efforts of the identified model, whose last body has ``prior`` [kg] too much."""
-        parameters = identified(self.session).copy()
+        parameters = self.session.known_parameters.copy()
         parameters[len(self.session.model.nominal_inertias) :] *= 1.0 - self.lacking
         place = 10 * self.session.model.body_names.index(self.body)
         parameters[place : place + 10] += _dynamic(_payload(self.body, prior, self.seed))
@@ -178,7 +177,7 @@ class Robot:
     def from_urdf(self) -> FloatArray:
         """Efforts ``(N, joints)`` of the URDF."""
         session = robot_to_move(FillOptions(self.urdf), None)
-        return MotorEfforts(session.model, identified(session), session.effort_gains, self.joints, "the motion")(
+        return MotorEfforts(session.model, session.known_parameters, session.effort_gains, self.joints, "the motion")(
             self.commanded
         )
 

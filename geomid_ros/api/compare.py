@@ -12,7 +12,7 @@ import numpy as np
 
 from geomid_ros.api.options import CompareOptions
 from geomid_ros.api.robot import beside
-from geomid_ros.api.verify import doubts_of, identified, read_to_judge
+from geomid_ros.api.verify import doubts_of, read_to_judge
 from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.comparison import Difference, RobotValues, compared
@@ -220,7 +220,7 @@ def _judged_on(side: _Side, options: CompareOptions) -> tuple[dict[str, tuple[fl
     """RMS of what a side leaves of recordings by channel, with its unit, and why that is not to be believed."""
     if isinstance(side, EstimateFile):
         session, samples = read_to_judge(options, options.bag, model=side.source)
-        parameters = identified(session)
+        parameters = session.known_parameters
     else:
         names = list(dict.fromkeys(effect.effect for effect in side.effects))
         session, samples = read_to_judge(replace(options, urdf=side.source), options.bag, effects=names)

@@ -9,7 +9,6 @@ import numpy as np
 
 from geomid_ros.api.options import FeedforwardOptions, FillOptions
 from geomid_ros.api.robot import beside, configuration, description
-from geomid_ros.api.verify import identified
 from geomid_ros.control.feedforward import MotorEfforts, interpolation_errors, with_efforts
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.motion import Trajectory
@@ -83,7 +82,7 @@ def filled(session: Session, given: Trajectory, tolerance: float, source: str) -
     """The same for a session of :func:`robot_to_move` and a trajectory from a ``source``. Raises InputError."""
     if given.duration > LONGEST:
         raise InputError(f"{source}: takes {given.duration:.4g} s, expected at most {LONGEST:g} s")
-    efforts = MotorEfforts(session.model, identified(session), session.effort_gains, given.joints, source)
+    efforts = MotorEfforts(session.model, session.known_parameters, session.effort_gains, given.joints, source)
     found = with_efforts(given, efforts, tolerance)
     _check_limits(found, efforts.limits, source)
     errors = np.max(interpolation_errors(found, efforts), axis=0)

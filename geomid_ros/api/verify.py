@@ -21,8 +21,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from geomid_ros.api.options import RobotOptions, VerifyOptions
 from geomid_ros.api.robot import bag_paths, beside, configuration, description, efforts_of_command, topics
 from geomid_ros.checks.verdict import recording_verdict
@@ -119,15 +117,9 @@ def doubts_of(session: Session) -> list[str]:
     return [*filter(None, [session.loaded.doubt]), *recording_verdict(session.review.findings).reasons]
 
 
-def identified(session: Session) -> FloatArray:
-    """Parameters ``(D,)`` of the model that a session began with; the URDF's where it has none."""
-    nominal, prior = session.model.nominal_parameters, session.prior
-    return nominal if prior is None else np.where(np.isnan(prior), nominal, prior)
-
-
 def _values(session: Session, samples: Sequence[Samples], file: EstimateFile) -> dict[str, Values]:
     """The numbers of every quantity that may be required."""
-    nominal, found = session.model.nominal_parameters, identified(session)
+    nominal, found = session.model.nominal_parameters, session.known_parameters
     channels = [channel.name for channel in session.model.channels]
     floors = file.floor or file.rms.train
     left = rms_of_model(session, samples), session.rms(samples, nominal)

@@ -13,7 +13,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.exports.descriptions import Whole, not_said
 from geomid_ros.exports.model import Model
 from geomid_ros.files.disk import read_text
-from geomid_ros.files.models.effects_file import joint_attributes
+from geomid_ros.files.models.effects_file import joint_attributes, payload_name
 from geomid_ros.files.models.mjcf import with_identified
 from geomid_ros.files.models.urdf import joint_frames
 from geomid_ros.geometry import pseudo_inertia
@@ -100,7 +100,7 @@ def _named(heading: str, names: Sequence[str]) -> list[str]:
 
 def _carried(model: Model, link: str) -> FloatArray:
     """Parameters ``(10,)`` of a link with the payload that was found on it, which is a link of the URDF."""
-    names = [name for name in (link, f"{link}_payload") if name in model.bodies]
+    names = [name for name in (link, payload_name(link)) if name in model.bodies]
     own = [model.bodies[name].parameters for name in names]
     return np.asarray(np.sum(own, axis=0))
 

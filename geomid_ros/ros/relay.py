@@ -22,7 +22,6 @@ from trajectory_msgs.msg import JointTrajectory
 
 from geomid_ros.api.feedforward import filled, robot_to_move
 from geomid_ros.api.options import FillOptions
-from geomid_ros.api.verify import identified
 from geomid_ros.control.correction import LASTING, Correction, Reading
 from geomid_ros.control.feedforward import MotorEfforts
 from geomid_ros.errors import GeomidError, InputError, one_line
@@ -75,7 +74,7 @@ class Adapting:
         node.get_logger().info(f"link '{self._link}' adapts to a payload of at most {heaviest:g} kg")
 
     def _new(self) -> Correction:
-        model, parameters = self._session.model, identified(self._session)
+        model, parameters = self._session.model, self._session.known_parameters
         efforts = MotorEfforts(model, parameters, self._session.effort_gains, self._joints, "the adaptation")
         return Correction(efforts, self._joints, self._link, self._heaviest)
 

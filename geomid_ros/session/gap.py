@@ -221,10 +221,8 @@ def rms_of_model(session: Session, samples: Sequence[Samples]) -> FloatArray:
     """RMS residual of each channel ``(channels,)`` over samples, in batches, by the session's model with all of its
     effects, elastic gears and play included."""
     parameters, beside = session.prior, session.loaded.beside_coefficients
-    if parameters is None:
-        return session.rms(samples, session.model.nominal_parameters)
-    if not beside:
-        return session.rms(samples, np.where(np.isnan(parameters), session.model.nominal_parameters, parameters))
+    if parameters is None or not beside:
+        return session.rms(samples, session.known_parameters)
     cutoff = float(session.configuration["filter.cutoff"])
     return left_by_model(session.model, [Samples.concatenate(list(samples))], cutoff, parameters, beside)
 

@@ -102,6 +102,12 @@ class Setup:
         return self.loaded.parameters(self.model)
 
     @property
+    def known_parameters(self) -> FloatArray:
+        """The parameters ``(D,)`` of the model to start from: of an earlier estimate, the URDF's where it has none."""
+        nominal, prior = self.model.nominal_parameters, self.prior
+        return nominal if prior is None else np.where(np.isnan(prior), nominal, prior)
+
+    @property
     def lockable(self) -> tuple[str, ...]:
         """The joints that none of the messages so far names, if they may count as fixed at zero."""
         return _lockable(self.robot, frozenset(self.joints_heard), [sensor.frame for sensor in self.model.sensors])

@@ -79,9 +79,7 @@ def _changed(
 def nominal_inertias(session: Session) -> FloatArray:
     """Inertias of the identified bodies before ``(bodies, 10)``: the earlier estimate's, or the URDF's where it has
     none."""
-    nominal = session.model.nominal_inertias
-    known = nominal if session.prior is None else session.prior[: len(nominal)]
-    return np.where(np.isfinite(known), known, nominal).reshape(-1, 10)
+    return session.known_parameters[: len(session.model.nominal_inertias)].reshape(-1, 10)
 
 
 def without_findings(session: Session, result: GapResult, held_out: Sequence[Samples]) -> FloatArray:

@@ -19,7 +19,6 @@ import geomid_ros
 from benchmarks.adaptation import LATE, SLOW, Robot
 from geomid_ros.api.feedforward import robot_to_move
 from geomid_ros.api.options import FillOptions
-from geomid_ros.api.verify import identified
 from geomid_ros.control.correction import (
     FASTEST,
     LARGEST_SHARE,
@@ -125,7 +124,9 @@ class Arm:
         session = robot_to_move(FillOptions(URDF.read_text()), None)
         self.joints = session.robot.joint_names
         self.body = session.robot.body_names[-1]
-        self.efforts = MotorEfforts(session.model, identified(session), session.effort_gains, self.joints, "a motion")
+        self.efforts = MotorEfforts(
+            session.model, session.known_parameters, session.effort_gains, self.joints, "a motion"
+        )
         self._models = [pin.buildModelFromUrdf(str(URDF)) for _ in range(2)]
         loaded = self._models[1]
         frame = loaded.frames[loaded.getFrameId(self.body)]
@@ -336,7 +337,7 @@ def test_what_cannot_adapt_is_refused(arm: Arm) -> None:
         arm.correction("hand")
     text = re.sub(r'effort="[^"]*"', 'effort="0"', URDF.read_text(), count=1)
     session = robot_to_move(FillOptions(text), None)
-    efforts = MotorEfforts(session.model, identified(session), session.effort_gains, arm.joints, "a motion")
+    efforts = MotorEfforts(session.model, session.known_parameters, session.effort_gains, arm.joints, "a motion")
     with pytest.raises(InputError, match="'joint1' has no effort limit"):
         Correction(efforts, arm.joints, arm.body, HEAVIEST)
 

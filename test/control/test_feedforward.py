@@ -14,7 +14,6 @@ from files.recordings import BAGS
 
 import geomid_ros
 from benchmarks.feedforward import errors
-from geomid_ros.api.verify import identified
 from geomid_ros.control.feedforward import SHORTEST, MotorEfforts, with_efforts
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.motion import Trajectory
@@ -174,7 +173,7 @@ def test_only_what_the_motors_do_is_commanded(tmp_path: Path) -> None:
     model, states = session.model, motion().states(np.linspace(0.0, 4.0, 50))[:3]
 
     def efforts(added: str) -> FloatArray:
-        parameters = identified(session).copy()
+        parameters = session.known_parameters.copy()
         first = len(model.nominal_inertias)
         parameters[first:] += [5.0 * (c.effect.name == added) for c in model.coefficients]
         return MotorEfforts(model, parameters, session.effort_gains, JOINTS, "a motion")(states)
