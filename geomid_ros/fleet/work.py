@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import time
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
@@ -86,39 +85,29 @@ class BagOutcome:
         error: why it could not be used, in a sentence; empty if it could.
         doubts: what seems to be wrong with it, in sentences.
         locked: joints that were locked, as it does not name them.
-        rows: how many rows it gave.
-        seconds: that it took.
-        size: bytes of its summary.
     """
 
     error: str = ""
     doubts: tuple[str, ...] = ()
     locked: tuple[str, ...] = ()
-    rows: int = 0
-    seconds: float = 0.0
-    size: int = 0
 
 
 def summarise_bag(store: Store, plan_name: str, bag: FleetBag) -> BagOutcome:
     """Summarise a bag. What is wrong with the bag itself is an outcome, too."""
     plan = _plan(store, plan_name)
     name = plan.of_bag(bag)
-    begin = time.perf_counter()
     try:
         with on_this_disk(bag.url) as path:
             bags = Bags(fitted=[path], hold_out=plan.hold_out, topics=plan.topics)
             session, summary = summarise(plan.description, plan.source, plan.configuration, bags)
         content = summary.encoded(session)
     except InputError as error:
-        outcome = BagOutcome(error=str(error), seconds=time.perf_counter() - begin)
+        outcome = BagOutcome(error=str(error))
     else:
         store.put(f"{name}{SUFFIX}", content)
         outcome = BagOutcome(
             doubts=tuple(finding.sentence for finding in summary.recorded.findings),
             locked=summary.locked,
-            rows=summary.fitted.summary.rows,
-            seconds=time.perf_counter() - begin,
-            size=len(content),
         )
     store.put(f"{name}.json", json.dumps(plain(outcome)).encode())
     return outcome

@@ -32,16 +32,6 @@ def sym_exp(matrix: FloatArray) -> FloatArray:
     return _apply_to_eigenvalues(np.exp, matrix)
 
 
-def spd_log(matrix: FloatArray) -> FloatArray:
-    """Matrix logarithm of SPD matrices ``(..., n, n)``."""
-    return _apply_to_eigenvalues(np.log, matrix)
-
-
-def spd_sqrt(matrix: FloatArray) -> FloatArray:
-    """Symmetric square root of SPD matrices ``(..., n, n)``."""
-    return _apply_to_eigenvalues(np.sqrt, matrix)
-
-
 def spd_inv_sqrt(matrix: FloatArray) -> FloatArray:
     """Inverse of the symmetric square root of SPD matrices ``(..., n, n)``."""
     return _apply_to_eigenvalues(lambda values: 1.0 / np.sqrt(values), matrix)

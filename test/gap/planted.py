@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+import scipy.linalg
 
 from geomid_ros.gap.candidates import library_columns
 from geomid_ros.geometry import pseudo_inertia, spd
@@ -49,7 +50,7 @@ def true_inertias(seed: int, size: float) -> FloatArray:
     for body in model().robot.bodies:
         nominal = pseudo_inertia.from_parameters(body.parameters)
         direction = size * rng.standard_normal((4, 4))
-        root = spd.spd_sqrt(nominal)
+        root = scipy.linalg.sqrtm(nominal)
         bodies.append(root @ spd.sym_exp(0.5 * (direction + direction.T)) @ root)
     return np.asarray(pseudo_inertia.to_parameters(np.array(bodies)))
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.linalg
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
@@ -177,7 +178,7 @@ def test_the_spread_is_the_one_of_the_best_score(planted: float, expected: float
     spreads = []
     for seed in range(12):
         direction = np.random.default_rng(seed).standard_normal((4, 4))
-        root = spd.spd_sqrt(pseudo_inertia.from_parameters(LINK))
+        root = scipy.linalg.sqrtm(pseudo_inertia.from_parameters(LINK))
         body = root @ spd.sym_exp(planted * 0.5 * (direction + direction.T)) @ root
         design = designed(seed, link=np.asarray(pseudo_inertia.to_parameters(body)))
         found = fit(design, PRIOR, [])

@@ -121,13 +121,11 @@ class InformationEntry:
 
 @dataclass(frozen=True, kw_only=True)
 class HandoverEntry:
-    """The model that was fitted for a reader of descriptions, and what its file leaves of data by channel."""
+    """The model that was fitted for a reader of descriptions, and the name of its file."""
 
     links: tuple[LinkEntry, ...]
     effects: tuple[KnownEffect, ...]
     file: str = ""
-    alone: ByChannel = field(default_factory=dict)
-    corrected: ByChannel = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
