@@ -83,14 +83,11 @@ def add_text(
     weight: str = "normal",
     ha: str = "left",
     va: str = "center",
-    zorder: float = 5.0,
 ) -> None:
     """Text at (x, y) inches from the top left corner of a figure or an area; a dollar sign is no formula."""
     if isinstance(where, Figure):
         x, y = x / SIZE[0], 1.0 - y / SIZE[1]
-    where.text(
-        x, y, one_line(text), size=size, color=color, weight=weight, ha=ha, va=va, zorder=zorder, parse_math=False
-    )
+    where.text(x, y, one_line(text), size=size, color=color, weight=weight, ha=ha, va=va, zorder=5.0, parse_math=False)
 
 
 def text_width(text: str, size: float, weight: str = "normal") -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -234,10 +235,7 @@ def design(task: DesignTask, wish: MotionOptions) -> Excitation:
     others = other_motions(feasibility, task.form, random, _OTHERS)
     weight = weight_of(wish.aim, task.knowledge, others)
     criterion = expected_error(feasibility, weight, task.form)
-
-    def searching(share: float) -> None:
-        wish.progress("searching", share)
-
+    searching = partial(wish.progress, "searching")
     if judge is None:
         motion = Search(feasibility, task.form, criterion).run(random, searching)
     else:
