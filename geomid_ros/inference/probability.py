@@ -88,8 +88,10 @@ class Supports(Generic[Chosen, Term]):
 
     def _rivals(self, rest: JointFit[Chosen, Term], candidate: Chosen) -> list[tuple[Chosen, float]]:
         """The others in its place, each with the loss: exactly of bodies and of those that are as good as this, of all
-        others as the score test says. The same with another constant, and what contains it, deny nothing."""
+        others as the score test says. The same with another constant, and what contains it, deny nothing; what would
+        improve the fit beside it as well does so only by what it is better in its place."""
         selection, found = self._selection, self._found
+        beside = {trial.candidate: max(trial.gain, 0.0) for trial in selection.ranked(found)}
         worse = dict[Chosen, float]()
         for trial in selection.ranked(rest):
             rival, loss = trial.candidate, rest.score - trial.gain - found.score
@@ -98,11 +100,11 @@ class Supports(Generic[Chosen, Term]):
             if loss < 0.0:  # a promise that the search, which has tried exchanges, did not find kept
                 instead = selection.fit([*rest.chosen, rival], rest)
                 loss = instead.score - found.score if selection.possible(instead) else np.inf
-            worse[rival] = loss
+            worse[rival] = loss + beside.get(rival, 0.0)
         for instead in selection.rivals(found, candidate):
             own = [c for c in instead.chosen if c not in found.chosen and not c.includes(candidate)]
             if own:
-                worse[own[0]] = instead.score - found.score
+                worse[own[0]] = instead.score - found.score + beside.get(own[0], 0.0)
         return list(worse.items())
 
     def _of_size(self, candidate: Chosen) -> float:

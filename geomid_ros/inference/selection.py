@@ -199,7 +199,25 @@ class Selection(Generic[Chosen, Term]):
         least = _PLAUSIBLE * (rest.score - current.score)
         fits = [self.fit([*rest.chosen, t.candidate], rest) for t in self._promising(rest, least, candidate)]
         fits += [f for f in (self._rescaled(current, candidate),) if f is not None]
+        fits += self._with_other_constants(current, candidate)
         return sorted((f for f in fits if self.possible(f)), key=lambda found: found.score)
+
+    def _with_other_constants(
+        self, current: JointFit[Chosen, Term], candidate: Chosen
+    ) -> Iterator[JointFit[Chosen, Term]]:
+        """The sets in which another stands in the place of a hypothesis while one beside it, in the same channels, has
+        the constants that suit the other: those it has were chosen beside this one, and speak for it."""
+        for beside in current.chosen:
+            variants = [h for h in self.hypotheses if h.group == beside.group]
+            if beside is candidate or len(variants) == 1 or not self._overlap(beside, candidate):
+                continue
+            rest = self.without(current, candidate, beside)
+            own = {candidate.group, beside.group}
+            others = [t.candidate for t in self.ranked(rest) if t.gain > 0.0 and t.candidate.group not in own]
+            for other in [c for c in others if self._overlap(c, candidate)][:_SHORTLIST]:
+                larger = self.fit([*rest.chosen, other], rest)
+                for best in self._rank(larger, variants):
+                    yield self.fit([*larger.chosen, best.candidate], larger)
 
     def _rescaled(self, current: JointFit[Chosen, Term], candidate: Chosen) -> JointFit[Chosen, Term] | None:
         """The set in which factors of all channels stand in the place of a body: where all have changed alike, a body
