@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.gap import candidates as library
-from geomid_ros.gap.candidates import CLEARLY, Candidate, NamesFit, NamesPrior, NamesSearch
+from geomid_ros.gap.candidates import CLEARLY, ODDS, Candidate, NamesFit, NamesPrior, NamesSearch
 from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.gap.evidence.linearised_problem import Columns, LinearisedProblem, mean_of, total_model
 from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
@@ -120,21 +120,22 @@ def standing_remainder(model: MeasurementModel, records: Records, prior: NamesPr
 def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
     """An analysis, or one of a robot of which a link has been changed since it was identified, if that is the better.
     What contradicts other recordings loosens all links at once, or is told as a payload, which cannot be negative, or
-    as what else may stand in the place of a lighter link. Of links that explain it about as well each is tried; one
-    that carries a payload has been changed by that, unless it is lighter."""
+    as what else may stand in the place of a lighter link: so each link is tried with the names that are found beside
+    its change, not those found without. Of links that explain it about as well each is searched to the end; one that
+    carries a payload has been changed by that, unless it is lighter."""
     search, names = analysis.search, analysis.names
     if search.prior.known is None:
         return analysis
-    rests = [search.fit([]), *(search.without(names, c) for c in names.chosen)]
+    unlikely = names.score + 2.0 * np.log(ODDS)
     tried = list[tuple[NamesPrior, float]]()
     for link in task.links:
         prior = search.prior.with_changed(link)
-        fits = (fit(search.design, prior, rest.chosen, rest) for rest in rests if link not in rest.bodies)
-        best = min(fits, key=lambda found: found.score)
+        beside = Selection(search.design, prior, task.tried)
+        best = beside.grow(beside.fit([]))
         if link not in names.bodies or best.inertias[link, 0] < prior.inertias[10 * link]:
             tried.append((prior, best.score))
     least = min((score for _, score in tried), default=np.inf)
-    if least > names.score - CLEARLY:
+    if least > unlikely:
         return analysis
 
     def with_changed(prior: NamesPrior) -> tuple[float, Analysis]:
@@ -144,7 +145,7 @@ def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
     likely = [prior for prior, score in tried if score < least + CLEARLY]
     (score, changed), *others = sorted(map(with_changed, likely), key=lambda found: found[0])
     contested = float(sum(np.exp(0.5 * (score - other)) for other, _ in others))
-    return replace(changed, contested=contested) if score < names.score - CLEARLY else analysis
+    return replace(changed, contested=contested) if score < unlikely else analysis
 
 
 def _ends(model: MeasurementModel, links: Sequence[int]) -> set[int]:
