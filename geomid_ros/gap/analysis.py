@@ -95,17 +95,17 @@ def _told(tried: Sequence[Candidate], moving: BoolArray) -> list[Candidate]:
 
 
 def standing_remainder(model: MeasurementModel, records: Records, prior: NamesPrior) -> StandingRemainder:
-    """What the model that the ``prior`` describes lacks on records, its parameters as they are: at channels that have
-    fewer rows than features in some noise, that is not known."""
+    """What the model that the ``prior`` describes lacks on records, its parameters as they are; of channels without
+    rows that is not known."""
     given = unfitted(prior)
     noise = (Autoregression.white(),) * len(model.channels)
     problem = LinearisedProblem(model, records, total_model(model, given))
     residual = problem.residual(problem.columns((), prior.terms), given)
-    told, near = problem.features, None
+    near: list[FloatArray] | None = None
     for _ in range(_WHITENINGS):
-        told = problem.told(told)
-        near, lacks = problem.lacks(residual, told, noise, near)
-        left = residual - mean_of(told, lacks)
+        near, lacks = problem.lacks(residual, problem.told, noise, near)
+        left = residual - mean_of(problem.told, lacks)
+        left /= np.sqrt(_free(problem, np.array([lack.freedom for lack in lacks])))
         noise = _noise(left, problem.valid, records)
         problem = problem.with_floor(_typical_size(left, problem.valid))
     return StandingRemainder(
@@ -163,9 +163,8 @@ def _searched(task: _Task, prior: NamesPrior, stage: str) -> Analysis:
     problem, search, names = last.problem, last.search, last.found
     design = search.design
     left = problem.residual(last.columns, names) - problem.remainder(design, names)
-    rows = np.where(design.counts > 0.0, design.counts, np.nan)
     lacking = np.array([lack.freedom for lack in names.remainders(design)])
-    freedom = np.maximum(rows - names.parameters_by_channel(design) - lacking, 1.0) / rows
+    free = _free(problem, names.parameters_by_channel(design) + lacking)
     repeats = noise_by_repeats(task.model, task.records)
     return Analysis(
         problem=problem,
@@ -173,8 +172,16 @@ def _searched(task: _Task, prior: NamesPrior, stage: str) -> Analysis:
         bare=search.fit([]),
         names=names,
         supports=supports,
-        floor=repeats.floor(_root_mean_square(left, problem.valid) / np.sqrt(freedom)),
+        floor=repeats.floor(_root_mean_square(left, problem.valid) / np.sqrt(free)),
     )
+
+
+def _free(problem: LinearisedProblem, determined: FloatArray) -> FloatArray:
+    """The share of each channel's rows ``(C,)`` that is left to tell of noise, where so many have ``determined (C,)``
+    parameters; NaN of one without rows."""
+    has_rows = np.any(problem.valid, axis=0)
+    rows = np.where(has_rows, np.count_nonzero(problem.valid, axis=0), np.nan)
+    return np.asarray(np.maximum(rows - determined, 1.0) / rows)
 
 
 def _supports(search: NamesSearch, found: NamesFit) -> dict[Candidate, Support[Candidate]]:
