@@ -61,14 +61,22 @@ class Supports(Generic[Chosen, Term]):
         Its absence is judged beside a remainder that is estimated anew: what a free curve says as well is no evidence
         for a name. It is worth no more than its size says, by the density at nothing of its posterior and its prior
         (Dickey, "The weighted likelihood ratio", 1971), with the standard deviations that the scatter between blocks of
-        time shows; and rivals are as much less unlikely.
+        time shows; and rivals are as much less unlikely. All are as common as this robot shows such hypotheses to be.
         """
-        loss, worth = self.loss(candidate), self.worth(candidate)
+        loss, worth, common = self.loss(candidate), self.worth(candidate), self._common(candidate)
         rivals = self._rivals(self._selection.without(self._found, candidate), candidate)
         kept = max(worth, 0.0) / loss if loss > 0.0 else 1.0
-        against = [worth, *(kept * worse for _, worse in rivals)]
+        against = [worth + common, *(kept * worse + common - self._common(rival) for rival, worse in rivals)]
         ordered = tuple(sorted(rivals, key=lambda rival: rival[1]))
         return Support(loss, worth, self.doubt(candidate), ordered, float(shares([0.0, *against])[0]))
+
+    def _common(self, candidate: Chosen) -> float:
+        """By how much more common than their prior odds say hypotheses like one are, as twice a logarithm: of the Beta
+        distribution that these are from, as if they had been seen once before, and how many others were found (Scott
+        and Berger, "Bayes and empirical-Bayes multiplicity adjustment in the variable-selection problem", 2010)."""
+        alike = {hypothesis.group for hypothesis in self._selection.hypotheses if hypothesis.odds == candidate.odds}
+        others = sum(c.group in alike for c in self._found.chosen if c.group != candidate.group)
+        return 2.0 * float(np.log((1 + others) / (1.0 + candidate.odds * (len(alike) - 1 - others))))
 
     def worth(self, candidate: Chosen) -> float:
         """By how much the score is worse without it, where rows depend on each other."""
