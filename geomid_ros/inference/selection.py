@@ -211,13 +211,15 @@ class Selection(Generic[Chosen, Term]):
             variants = [h for h in self.hypotheses if h.group == beside.group]
             if beside is candidate or len(variants) == 1 or not self._overlap(beside, candidate):
                 continue
-            rest = self.without(current, candidate, beside)
-            own = {candidate.group, beside.group}
-            others = [t.candidate for t in self.ranked(rest) if t.gain > 0.0 and t.candidate.group not in own]
-            for other in [c for c in others if self._overlap(c, candidate)][:_SHORTLIST]:
+            rest, own = self.without(current, candidate, beside), {candidate.group, beside.group}
+            others = [h for h in self.hypotheses if h.group not in own and self._overlap(h, candidate)]
+            promised = list[tuple[float, JointFit[Chosen, Term], Chosen]]()
+            for other in [t.candidate for t in self._rank(rest, others) if t.gain > 0.0][:_SHORTLIST]:
                 larger = self.fit([*rest.chosen, other], rest)
-                for best in self._rank(larger, variants):
-                    yield self.fit([*larger.chosen, best.candidate], larger)
+                promised += [(larger.score - t.gain, larger, t.candidate) for t in self._rank(larger, variants)]
+            if promised:
+                _, larger, best = min(promised, key=lambda each: each[0])
+                yield self.fit([*larger.chosen, best], larger)
 
     def _rescaled(self, current: JointFit[Chosen, Term], candidate: Chosen) -> JointFit[Chosen, Term] | None:
         """The set in which factors of all channels stand in the place of a body: where all have changed alike, a body
