@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.gap import candidates as library
-from geomid_ros.gap.candidates import CLEARLY, Candidate, NamesFit, NamesPrior, NamesSearch
+from geomid_ros.gap.candidates import CLEARLY, ODDS, Candidate, NamesFit, NamesPrior, NamesSearch
 from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.gap.evidence.linearised_problem import Columns, LinearisedProblem, mean_of, total_model
 from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
@@ -95,17 +95,17 @@ def _told(tried: Sequence[Candidate], moving: BoolArray) -> list[Candidate]:
 
 
 def standing_remainder(model: MeasurementModel, records: Records, prior: NamesPrior) -> StandingRemainder:
-    """What the model that the ``prior`` describes lacks on records, its parameters as they are: at channels that have
-    fewer rows than features in some noise, that is not known."""
+    """What the model that the ``prior`` describes lacks on records, its parameters as they are; of channels without
+    rows that is not known."""
     given = unfitted(prior)
     noise = (Autoregression.white(),) * len(model.channels)
     problem = LinearisedProblem(model, records, total_model(model, given))
     residual = problem.residual(problem.columns((), prior.terms), given)
-    told, near = problem.features, None
+    near: list[FloatArray] | None = None
     for _ in range(_WHITENINGS):
-        told = problem.told(told)
-        near, lacks = problem.lacks(residual, told, noise, near)
-        left = residual - mean_of(told, lacks)
+        near, lacks = problem.lacks(residual, problem.told, noise, near)
+        left = residual - mean_of(problem.told, lacks)
+        left /= np.sqrt(_free(problem, np.array([lack.freedom for lack in lacks])))
         noise = _noise(left, problem.valid, records)
         problem = problem.with_floor(_typical_size(left, problem.valid))
     return StandingRemainder(
@@ -120,21 +120,22 @@ def standing_remainder(model: MeasurementModel, records: Records, prior: NamesPr
 def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
     """An analysis, or one of a robot of which a link has been changed since it was identified, if that is the better.
     What contradicts other recordings loosens all links at once, or is told as a payload, which cannot be negative, or
-    as what else may stand in the place of a lighter link. Of links that explain it about as well each is tried; one
-    that carries a payload has been changed by that, unless it is lighter."""
+    as what else may stand in the place of a lighter link: so each link is tried with the names that are found beside
+    its change, not those found without. Of links that explain it about as well each is searched to the end; one that
+    carries a payload has been changed by that, unless it is lighter."""
     search, names = analysis.search, analysis.names
     if search.prior.known is None:
         return analysis
-    rests = [search.fit([]), *(search.without(names, c) for c in names.chosen)]
+    unlikely = names.score + 2.0 * np.log(ODDS)
     tried = list[tuple[NamesPrior, float]]()
     for link in task.links:
         prior = search.prior.with_changed(link)
-        fits = (fit(search.design, prior, rest.chosen, rest) for rest in rests if link not in rest.bodies)
-        best = min(fits, key=lambda found: found.score)
+        beside = Selection(search.design, prior, task.tried)
+        best = beside.grow(beside.fit([]))
         if link not in names.bodies or best.inertias[link, 0] < prior.inertias[10 * link]:
             tried.append((prior, best.score))
     least = min((score for _, score in tried), default=np.inf)
-    if least > names.score - CLEARLY:
+    if least > unlikely:
         return analysis
 
     def with_changed(prior: NamesPrior) -> tuple[float, Analysis]:
@@ -144,7 +145,7 @@ def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
     likely = [prior for prior, score in tried if score < least + CLEARLY]
     (score, changed), *others = sorted(map(with_changed, likely), key=lambda found: found[0])
     contested = float(sum(np.exp(0.5 * (score - other)) for other, _ in others))
-    return replace(changed, contested=contested) if score < names.score - CLEARLY else analysis
+    return replace(changed, contested=contested) if score < unlikely else analysis
 
 
 def _ends(model: MeasurementModel, links: Sequence[int]) -> set[int]:
@@ -162,9 +163,8 @@ def _searched(task: _Task, prior: NamesPrior, stage: str) -> Analysis:
     problem, search, names = last.problem, last.search, last.found
     design = search.design
     left = problem.residual(last.columns, names) - problem.remainder(design, names)
-    rows = np.where(design.counts > 0.0, design.counts, np.nan)
     lacking = np.array([lack.freedom for lack in names.remainders(design)])
-    freedom = np.maximum(rows - names.parameters_by_channel(design) - lacking, 1.0) / rows
+    free = _free(problem, names.parameters_by_channel(design) + lacking)
     repeats = noise_by_repeats(task.model, task.records)
     return Analysis(
         problem=problem,
@@ -172,8 +172,16 @@ def _searched(task: _Task, prior: NamesPrior, stage: str) -> Analysis:
         bare=search.fit([]),
         names=names,
         supports=supports,
-        floor=repeats.floor(_root_mean_square(left, problem.valid) / np.sqrt(freedom)),
+        floor=repeats.floor(_root_mean_square(left, problem.valid) / np.sqrt(free)),
     )
+
+
+def _free(problem: LinearisedProblem, determined: FloatArray) -> FloatArray:
+    """The share of each channel's rows ``(C,)`` that is left to tell of noise, where so many have ``determined (C,)``
+    parameters; NaN of one without rows."""
+    has_rows = np.any(problem.valid, axis=0)
+    rows = np.where(has_rows, np.count_nonzero(problem.valid, axis=0), np.nan)
+    return np.asarray(np.maximum(rows - determined, 1.0) / rows)
 
 
 def _supports(search: NamesSearch, found: NamesFit) -> dict[Candidate, Support[Candidate]]:

@@ -81,7 +81,7 @@ class Candidate:
         place: where it acts.
         terms: its coefficients, none for a payload, which is a body.
         known: whether the model has it, and it may have changed.
-        odds: prior odds.
+        odds: prior odds, with whatever constant.
     """
 
     effect: Effect
@@ -94,8 +94,7 @@ class Candidate:
     def of(effect: Effect, place: Place, *, known: bool = False, ordinary: bool = False) -> Candidate:
         """The candidate of an effect at a place; ``ordinary``: whether it is one that every joint may well have."""
         odds = 1.0 if ordinary else ODDS * (_OF_COUPLED if effect.place == "joints" else 1.0)
-        constants = 1 if known else len(effect.variants())
-        return Candidate(effect, place, tuple(_terms(effect, place)), known, odds / constants)
+        return Candidate(effect, place, tuple(_terms(effect, place)), known, odds)
 
     def excludes(self, other: Candidate) -> bool:
         """Whether both at once make no sense: one name and place, one a special case of the other, two payloads."""
@@ -110,8 +109,9 @@ class Candidate:
 
     @cached_property
     def cost(self) -> float:
-        """Minus twice the logarithm of the prior odds."""
-        return -2.0 * float(np.log(self.odds))
+        """Minus twice the logarithm of the prior odds, with its constant."""
+        constants = 1 if self.known else len(self.effect.variants())
+        return -2.0 * float(np.log(self.odds / constants))
 
     @cached_property
     def usual(self) -> tuple[float, ...]:

@@ -29,8 +29,12 @@ class Hypothesis(Protocol[_Term_co]):
         measured."""
 
     @property
+    def odds(self) -> float:
+        """Its prior odds, with whatever constant."""
+
+    @property
     def cost(self) -> float:
-        """Minus twice the logarithm of its prior odds."""
+        """Minus twice the logarithm of its prior odds, with its constant."""
 
     @property
     def positives(self) -> int:

@@ -61,14 +61,22 @@ class Supports(Generic[Chosen, Term]):
         Its absence is judged beside a remainder that is estimated anew: what a free curve says as well is no evidence
         for a name. It is worth no more than its size says, by the density at nothing of its posterior and its prior
         (Dickey, "The weighted likelihood ratio", 1971), with the standard deviations that the scatter between blocks of
-        time shows; and rivals are as much less unlikely.
+        time shows; and rivals are as much less unlikely. All are as common as this robot shows such hypotheses to be.
         """
-        loss, worth = self.loss(candidate), self.worth(candidate)
+        loss, worth, common = self.loss(candidate), self.worth(candidate), self._common(candidate)
         rivals = self._rivals(self._selection.without(self._found, candidate), candidate)
         kept = max(worth, 0.0) / loss if loss > 0.0 else 1.0
-        against = [worth, *(kept * worse for _, worse in rivals)]
+        against = [worth + common, *(kept * worse + common - self._common(rival) for rival, worse in rivals)]
         ordered = tuple(sorted(rivals, key=lambda rival: rival[1]))
         return Support(loss, worth, self.doubt(candidate), ordered, float(shares([0.0, *against])[0]))
+
+    def _common(self, candidate: Chosen) -> float:
+        """By how much more common than their prior odds say hypotheses like one are, as twice a logarithm: of the Beta
+        distribution that these are from, as if they had been seen once before, and how many others were found (Scott
+        and Berger, "Bayes and empirical-Bayes multiplicity adjustment in the variable-selection problem", 2010)."""
+        alike = {hypothesis.group for hypothesis in self._selection.hypotheses if hypothesis.odds == candidate.odds}
+        others = sum(c.group in alike for c in self._found.chosen if c.group != candidate.group)
+        return 2.0 * float(np.log((1 + others) / (1.0 + candidate.odds * (len(alike) - 1 - others))))
 
     def worth(self, candidate: Chosen) -> float:
         """By how much the score is worse without it, where rows depend on each other."""
@@ -88,8 +96,10 @@ class Supports(Generic[Chosen, Term]):
 
     def _rivals(self, rest: JointFit[Chosen, Term], candidate: Chosen) -> list[tuple[Chosen, float]]:
         """The others in its place, each with the loss: exactly of bodies and of those that are as good as this, of all
-        others as the score test says. The same with another constant, and what contains it, deny nothing."""
+        others as the score test says. The same with another constant, and what contains it, deny nothing; what would
+        improve the fit beside it as well does so only by what it is better in its place."""
         selection, found = self._selection, self._found
+        beside = {trial.candidate: max(trial.gain, 0.0) for trial in selection.ranked(found)}
         worse = dict[Chosen, float]()
         for trial in selection.ranked(rest):
             rival, loss = trial.candidate, rest.score - trial.gain - found.score
@@ -98,11 +108,11 @@ class Supports(Generic[Chosen, Term]):
             if loss < 0.0:  # a promise that the search, which has tried exchanges, did not find kept
                 instead = selection.fit([*rest.chosen, rival], rest)
                 loss = instead.score - found.score if selection.possible(instead) else np.inf
-            worse[rival] = loss
+            worse[rival] = loss + beside.get(rival, 0.0)
         for instead in selection.rivals(found, candidate):
             own = [c for c in instead.chosen if c not in found.chosen and not c.includes(candidate)]
             if own:
-                worse[own[0]] = instead.score - found.score
+                worse[own[0]] = instead.score - found.score + beside.get(own[0], 0.0)
         return list(worse.items())
 
     def _of_size(self, candidate: Chosen) -> float:

@@ -199,7 +199,27 @@ class Selection(Generic[Chosen, Term]):
         least = _PLAUSIBLE * (rest.score - current.score)
         fits = [self.fit([*rest.chosen, t.candidate], rest) for t in self._promising(rest, least, candidate)]
         fits += [f for f in (self._rescaled(current, candidate),) if f is not None]
+        fits += self._with_other_constants(current, candidate)
         return sorted((f for f in fits if self.possible(f)), key=lambda found: found.score)
+
+    def _with_other_constants(
+        self, current: JointFit[Chosen, Term], candidate: Chosen
+    ) -> Iterator[JointFit[Chosen, Term]]:
+        """The sets in which another stands in the place of a hypothesis while one beside it, in the same channels, has
+        the constants that suit the other: those it has were chosen beside this one, and speak for it."""
+        for beside in current.chosen:
+            variants = [h for h in self.hypotheses if h.group == beside.group]
+            if beside is candidate or len(variants) == 1 or not self._overlap(beside, candidate):
+                continue
+            rest, own = self.without(current, candidate, beside), {candidate.group, beside.group}
+            others = [h for h in self.hypotheses if h.group not in own and self._overlap(h, candidate)]
+            promised = list[tuple[float, JointFit[Chosen, Term], Chosen]]()
+            for other in [t.candidate for t in self._rank(rest, others) if t.gain > 0.0][:_SHORTLIST]:
+                larger = self.fit([*rest.chosen, other], rest)
+                promised += [(larger.score - t.gain, larger, t.candidate) for t in self._rank(larger, variants)]
+            if promised:
+                _, larger, best = min(promised, key=lambda each: each[0])
+                yield self.fit([*larger.chosen, best], larger)
 
     def _rescaled(self, current: JointFit[Chosen, Term], candidate: Chosen) -> JointFit[Chosen, Term] | None:
         """The set in which factors of all channels stand in the place of a body: where all have changed alike, a body

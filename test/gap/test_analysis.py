@@ -211,6 +211,6 @@ def test_a_link_in_whose_place_a_payload_was_found_may_have_been_changed(monkeyp
         return analysis.Analysis(problem=unused, search=search, supports={}, floor=np.ones(2), **fits)
 
     monkeypatch.setattr(analysis, "_searched", lambda _, prior, __: analysed(prior))
-    task: Any = SimpleNamespace(links=[0])
+    task: Any = SimpleNamespace(links=[0], tried=[PAYLOAD])
     found = analysis._with_changed_link(task, analysed(identified, PAYLOAD))
     assert found.search.prior.changed_link == 0

@@ -57,8 +57,9 @@ def test_an_effect_of_joints_is_possible_at_every_joint_with_all_its_constants(n
         assert len(own) == VARIANTS.get(name, 1)
         assert len({candidate.effect for candidate in own}) == len(own)
         assert {candidate.place for candidate in own} == {AtJoint(joint)}
-        odds = np.array([candidate.odds for candidate in own]) * VARIANTS.get(name, 1)
-        np.testing.assert_allclose(odds, 1.0 if name in DEFAULT_EFFECTS else 0.01)
+        assert {candidate.odds for candidate in own} == {1.0 if name in DEFAULT_EFFECTS else 0.01}
+        shares = [np.exp(-0.5 * candidate.cost) / candidate.odds for candidate in own]
+        np.testing.assert_allclose(shares, 1.0 / len(own))
         assert {candidate.group for candidate in own} == {(name, AtJoint(joint))}
 
 

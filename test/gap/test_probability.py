@@ -92,6 +92,27 @@ def test_of_what_is_less_likely_than_nothing_nothing_is_said_and_the_others_are_
     assert (OFFSET.name, "joint1") in {(each.effect, each.joint) for each in ranked}
 
 
+def test_what_improves_the_fit_beside_a_name_as_well_is_no_rival_of_it() -> None:
+    """Of a search that was ended before it had found the second one."""
+    design = Recording(4, CANDIDATES).design({VISCOUS.terms[0]: 0.1, OFFSET.terms[0]: 0.3})
+    selection = Selection(design, PRIOR, CANDIDATES)
+    support = Supports(selection, selection.fit([VISCOUS])).of(VISCOUS)
+    assert support.probability > 0.99
+    (loss,) = (loss for rival, loss in support.rivals if rival is OFFSET)
+    exactly = selection.fit([OFFSET]).score - selection.fit([VISCOUS, OFFSET]).score
+    assert loss == pytest.approx(exactly, rel=0.1)
+
+
+def test_names_are_as_common_as_the_others_were_found_to_be() -> None:
+    """By Beta's distribution: with one found before, of a hundred, and with none or three of seven others here."""
+    recording = Recording(4, CANDIDATES)
+    selection = Selection(recording.design({c.terms[0]: 0.3 for c in CANDIDATES[:4]}), PRIOR, CANDIDATES)
+    for chosen, others in ((CANDIDATES[:1], 0), (CANDIDATES[:4], 3)):
+        odds = (1 + others) / (99 + 8 - others)  # of the next one of eight, beside 99 that had been without
+        found = Supports(selection, selection.fit(chosen))._common(VISCOUS)
+        assert found == pytest.approx(2.0 * np.log(odds / VISCOUS.odds))
+
+
 def test_half_of_what_is_left_may_lie_along_a_name() -> None:
     """Of a remainder as large as the name; that of a channel which the name does not reach says nothing."""
     lacks = [SimpleNamespace(power=4.0), SimpleNamespace(power=1e6)]

@@ -9,6 +9,7 @@ import pytest
 
 from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesFit
 from geomid_ros.inference.selection import KEPT_PROMISE, Selection
+from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.stribeck_friction import SPEEDS, StribeckFriction
 
 from .small import LINK, PAYLOAD, PRIOR, Recording, at
@@ -148,6 +149,23 @@ def test_the_constant_is_found_among_many() -> None:
     design = recording.design(dict(zip(truth.terms, (STRONG, STRONG), strict=True)))
     one = Selection(design, PRIOR, SPEEDY)
     assert names(one.settle(one.fit([]))) == {truth}
+
+
+def test_a_rival_comes_with_the_constants_that_suit_it() -> None:
+    """Of friction the blunter form and a quadratic one leave next to nothing of the sharper form and a viscous one,
+    while neither of these suits either of those."""
+    blunt, sharp = (at(CoulombFriction(smoothing), 0) for smoothing in (0.2, 0.02))
+    quadratic = at("quadratic_friction", 0)
+    among = [blunt, sharp, VISCOUS, quadratic]
+    recording = Recording(6, among)
+    columns, shared = recording.columns, np.random.default_rng(7).normal(size=400)
+    columns[VISCOUS.terms[0]] = shared + columns[quadratic.terms[0]] + 0.3 * columns[VISCOUS.terms[0]]
+    columns[blunt.terms[0]] = columns[sharp.terms[0]] + shared
+    one = Selection(recording.design({sharp.terms[0]: 1.0, VISCOUS.terms[0]: 1.0}), PRIOR, among)
+    trapped = one.fit([blunt, quadratic])
+    assert min(one.fit(pair).score for pair in ([blunt, VISCOUS], [sharp, quadratic])) > trapped.score
+    assert {sharp, VISCOUS} in [names(rival) for rival in one.rivals(trapped, quadratic)]
+    assert names(one.settle(trapped)) == {sharp, VISCOUS}
 
 
 def test_a_name_that_turns_all_columns_ends_a_search_unless_it_is_the_last() -> None:

@@ -70,13 +70,29 @@ def test_its_covariance_says_how_far_it_is_off() -> None:
         assert np.all(np.abs(mean) < 4.0 * np.linalg.norm(triangle, axis=0))
 
 
-def test_of_channels_with_fewer_rows_than_features_nothing_is_known() -> None:
+def with_a_share(share: float) -> StandingRemainder:
+    """What is known from a recording of which the joint has a share of the efforts."""
     own = recorded(1)
     few = own.effort.copy()
-    few[len(own) // 8 :, JOINT] = np.nan
-    records = Records.make([replace(own, effort=few)], planted.CUTOFF)
-    found = standing_remainder(MODEL, records, planted.prior(LINKS))
-    known = standing()
+    few[round(share * len(own)) :, JOINT] = np.nan
+    return standing_remainder(MODEL, Records.make([replace(own, effort=few)], planted.CUTOFF), planted.prior(LINKS))
+
+
+def test_fewer_rows_than_features_tell_less_and_as_much_as_they_say() -> None:
+    few, given = with_a_share(1.0 / 8.0), unfitted(planted.prior(LINKS))
+    for seed in (2, 3):
+        problem = LinearisedProblem(
+            MODEL, Records.make([recorded(seed)], planted.CUTOFF), total_model(MODEL, given), standing=few
+        )
+        own, residual = problem.features[JOINT], problem.residual({}, given)[:, JOINT]
+        unsure = np.einsum("ij,jk,ik->i", own.columns, own.unsure, own.columns)
+        assert np.std(residual - own.known) < 0.9 * np.std(residual)
+        assert 0.4 < np.sqrt(np.mean((residual - own.known) ** 2 / (planted.NOISE**2 + unsure))) < 2.0
+    assert np.linalg.norm(few.triangles[JOINT]) > np.linalg.norm(standing().triangles[JOINT])
+
+
+def test_of_channels_without_rows_nothing_is_known() -> None:
+    found, known = with_a_share(0.0), standing()
     for channel, (mean, triangle) in enumerate(zip(found.means, found.triangles, strict=True)):
         assert len(mean) == len(triangle) == (0 if channel == JOINT else len(known.means[channel]))
 

@@ -138,7 +138,7 @@ def test_the_file_predicts_as_well_as_an_identified_one(
 
 def test_friction_that_no_file_can_say_is_folded_into_what_files_say() -> None:
     """What is left of the friction is at right angles to what they can say."""
-    quadratic = 0.2
+    quadratic = 0.4
 
     def thick(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         return planted.rigid(GIVEN)(q, v, a) + np.array([1.0, 0.0, 0.0]) * v * (VISCOUS + quadratic * np.abs(v))

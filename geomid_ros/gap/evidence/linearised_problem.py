@@ -143,11 +143,12 @@ class LinearisedProblem:
         """Whitened rows."""
         return design_of(self.rows, self.valid, columns, self.features, noise, self.records)
 
-    def told(self, features: Sequence[Features]) -> list[Features]:
-        """The ``features``, none of a channel that has no more rows than these."""
+    @property
+    def told(self) -> list[Features]:
+        """The features, none of a channel without rows."""
         nothing = Features(np.zeros((len(self.valid), 0)), np.zeros(0, dtype=np.intp), ())
-        pairs = zip(features, np.sum(self.valid, axis=0), strict=True)
-        return [own if rows > len(own.block) else nothing for own, rows in pairs]
+        pairs = zip(self.features, np.any(self.valid, axis=0), strict=True)
+        return [own if has_rows else nothing for own, has_rows in pairs]
 
     def lacks(
         self,

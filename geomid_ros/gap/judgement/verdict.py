@@ -11,13 +11,15 @@ from geomid_ros.estimation.estimate import is_told
 from geomid_ros.gap.analysis import Analysis
 from geomid_ros.gap.candidates import Candidate, NamesFit
 from geomid_ros.gap.judgement import naming
+from geomid_ros.gap.judgement.changed_links import with_given_spreads
 from geomid_ros.gap.judgement.held_out import HeldOut, strongest
 from geomid_ros.gap.result import Finding, Ranked, Rival, Unexplained, Verdict, confidence_of
-from geomid_ros.inference.fit import scattered
+from geomid_ros.inference.fit import fit, scattered
 from geomid_ros.inference.probability import probability_of_square
 from geomid_ros.inference.rao_score import score_test
 from geomid_ros.model.effects import EFFECTS, Quantity, Values
 from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.types import FloatArray
 
 _NEAR = 20.0  # in minus twice a logarithm: rivals that are less likely than one in ten thousand are not worth a word
 _MOST_OF_IT = 0.5  # of a channel's squares
@@ -53,7 +55,7 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
         rivals=tuple(rivals),
         separability=float(np.clip(score_test(search.design, without, candidate).separability, 0.0, 1.0)),
         loss=support.loss,
-        share=_share(analysis, candidate, without),
+        share=_share(analysis, candidate),
         was=was,
         sentence=naming.sentence(candidate.effect, joint, link, parameters, was, confidence, moment=moment),
         settled_by=naming.settled_by(candidate.effect, joint, close) if confidence != "confident" else "",
@@ -84,12 +86,19 @@ def _is_told(quantity: Quantity) -> bool:
     return is_told(quantity.value, quantity.std)
 
 
-def _share(analysis: Analysis, candidate: Candidate, without: NamesFit) -> float:
-    """Of the gap that the inertias leave, over the channels that a name reaches: how much it closes beside others."""
-    squares, reached = analysis.names.squares, analysis.search.design.reached(candidate)
-    closed = np.sum(((without.squares - squares) / squares)[reached])
-    gap = np.sum((np.maximum(analysis.bare.squares, without.squares) / squares - 1.0)[reached])
-    return float(np.clip(closed / max(float(gap), 1e-300), 0.0, 1.0))
+def _share(analysis: Analysis, candidate: Candidate) -> float:
+    """Of the gap that the inertias leave, over the channels that a name reaches: how much it closes beside others. The
+    links are as unsure as they were found to be: without it they would be freed until they explain it."""
+    search, names = analysis.search, analysis.names
+    prior, reached = with_given_spreads(search.prior, names.inflation), search.design.reached(candidate)
+
+    def gap(chosen: Sequence[Candidate]) -> FloatArray:
+        squares = fit(search.design, prior, chosen, names, names.spreads).squares
+        return np.asarray((squares / names.squares - 1.0)[reached])
+
+    without = gap([c for c in names.chosen if c is not candidate])
+    whole = float(np.sum(np.maximum(gap(()), without)))
+    return float(np.clip(np.sum(without) / max(whole, 1e-300), 0.0, 1.0))
 
 
 def _scanned_std(analysis: Analysis, candidate: Candidate) -> float:
