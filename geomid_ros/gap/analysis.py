@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -53,12 +53,14 @@ class Analysis:
 @dataclass(frozen=True, eq=False)
 class _Task:
     """What is searched: the ``model`` in the ``records``, with candidates that are ``tried``, and ``links`` that may
-    have been changed, beside what the model is known to lack (``standing``); ``progress`` is told."""
+    have been changed, of which those that are ``inner`` ones of a drawing may be wrong as well as loaded, beside what
+    the model is known to lack (``standing``); ``progress`` is told."""
 
     model: MeasurementModel
     records: Records
     tried: Sequence[Candidate]
     links: Sequence[int]
+    inner: Collection[int]
     standing: StandingRemainder | None
     progress: Callable[[str, float], None]
 
@@ -76,15 +78,16 @@ def analyse(
 ) -> Analysis:
     """Find the set of names that explains the records best, and what is to be thought of the links beside it.
 
-    Beside an identified model a payload hangs at the end of a limb, or lies on a base that moves. What another link has
+    A payload hangs at the end of a limb, or lies on a base that moves. What another link of an identified model has
     gained is told as a link that has been changed: on the axis of a last joint a payload would else be one of the link
-    before as well.
+    before as well. On another link of a drawing it may as well be an error of that.
     """
     tried = _told(library.candidates(model, prior.terms, bare=not prior.identified), records.moving)
     links = [c.payload for c in tried if c.payload is not None]
-    ends = {*links} if prior.known is None else _ends(model, links)
-    tried = [c for c in tried if c.payload is None or c.joint is None or c.payload in ends]
-    task = _Task(model, records, tried, links, standing, progress)
+    inner = {c.payload for c in tried if c.payload is not None and c.joint is not None} - _ends(model, links)
+    if prior.known is not None:
+        tried, inner = [c for c in tried if c.payload not in inner], set()
+    task = _Task(model, records, tried, links, inner, standing, progress)
     return _with_changed_link(task, _searched(task, prior, "searching"))
 
 
@@ -158,7 +161,7 @@ def _ends(model: MeasurementModel, links: Sequence[int]) -> set[int]:
 def _searched(task: _Task, prior: NamesPrior, stage: str) -> Analysis:
     """The names beside which the total model settles, and what speaks for each."""
     last = _last_round(task, prior, stage)
-    supports = _supports(last.search, last.found)
+    supports = _supports(last.search, last.found, task.inner)
     task.progress(stage, 1.0)
     problem, search, names = last.problem, last.search, last.found
     design = search.design
@@ -184,11 +187,16 @@ def _free(problem: LinearisedProblem, determined: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(rows - determined, 1.0) / rows)
 
 
-def _supports(search: NamesSearch, found: NamesFit) -> dict[Candidate, Support[Candidate]]:
-    """What speaks for each name that is more likely than nothing in its place. The others are told to nobody, and stay
-    in the fit: without them the model would lack what they explain, for which all others would be doubted."""
+def _supports(search: NamesSearch, found: NamesFit, inner: Collection[int]) -> dict[Candidate, Support[Candidate]]:
+    """What speaks for each name that is more likely than nothing in its place; of a payload on one of the ``inner``
+    links that this is wrong is as likely. The others are told to nobody, and stay in the fit: without them the model
+    would lack what they explain, for which all others would be doubted."""
     each = Supports(search, found)
-    return {candidate: each.of(candidate) for candidate in found.chosen if each.worth(candidate) > 0.0}
+    said = {candidate: each.of(candidate) for candidate in found.chosen if each.worth(candidate) > 0.0}
+    for candidate, support in said.items():
+        if candidate.payload in inner:
+            said[candidate] = replace(support, probability=support.probability / (1.0 + support.probability))
+    return said
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,5 +1,6 @@
 """How often names are true that are stated with a probability, on designs of random columns."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,7 +13,7 @@ from geomid_ros.inference.probability import Support, Supports, relative_doubt
 from geomid_ros.inference.selection import Selection
 
 from . import planted
-from .small import PRIOR, ROWS, Recording, at
+from .small import LINK, PAYLOAD, PRIOR, ROWS, Recording, at
 
 CANDIDATES = [
     at(name, joint)
@@ -80,7 +81,7 @@ def test_of_what_is_less_likely_than_nothing_nothing_is_said_and_the_others_are_
     """A second column explains nothing, or what else would be taken for a lack along the first one."""
     search = Selection(Recording(3, CANDIDATES).design({VISCOUS.terms[0]: 1.0}), PRIOR, CANDIDATES)
     found = search.fit([VISCOUS, OFFSET])
-    (said,) = analysis._supports(search, found).items()
+    (said,) = analysis._supports(search, found, ()).items()
     assert said[0] is VISCOUS
     assert said[1].loss == pytest.approx(search.without(found, VISCOUS).score - found.score)
     unused: Any = None
@@ -111,6 +112,15 @@ def test_names_are_as_common_as_the_others_were_found_to_be() -> None:
         odds = (1 + others) / (99 + 8 - others)  # of the next one of eight, beside 99 that had been without
         found = Supports(selection, selection.fit(chosen))._common(VISCOUS)
         assert found == pytest.approx(2.0 * np.log(odds / VISCOUS.odds))
+
+
+def test_a_drawing_s_inner_link_may_be_wrong_as_well_as_loaded() -> None:
+    load = np.array([1.0, 0.3, 0.0, 0.2, 0.4, 0.0, 0.4, 0.0, 0.0, 0.4])
+    design = Recording(3, [PAYLOAD]).design({}, LINK + load)
+    search = Selection(design, replace(PRIOR, certainty=100.0), [PAYLOAD])
+    found = search.fit([PAYLOAD])
+    for inner, least, most in (((), 0.99, 1.0), ((0,), 0.49, 0.5)):
+        assert least < analysis._supports(search, found, inner)[PAYLOAD].probability <= most
 
 
 def test_half_of_what_is_left_may_lie_along_a_name() -> None:
