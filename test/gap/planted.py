@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+from model.robots import fixed_base
 
 from geomid_ros.gap.candidates import library_columns
 from geomid_ros.geometry import pseudo_inertia, spd
@@ -95,18 +96,7 @@ def recording(
     position += posture
     measured = efforts(position, velocity, acceleration)
     measured = measured + noise * np.random.default_rng([seed, 2]).standard_normal(measured.shape)
-    nothing = np.zeros((len(times), 0))
     entries = Entries(library_columns(model()), position.shape[1])
-    return Samples(
-        stamps=(1e9 + 1e9 * times).astype(np.int64),
-        position=position,
-        velocity=velocity,
-        acceleration=acceleration,
-        effort=measured,
-        base_pose=nothing,
-        base_velocity=nothing,
-        base_acceleration=nothing,
-        wrenches=np.zeros((len(times), 0, 6)),
-        effects=entries.values(Motion(position, velocity, acceleration)),
-        entries=entries,
-    )
+    moved = Motion(position, velocity, acceleration)
+    stamps, moving = (1e9 + 1e9 * times).astype(np.int64), (position, velocity, acceleration)
+    return fixed_base(stamps, *moving, measured, effects=entries.values(moved), entries=entries)
