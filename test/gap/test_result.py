@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from geomid_ros.errors import InputError
 from geomid_ros.gap import workflow
 from geomid_ros.gap.candidates import EffectTerm
 from geomid_ros.gap.evidence.record import Records
@@ -237,3 +238,35 @@ def test_what_a_simulator_shows_stands_in_the_place_of_the_model(monkeypatch: py
     assert (prior.terms, prior.known, prior.spread, prior.certainty) == (terms, None, given.spread, given.certainty)
     np.testing.assert_allclose(prior.values, [2.0, 0.001])
     np.testing.assert_allclose(prior.spreads, [0.04, 1e-3])
+
+
+class TestRefusals:
+    def test_a_recording_needs_thirty_independent_instants(self) -> None:
+        """Two in a seventh of a second, or so."""
+        for seconds, refused in ((1.5, True), (3.0, False)):
+            records = Records.make([planted.recording(RIGID, 1, seconds)], planted.CUTOFF)
+            assert (len(records.samples) < 30) == refused
+            if refused:
+                with pytest.raises(InputError, match=f"too short: {len(records.samples)} independent"):
+                    workflow._check(BARE, records)
+            else:
+                workflow._check(BARE, records)
+        with pytest.raises(InputError, match="too short: 0 independent"):
+            workflow._check(BARE, Records.make([], planted.CUTOFF))
+
+    def test_something_has_to_be_measured(self) -> None:
+        nothing = replace(TRAIN, effort=np.full(TRAIN.effort.shape, np.nan))
+        with pytest.raises(InputError, match=r"no effort or wrench is measured.*joint1"):
+            workflow._check(BARE, Records.make([nothing], planted.CUTOFF))
+
+    def test_something_has_to_move(self) -> None:
+        effects = TRAIN.effects.copy()
+        effects[:, TRAIN.entries.of(workflow.REST)[0]] = 1.0
+        resting = Records.make([replace(TRAIN, effects=effects)], planted.CUTOFF)
+        with pytest.raises(InputError, match="no joint moves"):
+            workflow._check(BARE, resting)
+        with pytest.raises(InputError, match="nothing to judge on"):
+            workflow._check_held_out(BARE, resting)
+        one = effects.copy()
+        one[:, TRAIN.entries.at(workflow.REST, 1)] = 0.0
+        workflow._check(BARE, Records.make([replace(TRAIN, effects=one)], planted.CUTOFF))
