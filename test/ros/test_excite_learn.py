@@ -18,7 +18,7 @@ from .test_excite_run import PATIENT, URDF, controller, states, status
 NOMINAL = 1.5  # [kg] of the last link with its tool in the URDF
 HEAVIER, VISCOUS, COULOMB = 1.2, 0.3, 0.4  # what is true of the simulated robot
 MOVING = 0.1  # [rad/s]
-QUICK = ("--duration", "5", "--repeats", "1")
+QUICK = ("--duration", "3", "--repeats", "1")
 FREE = ("--no-collision",)  # a design looks for collisions most of its time
 
 
@@ -38,7 +38,7 @@ def test_without_execute_and_without_consent_nothing_moves(stage: Stage) -> None
     controller(stage)
     process = learn(stage)
     assert status(stage, process) == 0, process.output
-    assert "Round 1: 1 x 5 s" in process.output
+    assert "Round 1: 1 x 3 s" in process.output
     assert "Approach: 0.200 rad (m) to the start" in process.output
     assert "Nothing has moved" in process.output
     page = stage.folder / "out/round1/motion.html"
@@ -63,7 +63,7 @@ def test_from_a_urdf_to_an_identified_robot_until_nothing_worth_it_is_left(stage
     for said in ("Round 1:", "Masses after round 1", "Masses after round 2"):
         stage.observer.wait_for(lambda said=said: said in process.output or not process.running, said)
     assert status(stage, process) == 0, process.output
-    assert "Stopped: 5 s more would lower the expected error by" in process.output
+    assert "Stopped: 3 s more would lower the expected error by" in process.output
     rounds = sorted((stage.folder / "out").iterdir(), key=lambda folder: int(folder.name.removeprefix("round")))
     assert len(rounds) >= 2
     assert f"Identified from {len(rounds)} rounds: {rounds[-1] / 'identified.urdf'}" in process.output
