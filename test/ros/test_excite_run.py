@@ -132,7 +132,7 @@ FAULTS: dict[str, tuple[str, str]] = {
 def test_what_goes_wrong_stops_it_and_the_bag_is_whole(case: str, stage: Stage) -> None:
     fault, said = FAULTS[case]
     robot = controller(stage)
-    process, heard, commands = under_way(stage, bump(JOINTS, 10.0, amplitude=1.5), *PATIENT)
+    process, heard, commands = under_way(stage, bump(JOINTS, 20.0, amplitude=1.5), *PATIENT)
     faults = stage.observer.node.create_publisher(String, "/joint_trajectory_controller/fault", 10)
     stage.observer.wait_for(faults.get_subscription_count, "the robot")
     faults.publish(String(data=fault))
@@ -149,7 +149,7 @@ def test_what_goes_wrong_stops_it_and_the_bag_is_whole(case: str, stage: Stage) 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_stops_it_and_the_bag_is_whole(number: signal.Signals, stage: Stage) -> None:
     controller(stage)
-    process, heard, commands = under_way(stage, bump(JOINTS, 10.0, amplitude=1.5), *PATIENT)
+    process, heard, commands = under_way(stage, bump(JOINTS, 20.0, amplitude=1.5), *PATIENT)
     process.send(number)
     assert status(stage, process) == 2
     assert "Error: the motion was stopped: interrupted. The robot is at rest. Recorded until then:" in process.output
@@ -186,7 +186,7 @@ def test_an_error_of_our_own_stops_it_too(stage: Stage, monkeypatch: pytest.Monk
 
 def test_a_robot_that_is_killed_is_silent(stage: Stage) -> None:
     robot = controller(stage)
-    process, _, commands = under_way(stage, bump(JOINTS, 10.0, amplitude=1.5), "--silence", "3", "--tolerance", "0.5")
+    process, _, commands = under_way(stage, bump(JOINTS, 20.0, amplitude=1.5), "--silence", "3", "--tolerance", "0.5")
     robot.send(signal.SIGKILL)
     assert status(stage, process) == 2
     (point,) = commands[-1].points
