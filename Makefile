@@ -29,7 +29,8 @@ test: lint ## Set up, then run the static checks and the tests
 
 quick: $(VENV)/.test-ready ## Set up, then run ruff and the first case of every test that needs no ROS, no simulation and not many robots
 	$(BIN)/ruff check
-	$(BIN)/python -m pytest --numprocesses 2 --one-case --ignore test/gap/test_calibration.py \
+	$(BIN)/python -m pytest --numprocesses 2 --one-case \
+		$(addprefix --ignore test/,gap/test_calibration.py estimation/test_population.py estimation/test_uncertainty.py) \
 		$(addprefix test/,geometry model signals estimation gap)
 
 lint: $(VENV)/.test-ready ## Set up, then run ruff and mypy

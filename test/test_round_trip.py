@@ -1,7 +1,7 @@
 """What was found goes into everything that begins with the model in which it was written.
 
-One effect of most kinds, in recordings as short as the workflow allows; ``python -m benchmarks.round_trip`` does the
-same with all of them and longer ones.
+One effect of those kinds that ``test_new_effect.py`` has not, in recordings as short as the workflow allows; ``python
+-m benchmarks.round_trip`` does the same with all of them and longer ones.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import pytest
 from commands.running import done, undrawn
 
-from benchmarks.round_trip import PLANTED, URDF, Planted, RoundTrip
+from benchmarks.round_trip import PLANTED, URDF, RoundTrip
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.options import silent
@@ -21,11 +21,9 @@ from geomid_ros.session.session import Session
 
 SECONDS = 12.0
 KINDS = {
-    "with a constant": Planted("stribeck_friction", {"level": 0.6, "excess": 0.5, "speed": 0.4}),
     "that depends on the model": PLANTED["load_friction"],
     "a hinge behind the joint": PLANTED["backlash"],
     "a body": PLANTED["payload"],
-    "of a wrench sensor": PLANTED["wrench_offset"],
 }
 
 
@@ -43,9 +41,8 @@ def test_what_was_found_is_known_from_then_on(trip: RoundTrip) -> None:
 def test_identification_shows_what_it_keeps(trip: RoundTrip, monkeypatch: pytest.MonkeyPatch) -> None:
     """An effect is at one place only; the configured ones are at all."""
     undrawn(monkeypatch)
-    wrench = [option for sensor in trip.planted.wrench for option in ("--wrench", sensor)]
     out = trip.folder / "shown"
-    text = done("identify", trip.bag(2), "--urdf", URDF, "--model", trip.model("first"), "--out", out, *wrench)
+    text = done("identify", trip.bag(2), "--urdf", URDF, "--model", trip.model("first"), "--out", out)
     known = LoadedModel.read(str(out / "estimate.json")).effects
     assert any(trip.planted.is_at(effect) for effect in known) != trip.planted.is_payload
     name = trip.planted.effect.replace("_", " ")
@@ -54,7 +51,7 @@ def test_identification_shows_what_it_keeps(trip: RoundTrip, monkeypatch: pytest
 
 def test_the_node_goes_on_from_it(trip: RoundTrip) -> None:
     """As the node does: messages of another motion pass its session's pipeline, and are looked at for a gap."""
-    configuration = Configuration({"model": str(trip.model("first"))}).with_sensors(trip.planted.sensors)
+    configuration = Configuration({"model": str(trip.model("first"))})
     urdf = URDF.read_text(encoding="utf-8")
     session = Session(urdf, configuration, "robot_description")
     with Bag(trip.bag(2)) as bag:

@@ -56,8 +56,8 @@ def masses(found: geomid_ros.Identification) -> np.ndarray:
 def test_efforts_are_those_of_commands_and_their_delay_is_found(without_efforts: Path) -> None:
     """A command that holds until the next one comes is late by half of the time between them: it is found to act that
     much earlier."""
-    measured = geomid_ros.identify(BAG, URDF)
-    found = geomid_ros.identify(without_efforts, URDF, command=TOPIC, gains=GAINS)
+    measured = geomid_ros.identify(BAG, URDF, candidates=())
+    found = geomid_ros.identify(without_efforts, URDF, command=TOPIC, gains=GAINS, candidates=())
     (left,) = (effect for effect in found.effects if effect.name == "command_delay")
     delay = found.session.configuration["command.delay"] + left.value
     assert delay == pytest.approx(1e-9 * (DELAY - PERIOD / 2), abs=1.5e-3)
@@ -69,7 +69,8 @@ def test_efforts_are_those_of_commands_and_their_delay_is_found(without_efforts:
     file = without_efforts.parent / "controller.yaml"
     gains = {joint: {"p": p, "d": d} for joint, p, d in zip(JOINTS, KP.tolist(), KD.tolist(), strict=True)}
     file.write_text(json.dumps({"controller": {"ros__parameters": {"gains": gains}}}))
-    assert geomid_ros.identify(without_efforts, URDF, command=TOPIC, gains=str(file)).rms == found.rms
+    again = geomid_ros.identify(without_efforts, URDF, command=TOPIC, gains=str(file), candidates=())
+    assert again.rms == found.rms
 
 
 def test_wrong_gains_are_named_by_reported_efforts(tmp_path: Path) -> None:
@@ -108,6 +109,7 @@ def model(without_efforts: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
     return folder / "estimate.json"
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_a_gap_is_judged_beside_the_delay_of_commands(without_efforts: Path, model: Path) -> None:
     """On the recording that a model is from nothing is found beside it, as far as it goes."""
     found = geomid_ros.find_gap(without_efforts, URDF, model=model, command=TOPIC, gains=GAINS)

@@ -167,6 +167,7 @@ def changed_copy(estimate: Path, folder: Path, **entries: Any) -> Path:
     return folder / "estimate.json"
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_another_robot_is_refused_by_name(halves: tuple[Path, Path], tmp_path: Path) -> None:
     arm3 = BAGS / "arm3.urdf"
     message = refused("compare", halves[0], arm3, "--out", tmp_path)

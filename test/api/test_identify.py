@@ -76,6 +76,7 @@ def test_without_held_out_data_the_fitted_ones_are_judged() -> None:
     assert list(found.rms_nominal.values()) == found.estimate.rms_nominal.tolist()
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_an_estimate_is_kept_whose_bag_is_gone_before_it_is_saved(tmp_path: Path) -> None:
     bag = shutil.copytree(BAG, tmp_path / "bag")
     found = geomid_ros.identify(bag, URDF, hold_out=0.0)

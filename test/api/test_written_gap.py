@@ -51,8 +51,6 @@ def creeping(_q: float, _v: float, effort: float, t: float) -> float:
 
 
 CASES = [
-    Case("no gap", untouched, untouched),
-    Case("named", rubbing, rubbing, ("viscous_friction",)),
     Case("named", scaled, scaled, ("effort_gain", "effort_offset")),
     Case("unexplained", rough, rough),
     Case("incomplete", untouched, creeping),

@@ -1,8 +1,11 @@
 """For tests of commands."""
 
+from functools import partial
 from pathlib import Path
 
 import pytest
+
+from geomid_ros.estimation.estimator import EstimatorSettings
 
 from .running import WRIST, done, identify, undrawn
 
@@ -24,3 +27,9 @@ def wrist(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def torques(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same without the sensor."""
     return identified(tmp_path_factory.mktemp("torques"))
+
+
+@pytest.fixture
+def in_a_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no minimum is needed."""
+    monkeypatch.setattr("geomid_ros.session.configuration.EstimatorSettings", partial(EstimatorSettings, max_steps=1))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import click
 import numpy as np
 import pytest
 import yaml
@@ -14,12 +13,9 @@ from files.recordings import BAGS
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from geomid_ros.commands.excite.learn import learn
-from geomid_ros.commands.excite.run import run
 from geomid_ros.files.trajectories import read_trajectory
 
 from .running import WRIST, done, link, read, refused
-from .test_help import LIBRARIES, loaded
 
 QUICK = ("--duration", "6", "--repeats", "2")
 
@@ -126,17 +122,6 @@ def test_nothing_is_written_where_nothing_is_worth_it(arm: Path, tmp_path: Path)
     assert "less than 99.9%" in text
     assert not (tmp_path / "out").exists()
     assert "'5 apples' is not a share" in refused("excite", "--urdf", arm, "--until", "5 apples")
-
-
-@pytest.mark.parametrize("command", [run, learn], ids=["run", "learn"])
-def test_help_explains_every_option_and_loads_no_library(command: click.Command) -> None:
-    text = done("excite", str(command.name), "--help")
-    options = [parameter for parameter in command.params if isinstance(parameter, click.Option)]
-    assert len(options) > 5
-    for option in options:
-        assert option.opts[0] in text
-        assert (option.help or "").endswith((".", "]"))
-    assert not loaded(("excite", str(command.name), "--help")) & LIBRARIES
 
 
 def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ import json
 import re
 import subprocess
 import sys
-from functools import partial
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,6 @@ from rich.console import Console
 from test_new_effect import with_wrench
 
 from geomid_ros.commands.terminal import plain_table
-from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS, effect_class
 from geomid_ros.model.robot import Robot
@@ -303,8 +301,8 @@ def test_a_doubtful_model_to_start_from_is_told_first(torques: Path, tmp_path: P
     assert read(tmp_path / "out")["verdict"]["result"] == "usable"
 
 
-def test_a_fit_that_did_not_converge_says_so_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("geomid_ros.session.configuration.EstimatorSettings", partial(EstimatorSettings, max_steps=1))
+@pytest.mark.usefixtures("in_a_step")
+def test_a_fit_that_did_not_converge_says_so_first(tmp_path: Path) -> None:
     result = geomid(*identify("arm3", "--out", tmp_path))
     assert result.exit_code == 3, result.output
     assert result.stdout.lstrip().startswith("NOT CONVERGED: the solver did not converge: ")

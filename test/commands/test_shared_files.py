@@ -79,9 +79,7 @@ def said_without(library: str, module: str, *arguments: str) -> str:
     return line
 
 
-@pytest.mark.parametrize(
-    ("library", "package"), [("rosbags", "rosbags"), ("backports", "backports.zstd"), ("pinocchio", "pin")]
-)
+@pytest.mark.parametrize(("library", "package"), [("backports", "backports.zstd"), ("pinocchio", "pin")])
 def test_a_command_names_it(library: str, package: str) -> None:
     arguments = ("identify", str(BAGS / "arm3"), "--urdf", str(BAGS / "arm3.urdf"))
     said = said_without(library, "geomid_ros.commands.root", *arguments)

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 from geometry import bodies
+from model.robots import fixed_base
 
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings
@@ -116,19 +117,8 @@ def efforts(robot: Robot, true: Truth, moving: Motion, gravity: Sequence[float] 
 
 def samples(moving: Motion, measured: FloatArray, rate: float = 100.0) -> Samples:
     """Samples of a fixed-base arm without wrench sensors."""
-    count = len(moving)
-    none = np.zeros((count, 0))
-    return Samples(
-        (np.arange(count) / rate * 1e9).astype(np.int64),
-        moving.position,
-        moving.velocity,
-        moving.acceleration,
-        measured,
-        none,
-        none,
-        none,
-        np.zeros((count, 0, 6)),
-    )
+    stamps = (np.arange(len(moving)) / rate * 1e9).astype(np.int64)
+    return fixed_base(stamps, moving.position, moving.velocity, moving.acceleration, measured)
 
 
 @dataclass(frozen=True, eq=False)

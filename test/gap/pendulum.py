@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from model.robots import fixed_base
 
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.result import GapResult
@@ -57,20 +58,9 @@ def recording(extra: Effort, seed: int, seconds: float) -> Samples:
     weight = 9.81 * (_FIRST_MOMENT[0] * np.cos(position) - _FIRST_MOMENT[1] * np.sin(position))
     effort = _INERTIA * acceleration + weight + extra(position, velocity) + NOISE * rng.standard_normal(len(times))
     motion = Motion(position[:, None], velocity[:, None], acceleration[:, None])
-    nothing = np.zeros((len(times), 0))
-    return Samples(
-        stamps=(1e9 + 1e9 * times).astype(np.int64),
-        position=motion.position,
-        velocity=motion.velocity,
-        acceleration=motion.acceleration,
-        effort=effort[:, None],
-        base_pose=nothing,
-        base_velocity=nothing,
-        base_acceleration=nothing,
-        wrenches=np.zeros((len(times), 0, 6)),
-        effects=_ENTRIES.values(motion),
-        entries=_ENTRIES,
-    )
+    stamps = (1e9 + 1e9 * times).astype(np.int64)
+    moving = motion.position, motion.velocity, motion.acceleration
+    return fixed_base(stamps, *moving, effort[:, None], effects=_ENTRIES.values(motion), entries=_ENTRIES)
 
 
 def gap(extra: Effort, seed: int) -> GapResult:

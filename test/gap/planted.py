@@ -11,7 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+<<<<<<< HEAD
 import scipy.linalg
+=======
+from model.robots import fixed_base
+>>>>>>> tests
 
 from geomid_ros.gap.candidates import library_columns
 from geomid_ros.geometry import pseudo_inertia, spd
@@ -96,18 +100,7 @@ def recording(
     position += posture
     measured = efforts(position, velocity, acceleration)
     measured = measured + noise * np.random.default_rng([seed, 2]).standard_normal(measured.shape)
-    nothing = np.zeros((len(times), 0))
     entries = Entries(library_columns(model()), position.shape[1])
-    return Samples(
-        stamps=(1e9 + 1e9 * times).astype(np.int64),
-        position=position,
-        velocity=velocity,
-        acceleration=acceleration,
-        effort=measured,
-        base_pose=nothing,
-        base_velocity=nothing,
-        base_acceleration=nothing,
-        wrenches=np.zeros((len(times), 0, 6)),
-        effects=entries.values(Motion(position, velocity, acceleration)),
-        entries=entries,
-    )
+    moved = Motion(position, velocity, acceleration)
+    stamps, moving = (1e9 + 1e9 * times).astype(np.int64), (position, velocity, acceleration)
+    return fixed_base(stamps, *moving, measured, effects=entries.values(moved), entries=entries)

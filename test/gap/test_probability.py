@@ -123,14 +123,6 @@ def test_a_drawing_s_inner_link_may_be_wrong_as_well_as_loaded() -> None:
         assert least < analysis._supports(search, found, inner)[PAYLOAD].probability <= most
 
 
-def test_half_of_what_is_left_may_lie_along_a_name() -> None:
-    """Of a remainder as large as the name; that of a channel which the name does not reach says nothing."""
-    lacks = [SimpleNamespace(power=4.0), SimpleNamespace(power=1e6)]
-    design: Any = SimpleNamespace(powers=lambda *_: np.array([4.0, 0.0]))
-    found: Any = SimpleNamespace(squares=np.array([2.0, 1.0]), remainders=lambda _: lacks)
-    assert relative_doubt(design, found, 0, np.ones(1)) == pytest.approx(0.5)
-
-
 def test_each_channel_s_lack_counts_by_the_weight_that_least_squares_give_what_it_says() -> None:
     """One coefficient at three channels: lack where little is told is little doubt."""
     rng = np.random.default_rng(5)

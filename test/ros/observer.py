@@ -143,12 +143,6 @@ class Observer:
                 self._publishers[namespace + item.topic].publish(bytes(TYPES.serialize_cdr(item.message, item.kind)))
                 pace.pause()
 
-    def wait_until_unheard(self) -> None:
-        """Wait until nobody is known to hear what is published: for some seconds a killed process is, and what is
-        published meanwhile is lost on the one that takes its place."""
-        published = self._publishers.values()
-        self.wait_for(lambda: not any(p.get_subscription_count() for p in published), "the end of all subscriptions")
-
     def pace(self) -> Pace:
         """For messages in quick succession."""
         return Pace(self._waited)

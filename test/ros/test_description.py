@@ -85,3 +85,4 @@ def test_a_changed_description_waits_for_a_reset(stage: Stage) -> None:
     observer.publish(MESSAGES[800:], joints)
     observer.wait_for(lambda: links() == {"trunk", "link2", "link3"}, "the new robot's links")
     assert node.end() == 0
+    assert list(stage.folder.glob("process0/*")) == [], "without a folder nothing is written unasked"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ FAST = ("--speed", "1", "--execute")
 
 
 def controller(stage: Stage, start: float = START) -> Process:
-    return stage.start("benchmarks.trajectory_controller", "--urdf", URDF, "--rate", "100", "--start", str(start))
+    return stage.start("benchmarks.trajectory_controller", "--urdf", URDF, "--rate", "50", "--start", str(start))
 
 
 def excite(stage: Stage, motion: Motion, *arguments: str | Path) -> Process:
@@ -195,42 +196,40 @@ def test_a_robot_that_is_killed_is_silent(stage: Stage) -> None:
     assert len(states(stage.folder / "out/run1")) > 10
 
 
-def refused(stage: Stage, *arguments: str | Path) -> str:
-    """What a run says that must not begin."""
-    process = excite(stage, bump(JOINTS, 4.0), *arguments)
-    assert status(stage, process) == 2
+def refused(stage: Stage, *runs: Sequence[str | Path], motion: Path | None = None) -> list[str]:
+    """What runs with these arguments say that must not begin, all at once: each waits for what is not there."""
+    path = motion or bump(JOINTS, 4.0).write(stage.folder / "trajectory.yaml", 100)
+    out = ("--out", stage.folder / "out")
+    started = [stage.start("geomid_ros", "excite", "run", path, *out, *arguments) for arguments in runs]
+    assert [status(stage, process) for process in started] == [2] * len(runs)
     assert not (stage.folder / "out").exists()
-    return process.output.partition("Error: ")[2]
+    return [process.output.partition("Error: ")[2] for process in started]
 
 
 def test_what_is_not_there_is_named(stage: Stage) -> None:
-    assert "no message on robot_description; give the URDF with --urdf" in refused(stage)
-    assert "no joint states on /joint_states: check that the driver runs" in refused(stage, "--urdf", URDF)
+    described, heard = refused(stage, (), ("--urdf", URDF))
+    assert "no message on robot_description; give the URDF with --urdf" in described
+    assert "no joint states on /joint_states: check that the driver runs" in heard
     controller(stage)
-    message = refused(stage, "--controller", "/arm_controller", "--execute")
+    (message,) = refused(stage, ("--controller", "/arm_controller", "--execute"))
     assert "nothing subscribes to /arm_controller/joint_trajectory" in message
     assert "available: /joint_trajectory_controller" in message
-    assert "unknown joint of topic robot_description" in refused_motion(stage, joint_names=["joint1", "joint2", "x"])
+    other = stage.folder / "changed.yaml"
+    other.write_text(yaml.safe_dump({**bump(JOINTS, 4.0).document(20), "joint_names": ["joint1", "joint2", "x"]}))
+    assert "unknown joint of topic robot_description" in refused(stage, (), motion=other)[0]
 
 
 def test_a_robot_that_is_out_of_its_range_is_not_moved(stage: Stage) -> None:
     """The first joint's range ends at 2.8."""
     controller(stage, start=2.9)
-    message = refused(stage, "--execute")
+    (message,) = refused(stage, ("--execute",))
     assert "joint 'joint1' is at 2.900, outside its range -2.8 to 2.8 in the URDF: move it back" in message
 
 
 def test_what_is_in_the_way_is_named_before_anything_moves(stage: Stage) -> None:
     controller(stage)
-    inside = refused(stage, "--execute", "--avoid", "box:0,0,0.6,0.5,0.5,0.5")
-    assert "at the present pose, " in inside
-    assert " and box:0,0,0.6,0.5,0.5,0.5 overlap by " in inside
-    assert "exclude each other" in refused(stage, "--no-collision", "--avoid", "plane:0,0,1,-1")
-
-
-def refused_motion(stage: Stage, **changes: Any) -> str:
-    path = stage.folder / "changed.yaml"
-    path.write_text(yaml.safe_dump({**bump(JOINTS, 4.0).document(20), **changes}))
-    process = stage.start("geomid_ros", "excite", "run", path)
-    assert status(stage, process) == 2
-    return process.output.partition("Error: ")[2]
+    inside = ("--execute", "--avoid", "box:0,0,0.6,0.5,0.5,0.5")
+    overlap, excluded = refused(stage, inside, ("--no-collision", "--avoid", "plane:0,0,1,-1"))
+    assert "at the present pose, " in overlap
+    assert " and box:0,0,0.6,0.5,0.5,0.5 overlap by " in overlap
+    assert "exclude each other" in excluded

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from model.robots import fixed_base
 
 from geomid_ros.errors import InputError
 from geomid_ros.model.samples import PIECE, Samples
@@ -28,18 +29,7 @@ def recording(count: int) -> Samples:
     """Samples of one joint on a grid, with a pause after the third."""
     stamps = 1_700_000_000_000_000_000 + PERIOD * np.arange(count)
     stamps[3:] += 5 * PERIOD
-    joint = np.zeros((count, 1))
-    return Samples(
-        stamps=stamps,
-        position=joint,
-        velocity=joint,
-        acceleration=joint,
-        effort=joint,
-        base_pose=np.zeros((count, 0)),
-        base_velocity=np.zeros((count, 0)),
-        base_acceleration=np.zeros((count, 0)),
-        wrenches=np.zeros((count, 0, 6)),
-    )
+    return fixed_base(stamps, *np.zeros((4, count, 1)))
 
 
 @settings(deadline=None, derandomize=True, database=None)

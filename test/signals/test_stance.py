@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from model.robots import fixed_base
 
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.base import Stance
@@ -17,18 +18,7 @@ CUTOFF = 20.0  # [Hz], of whose period samples are five
 
 def samples_at(stamps: IntArray, loads: FloatArray) -> Samples:
     """Samples of as many joints as feet, whose efforts are what the feet bear."""
-    none, still = np.zeros((len(stamps), 0)), np.zeros_like(loads)
-    return Samples(
-        stamps=stamps,
-        position=still,
-        velocity=still,
-        acceleration=still,
-        effort=loads,
-        base_pose=none,
-        base_velocity=none,
-        base_acceleration=none,
-        wrenches=np.zeros((len(stamps), 0, 6)),
-    )
+    return fixed_base(stamps, *np.zeros((3, *loads.shape)), loads)
 
 
 def judged(samples: Samples, sizes: Sequence[int]) -> Samples:
