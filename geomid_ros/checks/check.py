@@ -19,6 +19,7 @@ from geomid_ros.checks.instants import FEWEST, Instants, Kept, Stretch
 from geomid_ros.checks.obvious import frozen_position, held_efforts, impossible_description, wrong_gains
 from geomid_ros.checks.subject import Subject
 from geomid_ros.checks.transforms import transforms
+from geomid_ros.checks.turning import gyroscope, on_all_feet
 from geomid_ros.checks.unexplained import badly_explained, hint, rms
 from geomid_ros.checks.wrenches import WrenchSensorCheck, can_be_judged
 from geomid_ros.model.channels import WrenchSensor
@@ -64,13 +65,13 @@ class JudgementTask:
 
     def judge(self, excerpt: Excerpt) -> Judgement:
         """What a recording seems to be, by an excerpt of it."""
-        judged = self._joints(excerpt.kept, excerpt.whole)
+        judged = self._joints(excerpt.kept, excerpt.whole, excerpt.stretch)
         if judged.findings:  # a motion that is not the robot's would be the sensors' fault, too
             return judged
         wrong = (self._wrench(sensor, excerpt) for sensor in self.model.mounted)
         return replace(judged, findings=tuple(chain.from_iterable(wrong)))
 
-    def _joints(self, kept: Kept, whole: bool) -> Judgement:
+    def _joints(self, kept: Kept, whole: bool, stretch: Samples | None) -> Judgement:
         robot, legs = self.model.robot, self.model.legs
         if self.controller and (others := wrong_gains(self.controller, kept.samples, robot.joint_names)):
             return Judgement(others)
@@ -78,7 +79,8 @@ class JudgementTask:
             return judge_efforts(self.model, kept, self.gains, whole=whole)
         if legs is None:
             return Judgement()
-        return Judgement((*carried_weight(legs, kept.samples), *unnamed_feet(robot, legs, kept.samples)))
+        found = (*carried_weight(legs, kept.samples), *unnamed_feet(robot, legs, kept.samples))
+        return Judgement(found or (() if stretch is None else gyroscope(legs, stretch)))
 
     def _wrench(self, sensor: WrenchSensor, excerpt: Excerpt) -> tuple[Finding, ...]:
         if excerpt.stretch is None or not can_be_judged(sensor):
@@ -120,7 +122,7 @@ class RecordingCheck:
         """Take samples, in the order of time of each recording."""
         needed = samples.with_columns([SIGN, SMOOTH_SIGN])
         self._instants.add(needed)
-        self._stretch.add(needed)
+        self._stretch.add(on_all_feet(self._task.model.legs, needed))
 
     def begin_recording(self) -> None:
         """The samples to come are of another recording, which has to show the same."""

@@ -111,6 +111,8 @@ class Stretch:
 
     def add(self, samples: Samples) -> None:
         """Take samples, in the order of time; where the clock is set back another recording begins."""
+        if not len(samples):
+            return
         if self._kept and samples.stamps[0] <= self._kept[-1].stamps[-1]:
             self._kept.clear()
             self._count = 0

@@ -141,9 +141,11 @@ def estimate(
         known=weighed_rows(model, settings.known).plus(known),
         sigmas=_configured_sigmas(model, settings),
         gamma=settings.gamma,
-        independent=_independent(summary, settings.cutoff),
+        independent=_filtered(summary, settings.cutoff),
         given_spreads=spreads,
     )
+    # Effects are chosen by what repeats; how sure all parameters are is another question.
+    independent = whole.independent * subproblem(whole, _standing(model)).distinct
 
     def fitted(
         columns: IntArray,
@@ -151,7 +153,7 @@ def estimate(
         other: Choice | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> _Solved:
-        problem = subproblem(whole, columns)
+        problem = replace(subproblem(whole, columns), independent=independent)
         solve: Callable[..., Fit] = partial(fit, tolerance=settings.tolerance, max_steps=settings.max_steps)
         if begun is not None:
             solve = partial(solve, start=problem.manifold.point(begun.parameters[columns]), spreads=begun.spreads)
@@ -237,18 +239,23 @@ def _sizes(result: Estimate) -> FloatArray:
     return np.array([abs(e.value) / max(e.std, np.finfo(float).tiny) for e in result.effects])
 
 
-def _independent(summary: RowSummary, cutoff: float) -> float:
-    """The share of the rows that counts; all of rows that have no times, or that no filter made."""
+def _filtered(summary: RowSummary, cutoff: float) -> float:
+    """The share of the rows that a filter leaves independent; all of rows that have no times, or that none made."""
     if not (np.isfinite(cutoff) and summary.period > 0.0):
         return 1.0
     return min(INDEPENDENT * cutoff * summary.period, 1.0)
 
 
+def _standing(model: MeasurementModel) -> IntArray:
+    """The columns of the parameters that are not optional."""
+    first = model.dimension - len(model.coefficients)
+    return np.array([k for k in range(model.dimension) if k < first or not model.coefficients[k - first].optional])
+
+
 def _pooled(model: MeasurementModel, summary: RowSummary) -> RowSummary:
     """The rows, those of slow motion among those of fast motion where these are fewer, or no more than unknowns."""
-    first = model.dimension - len(model.coefficients)
-    standing = [column < first or not model.coefficients[column - first].optional for column in range(model.dimension)]
-    unknowns = [np.count_nonzero(np.array(standing)[channel.columns]) for channel in model.channels]
+    standing = _standing(model)
+    unknowns = [np.count_nonzero(np.isin(channel.columns, standing)) for channel in model.channels]
     fast, slow, _ = summary.counts().reshape(REGIMES, -1)
     return summary.pooled(fast <= np.maximum(slow, unknowns))
 
@@ -275,6 +282,7 @@ def _estimate(columns: IntArray, whole: MeasurementModel, solved: _Solved, setti
         tolerance = max(settings.tolerance * float(np.min(prior_weights)) / geodesic.scale, np.finfo(float).eps)
         solution = SOLVERS[settings.solver](geodesic, solution.point, tolerance, settings.max_steps)
     contents = summary.products(fitted.sigmas, manifold.dimension)
+    least = least_inflation(summary, settings.cutoff) * _filtered(summary, settings.cutoff) / problem.independent
     found = uncertainty.estimate_uncertainty(
         [_fold_at(manifold, solution.point, products) for products in contents],
         _known_at(manifold, solution.point, known),
@@ -282,7 +290,7 @@ def _estimate(columns: IntArray, whole: MeasurementModel, solved: _Solved, setti
         prior_weights,
         manifold.log(solution.point, prior_point),
         _parameter_groups(problem),
-        least_inflation=least_inflation(summary, settings.cutoff),
+        least_inflation=least,
         assumed_spreads=fitted.assumed_spreads,
         expected=_information_at(manifold, solution.point, known.prior_rows),
     )

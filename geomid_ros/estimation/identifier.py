@@ -14,6 +14,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.channel_summary import usable
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart, estimate
+from geomid_ros.estimation.fit import INDEPENDENT
 from geomid_ros.estimation.revocable_buffer import Instant, RevocableBuffer
 from geomid_ros.estimation.summary import RowSummary, SummaryState
 from geomid_ros.model.measurement import MeasurementModel, Rows
@@ -127,7 +128,8 @@ class Identifier:
 
     def _empty_summary(self) -> RowSummary:
         buffer = self._buffer
-        return RowSummary(self.model.channels, buffer.folds, buffer.block, buffer.forgetting_time)
+        apart = 1.0 / (INDEPENDENT * self._task.settings.cutoff)
+        return RowSummary(self.model.channels, buffer.folds, buffer.block, buffer.forgetting_time, apart)
 
     def reset(self) -> None:
         """Forget all samples, and what is left out. Instants are counted on."""
@@ -170,16 +172,23 @@ class Identifier:
                 else:
                     moving[index] = True
             taken = rows if np.all(moving) else Rows(rows.coefficients[moving], rows.targets[moving])
-            self._take(taken.coefficients, targets[moving], elapsed[moving], of_motion[moving])
+            self._take(taken.coefficients, targets[moving], elapsed[moving], of_motion[moving], samples.states[moving])
         return samples.stamps[moving], taken, of_motion[moving] == REGIMES - 1
 
-    def _take(self, coefficients: FloatArray, targets: FloatArray, elapsed: FloatArray, of_motion: IntArray) -> None:
+    def _take(
+        self,
+        coefficients: FloatArray,
+        targets: FloatArray,
+        elapsed: FloatArray,
+        of_motion: IntArray,
+        states: FloatArray,
+    ) -> None:
         """Take the rows of instants at which something moved."""
         if self._held == 0 and self._recent.idle:  # otherwise they would only pass through
-            self._summary.add_all(coefficients, targets, elapsed, of_motion)
+            self._summary.add_all(coefficients, targets, elapsed, of_motion, states)
             self.instants += len(elapsed)
             return
-        for instant in zip(coefficients, targets, elapsed.tolist(), of_motion, strict=True):
+        for instant in zip(coefficients, targets, elapsed.tolist(), of_motion, states, strict=True):
             self._recent.append(Instant(self.instants, *instant))
             self.instants += 1
             self._settle_before(self.instants - self._held)
@@ -198,7 +207,7 @@ class Identifier:
     def _settle_first(self) -> None:
         instant, rejected = self._recent.pop()
         self._rejected += rejected
-        self._summary.add(instant.coefficients, instant.targets, instant.elapsed, instant.regimes)
+        self._summary.add(*instant.rows)
 
     def hold(self, instants: int) -> None:
         """Hold so many last instants (none at first), whose rows can still be left out; settle earlier ones."""
@@ -326,5 +335,5 @@ class Identifier:
 def _with(summary: RowSummary, instants: Sequence[Instant]) -> RowSummary:
     """The summary, once it has these instants, too."""
     for instant in instants:
-        summary.add(instant.coefficients, instant.targets, instant.elapsed, instant.regimes)
+        summary.add(*instant.rows)
     return summary

@@ -176,6 +176,32 @@ class Problem:
         given = np.resize(self.sigmas, len(sigmas))
         return np.where(np.isfinite(given), given, sigmas)
 
+    @property
+    def distinct(self) -> float:
+        """The share of the independent rows that counts where a motion repeats.
+
+        How sure rows are is found from what parameters leave of them. On rows that were not fitted the squares are by
+        ``(1 - k / n)^-2`` larger, where k parameters follow n rows (generalised cross-validation; Golub, Heath and
+        Wahba 1979): next to nothing, unless the motion repeats. Then what the model lacks repeats, too, and n is the
+        number of rows in different states: if they are few, parameters follow all that the model lacks, and only what
+        differs from one repeat to the next is left. In no case do fewer rows count than those.
+        """
+        distinct = self.summary.visited.distinct
+        rows = self.independent * float(np.sum(self.counts[self.row_weights > 0.0]))  # that tell any
+        if distinct == 1.0 or rows == 0.0:
+            return 1.0
+        left = 1.0 - self._followed / np.array([distinct * rows, rows])
+        return max(float(left[0] / left[1]) ** 2, distinct) if left[0] > 0.0 else distinct
+
+    @property
+    def _followed(self) -> float:
+        """How many parameters follow the rows rather than the prior."""
+        products = self.products.weighed(self.first_noise**-2.0)[:-1, :-1]
+        half = self.manifold.whiten(self.prior_point, self.independent * products) * self.prior_spreads
+        information = self.manifold.whiten(self.prior_point, half.T) * self.prior_spreads
+        values = np.maximum(np.linalg.eigvalsh(information), 0.0)
+        return float(np.sum(values / (1.0 + values)))
+
     def place(self, parameters: FloatArray) -> Point:
         """The point of ``parameters (D,)``, those of the prior where they are left out: what is positive cannot be
         zero."""

@@ -20,6 +20,7 @@ class Instant:
         coefficients, targets: ``(channels, D)`` and ``(channels,)``; a target is NaN where there is no row.
         elapsed: Time since the previous sample [s].
         regimes: ``(channels,)``, see :class:`RowSummary`.
+        state: ``(S,)`` of the motion.
     """
 
     number: int
@@ -27,6 +28,12 @@ class Instant:
     targets: FloatArray
     elapsed: float
     regimes: IntArray
+    state: FloatArray
+
+    @property
+    def rows(self) -> tuple[FloatArray, FloatArray, float, IntArray, FloatArray]:
+        """What :meth:`RowSummary.add` takes."""
+        return self.coefficients, self.targets, self.elapsed, self.regimes, self.state
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.channel_summary import ChannelSummary, joined, together, triangular, usable
+from geomid_ros.estimation.visited_states import VisitedStates
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.samples import REGIMES
 from geomid_ros.types import BoolArray, FloatArray, IntArray
@@ -30,6 +31,7 @@ class SummaryState:
         weight: Sum of all rows' weights.
         counts: Sums of weights ``(folds, groups)``.
         factors: By fold and group.
+        visited, every: See :class:`VisitedStates`.
     """
 
     instants: int
@@ -38,6 +40,8 @@ class SummaryState:
     weight: float
     counts: FloatArray
     factors: tuple[tuple[FloatArray, ...], ...]
+    visited: FloatArray
+    every: int
 
     def plus(self, other: SummaryState, pause: float = 0.0) -> SummaryState:
         """All rows of both, of the same channels and folds, where nothing is forgotten.
@@ -50,13 +54,18 @@ class SummaryState:
             tuple(triangular(np.concatenate(pair)) for pair in zip(own, others, strict=True))
             for own, others in zip(self.factors, other.factors, strict=True)
         )
+        visited = VisitedStates()
+        for each in (self, other):
+            visited.plus(each.visited, each.every)
         return SummaryState(
-            self.instants + other.instants,
-            self.time + pause + other.time,
-            self.rows + other.rows,
-            self.weight + other.weight,
-            self.counts + other.counts,
-            factors,
+            instants=self.instants + other.instants,
+            time=self.time + pause + other.time,
+            rows=self.rows + other.rows,
+            weight=self.weight + other.weight,
+            counts=self.counts + other.counts,
+            factors=factors,
+            visited=visited.kept,
+            every=visited.every,
         )
 
 
@@ -72,10 +81,18 @@ class RowSummary:
     _CHUNK = 128
 
     def __init__(
-        self, channels: Sequence[Channel], folds: int = 16, block: int = 8, forgetting_time: float = np.inf
+        self,
+        channels: Sequence[Channel],
+        folds: int = 16,
+        block: int = 8,
+        forgetting_time: float = np.inf,
+        apart: float = 0.0,
     ) -> None:
+        """``apart``: time between two rows that the filter leaves independent [s]."""
         self.channels = tuple(channels)
         self.folds = folds
+        self.visited = VisitedStates(apart)
+        """The states of the motion, as far as they were given."""
         self._block = block
         self._forgetting_time = forgetting_time
         self._instants = 0
@@ -110,17 +127,29 @@ class RowSummary:
         targets: FloatArray,
         elapsed: float = 0.0,
         regimes: IntArray | int = 0,
+        state: FloatArray | None = None,
     ) -> None:
         """Add one instant's rows: ``coefficients (channels, D)``, ``targets (channels,)``, those that are usable.
 
-        By ``elapsed`` [s] all earlier rows grow older. ``regimes (channels,)`` of the joints' motion.
+        By ``elapsed`` [s] all earlier rows grow older. ``regimes (channels,)`` of the joints' motion, and its ``state
+        (S,)``, if that is known.
         """
         groups = np.broadcast_to(regimes, targets.shape)
-        self.add_all(coefficients[None], targets[None], np.array([elapsed]), groups[None])
+        states = None if state is None else state[None]
+        self.add_all(coefficients[None], targets[None], np.array([elapsed]), groups[None], states)
 
-    def add_all(self, coefficients: FloatArray, targets: FloatArray, elapsed: FloatArray, regimes: IntArray) -> None:
+    def add_all(
+        self,
+        coefficients: FloatArray,
+        targets: FloatArray,
+        elapsed: FloatArray,
+        regimes: IntArray,
+        states: FloatArray | None = None,
+    ) -> None:
         """Add the rows of N instants: ``coefficients (N, channels, D)``, ``targets`` and ``regimes (N, channels)``,
-        ``elapsed (N,)``."""
+        ``elapsed (N,)``, and the motion's ``states (N, S)``, if they are known."""
+        if states is not None:
+            self.visited.add(states, elapsed)
         self._complete = False
         taken = usable(coefficients, targets)
         self.rows += int(np.count_nonzero(taken))
@@ -249,7 +278,7 @@ class RowSummary:
     def _copy(self, channels: Sequence[Channel]) -> RowSummary:
         copy = RowSummary(channels, self.folds, self._block, self._forgetting_time)
         copy._instants, copy._time = self._instants, self._time
-        copy.rows, copy.weight = self.rows, self.weight
+        copy.rows, copy.weight, copy.visited = self.rows, self.weight, self.visited.copy()
         copy._summaries = [[part.copy() for part in fold] for fold in zip(*self.parts(), strict=True)]
         return copy
 
@@ -258,7 +287,16 @@ class RowSummary:
         folds = list(zip(*self.parts(), strict=True))
         counts = np.array([[part.count for part in fold] for fold in folds])
         factors = tuple(tuple(part.factor for part in fold) for fold in folds)
-        return SummaryState(self._instants, self._time, self.rows, self.weight, counts, factors)
+        return SummaryState(
+            instants=self._instants,
+            time=self._time,
+            rows=self.rows,
+            weight=self.weight,
+            counts=counts,
+            factors=factors,
+            visited=self.visited.kept,
+            every=self.visited.every,
+        )
 
     def restore(self, state: SummaryState) -> None:
         """Take the state of another summary of the same channels and folds.
@@ -272,6 +310,8 @@ class RowSummary:
             raise InputError(f"folds of other groups, expected {len(self.groups)} groups in each")
         if not all(np.all(np.isfinite(array) & (array >= 0.0)) for array in (numbers, state.counts)):
             raise InputError("numbers of rows that are negative or not finite")
+        if state.visited.ndim != 3 or not np.all(np.isfinite(state.visited)) or state.every < 1:
+            raise InputError("states of a motion that are not finite, or not numbered")
         summaries = [
             [
                 ChannelSummary(_checked(factor, channel), float(count), float(state.time))
@@ -283,6 +323,7 @@ class RowSummary:
         while self._instants > self.folds * self._block:
             self._block *= 2
         self.rows, self.weight = state.rows, state.weight
+        self.visited.plus(state.visited, state.every)
         self._complete, self._factors = True, None
         self._summaries = summaries
         self._waiting = [[[] for _ in self.groups] for _ in range(self.folds)]

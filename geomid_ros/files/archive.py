@@ -27,7 +27,7 @@ from geomid_ros.files.schema import Stored, structured, triangle_of, upper_trian
 from geomid_ros.signals.ledger import Account, Meaning, Reason, meaning_of
 from geomid_ros.types import AnyArray, FloatArray
 
-FORMAT = 4
+FORMAT = 5
 """Of files of rows."""
 MOST_HEADER = 4_000_000
 """Bytes of the header."""

@@ -22,6 +22,8 @@ DIRECTIONS = 3
 """Of the force on a foot: so many joints tell it."""
 _NEARLY_SINGULAR = 0.1
 """Smallest singular value of a leg's Jacobian as a share of the largest: beyond it noise of efforts is magnified."""
+_IN_A_LINE = 0.01
+"""The same of a base's motion by its feet: of those in a line nobody knows how the base turns about it."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,17 @@ class Legs:
             for joints, (_, inverse) in zip(self.joints, self._transmissions(q), strict=True)
         ]
         return np.stack(found, axis=1)
+
+    def turning(self, samples: Samples) -> FloatArray:
+        """Angular velocities of the base ``(N, 3)`` [rad/s] in its own axes, by the joints alone, if all feet
+        stand; NaN where they do not tell."""
+        q = self._robot.configuration(samples)[0]
+        jacobians = np.concatenate([jacobian for jacobian, _ in self._transmissions(q)], axis=1)
+        of_base, of_joints = np.split(jacobians, [6], axis=2)
+        s = np.linalg.svd(of_base, compute_uv=False)
+        told = s[:, -1] > _IN_A_LINE * s[:, 0]
+        velocity = -np.linalg.pinv(of_base) @ (of_joints @ samples.velocity[:, :, None])
+        return np.asarray(np.where(told[:, None], velocity[:, 3:, 0], np.nan))
 
     def eliminate(self, samples: Samples, base: IntArray, coefficients: FloatArray, targets: FloatArray) -> None:
         """Put what the legs' rows say of the ground's forces into those of the base, in place; NaN in what that leaves

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from geomid_ros.model import se3
 from geomid_ros.model.columns import NO_ENTRIES, Column, Entries, JointColumn, column_of, reached_joints
 from geomid_ros.model.effects import JointMotion, Motion, MotionEffect, Place
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
@@ -86,6 +87,15 @@ class Samples:
     def seconds(self) -> FloatArray:
         """Time since the first sample ``(N,)`` [s]."""
         return np.asarray((self.stamps - self.stamps[0]) * 1e-9)
+
+    @property
+    def states(self) -> FloatArray:
+        """The state of the motion ``(N, S)``: that of the joints, and of a base but for its place and heading."""
+        states = [self.position, self.velocity, self.acceleration]
+        if self.base_pose.shape[1]:
+            up = se3.turned_back(self.base_pose[:, 3:], np.array([0.0, 0.0, 1.0]))
+            states += [up, self.base_velocity, self.base_acceleration]
+        return np.concatenate(states, axis=1)
 
     @property
     def motion(self) -> Motion:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from defusedxml import ElementTree
 from files.recordings import Recorded, recorded, write_bag
 from model.robots import urdf
 from signals.unitree import low_state, write_unitree_bag
@@ -188,11 +189,27 @@ def in_parts(stamp: int) -> dict[str, int]:
 
 
 def test_an_imu_with_another_clock_is_told(folder: Path, tmp_path: Path) -> None:
-    """By what it leaves of the forces on the base, of which little is left otherwise (test_masses_are_found)."""
-    late = write_bag(tmp_path / "late", map(later, recorded(folder / "walk")))
-    warnings = identified(late, folder / "go2.urdf").warnings
-    (sentence,) = (each for each in warnings if "on the base" in each)
+    """By how much, from how the legs say that the base turns; and by what it leaves of the forces on the base, of which
+    little is left otherwise (test_masses_are_found)."""
+    bag = write_bag(tmp_path / "late", map(later, recorded(folder / "walk")))
+    late = identified(bag, folder / "go2.urdf")
+    (reason,) = (each for each in late.verdict.reasons if "synchronise its clock" in each)
+    assert float(re.findall(r"(\d+) ms late", reason)[0]) == pytest.approx(100.0, abs=6.0)
+    (sentence,) = (each for each in late.warnings if "on the base" in each)
     assert "clocks of the IMU and of the joints" in sentence
+
+
+def test_an_imu_that_is_turned_far_is_told(folder: Path, tmp_path: Path) -> None:
+    """About the vertical, too, where gravity tells nothing of it."""
+    text = urdf("go2.urdf")
+    tree = ElementTree.fromstring(text)
+    (origin,) = tree.findall(f"joint[@name='{IMU}_joint']/origin")
+    origin.set("rpy", "0 0 0.5")
+    (tmp_path / "turned.urdf").write_text(ElementTree.tostring(tree, encoding="unicode"), encoding="utf-8")
+    found = identified(folder / "walk", tmp_path / "turned.urdf")
+    assert found.verdict.word == DOUBTFUL
+    (sentence,) = (each for each in found.verdict.reasons if "against its frame" in each)
+    assert float(re.findall(r"about (\d+) degrees", sentence)[0]) == pytest.approx(np.degrees(0.5), abs=4.0)
 
 
 def scaled(key: str, factor: float) -> Callable[[Recorded], Recorded]:

@@ -11,11 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-<<<<<<< HEAD
 import scipy.linalg
-=======
 from model.robots import fixed_base
->>>>>>> tests
 
 from geomid_ros.gap.candidates import library_columns
 from geomid_ros.geometry import pseudo_inertia, spd
