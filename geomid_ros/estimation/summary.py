@@ -92,7 +92,7 @@ class RowSummary:
         self.channels = tuple(channels)
         self.folds = folds
         self.visited = VisitedStates(apart)
-        """The states of the motion, as far as they were given."""
+        """The states of the motion, as far as they were given; none where rows are forgotten."""
         self._block = block
         self._forgetting_time = forgetting_time
         self._instants = 0
@@ -148,7 +148,7 @@ class RowSummary:
     ) -> None:
         """Add the rows of N instants: ``coefficients (N, channels, D)``, ``targets`` and ``regimes (N, channels)``,
         ``elapsed (N,)``, and the motion's ``states (N, S)``, if they are known."""
-        if states is not None:
+        if states is not None and np.isinf(self._forgetting_time):  # repeats of what is forgotten do not count
             self.visited.add(states, elapsed)
         self._complete = False
         taken = usable(coefficients, targets)

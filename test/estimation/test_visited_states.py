@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.estimation.identifier import BufferSettings, Identifier
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.visited_states import VisitedStates
 from geomid_ros.model.weighed_masses import weighed_rows
@@ -84,10 +84,10 @@ def test_the_same_motion_in_two_recordings_is_one() -> None:
     assert both.distinct == pytest.approx(0.5, abs=0.02)
 
 
-def repeated(times: int, seconds: float) -> Problem:
+def repeated(times: int, seconds: float, forgetting_time: float = np.inf) -> Problem:
     """Of a motion of an arm that is repeated so many times."""
     case = arm("arm3", seed=3, seconds=seconds)
-    found = Identifier(case.model)
+    found = Identifier(case.model, buffer=BufferSettings(forgetting_time=forgetting_time))
     for _ in range(times):
         found.add(case.samples)
     summary, unknown = found.snapshot(), np.full(len(case.model.channels), np.nan)
@@ -106,3 +106,7 @@ def test_repeats_count_the_less_the_more_of_their_states_parameters_follow() -> 
     assert once <= shares[0] < 0.3
     assert shares == sorted(shares)
     assert shares[-1] > 0.85
+
+
+def test_repeats_of_what_is_forgotten_do_not_count() -> None:
+    assert repeated(20, seconds=0.03, forgetting_time=0.03).distinct == 1.0
