@@ -51,7 +51,10 @@ def gyroscope(legs: Legs, stretch: Samples) -> tuple[Finding, ...]:
     moved = np.array(
         [[np.interp(seconds[known] + 1e-9 * shift, seconds, axis) for axis in measured.T] for shift in _SHIFTS]
     ).transpose(0, 2, 1)
-    halves = [_compared(turning[known[half]], moved[:, half]) for half in np.array_split(np.arange(len(known)), 2)]
+    parts = [(turning[known[half]], moved[:, half]) for half in np.array_split(np.arange(len(known)), 2)]
+    if not all(np.any(by_legs) and np.all(np.any(shifted, axis=(1, 2))) for by_legs, shifted in parts):
+        return ()  # only what both say that the base turns can be compared
+    halves = [_compared(*part) for part in parts]
     if any(each.after > HALF * min(each.before, HALF) for each in halves):
         return ()
     late, angle, size = (np.array([getattr(each, name) for each in halves]) for name in ("late", "angle", "size"))

@@ -111,7 +111,7 @@ class Legs:
         jacobians = np.concatenate([jacobian for jacobian, _ in self._transmissions(q)], axis=1)
         of_base, of_joints = np.split(jacobians, [6], axis=2)
         s = np.linalg.svd(of_base, compute_uv=False)
-        told = s[:, -1] > _IN_A_LINE * s[:, 0]
+        told = (s.shape[1] == 6) & (s[:, -1] > _IN_A_LINE * s[:, 0])
         velocity = -np.linalg.pinv(of_base) @ (of_joints @ samples.velocity[:, :, None])
         return np.asarray(np.where(told[:, None], velocity[:, 3:, 0], np.nan))
 

@@ -1,0 +1,100 @@
+"""Whether a gyroscope turns as the legs say: planted faults, and what tells nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from model.robots import random_samples, urdf, with_values
+
+from geomid_ros.checks.turning import gyroscope
+from geomid_ros.model.contacts import Contact, Legs
+from geomid_ros.model.robot import Robot
+from geomid_ros.model.samples import Samples
+from geomid_ros.types import FloatArray
+
+FEET = ("FL_foot", "FR_foot", "RL_foot", "RR_foot")
+STEP = 20_000_000  # [ns]
+COUNT = 900
+ROBOT = Robot(urdf("go2.urdf"), floating_base=True)
+
+
+def legs(count: int = 4) -> Legs:
+    return Legs(ROBOT, [Contact(foot, 0.02) for foot in FEET[:count]])
+
+
+def turned_at(seconds: FloatArray) -> FloatArray:
+    """A velocity of the base ``(N, 6)`` that does not repeat."""
+    return np.asarray(np.sin(np.sqrt(np.arange(2.0, 8.0)) * seconds[:, None] + np.arange(6.0)))
+
+
+def on_feet(turning: FloatArray, measured: FloatArray) -> Samples:
+    """The robot stands with bent knees while its base moves as given ``(N, 6)``, its feet where they are, and as a
+    gyroscope measures ``(N, 3)``."""
+    one = random_samples(ROBOT, 1).select(slice(0, 1))
+    bent = 0.2 * one.position - 1.4 * np.array([name.endswith("calf_joint") for name in ROBOT.joint_names])
+    values = {name: np.repeat(array, len(turning), axis=0) for name, array in one.arrays.items()}
+    values["stamps"] = STEP * np.arange(1, len(turning) + 1)
+    samples = with_values(Samples(**values, entries=one.entries), position=np.tile(bent, (len(turning), 1)))
+    q = ROBOT.configuration(samples)[0][:1]
+    jacobian = np.concatenate([ROBOT.contact_jacobians(q, foot, 0.02)[0, :3] for foot in FEET])
+    velocity = -np.linalg.solve(jacobian[:, 6:], jacobian[:, :6] @ turning.T).T
+    return with_values(samples, velocity=velocity, base_velocity=np.column_stack([turning[:, :3], measured]))
+
+
+def said(turning: FloatArray, measured: FloatArray, feet: int = 4) -> str:
+    return " ".join(finding.sentence for finding in gyroscope(legs(feet), on_feet(turning, measured)))
+
+
+SECONDS = 0.02 * np.arange(COUNT)
+TURNING = turned_at(SECONDS)
+STILL = np.zeros((COUNT, 6))
+
+
+def about_z(degrees: float) -> FloatArray:
+    cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+
+def test_feet_that_stand_tell_how_the_base_turns() -> None:
+    samples = on_feet(TURNING, TURNING[:, 3:])
+    np.testing.assert_allclose(legs().turning(samples), TURNING[:, 3:], atol=1e-9)
+
+
+@pytest.mark.parametrize("feet", [1, 2])
+def test_points_on_one_line_do_not_tell_it(feet: int) -> None:
+    assert np.isnan(legs(feet).turning(on_feet(TURNING, TURNING[:, 3:]))).all()
+
+
+def test_one_that_is_right_is_not_doubted() -> None:
+    noise = 0.05 * np.random.default_rng(0).normal(size=(COUNT, 3))
+    assert said(TURNING, TURNING[:, 3:] + noise) == ""
+
+
+@pytest.mark.parametrize(("late", "words"), [(0.06, "60 ms late"), (-0.05, "50 ms early"), (0.012, ""), (-0.012, "")])
+def test_a_clock_that_is_off_is_told_with_by_how_much(late: float, words: str) -> None:
+    found = said(TURNING, turned_at(SECONDS - late)[:, 3:])
+    assert words in found
+    assert bool(found) == bool(words)
+
+
+@pytest.mark.parametrize(("degrees", "words"), [(25.0, "turned by about 25 degrees"), (180.0, "about 180 "), (8.0, "")])
+def test_a_frame_that_is_turned_is_told_with_its_angle(degrees: float, words: str) -> None:
+    found = said(TURNING, TURNING[:, 3:] @ about_z(degrees))
+    assert words in found
+    assert bool(found) == bool(words)
+
+
+def test_degrees_are_told() -> None:
+    assert "degrees/s" in said(TURNING, np.degrees(TURNING[:, 3:]))
+
+
+def test_a_gyroscope_that_measures_something_else_is_not_said_to_be_late() -> None:
+    other = np.random.default_rng(0).normal(size=(COUNT, 3))
+    assert said(TURNING, other) == ""
+
+
+@pytest.mark.parametrize("by_legs", [STILL, 1e-15 * TURNING])
+@pytest.mark.parametrize("size", [0.0, 1e-3])
+def test_a_base_that_stands_still_says_nothing(by_legs: FloatArray, size: float) -> None:
+    noise = size * np.random.default_rng(0).normal(size=(COUNT, 3))
+    assert said(by_legs, noise) == ""
