@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from model.robots import random_samples, urdf, with_values
 
-from geomid_ros.checks.turning import gyroscope
+from geomid_ros.checks.turning import gyroscope, on_all_feet
 from geomid_ros.model.contacts import Contact, Legs
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -98,3 +98,25 @@ def test_a_gyroscope_that_measures_something_else_is_not_said_to_be_late() -> No
 def test_a_base_that_stands_still_says_nothing(by_legs: FloatArray, size: float) -> None:
     noise = size * np.random.default_rng(0).normal(size=(COUNT, 3))
     assert said(by_legs, noise) == ""
+
+
+def test_around_a_foot_that_is_in_the_air_nothing_is_compared() -> None:
+    samples = on_feet(TURNING[:100], TURNING[:100, 3:])
+    standing = np.ones((100, 4), dtype=bool)
+    standing[40, 2] = False
+    efforts = ROBOT.joint_efforts(*ROBOT.configuration(samples)) - loaded(samples)
+    kept = on_all_feet(legs(), with_values(samples, effort=efforts, standing=standing))
+    assert (kept.stamps // STEP - 1).tolist() == [*range(30), *range(51, 100)]
+
+
+def test_feet_that_bear_little_tell_nothing() -> None:
+    samples = on_feet(TURNING[:100], TURNING[:100, 3:])
+    efforts = ROBOT.joint_efforts(*ROBOT.configuration(samples)) - 0.4 * loaded(samples)
+    assert len(on_all_feet(legs(), with_values(samples, effort=efforts, standing=np.ones((100, 4), dtype=bool)))) == 0
+
+
+def loaded(samples: Samples) -> FloatArray:
+    """What feet that each bear a quarter of the weight add to the efforts, with the other sign ``(N, joints)``."""
+    q = ROBOT.configuration(samples)[0]
+    jacobians = sum(ROBOT.contact_jacobians(q, foot, 0.02)[:, :3] for foot in FEET)
+    return np.asarray(0.25 * ROBOT.weight * jacobians[:, 2, 6:])

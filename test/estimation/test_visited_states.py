@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import BufferSettings, Identifier
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.visited_states import VisitedStates
@@ -70,9 +74,10 @@ def test_no_more_than_some_are_kept_and_they_tell_the_same() -> None:
     assert found.distinct == pytest.approx(visited(states[:900]).distinct * 900 / 6000, rel=0.5)
 
 
-def test_pieces_and_the_whole_are_the_same() -> None:
-    states, pieces = wandering(300), VisitedStates()
-    for piece in np.array_split(states, 7):
+@pytest.mark.parametrize("count", [300, 5000])
+def test_pieces_and_the_whole_are_the_same(count: int) -> None:
+    states, pieces = wandering(count), VisitedStates()
+    for piece in np.array_split(states, count // 43):
         pieces.add(piece, np.full(len(piece), PERIOD))
     np.testing.assert_array_equal(pieces.kept, visited(states).kept)
 
@@ -82,6 +87,54 @@ def test_the_same_motion_in_two_recordings_is_one() -> None:
     both = visited(states)
     both.plus(visited(states).kept, 1)
     assert both.distinct == pytest.approx(0.5, abs=0.02)
+
+
+def test_of_two_recordings_states_are_kept_as_the_longer_one_has_them() -> None:
+    longer, shorter = visited(wandering(5000)), visited(wandering(1000))
+    longer.plus(shorter.kept, shorter.every)
+    assert longer.every == 8
+    assert len(longer.kept) == pytest.approx(6000 / 8, abs=3)
+
+
+def test_a_place_that_is_passed_the_other_way_is_another_state() -> None:
+    case = arm("arm3", seed=3, seconds=3.0)
+    back = replace(case.samples, position=case.samples.position[::-1], velocity=-case.samples.velocity[::-1])
+    found = Identifier(case.model)
+    for samples in (case.samples, replace(back, acceleration=case.samples.acceleration[::-1])):
+        found.add(samples)
+    assert found.snapshot().visited.distinct == pytest.approx(1.0, abs=0.01)
+
+
+def test_states_are_as_far_apart_as_the_filter_leaves_them_independent() -> None:
+    case = arm("arm3", seed=3, seconds=3.0)
+    slow, fast = (Identifier(case.model, EstimatorSettings(cutoff=cutoff)) for cutoff in (2.0, 20.0))
+    for each in (slow, fast):
+        each.add(case.samples)
+    kept = [len(each.snapshot().visited.kept) for each in (slow, fast)]
+    assert kept == [300 // 19 - 1, 300 // 2 - 2]
+
+
+def test_a_snapshot_and_one_that_goes_on_have_their_own() -> None:
+    case = arm("arm3", seed=3, seconds=3.0)
+    found, later = Identifier(case.model), Identifier(case.model)
+    found.add(case.samples)
+    before, memory = found.snapshot(), found.memory()
+    later.restore(memory)
+    assert later.snapshot().visited.distinct == before.visited.distinct
+    np.testing.assert_array_equal(later.snapshot().visited.kept, before.visited.kept)
+    kept = before.visited.kept.copy()
+    found.add(case.samples)
+    np.testing.assert_array_equal(before.visited.kept, kept)
+
+
+@pytest.mark.parametrize("shape", [(5, 2, 9), (5, 3, 8), (5, 3, 0), (5,)])
+def test_states_of_another_robot_are_refused(shape: tuple[int, ...]) -> None:
+    case = arm("arm3", seed=3, seconds=1.0)
+    found = Identifier(case.model)
+    found.add(case.samples)
+    memory = found.memory()
+    with pytest.raises(InputError, match="states of a motion"):
+        found.restore(replace(memory, summary=replace(memory.summary, visited=np.zeros(shape))))
 
 
 def repeated(times: int, seconds: float, forgetting_time: float = np.inf) -> Problem:
