@@ -114,6 +114,21 @@ def test_names_are_as_common_as_the_others_were_found_to_be() -> None:
         assert found == pytest.approx(2.0 * np.log(odds / VISCOUS.odds))
 
 
+def test_how_common_names_are_counts_beside_what_one_is_worth() -> None:
+    """Of a small one without a rival to speak of, with none or two others."""
+    tried = [VISCOUS, at("viscous_friction", 1), at("effort_offset", 1)]
+    for count in (1, 3):
+        sizes = {c.terms[0]: 0.3 if c is not tried[0] else 0.03 for c in tried[:count]}
+        selection = Selection(Recording(4, tried).design(sizes), PRIOR, tried)
+        each = Supports(selection, selection.fit(tried[:count]))
+        support, common = each.of(tried[0]), each._common(tried[0])
+        assert 4.0 < support.worth < 30.0
+        assert not [loss for _, loss in support.rivals if loss < support.worth + 20.0]
+        assert -2.0 < common < 5.0
+        odds = support.probability / (1.0 - support.probability)
+        assert 2.0 * np.log(odds) == pytest.approx(support.worth + common, abs=0.1)
+
+
 def test_a_drawing_s_inner_link_may_be_wrong_as_well_as_loaded() -> None:
     load = np.array([1.0, 0.3, 0.0, 0.2, 0.4, 0.0, 0.4, 0.0, 0.0, 0.4])
     design = Recording(3, [PAYLOAD]).design({}, LINK + load)
