@@ -11,17 +11,19 @@ import numpy as np
 
 from geomid_ros.types import FloatArray
 
-_MOST = 1024  # states that are kept: of more, every second one
+_MOST = 1024  # states that are kept: of more, one of two
+# Which of two, by chance: every second one would again and again be the same one of a motion that repeats.
+_WHICH = np.random.default_rng(0).integers(2, size=_MOST - 1)
 _NEXT = 1.0 - 1e-6
 _CONSTANT = 1e-9  # of a coordinate's largest value: rounding errors are no motion
 
 
 class VisitedStates:
-    """Some of the states of a motion, evenly, each with the steps that led to it and on from it.
+    """Some of the states of a motion, about evenly, each with the steps that led to it and on from it.
 
     Attributes:
         kept: ``(n, 3, S)``: the state, the step before, the step after.
-        every: of so many states one is kept.
+        every: of so many states one is kept, a power of two.
     """
 
     def __init__(self, apart: float = 0.0) -> None:
@@ -44,21 +46,30 @@ class VisitedStates:
             self._last = [*self._last[-2:], state]
             if len(self._last) == 3:
                 before, own, after = self._last
-                if self._count % self.every == 0:
+                if self._is_kept(self._count):
                     found.append(np.stack([own, own - before, after - own]))
                 self._count += 1
         if found:
             self._keep(np.array(found) if not len(self.kept) else np.concatenate([self.kept, found]), self.every)
 
+    def _is_kept(self, number: int) -> bool:
+        every = self.every
+        while every > 1:
+            number, second = divmod(number, 2)
+            if second != _WHICH[number % len(_WHICH)]:
+                return False
+            every //= 2
+        return True
+
     def _keep(self, kept: FloatArray, every: int) -> None:
         while len(kept) > _MOST:
-            kept, every = kept[::2], 2 * every
+            kept, every = _one_of(kept, 2), 2 * every
         self.kept, self.every = kept, every
 
     def plus(self, kept: FloatArray, every: int) -> None:
         """Add what others kept of another motion."""
         most = max(every, self.every)
-        both = [own[:: most // each] for own, each in ((self.kept, self.every), (kept, every)) if len(own)]
+        both = [_one_of(own, most // each) for own, each in ((self.kept, self.every), (kept, every)) if len(own)]
         self._keep(np.concatenate(both) if both else self.kept, most)
 
     def copy(self) -> VisitedStates:
@@ -83,3 +94,12 @@ class VisitedStates:
         # What is as near as the next one, but for rounding, is the next one.
         again = np.count_nonzero(apart < _NEXT * near[:, None], axis=1)
         return float(np.mean(1.0 / (1.0 + self.every * again)))
+
+
+def _one_of(kept: FloatArray, every: int) -> FloatArray:
+    """Of so many states one, as if they were the first."""
+    while every > 1:
+        pairs = np.arange((len(kept) + 1) // 2)
+        places = 2 * pairs + _WHICH[pairs % len(_WHICH)]
+        kept, every = kept[places[places < len(kept)]], every // 2
+    return kept

@@ -42,6 +42,16 @@ def test_of_a_cycle_that_repeats_each_state_counts_about_once(cycles: int) -> No
     assert 1.0 / (3 * cycles) < visited(states).distinct <= 1.0 / cycles + 1e-3
 
 
+@pytest.mark.parametrize("period", [320, 317.3, 256, 64])
+def test_cycles_are_found_whatever_share_of_the_states_is_kept(period: float) -> None:
+    cycles = 60
+    phase = 2.0 * np.pi * np.arange(round(cycles * period))[:, None] / period
+    noise = 1e-3 * np.random.default_rng(0).normal(size=(len(phase), 4))
+    found = visited(np.sin(phase + np.arange(4.0)) + 0.5 * np.sin(2.0 * phase + 2.0 * np.arange(4.0)) + noise)
+    assert found.every > 2
+    assert 1.0 / (3 * cycles) < found.distinct < 6.0 / cycles
+
+
 def test_a_motion_that_does_not_come_back_has_as_many_states_as_instants() -> None:
     assert visited(wandering(1000)).distinct == pytest.approx(1.0, abs=0.02)
 
