@@ -32,10 +32,12 @@ from geomid_ros.types import FloatArray
 @dataclass(frozen=True, eq=False)
 class Excerpt:
     """What is kept of recordings: a few instants of all of them; a ``stretch``, the last instants at which something
-    moved, None if there were none; and whether they are ``whole``, no positions leap."""
+    moved, None if there were none, and another one at which all feet stood; and whether they are ``whole``, no
+    positions leap."""
 
     kept: Kept
     stretch: Samples | None
+    standing: Samples | None
     whole: bool = True
 
 
@@ -65,13 +67,13 @@ class JudgementTask:
 
     def judge(self, excerpt: Excerpt) -> Judgement:
         """What a recording seems to be, by an excerpt of it."""
-        judged = self._joints(excerpt.kept, excerpt.whole, excerpt.stretch)
+        judged = self._joints(excerpt.kept, excerpt.whole, excerpt.standing)
         if judged.findings:  # a motion that is not the robot's would be the sensors' fault, too
             return judged
         wrong = (self._wrench(sensor, excerpt) for sensor in self.model.mounted)
         return replace(judged, findings=tuple(chain.from_iterable(wrong)))
 
-    def _joints(self, kept: Kept, whole: bool, stretch: Samples | None) -> Judgement:
+    def _joints(self, kept: Kept, whole: bool, standing: Samples | None) -> Judgement:
         robot, legs = self.model.robot, self.model.legs
         if self.controller and (others := wrong_gains(self.controller, kept.samples, robot.joint_names)):
             return Judgement(others)
@@ -80,7 +82,7 @@ class JudgementTask:
         if legs is None:
             return Judgement()
         found = (*carried_weight(legs, kept.samples), *unnamed_feet(robot, legs, kept.samples))
-        return Judgement(found or (() if stretch is None else gyroscope(legs, stretch)))
+        return Judgement(found or (() if standing is None else gyroscope(legs, standing)))
 
     def _wrench(self, sensor: WrenchSensor, excerpt: Excerpt) -> tuple[Finding, ...]:
         if excerpt.stretch is None or not can_be_judged(sensor):
@@ -113,7 +115,7 @@ class RecordingCheck:
         self._task = task
         self._judge = judge
         self._instants = Instants()
-        self._stretch = Stretch()
+        self._stretch, self._standing = Stretch(), Stretch()
         self._judged_at = 0.0
         self.remarks: tuple[str, ...] = ()
         """What to know of a recording that may be right, once it has been judged."""
@@ -122,7 +124,9 @@ class RecordingCheck:
         """Take samples, in the order of time of each recording."""
         needed = samples.with_columns([SIGN, SMOOTH_SIGN])
         self._instants.add(needed)
-        self._stretch.add(on_all_feet(self._task.model.legs, needed))
+        self._stretch.add(needed)
+        if self._task.model.legs is not None:
+            self._standing.add(on_all_feet(self._task.model.legs, needed))
 
     def begin_recording(self) -> None:
         """The samples to come are of another recording, which has to show the same."""
@@ -139,7 +143,7 @@ class RecordingCheck:
         kept, self._judged_at = self._instants.kept, self._instants.taken
         if kept is None:
             return ()
-        judgement = self._judge(self._task, Excerpt(kept, self._stretch.samples, whole))
+        judgement = self._judge(self._task, Excerpt(kept, self._stretch.samples, self._standing.samples, whole))
         self.remarks = judgement.remarks
         return judgement.findings
 

@@ -79,11 +79,8 @@ def _finding(what: str) -> Finding:
     return Finding(cause=Cause(kind="imu", sentence=sentence))
 
 
-def on_all_feet(legs: Legs | None, samples: Samples) -> Samples:
-    """The instants around which all feet bear half of an equal share or more, as far as is known; all of a robot that
-    has no legs."""
-    if legs is None:
-        return samples
+def on_all_feet(legs: Legs, samples: Samples) -> Samples:
+    """The instants around which all feet bear half of an equal share or more, as far as is known."""
     bearing = np.all(samples.standing, axis=1)
     bearing[bearing] = np.all(legs.loads(samples.select(bearing)) > HALF, axis=1)
     return samples.select(_around(samples, bearing))

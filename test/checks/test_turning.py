@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from model.robots import random_samples, urdf, with_values
 
+from geomid_ros.checks.check import Excerpt, Judgement, JudgementTask, RecordingCheck
 from geomid_ros.checks.turning import gyroscope, on_all_feet
 from geomid_ros.model.contacts import Contact, Legs
+from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
@@ -120,3 +122,22 @@ def loaded(samples: Samples) -> FloatArray:
     q = ROBOT.configuration(samples)[0]
     jacobians = sum(ROBOT.contact_jacobians(q, foot, 0.02)[:, :3] for foot in FEET)
     return np.asarray(0.25 * ROBOT.weight * jacobians[:, 2, 6:])
+
+
+def test_what_is_kept_for_other_sensors_needs_no_feet() -> None:
+    """Of a trot, in which a foot is always in the air."""
+    seen = list[Excerpt]()
+
+    def judge(_: JudgementTask, excerpt: Excerpt) -> Judgement:
+        seen.append(excerpt)
+        return Judgement()
+
+    model = MeasurementModel(ROBOT, (), contacts=legs().contacts)
+    check = RecordingCheck(JudgementTask(model, np.ones(12), {}), judge)
+    standing = np.ones((COUNT, 4), dtype=bool)
+    standing[::8, 0] = False
+    check.add(with_values(on_feet(TURNING, TURNING[:, 3:]), standing=standing))
+    check.findings()
+    assert seen[0].standing is None
+    assert seen[0].stretch is not None
+    assert len(seen[0].stretch) > COUNT // 2
