@@ -309,10 +309,10 @@ class Identifier:
         width = len(robot.joints) + (7 if robot.floating_base else 0)
         if memory.last_pose is not None and memory.last_pose.shape != (width,):
             raise InputError(f"a pose of shape {memory.last_pose.shape}, expected ({width},)")
-        states = memory.summary.visited
-        expected = (3, 3 * len(robot.joints) + (15 if robot.floating_base else 0))
-        if len(states) and states.shape[1:] != expected:
-            raise InputError(f"states of a motion of shape {states.shape[1:]}, expected {expected}")
+        visited, width = memory.summary.visited, 3 * len(robot.joints) + (15 if robot.floating_base else 0)
+        for states, expected in ((visited.kept, (3, width)), (visited.last, (width,))):
+            if len(states) and states.shape[1:] != expected:
+                raise InputError(f"states of a motion of shape {states.shape[1:]}, expected {expected}")
         with self._lock:
             summary = self._empty_summary()
             summary.restore(memory.summary)

@@ -15,7 +15,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.channel_summary import ChannelSummary, joined, together, triangular, usable
-from geomid_ros.estimation.visited_states import VisitedStates
+from geomid_ros.estimation.visited_states import VisitedStates, Visits
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.samples import REGIMES
 from geomid_ros.types import BoolArray, FloatArray, IntArray
@@ -31,7 +31,7 @@ class SummaryState:
         weight: Sum of all rows' weights.
         counts: Sums of weights ``(folds, groups)``.
         factors: By fold and group.
-        visited, every: See :class:`VisitedStates`.
+        visited: The states of the motion.
     """
 
     instants: int
@@ -40,8 +40,7 @@ class SummaryState:
     weight: float
     counts: FloatArray
     factors: tuple[tuple[FloatArray, ...], ...]
-    visited: FloatArray
-    every: int
+    visited: Visits
 
     def plus(self, other: SummaryState, pause: float = 0.0) -> SummaryState:
         """All rows of both, of the same channels and folds, where nothing is forgotten.
@@ -56,7 +55,7 @@ class SummaryState:
         )
         visited = VisitedStates()
         for each in (self, other):
-            visited.plus(each.visited, each.every)
+            visited.plus(each.visited)
         return SummaryState(
             instants=self.instants + other.instants,
             time=self.time + pause + other.time,
@@ -64,8 +63,7 @@ class SummaryState:
             weight=self.weight + other.weight,
             counts=self.counts + other.counts,
             factors=factors,
-            visited=visited.kept,
-            every=visited.every,
+            visited=visited.visits,
         )
 
 
@@ -294,8 +292,7 @@ class RowSummary:
             weight=self.weight,
             counts=counts,
             factors=factors,
-            visited=self.visited.kept,
-            every=self.visited.every,
+            visited=self.visited.visits,
         )
 
     def restore(self, state: SummaryState) -> None:
@@ -310,7 +307,9 @@ class RowSummary:
             raise InputError(f"folds of other groups, expected {len(self.groups)} groups in each")
         if not all(np.all(np.isfinite(array) & (array >= 0.0)) for array in (numbers, state.counts)):
             raise InputError("numbers of rows that are negative or not finite")
-        if state.visited.ndim != 3 or not np.all(np.isfinite(state.visited)) or state.every < 1:
+        visited = state.visited
+        finite = all(np.all(np.isfinite(own)) for own in (visited.kept, visited.last, visited.age))
+        if visited.kept.ndim != 3 or not finite or visited.every < 1:
             raise InputError("states of a motion that are not finite, or not numbered")
         summaries = [
             [
@@ -323,7 +322,7 @@ class RowSummary:
         while self._instants > self.folds * self._block:
             self._block *= 2
         self.rows, self.weight = state.rows, state.weight
-        self.visited.plus(state.visited, state.every)
+        self.visited.restore(visited)
         self._complete, self._factors = True, None
         self._summaries = summaries
         self._waiting = [[[] for _ in self.groups] for _ in range(self.folds)]

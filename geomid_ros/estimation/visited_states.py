@@ -7,6 +7,8 @@ independent: the motion itself says how near that is.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from geomid_ros.types import FloatArray
@@ -18,22 +20,46 @@ _NEXT = 1.0 - 1e-6
 _CONSTANT = 1e-9  # of a coordinate's largest value: rounding errors are no motion
 
 
-class VisitedStates:
-    """Some of the states of a motion, about evenly, each with the steps that led to it and on from it.
+@dataclass(frozen=True, eq=False)
+class Visits:
+    """What :class:`VisitedStates` hold.
 
     Attributes:
         kept: ``(n, 3, S)``: the state, the step before, the step after.
         every: of so many states one is kept, a power of two.
+        count: of the states that might have been kept.
+        last: those that count, at most three ``(l, S)``.
+        age: of the last one, as far as it matters [s].
     """
+
+    kept: FloatArray
+    every: int
+    count: int
+    last: FloatArray
+    age: float
+
+
+class VisitedStates:
+    """Some of the states of a motion, about evenly, each with the steps that led to it and on from it."""
 
     def __init__(self, apart: float = 0.0) -> None:
         """``apart``: time from one state to the next that counts [s]."""
         self._apart = apart
-        self._age = np.inf  # of the last state that counts
-        self._last: list[FloatArray] = []  # the last two
+        self._age = apart
+        self._last: list[FloatArray] = []
         self._count = 0
         self.kept: FloatArray = np.zeros((0, 3, 0))
         self.every = 1
+
+    @property
+    def visits(self) -> Visits:
+        """All that they hold."""
+        return Visits(self.kept, self.every, self._count, np.array(self._last), min(self._age, self._apart))
+
+    def restore(self, visits: Visits) -> None:
+        """Take what others held."""
+        self.kept, self.every = visits.kept, visits.every
+        self._count, self._last, self._age = visits.count, [*visits.last], visits.age
 
     def add(self, states: FloatArray, elapsed: FloatArray) -> None:
         """Add ``states (N, S)``, each so long ``elapsed (N,)`` [s] after the one before."""
@@ -66,10 +92,11 @@ class VisitedStates:
             kept, every = _one_of(kept, 2), 2 * every
         self.kept, self.every = kept, every
 
-    def plus(self, kept: FloatArray, every: int) -> None:
+    def plus(self, other: Visits) -> None:
         """Add what others kept of another motion."""
-        most = max(every, self.every)
-        both = [_one_of(own, most // each) for own, each in ((self.kept, self.every), (kept, every)) if len(own)]
+        most = max(other.every, self.every)
+        pairs = ((self.kept, self.every), (other.kept, other.every))
+        both = [_one_of(own, most // each) for own, each in pairs if len(own)]
         self._keep(np.concatenate(both) if both else self.kept, most)
 
     def copy(self) -> VisitedStates:

@@ -87,7 +87,7 @@ def analyse(
     inner = {c.payload for c in tried if c.payload is not None and c.joint is not None} - _ends(model, links)
     if prior.known is not None:
         tried, inner = [c for c in tried if c.payload not in inner], set()
-    task = _Task(model, records, tried, links, inner, standing, progress)
+    task = _Task(model, records, tried, links, inner=inner, standing=standing, progress=progress)
     return _with_changed_link(task, _searched(task, prior, "searching"))
 
 
@@ -130,22 +130,22 @@ def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
     if search.prior.known is None:
         return analysis
     unlikely = names.score + 2.0 * np.log(ODDS)
-    tried = list[tuple[NamesPrior, float]]()
+    tried = list[tuple[NamesPrior, float, bool]]()
     for link in task.links:
         prior = search.prior.with_changed(link)
         beside = Selection(search.design, prior, task.tried)
         best = beside.grow(beside.fit([]))
-        if link not in names.bodies or best.inertias[link, 0] < prior.inertias[10 * link]:
-            tried.append((prior, best.score))
-    least = min((score for _, score in tried), default=np.inf)
-    if least > unlikely:
+        loaded = link in names.bodies and best.inertias[link, 0] >= prior.inertias[10 * link]
+        tried.append((prior, best.score, loaded))
+    least = min((score for _, score, _ in tried), default=np.inf)
+    likely = [prior for prior, score, loaded in tried if score < least + CLEARLY and not loaded]
+    if least > unlikely or not likely:
         return analysis
 
     def with_changed(prior: NamesPrior) -> tuple[float, Analysis]:
         changed = _searched(task, prior, "searching with a link changed")
         return fit(search.design, prior, changed.names.chosen, changed.names).score, changed
 
-    likely = [prior for prior, score in tried if score < least + CLEARLY]
     (score, changed), *others = sorted(map(with_changed, likely), key=lambda found: found[0])
     contested = float(sum(np.exp(0.5 * (score - other)) for other, _ in others))
     return replace(changed, contested=contested) if score < unlikely else analysis

@@ -95,13 +95,13 @@ def test_pieces_and_the_whole_are_the_same(count: int) -> None:
 def test_the_same_motion_in_two_recordings_is_one() -> None:
     states = wandering(300)
     both = visited(states)
-    both.plus(visited(states).kept, 1)
+    both.plus(visited(states).visits)
     assert both.distinct == pytest.approx(0.5, abs=0.02)
 
 
 def test_of_two_recordings_states_are_kept_as_the_longer_one_has_them() -> None:
     longer, shorter = visited(wandering(5000)), visited(wandering(1000))
-    longer.plus(shorter.kept, shorter.every)
+    longer.plus(shorter.visits)
     assert longer.every == 8
     assert len(longer.kept) == pytest.approx(6000 / 8, abs=3)
 
@@ -133,8 +133,10 @@ def test_a_snapshot_and_one_that_goes_on_have_their_own() -> None:
     assert later.snapshot().visited.distinct == before.visited.distinct
     np.testing.assert_array_equal(later.snapshot().visited.kept, before.visited.kept)
     kept = before.visited.kept.copy()
-    found.add(case.samples)
+    for each in (found, later):
+        each.add(case.samples)
     np.testing.assert_array_equal(before.visited.kept, kept)
+    np.testing.assert_array_equal(later.snapshot().visited.kept, found.snapshot().visited.kept)
 
 
 @pytest.mark.parametrize("shape", [(5, 2, 9), (5, 3, 8), (5, 3, 0), (5,)])
@@ -143,8 +145,9 @@ def test_states_of_another_robot_are_refused(shape: tuple[int, ...]) -> None:
     found = Identifier(case.model)
     found.add(case.samples)
     memory = found.memory()
+    visits = replace(memory.summary.visited, kept=np.zeros(shape))
     with pytest.raises(InputError, match="states of a motion"):
-        found.restore(replace(memory, summary=replace(memory.summary, visited=np.zeros(shape))))
+        found.restore(replace(memory, summary=replace(memory.summary, visited=visits)))
 
 
 def repeated(times: int, seconds: float, forgetting_time: float = np.inf) -> Problem:
