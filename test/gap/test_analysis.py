@@ -198,19 +198,24 @@ def test_beside_a_drawing_alone_payloads_are_looked_for_at_all_links(monkeypatch
         assert task.links == [0, 1, 2]
 
 
-def test_a_link_in_whose_place_a_payload_was_found_may_have_been_changed(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("names", [[PAYLOAD], [VISCOUS]])
+def test_a_link_may_have_been_changed_beside_names_and_in_the_place_of_a_payload(
+    monkeypatch: pytest.MonkeyPatch, names: list[Candidate]
+) -> None:
     """What is lighter now carries nothing, whatever else makes a payload likely."""
     known = OtherRecordings(1e2 * np.eye(10), np.zeros(10))
     identified = replace(PRIOR, spread=0.05, certainty=100.0, identified=True, known=known)
-    design = Recording(7, [PAYLOAD]).design({}, 0.7 * LINK)
+    recording, size = Recording(7, [PAYLOAD, VISCOUS]), 0.5 if VISCOUS in names else 0.0
+    design = recording.design({VISCOUS.terms[0]: size}, 0.7 * LINK)
 
-    def analysed(prior: NamesPrior, *names: Candidate) -> analysis.Analysis:
-        search = Selection(design, prior, [PAYLOAD])
+    def analysed(prior: NamesPrior, *found: Candidate) -> analysis.Analysis:
+        search = Selection(design, prior, [PAYLOAD, VISCOUS])
         unused: Any = None
-        fits = {"bare": search.fit([]), "names": search.fit(names)}
+        fits = {"bare": search.fit([]), "names": search.fit(found)}
         return analysis.Analysis(problem=unused, search=search, supports={}, floor=np.ones(2), **fits)
 
-    monkeypatch.setattr(analysis, "_searched", lambda _, prior, __: analysed(prior))
-    task: Any = SimpleNamespace(links=[0], tried=[PAYLOAD])
-    found = analysis._with_changed_link(task, analysed(identified, PAYLOAD))
+    beside = [c for c in names if c is not PAYLOAD]
+    monkeypatch.setattr(analysis, "_searched", lambda _, prior, __: analysed(prior, *beside))
+    task: Any = SimpleNamespace(links=[0], tried=[PAYLOAD, VISCOUS])
+    found = analysis._with_changed_link(task, analysed(identified, *names))
     assert found.search.prior.changed_link == 0

@@ -94,14 +94,28 @@ def test_of_what_is_less_likely_than_nothing_nothing_is_said_and_the_others_are_
 
 
 def test_what_improves_the_fit_beside_a_name_as_well_is_no_rival_of_it() -> None:
-    """Of a search that was ended before it had found the second one."""
-    design = Recording(4, CANDIDATES).design({VISCOUS.terms[0]: 0.1, OFFSET.terms[0]: 0.3})
+    """Of a search that was ended before it had found the others."""
+    design = Recording(4, CANDIDATES).design({c.terms[0]: 0.1 + 0.02 * k for k, c in enumerate(CANDIDATES)})
     selection = Selection(design, PRIOR, CANDIDATES)
     support = Supports(selection, selection.fit([VISCOUS])).of(VISCOUS)
     assert support.probability > 0.99
-    (loss,) = (loss for rival, loss in support.rivals if rival is OFFSET)
-    exactly = selection.fit([OFFSET]).score - selection.fit([VISCOUS, OFFSET]).score
-    assert loss == pytest.approx(exactly, rel=0.1)
+    assert {rival for rival, _ in support.rivals} == set(CANDIDATES[1:])
+    for rival, loss in support.rivals:
+        exactly = selection.fit([rival]).score - selection.fit([VISCOUS, rival]).score
+        assert loss == pytest.approx(exactly, rel=0.2)
+
+
+def test_a_rival_that_is_common_is_the_likelier(monkeypatch: pytest.MonkeyPatch) -> None:
+    columns = {ROTOR.terms[0]: VISCOUS.terms[0]}
+    selection = Selection(Recording(1, CANDIDATES, columns).design({VISCOUS.terms[0]: 0.05}), PRIOR, CANDIDATES)
+    each, found = Supports(selection, selection.fit([VISCOUS])), []
+    for common in ({}, {ROTOR: 6.0}, {VISCOUS: 6.0}, {VISCOUS: 6.0, ROTOR: 6.0}):
+        monkeypatch.setattr(each, "_common", lambda c, common=common: common.get(c, 0.0))
+        probability = each.of(VISCOUS).probability
+        found.append(2.0 * np.log(probability / (1.0 - probability)))
+    neither, rival, own, both = found
+    assert rival < neither < own
+    assert neither == pytest.approx(both, abs=0.1)
 
 
 def test_names_are_as_common_as_the_others_were_found_to_be() -> None:
