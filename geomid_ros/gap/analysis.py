@@ -108,7 +108,6 @@ def standing_remainder(model: MeasurementModel, records: Records, prior: NamesPr
     for _ in range(_WHITENINGS):
         near, lacks = problem.lacks(residual, problem.told, noise, near)
         left = residual - mean_of(problem.told, lacks)
-        left /= np.sqrt(_free(problem, np.array([lack.freedom for lack in lacks])))
         noise = _noise(left, problem.valid, records)
         problem = problem.with_floor(_typical_size(left, problem.valid))
     return StandingRemainder(
@@ -166,8 +165,9 @@ def _searched(task: _Task, prior: NamesPrior, stage: str) -> Analysis:
     problem, search, names = last.problem, last.search, last.found
     design = search.design
     left = problem.residual(last.columns, names) - problem.remainder(design, names)
+    rows = np.where(design.counts > 0.0, design.counts, np.nan)
     lacking = np.array([lack.freedom for lack in names.remainders(design)])
-    free = _free(problem, names.parameters_by_channel(design) + lacking)
+    freedom = np.maximum(rows - names.parameters_by_channel(design) - lacking, 1.0) / rows
     repeats = noise_by_repeats(task.model, task.records)
     return Analysis(
         problem=problem,
@@ -175,16 +175,8 @@ def _searched(task: _Task, prior: NamesPrior, stage: str) -> Analysis:
         bare=search.fit([]),
         names=names,
         supports=supports,
-        floor=repeats.floor(_root_mean_square(left, problem.valid) / np.sqrt(free)),
+        floor=repeats.floor(_root_mean_square(left, problem.valid) / np.sqrt(freedom)),
     )
-
-
-def _free(problem: LinearisedProblem, determined: FloatArray) -> FloatArray:
-    """The share of each channel's rows ``(C,)`` that is left to tell of noise, where so many have ``determined (C,)``
-    parameters; NaN of one without rows."""
-    has_rows = np.any(problem.valid, axis=0)
-    rows = np.where(has_rows, np.count_nonzero(problem.valid, axis=0), np.nan)
-    return np.asarray(np.maximum(rows - determined, 1.0) / rows)
 
 
 def _supports(search: NamesSearch, found: NamesFit, inner: Collection[int]) -> dict[Candidate, Support[Candidate]]:
