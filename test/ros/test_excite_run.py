@@ -35,7 +35,7 @@ FAST = ("--speed", "1", "--execute")
 
 
 def controller(stage: Stage, start: float = START) -> Process:
-    return stage.start("benchmarks.trajectory_controller", "--urdf", URDF, "--rate", "50", "--start", str(start))
+    return stage.start("benchmarks.trajectory_controller", "--urdf", URDF, "--rate", "100", "--start", str(start))
 
 
 def excite(stage: Stage, motion: Motion, *arguments: str | Path) -> Process:
