@@ -1,4 +1,4 @@
-"""Whether a gyroscope turns as the legs say: its clock, its axes and its unit.
+"""Whether a gyroscope turns as the legs say: its clock and its axes.
 
 Feet that all stand tell how the base turns, by the encoders alone: the points where they touch do not move. No mass and
 no effort is asked, so that nothing of what is identified can hide what is wrong.
@@ -18,9 +18,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.types import BoolArray, FloatArray
 
 _SHIFTS = STEP * np.arange(-10, 11)  # [ns]
-_LATE = 0.015  # [s] of which less is harmless
 _TURNED = np.radians(10.0)  # the encoders' zeros, and feet that roll, make a few degrees
-_DEGREES = np.pi / 180.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,13 +28,11 @@ class _Turning:
     Attributes:
         late: by how much its stamps are late [s].
         angle: that it is turned by [rad].
-        size: the legs' turning over its own.
         before, after: shares of the legs' turning that it leaves as it is, and with all of this undone.
     """
 
     late: float
     angle: float
-    size: float
     before: float
     after: float
 
@@ -57,15 +53,11 @@ def gyroscope(legs: Legs, stretch: Samples) -> tuple[Finding, ...]:
     halves = [_compared(*part) for part in parts]
     if any(each.after > HALF * min(each.before, HALF) for each in halves):
         return ()
-    late, angle, size = (np.array([getattr(each, name) for each in halves]) for name in ("late", "angle", "size"))
-    if np.all((size > HALF * _DEGREES) & (size < _DEGREES / HALF)):
-        return (_finding("its angular velocity is in degrees/s: publish rad/s (sensor_msgs/Imu)"),)
-    if abs(np.mean(late)) > _LATE and np.ptp(late) < HALF * abs(np.mean(late)):
-        word = "late" if np.mean(late) > 0.0 else "early"
-        milliseconds = 1e3 * abs(float(np.mean(late)))
-        return (
-            _finding(f"its stamps are {milliseconds:.0f} ms {word}: synchronise its clock with that of the joints"),
-        )
+    late, angle = (np.array([getattr(each, name) for each in halves]) for name in ("late", "angle"))
+    off = 1e9 * abs(float(np.mean(late)))
+    if off > STEP and np.ptp(late) < HALF * abs(np.mean(late)):
+        word = ("late" if np.mean(late) > 0.0 else "early") + (" or more" if off > _SHIFTS[-2] else "")
+        return (_finding(f"its stamps are {1e-6 * off:.0f} ms {word}: synchronise its clock with that of the joints"),)
     if np.mean(angle) > _TURNED and np.ptp(angle) < HALF * np.mean(angle):
         degrees = np.degrees(np.mean(angle))
         return (
@@ -111,14 +103,14 @@ def _compared(turning: FloatArray, moved: FloatArray) -> _Turning:
         [np.sum((turning - size * each @ axes.T) ** 2) for (axes, size), each in zip(turned, moved, strict=True)]
     )
     best = int(np.argmin(left))
-    axes, size = turned[best]
+    axes, _ = turned[best]
     late = float(_SHIFTS[best])
     if 0 < best < len(left) - 1:
         before, own, after = left[best - 1 : best + 2]
         late += STEP * 0.5 * (before - after) / (before - 2.0 * own + after)
     angle = float(np.arccos(np.clip(0.5 * (np.trace(axes) - 1.0), -1.0, 1.0)))
     as_it_is = float(np.sum((turning - moved[len(moved) // 2]) ** 2))
-    return _Turning(1e-9 * late, angle, size, as_it_is / whole, float(left[best]) / whole)
+    return _Turning(1e-9 * late, angle, as_it_is / whole, float(left[best]) / whole)
 
 
 def _turned(turning: FloatArray, measured: FloatArray) -> tuple[FloatArray, float]:
