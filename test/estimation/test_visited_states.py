@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
+from geomid_ros.estimation import uncertainty
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import BufferSettings, Identifier
 from geomid_ros.estimation.problem import Problem
@@ -176,3 +178,34 @@ def test_repeats_count_the_less_the_more_of_their_states_parameters_follow() -> 
 
 def test_repeats_of_what_is_forgotten_do_not_count() -> None:
     assert repeated(20, seconds=0.03, forgetting_time=0.03).distinct == 1.0
+
+
+def test_no_fewer_rows_count_than_those_in_different_states(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the number of parameters that follow them; nor ever more, the more parameters there are."""
+    problem = repeated(20, 0.1)
+    states, rows = problem.summary.visited.distinct, float(np.sum(problem.counts))
+    shares = []
+    for followed in states * rows * np.linspace(0.0, 1.2, 25):
+        monkeypatch.setattr(Problem, "_followed", followed)
+        shares.append(problem.distinct)
+    assert shares[0] == 1.0
+    assert shares == sorted(shares, reverse=True)
+    assert min(shares) == states
+
+
+def test_as_many_fewer_rows_as_count_are_as_much_less_sure(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the deviations are made larger by, at least, is what the weight of the rows is made smaller by."""
+    least, exact = [], uncertainty.estimate_uncertainty
+
+    def seen(*arguments: Any, **options: Any) -> Any:
+        least.append(options["least_inflation"])
+        return exact(*arguments, **options)
+
+    monkeypatch.setattr(uncertainty, "estimate_uncertainty", seen)
+    case = arm("arm3", seed=3, seconds=0.03)
+    for times in (1, 40):
+        found = Identifier(case.model)
+        for _ in range(times):
+            found.add(case.samples)
+        found.solve()
+    assert least[1] > 5.0 * least[0]

@@ -19,7 +19,6 @@ from geomid_ros.inference.probability import probability_of_square
 from geomid_ros.inference.rao_score import score_test
 from geomid_ros.model.effects import EFFECTS, Quantity, Values
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.types import FloatArray
 
 _NEAR = 20.0  # in minus twice a logarithm: rivals that are less likely than one in ten thousand are not worth a word
 _MOST_OF_IT = 0.5  # of a channel's squares
@@ -92,13 +91,12 @@ def _share(analysis: Analysis, candidate: Candidate) -> float:
     search, names = analysis.search, analysis.names
     prior, reached = with_given_spreads(search.prior, names.inflation), search.design.reached(candidate)
 
-    def gap(chosen: Sequence[Candidate]) -> FloatArray:
+    def gap(*chosen: Candidate) -> float:
         squares = fit(search.design, prior, chosen, names, names.spreads).squares
-        return np.asarray((squares / names.squares - 1.0)[reached])
+        return float(np.sum((squares / names.squares - 1.0)[reached]))
 
-    without = gap([c for c in names.chosen if c is not candidate])
-    whole = float(np.sum(np.maximum(gap(()), without)))
-    return float(np.clip(np.sum(without) / max(whole, 1e-300), 0.0, 1.0))
+    without = gap(*(c for c in names.chosen if c is not candidate))
+    return float(np.clip(without / max(gap(), 1e-300), 0.0, 1.0))
 
 
 def _scanned_std(analysis: Analysis, candidate: Candidate) -> float:
