@@ -100,6 +100,7 @@ def test_a_payload_is_weighed_by_what_both_recordings_say_together(live: Session
     assert payload.effect == "payload"
     assert abs(mass.value - PAYLOAD) < 3.0 * mass.std
     assert mass.std < 0.1 * PAYLOAD
+    assert payload.share > 0.9, "without it other recordings would be trusted less until the links explain it"
     own.loaded = replace(own.loaded, posterior=None, source="elsewhere/estimate.json")
     assert not sure(*known_of(own))
 

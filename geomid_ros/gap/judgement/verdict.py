@@ -11,7 +11,6 @@ from geomid_ros.estimation.estimate import is_told
 from geomid_ros.gap.analysis import Analysis
 from geomid_ros.gap.candidates import Candidate, NamesFit
 from geomid_ros.gap.judgement import naming
-from geomid_ros.gap.judgement.changed_links import with_given_spreads
 from geomid_ros.gap.judgement.held_out import HeldOut, strongest
 from geomid_ros.gap.result import Finding, Ranked, Rival, Unexplained, Verdict, confidence_of
 from geomid_ros.inference.fit import fit, scattered
@@ -89,10 +88,10 @@ def _share(analysis: Analysis, candidate: Candidate) -> float:
     """Of the gap that the inertias leave, over the channels that a name reaches: how much it closes beside others. The
     links are as unsure as they were found to be: without it they would be freed until they explain it."""
     search, names = analysis.search, analysis.names
-    prior, reached = with_given_spreads(search.prior, names.inflation), search.design.reached(candidate)
+    reached = search.design.reached(candidate)
 
     def gap(*chosen: Candidate) -> float:
-        squares = fit(search.design, prior, chosen, names, names.spreads).squares
+        squares = fit(search.design, search.prior, chosen, names, names.spreads).squares
         return float(np.sum((squares / names.squares - 1.0)[reached]))
 
     without = gap(*(c for c in names.chosen if c is not candidate))
