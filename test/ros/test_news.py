@@ -91,8 +91,8 @@ def test_the_same_news_are_said_once_a_minute(monkeypatch: pytest.MonkeyPatch) -
 
 def test_a_node_says_what_comes_and_what_it_has_found(stage: Stage) -> None:
     node = stage.node({**NO_CHOICE, "robot_description": description("arm3"), "solve_period": 0.2})
-    stage.spin_while(stage.play(BAGS / "arm3", 2.0))
+    stage.spin_while(stage.play(BAGS / "arm3", 1.0))
     stage.observer.wait_for(lambda: "first estimate, from" in node.output, "the first estimate")
     lines = re.findall(r"\[INFO\] \S+ \[geomid\]: (.*)", node.output)
-    assert re.fullmatch(r"joint_states: receiving \d+ messages/s", lines[1])
+    assert any(re.fullmatch(r"joint_states: receiving \d+ messages/s", line) for line in lines)
     assert lines[0].startswith("identifying 3 links")
