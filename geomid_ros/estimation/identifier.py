@@ -18,7 +18,7 @@ from geomid_ros.estimation.fit import INDEPENDENT
 from geomid_ros.estimation.revocable_buffer import Instant, RevocableBuffer
 from geomid_ros.estimation.summary import RowSummary, SummaryState
 from geomid_ros.model.measurement import MeasurementModel, Rows
-from geomid_ros.model.samples import REGIMES, Samples, regimes
+from geomid_ros.model.samples import PIECE, REGIMES, Samples, regimes
 from geomid_ros.model.weighed_masses import weighed_rows
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
@@ -191,7 +191,7 @@ class Identifier:
         for instant in zip(coefficients, targets, elapsed.tolist(), of_motion, states, strict=True):
             self._recent.append(Instant(self.instants, *instant))
             self.instants += 1
-            self._settle_before(self.instants - self._held)
+        self._settle_before(self.instants - self._held)
 
     def _regimes(self, samples: Samples) -> IntArray:
         """The regime of motion of each channel at N instants ``(N, channels)``: of efforts, those of their joints."""
@@ -200,14 +200,13 @@ class Identifier:
             found[:, self.model.layout.efforts] = regimes(samples)
         return found
 
-    def _settle_before(self, number: int) -> None:
+    def _settle_before(self, number: float) -> None:
+        settled = list[Instant]()
         while self._recent.first < number:
-            self._settle_first()
-
-    def _settle_first(self) -> None:
-        instant, rejected = self._recent.pop()
-        self._rejected += rejected
-        self._summary.add(*instant.rows)
+            instant, rejected = self._recent.pop()
+            self._rejected += rejected
+            settled.append(instant)
+        _with(self._summary, settled)
 
     def hold(self, instants: int) -> None:
         """Hold so many last instants (none at first), whose rows can still be left out; settle earlier ones."""
@@ -221,7 +220,7 @@ class Identifier:
             with self._lock:
                 if self._recent.first >= before:
                     break
-                self._settle_first()
+                self._settle_before(min(before, self._recent.first + PIECE))
 
     def leave_out(self, reason: str, channels: Sequence[int], begin: int) -> bool:
         """Leave out the rows of ``channels`` from the instant of number ``begin`` on, as far as they are not settled.
@@ -338,6 +337,7 @@ class Identifier:
 
 def _with(summary: RowSummary, instants: Sequence[Instant]) -> RowSummary:
     """The summary, once it has these instants, too."""
-    for instant in instants:
-        summary.add(*instant.rows)
+    for begin in range(0, len(instants), PIECE):
+        rows = (instant.rows for instant in instants[begin : begin + PIECE])
+        summary.add_all(*map(np.array, zip(*rows, strict=True)))
     return summary
