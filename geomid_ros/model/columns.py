@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
@@ -97,8 +97,7 @@ class Entries:
     def values(self, motion: Motion) -> FloatArray:
         """``(N, entries)`` for a motion, each ``(N, joints)``."""
         values = np.empty((len(motion.position), len(self)))
-        for column in self._alone:
-            entries, joints = self.of(column)
+        for column, entries, joints in self._alone:
             values[:, entries] = column.values(motion)[:, joints]
         for effect, (start, first, second) in self._pairs.items():
             values[:, start], values[:, start + 1] = effect.columns(motion.of(first), motion.of(second))
@@ -137,9 +136,23 @@ class Entries:
         return {effect: np.array(own).T for effect, own in found.items()}
 
     @cached_property
-    def _alone(self) -> list[Column]:
-        """The other columns."""
-        return [c for c in self.columns if not (isinstance(c, PlacedColumn) and c.effect in self._pairs)]
+    def _alone(self) -> list[tuple[Column, slice, slice | list[int]]]:
+        """The other columns, where the entries of each are, and at which joints: a slice if that is at all of them."""
+        alone = [c for c in self.columns if not (isinstance(c, PlacedColumn) and c.effect in self._pairs)]
+        places = [(column, *self.of(column)) for column in alone]
+        return [(c, own, slice(None) if len(joints) == self.joints else [*joints]) for c, own, joints in places]
 
 
 NO_ENTRIES = Entries((), 0)
+
+
+def entries_of(effects: Iterable[tuple[MotionEffect, Place, float]], joints: int) -> tuple[Entries, FloatArray]:
+    """The entries of the columns of effects, each at a place with its coefficient; and what these add to the efforts of
+    all ``joints`` per unit of each ``(entries, joints)``."""
+    found = [(column_of(effect, place), place, value) for effect, place, value in effects]
+    entries = Entries(tuple(dict.fromkeys(column for column, _, _ in found)), joints)
+    strengths = np.zeros((len(entries), joints))
+    for column, place, value in found:
+        for joint in reached_joints(place, joints):
+            strengths[entries.at(column, joint), joint] += value
+    return entries, strengths

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 import pinocchio as pin
 
-from geomid_ros.model.columns import Column, JointColumn, column_of
+from geomid_ros.model.columns import entries_of
 from geomid_ros.model.effects import LoadEffect, Motion, MotionEffect, Place, joint_of
 from geomid_ros.model.effects.situation import Sensitivity
 from geomid_ros.model.measurement import MeasurementModel
@@ -140,17 +140,23 @@ class InverseDynamics:
         """Of all bodies ``(bodies, 10)``."""
         known = [(c, v) for c, v in zip(model.coefficients, parameters[first:].tolist(), strict=True) if v != 0.0]
         moving = [(c.effect, c.place, value) for c, value in known if isinstance(c.effect, MotionEffect)]
+        self._robot = model.robot
         self._whole = _Motors(model.robot, inertias, moving)
-        self._by_load = [(c.effect, joint_of(c.place), value) for c, value in known if isinstance(c.effect, LoadEffect)]
         self._gears = _Motors(model.robot, model.loading, model.resisting)
+        self._by_load: dict[LoadEffect, FloatArray] = {}
+        for c, value in known:
+            if isinstance(c.effect, LoadEffect):
+                strengths = self._by_load.setdefault(c.effect, np.zeros(len(model.robot.joints)))
+                strengths[joint_of(c.place)] = value
 
     def __call__(self, motion: FloatArray) -> FloatArray:
         """Efforts ``(N, joints)`` [N m, N] at positions, velocities and accelerations ``(3, N, joints)``."""
-        efforts = self._whole(motion)
+        states, configuration = Motion(motion), self._robot.moved(motion)
+        efforts = self._whole(states, *configuration)
         if self._by_load:
-            loads, signs = self._gears(motion), SIGN.values(Motion(*motion))
-            for effect, joint, value in self._by_load:
-                efforts[:, joint] += value * effect.column(loads[:, joint], signs[:, joint])
+            loads, signs = self._gears(states, *configuration), SIGN.values(states)
+            for effect, strengths in self._by_load.items():
+                efforts += strengths * effect.column(loads, signs)
         return efforts
 
 
@@ -163,15 +169,8 @@ class _Motors:
         self._robot = robot
         self._rigid = robot.with_inertias(inertias, range(len(inertias)))
         self._data = self._rigid.createData()
-        self._strengths: dict[Column, FloatArray] = {}
-        for effect, place, value in effects:
-            column = column_of(effect, place)
-            strengths = self._strengths.setdefault(column, np.zeros(len(robot.joints)))
-            strengths[joint_of(place) if isinstance(column, JointColumn) else slice(None)] += value
+        self._entries, self._strengths = entries_of(effects, len(robot.joints))
 
-    def __call__(self, motion: FloatArray) -> FloatArray:
-        efforts = self._robot.efforts_of(self._rigid, self._data, *self._robot.moved(motion))
-        states = Motion(*motion)
-        for column, strengths in self._strengths.items():
-            efforts += strengths * column.values(states)
-        return efforts
+    def __call__(self, states: Motion, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        rigid = self._robot.efforts_of(self._rigid, self._data, q, v, a)
+        return np.asarray(rigid + self._entries.values(states) @ self._strengths)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.model import se3
-from geomid_ros.model.columns import NO_ENTRIES, Column, Entries, JointColumn, column_of, reached_joints
+from geomid_ros.model.columns import NO_ENTRIES, Column, Entries, JointColumn, entries_of
 from geomid_ros.model.effects import JointMotion, Motion, MotionEffect, Place
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
@@ -100,19 +100,12 @@ class Samples:
     @property
     def motion(self) -> Motion:
         """The joints' motion."""
-        return Motion(self.position, self.velocity, self.acceleration)
+        return Motion(np.array([self.position, self.velocity, self.acceleration]))
 
     def efforts_of(self, effects: Iterable[tuple[MotionEffect, Place, float]]) -> FloatArray:
         """What effects of motion, each at a place with its coefficient, add to the joints' efforts ``(N, J)``."""
-        strengths = np.zeros((len(self.entries), self.position.shape[1]))
-        others = np.zeros(self.position.shape)
-        for effect, place, coefficient in effects:
-            column, joints = column_of(effect, place), reached_joints(place, self.position.shape[1])
-            if column in self.entries:
-                strengths[[self.entries.at(column, joint) for joint in joints], joints] += coefficient
-            else:
-                others[:, joints] += coefficient * self.column(column)[:, joints]
-        return np.asarray(self.effects @ strengths + others)
+        entries, strengths = entries_of(effects, self.position.shape[1])
+        return np.asarray(self.values_of(entries) @ strengths)
 
     def values_of(self, entries: Entries) -> FloatArray:
         """The values ``(N, len(entries))`` of columns' entries."""

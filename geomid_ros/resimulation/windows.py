@@ -140,7 +140,7 @@ def motion_at(stretch: Stretch, instants: FloatArray) -> Motion:
     """The measured motion at ``instants (...)`` [s], ``(..., J)`` each."""
     samples = stretch.samples
     parts = (samples.position, samples.velocity, samples.acceleration)
-    return Motion(*(interpolated(stretch.times, part, instants) for part in parts))
+    return Motion(np.array([interpolated(stretch.times, part, instants) for part in parts]))
 
 
 _DRAWS = 4  # of noise for each window
@@ -174,8 +174,7 @@ class Errors:
     def of(self, windows: Windows, instants: FloatArray, robot: WrittenRobot, simulated: Simulated) -> FloatArray:
         """Measured minus simulated."""
         velocity = windows.stretch.samples.velocity[windows.samples[:, -1]] - simulated.velocity[:, -1]
-        moving = motion_at(windows.stretch, instants)
-        motion = Motion(*(part.mean(axis=1) for part in (moving.position, moving.velocity, moving.acceleration)))
+        motion = Motion(motion_at(windows.stretch, instants).states.mean(axis=2))
         wrenches = [
             interpolated(windows.stretch.times, self._measured(windows.stretch, sensor), instants).mean(axis=1)
             - robot.wrench(simulated.sensed, sensor)[:, sensor.axis_indices]

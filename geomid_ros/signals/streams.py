@@ -222,7 +222,7 @@ class JointSegment(VectorSegment):
         missing = range(start, instants[-1] + half + 1)
         if missing:
             motion = self._on_grid.correlated(missing, self._grid.sharp_kernels, self._entries.joints)
-            known.extend(start, self._entries.values(Motion(*motion, past=self._remembered(motion[0]))))
+            known.extend(start, self._entries.values(Motion(motion, self._remembered(motion[0]))))
         (filtered,) = known.correlated(instants, self._grid.kernels[:1])
         return np.asarray(filtered)
 

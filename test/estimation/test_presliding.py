@@ -40,7 +40,7 @@ def test_after_a_reversal_it_is_dahls_law(distance: float) -> None:
     """A joint that slides one way comes to rest and speeds up the other way, with one acceleration."""
     time = np.linspace(-1.0, 1.0, 20001)
     position = 0.5 * time**2
-    motion = JointMotion(position, time, np.ones_like(time))
+    motion = JointMotion(np.array([position, time, np.ones_like(time)]))
     law = DRY.column(motion) + Presliding(distance).column(motion)
     there = (time > -0.5) & (np.abs(time) > 10.0 * SMOOTHINGS[0])  # it slides, and beside rest the sign is smooth
     np.testing.assert_allclose(law[there], dahl(position, distance)[there], atol=0.01)
@@ -56,7 +56,7 @@ def test_what_it_remembers_is_dahls_law_also_at_rest(distance: float) -> None:
         states.append(own.states(moved[begin:end], states[-1][-1]))
     remembered = np.concatenate(states[1:])
     np.testing.assert_allclose(remembered[:, 0], dahl(position[:, 0], distance), atol=1e-12)
-    still = WithPast(*np.zeros((3, 1, 2)), past={own: np.array([[0.5, remembered[-1, 0]]])})
+    still = WithPast(np.zeros((3, 1, 2)), past={own: np.array([[0.5, remembered[-1, 0]]])})
     efforts_at_rest = own.efforts(still, AtJoint(1))
     assert efforts_at_rest == pytest.approx(np.array([[0.0, -1.0]]), abs=0.01), "it came from above"
 
@@ -93,7 +93,7 @@ def remembered(case: Case, moving: Motion, distance: float) -> Samples:
     moved = np.diff(moving.position, axis=0, prepend=moving.position[:1])
     past = {effect: effect.states(moved, np.zeros(moved.shape[1])) for effect in own}
     entries = Entries(tuple(JointColumn(effect) for effect in own), moved.shape[1])
-    states = WithPast(moving.position, moving.velocity, moving.acceleration, past=past)
+    states = WithPast(np.array([moving.position, moving.velocity, moving.acceleration]), past)
     noise = NOISE * np.random.default_rng(1).normal(size=felt.shape)
     return replace(samples(moving, felt + noise), effects=entries.values(states), entries=entries)
 

@@ -57,7 +57,7 @@ def recording(extra: Effort, seed: int, seconds: float) -> Samples:
     )
     weight = 9.81 * (_FIRST_MOMENT[0] * np.cos(position) - _FIRST_MOMENT[1] * np.sin(position))
     effort = _INERTIA * acceleration + weight + extra(position, velocity) + NOISE * rng.standard_normal(len(times))
-    motion = Motion(position[:, None], velocity[:, None], acceleration[:, None])
+    motion = Motion(np.array([position, velocity, acceleration])[:, :, None])
     stamps = (1e9 + 1e9 * times).astype(np.int64)
     moving = motion.position, motion.velocity, motion.acceleration
     return fixed_base(stamps, *moving, effort[:, None], effects=_ENTRIES.values(motion), entries=_ENTRIES)

@@ -98,6 +98,6 @@ def recording(
     measured = efforts(position, velocity, acceleration)
     measured = measured + noise * np.random.default_rng([seed, 2]).standard_normal(measured.shape)
     entries = Entries(library_columns(model()), position.shape[1])
-    moved = Motion(position, velocity, acceleration)
+    moved = Motion(np.array([position, velocity, acceleration]))
     stamps, moving = (1e9 + 1e9 * times).astype(np.int64), (position, velocity, acceleration)
     return fixed_base(stamps, *moving, measured, effects=entries.values(moved), entries=entries)

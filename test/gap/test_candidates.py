@@ -139,7 +139,7 @@ def test_samples_carry_all_columns_that_names_are_made_of_once() -> None:
 
 def test_a_joint_stands_still_below_a_hundredth_of_a_radian_per_second() -> None:
     speed = np.array([0.0, 0.009, -0.009, 0.011, -0.011, 1.0])
-    motion = JointMotion(0.0 * speed, speed, 0.0 * speed)
+    motion = JointMotion(np.array([0.0 * speed, speed, 0.0 * speed]))
     np.testing.assert_array_equal(REST.function.column(motion), [1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
     direction = SIGN.function.column(motion)
     np.testing.assert_array_less(np.abs(SMOOTH_SIGN.function.column(motion)[1:5]), np.abs(direction[1:5]))

@@ -81,7 +81,7 @@ def test_axes_meet_where_some_point_of_both_is_the_same(name: str) -> None:
         assert robot.axes_meet(first, first + 1) == bool(crossing and gap < 1e-3)
 
 
-MOTION = Motion(*np.random.default_rng(3).standard_normal((3, 7, 4)))
+MOTION = Motion(np.random.default_rng(3).standard_normal((3, 7, 4)))
 
 
 def still(effects: FloatArray, entries: Entries) -> Samples:

@@ -103,12 +103,12 @@ def test_what_was_identified_is_known_again(effect: IdentifiedEffect) -> None:
 @pytest.mark.parametrize("effect", OF_JOINTS.values(), ids=OF_JOINTS)
 def test_a_column_is_of_each_instant_by_itself(effect: type[JointEffect]) -> None:
     motion = np.random.default_rng(1).normal(size=(3, 40))
-    column = effect().column(JointMotion(*motion))
+    column = effect().column(JointMotion(motion))
     assert column.shape == (40,)
     assert np.all(np.isfinite(column))
     assert np.any(column != 0.0)
     some = np.random.default_rng(2).permutation(40)[:7]
-    np.testing.assert_array_equal(effect().column(JointMotion(*motion[:, some])), column[some])
+    np.testing.assert_array_equal(effect().column(JointMotion(motion[:, some])), column[some])
 
 
 @pytest.mark.parametrize(

@@ -41,12 +41,7 @@ class _CoupledMotor(PairEffect):
         """Effort ``(...)`` of the motor per unit of the coefficient."""
 
     def columns(self, first: JointMotion, second: JointMotion) -> tuple[FloatArray, FloatArray]:
-        motor = JointMotion(
-            first.position + self.ratio * second.position,
-            first.velocity + self.ratio * second.velocity,
-            first.acceleration + self.ratio * second.acceleration,
-        )
-        effort = self.of_motor(motor)
+        effort = self.of_motor(JointMotion(first.states + self.ratio * second.states))
         return effort, self.ratio * effort
 
     def constants(self, found: object, unsure: float, usual_load: float) -> list[tuple[float, float]]:  # noqa: ARG002

@@ -90,29 +90,39 @@ def joint_of(place: Place) -> int:
 
 @dataclass(frozen=True, eq=False)
 class JointMotion:
-    """One joint's motion, each ``(...)``, in rad, rad/s, rad/s^2 (or m, m/s, m/s^2); and what effects remember of the
-    motion before, by the effect, where that is known."""
+    """One joint's motion: its position, velocity and acceleration ``(3, ...)`` in rad, rad/s, rad/s^2 (or m, m/s,
+    m/s^2); and what effects remember of the motion before, by the effect, where that is known."""
 
-    position: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-    past: Mapping[Any, FloatArray] = field(default_factory=dict, kw_only=True)
+    states: FloatArray
+    past: Mapping[Any, FloatArray] = field(default_factory=dict)
+
+    @property
+    def position(self) -> FloatArray:
+        """``(...)`` [rad or m]."""
+        return np.asarray(self.states[0])
+
+    @property
+    def velocity(self) -> FloatArray:
+        """``(...)`` [rad/s or m/s]."""
+        return np.asarray(self.states[1])
+
+    @property
+    def acceleration(self) -> FloatArray:
+        """``(...)`` [rad/s^2 or m/s^2]."""
+        return np.asarray(self.states[2])
 
 
 class Motion(JointMotion):
-    """All J joints' motion, each ``(..., J)``: that of one joint, for all at once."""
+    """All J joints' motion ``(3, ..., J)``: that of one joint, for all at once."""
 
     def of(self, joint: int | IntArray) -> JointMotion:
         """The motion of one joint, or of several, ``(..., n)``."""
-        past = {effect: state[..., joint] for effect, state in self.past.items()}
-        return JointMotion(
-            self.position[..., joint], self.velocity[..., joint], self.acceleration[..., joint], past=past
-        )
+        return JointMotion(self.states[..., joint], {effect: state[..., joint] for effect, state in self.past.items()})
 
     @property
     def joints(self) -> int:
         """J."""
-        return int(self.position.shape[-1])
+        return int(self.states.shape[-1])
 
 
 OfLoad: TypeAlias = Callable[[FloatArray, float], FloatArray]

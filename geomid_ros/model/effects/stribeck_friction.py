@@ -21,7 +21,7 @@ _LARGEST_EXCESS = 4.0  # of the friction of a fast joint
 def dry_friction(beside: Mapping[Effect, float]) -> FloatArray:
     """What the effects at a joint that level off, with their coefficients, add up to over a range of speeds."""
     still = np.zeros(len(_CURVE))
-    motion = JointMotion(still, _CURVE, still)
+    motion = JointMotion(np.array([still, _CURVE, still]))
     dry = [c * e.column(motion) for e, c in beside.items() if isinstance(e, JointEffect) and e.levels_off]
     return np.asarray(np.sum([still, *dry], axis=0))
 
