@@ -88,28 +88,36 @@ class Stream:
                 count_reason(self.refused, _PART if part else reason or NO_STAMP)
             stamps, numbers = block.stamps[good], numbers[good]
             if len(stamps):
-                rows = zip(stamps.tolist(), numbers, strict=True)
-                motion = np.stack([self._motion(model, *row) for row in rows], axis=1)
+                motion = self._motion(model, stamps, numbers)
                 yield Predicted(model.joints, stamps, motion, model.dynamics(motion) / model.gains)
 
-    def _motion(self, model: _Model, stamp: int, numbers: FloatArray) -> FloatArray:
-        """Position, velocity and acceleration ``(3, joints)`` of a message."""
-        before, last = self._last
-        step = 1e-9 * (stamp - before)
-        position, velocity = numbers[:2]
-        if last.shape[1] != len(position) or abs(step) >= model.memory:
-            motion = np.array([position, np.nan_to_num(velocity), np.zeros_like(position)])
-        elif step <= 0.0:  # a stamp twice, or two messages in the wrong order, say nothing about accelerations
-            return np.array([position, np.where(np.isnan(velocity), last[1], velocity), last[2]])
-        else:
-            way = np.where(
-                model.turning, np.remainder(position - last[0] + np.pi, 2.0 * np.pi) - np.pi, position - last[0]
-            )
-            velocity = np.where(np.isnan(velocity), way / step, velocity)
-            share = -np.expm1(-step / model.time_constant)
-            motion = np.array([position, velocity, last[2] + share * ((velocity - last[1]) / step - last[2])])
-        self._last = stamp, motion
-        return motion
+    def _motion(self, model: _Model, stamps: IntArray, numbers: FloatArray) -> FloatArray:
+        """Positions, velocities and accelerations ``(3, N, joints)`` of messages."""
+        begin, last = self._last
+        if last.shape[1] != numbers.shape[2]:
+            begin, last = -model.memory, np.zeros((3, numbers.shape[2]))
+        every, latest = [begin, *stamps.tolist()], [0]
+        for place, stamp in enumerate(every[1:], 1):
+            step = stamp - every[latest[-1]]
+            # A stamp twice, or two messages in the wrong order, say nothing about accelerations.
+            latest.append(latest[-1] if -model.memory < step <= 0 else place)
+        before, held = latest[:-1], np.diff(latest)[:, None] == 0
+        steps = stamps[:, None] - np.array(every)[before, None]
+        seconds = np.where(held | (np.abs(steps) >= model.memory), np.inf, 1e-9 * steps)
+        motion = np.empty((3, len(every), last.shape[1]))
+        motion[:, 0], motion[:2, 1:] = last, numbers[:, :2].transpose(1, 0, 2)
+        position, velocity, acceleration = motion
+        way = position[1:] - position[before]
+        way = np.where(model.turning, np.remainder(way + np.pi, 2.0 * np.pi) - np.pi, way)
+        unknown = np.isnan(velocity[1:])
+        velocity[1:][unknown] = (way / seconds)[unknown]
+        velocity[1:] = np.where(held & unknown, velocity[before], velocity[1:])
+        kept = np.where(held, 1.0, np.exp(-seconds / model.time_constant))
+        added = (1.0 - kept) * (velocity[1:] - velocity[before]) / seconds
+        for place, (share, more) in enumerate(zip(kept, added, strict=True)):
+            acceleration[place + 1] = share * acceleration[place] + more
+        self._last = every[latest[-1]], motion[:, latest[-1]]
+        return motion[:, 1:]
 
 
 def _obstacle(session: Session) -> str:
@@ -126,7 +134,7 @@ def _obstacle(session: Session) -> str:
 @dataclass(frozen=True, eq=False)
 class _Model:
     """What a session and its estimate say: inverse ``dynamics``, ``gains (joints,)`` of efforts, which joints are
-    ``turning`` without end; the low-pass's ``time_constant`` [s], and its ``memory`` [s], after which it begins
+    ``turning`` without end; the low-pass's ``time_constant`` [s], and its ``memory`` [ns], after which it begins
     anew; whether a message ``merges`` with others that have other joints."""
 
     joints: tuple[str, ...]
@@ -136,7 +144,7 @@ class _Model:
     reader: JointReader
     merges: bool
     time_constant: float
-    memory: float
+    memory: int
 
     @staticmethod
     def of(session: Session, estimate: Estimate) -> _Model:
@@ -151,5 +159,5 @@ class _Model:
             reader=JointReader(robot.joint_names, gains, turning, settings.max_gap_ns, ignore),
             merges=session.configuration["merge_joint_states"],
             time_constant=1.0 / (np.pi * settings.samples_per_cutoff_period * settings.cutoff),
-            memory=1e-9 * settings.max_gap_ns,
+            memory=settings.max_gap_ns,
         )
