@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import accumulate
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -40,6 +39,10 @@ class JointColumn:
         """Its values ``(N, J)``."""
         return self.function.column(motion)
 
+    def reached(self, joints: int) -> tuple[int, ...]:
+        """The joints where it can be other than zero: all."""
+        return tuple(range(joints))
+
 
 @dataclass(frozen=True)
 class PlacedColumn:
@@ -51,6 +54,10 @@ class PlacedColumn:
     def values(self, motion: Motion) -> FloatArray:
         """Efforts ``(N, J)`` per unit of its coefficient."""
         return self.effect.efforts(motion, self.place)
+
+    def reached(self, joints: int) -> tuple[int, ...]:
+        """The joints where it can be other than zero."""
+        return reached_joints(self.place, joints)
 
 
 Column: TypeAlias = JointColumn | PlacedColumn
@@ -69,38 +76,34 @@ def reached_joints(place: Place, joints: int) -> tuple[int, ...]:
 @dataclass(frozen=True)
 class Entries:
     """The entries of columns ``(joints, K)`` that can be other than zero: those of the joints that a column reaches,
-    one column after the other. Of columns with effects of two joints they are half."""
+    one column after the other. Of columns with effects of two joints they are half; columns of one such effect, which
+    are computed at once, have the entries of all first joints before those of the second ones."""
 
     columns: tuple[Column, ...]
     joints: int
 
     def __len__(self) -> int:
-        return int(self._starts[-1])
+        return self._count
 
     def __contains__(self, column: Column) -> bool:
-        return column in self._place
-
-    @cached_property
-    def _place(self) -> Mapping[Column, int]:
-        return {column: index for index, column in enumerate(self.columns)}
+        return column in self._places
 
     def of(self, column: Column) -> tuple[slice, tuple[int, ...]]:
         """Where the entries of one of the columns are, and at which joints."""
-        place = self._place[column]
-        return slice(self._starts[place], self._starts[place + 1]), self._reached[place]
+        return self._places[column]
 
     def at(self, column: Column, joint: int) -> int:
         """The entry of one of the columns at a joint that it reaches."""
-        place = self._place[column]
-        return self._starts[place] + self._reached[place].index(joint)
+        own, joints = self._places[column]
+        return int(own.start + own.step * joints.index(joint))
 
     def values(self, motion: Motion) -> FloatArray:
         """``(N, entries)`` for a motion, each ``(N, joints)``."""
         values = np.empty((len(motion.position), len(self)))
-        for column, entries, joints in self._alone:
-            values[:, entries] = column.values(motion)[:, joints]
-        for effect, (start, first, second) in self._pairs.items():
-            values[:, start], values[:, start + 1] = effect.columns(motion.of(first), motion.of(second))
+        for column, own, joints in self._alone:
+            values[:, own] = column.values(motion)[:, joints]
+        for effect, own, of_second, first, second in self._pairs:
+            values[:, own], values[:, of_second] = effect.columns(motion.of(first), motion.of(second))
         return values
 
     @cached_property
@@ -115,31 +118,48 @@ class Entries:
         return Entries(tuple(c for c in self.columns if isinstance(c, JointColumn)), self.joints)
 
     @cached_property
-    def _reached(self) -> list[tuple[int, ...]]:
-        return [
-            reached_joints(column.place, self.joints) if isinstance(column, PlacedColumn) else tuple(range(self.joints))
-            for column in self.columns
-        ]
+    def _together(self) -> dict[PairEffect | Column, list[Column]]:
+        """The columns, those of an effect of two joints together."""
+        found: dict[PairEffect | Column, list[Column]] = {}
+        for column in self.columns:
+            match column:
+                case PlacedColumn(PairEffect() as effect):
+                    found.setdefault(effect, []).append(column)
+                case _:
+                    found[column] = [column]
+        return found
 
     @cached_property
-    def _starts(self) -> list[int]:
-        return list(accumulate(map(len, self._reached), initial=0))
+    def _places(self) -> Mapping[Column, tuple[slice, tuple[int, ...]]]:
+        places, begin = dict[Column, tuple[slice, tuple[int, ...]]](), 0
+        for several in self._together.values():
+            reached = [column.reached(self.joints) for column in several]
+            end = begin + sum(map(len, reached))
+            for place, (column, joints) in enumerate(zip(several, reached, strict=True), begin):
+                places[column] = slice(place, end, len(several)), joints
+            begin = end
+        return places
 
     @cached_property
-    def _pairs(self) -> dict[PairEffect, IntArray]:
-        """Of each effect of two joints ``(3, columns)``: the first of the two entries of each column, and the two
-        joints; all are computed at once."""
-        found: dict[PairEffect, list[tuple[int, ...]]] = {}
-        for start, reached, column in zip(self._starts, self._reached, self.columns, strict=False):
-            if isinstance(column, PlacedColumn) and isinstance(column.effect, PairEffect):
-                found.setdefault(column.effect, []).append((start, *reached))
-        return {effect: np.array(own).T for effect, own in found.items()}
+    def _count(self) -> int:
+        return sum(len(joints) for _, joints in self._places.values())
+
+    @cached_property
+    def _pairs(self) -> list[tuple[PairEffect, slice, slice, IntArray, IntArray]]:
+        """Of each effect of two joints the entries of the first joints and of the second ones, and these."""
+        found = []
+        for effect, several in self._together.items():
+            if isinstance(effect, PairEffect):
+                begin, end = self._places[several[0]][0].start, self._places[several[-1]][0].stop
+                middle = begin + len(several)
+                first, second = np.array([column.reached(self.joints) for column in several]).T
+                found.append((effect, slice(begin, middle), slice(middle, end), first, second))
+        return found
 
     @cached_property
     def _alone(self) -> list[tuple[Column, slice, slice | list[int]]]:
         """The other columns, where the entries of each are, and at which joints: a slice if that is at all of them."""
-        alone = [c for c in self.columns if not (isinstance(c, PlacedColumn) and c.effect in self._pairs)]
-        places = [(column, *self.of(column)) for column in alone]
+        places = [(c, *self._places[c]) for c in self._together if not isinstance(c, PairEffect)]
         return [(c, own, slice(None) if len(joints) == self.joints else [*joints]) for c, own, joints in places]
 
 
