@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from itertools import accumulate, pairwise
+from operator import attrgetter
 from typing import Any
 
 from geometry_msgs.msg import WrenchStamped
@@ -183,26 +186,27 @@ class Inputs:
         """The data that wait on all topics, serialised, as they are decoded many at once, in the order in which they
         came. Those of a topic with more publishers than it may have are dropped."""
         messages = [message for entry in self._inputs if entry.kind for message in self._waiting(entry)]
-        return sorted(messages, key=lambda message: message.time)
+        return sorted(messages, key=attrgetter("time"))
 
     def _waiting(self, entry: _Input) -> list[Received]:
-        messages: list[Received] = []
+        taken: list[tuple[bytes, dict[str, int]]] = []
         # Not the node's count, which would copy the graph.
         ambiguous = not entry.several and entry.subscription.get_publisher_count() > 1
-        now, wall_clock, came = time.perf_counter(), time.time(), 0.0
-        handle = entry.subscription.handle
+        now, wall_clock, handle = time.perf_counter(), time.time(), entry.subscription.handle
         with handle:
-            while len(messages) < MOST_AT_ONCE and (taken := handle.take_message(entry.kind, True)):
-                data, info = taken
-                self._count_missing(entry, None if ambiguous else info["publication_sequence_number"])
-                waited = wall_clock - 1e-9 * info["received_timestamp"] if info["received_timestamp"] else 0.0
-                came = max(came, now - max(0.0, waited))  # in the order of the topic, though the wall clock is set
-                messages.append(Received(entry.name, data, came))
-        if ambiguous:
-            for message in messages:
-                self._ledger.drop(message.topic, "several publishers")
+            while len(taken) < MOST_AT_ONCE and (message := handle.take_message(entry.kind, True)):
+                taken.append(message)
+        if not taken:
             return []
-        return messages
+        self._count_missing(entry, [] if ambiguous else [info["publication_sequence_number"] for _, info in taken])
+        if ambiguous:
+            self._ledger.drop(entry.name, "several publishers", len(taken))
+            return []
+        # Where it is not known when a message came, it has not waited.
+        waited = (wall_clock - 1e-9 * (info["received_timestamp"] or math.inf) for _, info in taken)
+        # In the order of the topic, though the wall clock is set.
+        times = accumulate((now - max(0.0, seconds) for seconds in waited), max)
+        return [Received(entry.name, data, came) for (data, _), came in zip(taken, times, strict=True)]
 
     def _subscribe(
         self, kind: type, name: str, callback: Callable[..., None], qos: QoSProfile, polled: _Polled | None = None
@@ -228,16 +232,17 @@ class Inputs:
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise InputError(f"parameters: topic '{name}': its qos_overrides cannot be used ({reason})") from error
 
-    def _count_missing(self, entry: _Input, number: int | None) -> None:
-        """Count the messages as lost that one publisher sent between its last one and the one with this ``number``.
+    def _count_missing(self, entry: _Input, numbers: list[int]) -> None:
+        """Count the messages as lost that one publisher sent between its last one and those with these ``numbers``.
 
-        With several publishers nobody can tell whose number it is.
+        With several publishers nobody can tell whose numbers they are.
         """
         before = self._numbers.pop(entry.name, None)
-        if number is not None and not entry.several:
-            self._numbers[entry.name] = number
-            if before is not None and number > before + 1:
-                self._ledger.lose(entry.name, number - before - 1)
+        if numbers and not entry.several:
+            self._numbers[entry.name] = numbers[-1]
+            every = numbers if before is None else [before, *numbers]
+            if missing := sum(max(0, after - number - 1) for number, after in pairwise(every)):
+                self._ledger.lose(entry.name, missing)
 
     def _on_lost(self, name: str, event: Any) -> None:
         # Numbers tell more: messages that overrun the subscription's depth make no event.

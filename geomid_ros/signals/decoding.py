@@ -117,9 +117,10 @@ class Decoder:
             else:
                 layout = layouts.popleft()
                 same = layout.matches(data)
+                if same.all():
+                    return [*blocks, layout.block(data, left)]
                 if same.any():
-                    whole = bool(same.all())
-                    blocks.append(layout.block(data if whole else data[same], left if whole else left[same]))
+                    blocks.append(layout.block(data[same], left[same]))
                     data, left = data[~same], left[~same]
         return blocks
 
