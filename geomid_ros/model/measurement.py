@@ -208,7 +208,7 @@ class MeasurementModel:
     def _replaced(self, **changes: Any) -> MeasurementModel:
         """A copy with these attributes, and anew what depends on them."""
         model = copy(self)
-        for cached in ("_of_motion", "usual_shapes"):
+        for cached in ("_of_motion", "_of_loads", "_of_sensors", "usual_shapes"):
             vars(model).pop(cached, None)
         vars(model).update(changes)
         model._number()  # noqa: SLF001 its own
@@ -372,21 +372,15 @@ class MeasurementModel:
         coefficients[:, :, :first] = bodies[:, :, self.identified].reshape(*targets.shape, first)
         for index in set(range(len(self.robot.bodies))).difference(self.identified):
             targets -= bodies[:, :, index] @ self.robot.bodies[index].parameters
-        bears = any(isinstance(coefficient.effect, LoadEffect) for coefficient in self.coefficients)
-        loads = self._loads(samples, bodies) if bears else targets
         entries, channels, parameters, places = self._of_motion
         coefficients[:, channels, parameters] = samples.values_of(entries)[:, places]
-        sensed: dict[tuple[SensorEffect, Place], FloatArray] = {}
-        for column, coefficient in enumerate(self.coefficients, first):
-            effect, place = coefficient.effect, coefficient.place
-            if isinstance(effect, LoadEffect):
-                joint = joint_of(place)
-                values = effect.column(loads[:, joint], samples.column(SIGN)[:, joint])
-                coefficients[:, joint, column] = values
-            elif isinstance(effect, SensorEffect):
-                if (effect, place) not in sensed:
-                    sensed[effect, place] = self._sensed(samples, effect, place)
-                coefficients[:, self._reached(place), column] = sensed[effect, place][:, :, coefficient.index]
+        if self._of_loads:
+            loads, signs = self._loads(samples, bodies), samples.column(SIGN)
+            for load, (joints, parameters) in self._of_loads.items():
+                coefficients[:, joints, parameters] = load.column(loads[:, joints], signs[:, joints])
+        for (effect, place), (parameters, indices) in self._of_sensors.items():
+            axes = np.array(self._reached(place))[:, None]
+            coefficients[:, axes, parameters] = self._sensed(samples, effect, place)[:, :, indices]
         return coefficients, targets
 
     def _loads(self, samples: Samples, bodies: FloatArray) -> FloatArray:
@@ -417,6 +411,24 @@ class MeasurementModel:
         ]
         channels, parameters, places = np.array(found, dtype=np.int64).reshape(-1, 3).T
         return entries, channels, parameters, places
+
+    @cached_property
+    def _of_loads(self) -> dict[LoadEffect, IntArray]:
+        """Of each effect of loads the joints and the parameters ``(2, n)``."""
+        found: dict[LoadEffect, list[tuple[int, int]]] = {}
+        for parameter, c in enumerate(self.coefficients, 10 * len(self.identified)):
+            if isinstance(c.effect, LoadEffect):
+                found.setdefault(c.effect, []).append((joint_of(c.place), parameter))
+        return {effect: np.array(own).T for effect, own in found.items()}
+
+    @cached_property
+    def _of_sensors(self) -> dict[tuple[SensorEffect, Place], IntArray]:
+        """Of each effect at a sensor the parameters, and the coefficients by their indices ``(2, n)``."""
+        found: dict[tuple[SensorEffect, Place], list[tuple[int, int]]] = {}
+        for parameter, c in enumerate(self.coefficients, 10 * len(self.identified)):
+            if isinstance(c.effect, SensorEffect):
+                found.setdefault((c.effect, c.place), []).append((parameter, c.index))
+        return {key: np.array(own).T for key, own in found.items()}
 
     def columns_of(
         self, samples: Samples, effect: MotionEffect | SensorEffect, place: Place, index: int
