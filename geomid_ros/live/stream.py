@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -96,26 +97,27 @@ class Stream:
         begin, last = self._last
         if last.shape[1] != numbers.shape[2]:
             begin, last = -model.memory, np.zeros((3, numbers.shape[2]))
-        every, latest = [begin, *stamps.tolist()], [0]
+        every, latest, seconds, kept = [begin, *stamps.tolist()], [0], [], []
         for place, stamp in enumerate(every[1:], 1):
             step = stamp - every[latest[-1]]
             # A stamp twice, or two messages in the wrong order, say nothing about accelerations.
-            latest.append(latest[-1] if -model.memory < step <= 0 else place)
-        before, held = latest[:-1], np.diff(latest)[:, None] == 0
-        steps = stamps[:, None] - np.array(every)[before, None]
-        seconds = np.where(held | (np.abs(steps) >= model.memory), np.inf, 1e-9 * steps)
+            held, goes_on = -model.memory < step <= 0, 0 < step < model.memory
+            latest.append(latest[-1] if held else place)
+            seconds.append(1e-9 * step if goes_on else math.inf)
+            kept.append(1.0 if held else math.exp(-seconds[-1] / model.time_constant))
+        before, steps, shares = latest[:-1], np.array(seconds)[:, None], np.array(kept)[:, None]
         motion = np.empty((3, len(every), last.shape[1]))
         motion[:, 0], motion[:2, 1:] = last, numbers[:, :2].transpose(1, 0, 2)
         position, velocity, acceleration = motion
-        way = position[1:] - position[before]
-        way = np.where(model.turning, np.remainder(way + np.pi, 2.0 * np.pi) - np.pi, way)
-        unknown = np.isnan(velocity[1:])
-        velocity[1:][unknown] = (way / seconds)[unknown]
-        velocity[1:] = np.where(held & unknown, velocity[before], velocity[1:])
-        kept = np.where(held, 1.0, np.exp(-seconds / model.time_constant))
-        added = (1.0 - kept) * (velocity[1:] - velocity[before]) / seconds
-        for place, (share, more) in enumerate(zip(kept, added, strict=True)):
-            acceleration[place + 1] = share * acceleration[place] + more
+        unknown = np.isnan(velocity)
+        if unknown.any():
+            way = position[1:] - position[before]
+            way = np.where(model.turning, np.remainder(way + np.pi, 2.0 * np.pi) - np.pi, way)
+            velocity[1:] = np.where(unknown[1:], way / steps, velocity[1:])
+            velocity[unknown] = velocity[latest][unknown]
+        added = (1.0 - shares) * (velocity[1:] - velocity[before]) / steps
+        for place, more in enumerate(added):
+            acceleration[place + 1] = kept[place] * acceleration[place] + more
         self._last = every[latest[-1]], motion[:, latest[-1]]
         return motion[:, 1:]
 

@@ -137,6 +137,7 @@ class Inputs:
         self._ledger = ledger
         self._inputs: list[_Input] = []
         self._numbers: dict[str, int] = {}  # of the last messages, as the publishers count them
+        self._latest: dict[str, float] = {}  # when the last messages came
         self._policies: dict[str, str] = {}  # in which publishers were last incompatible
 
     def listen(self, kind: type, name: str, several: bool = False) -> None:
@@ -182,10 +183,11 @@ class Inputs:
         self._numbers.clear()  # what is sent meanwhile is not lost
         self._policies.clear()
 
-    def waiting(self) -> list[Received]:
-        """The data that wait on all topics, serialised, as they are decoded many at once, in the order in which they
-        came. Those of a topic with more publishers than it may have are dropped."""
-        messages = [message for entry in self._inputs if entry.kind for message in self._waiting(entry)]
+    def waiting(self, topic: str | None = None) -> list[Received]:
+        """The data that wait on all topics, or on one, serialised, as they are decoded many at once, in the order in
+        which they came. Those of a topic with more publishers than it may have are dropped."""
+        entries = [entry for entry in self._inputs if entry.kind and topic in (None, entry.name)]
+        messages = [message for entry in entries for message in self._waiting(entry)]
         return sorted(messages, key=attrgetter("time"))
 
     def _waiting(self, entry: _Input) -> list[Received]:
@@ -205,7 +207,9 @@ class Inputs:
         # Where it is not known when a message came, it has not waited.
         waited = (wall_clock - 1e-9 * (info["received_timestamp"] or math.inf) for _, info in taken)
         # In the order of the topic, though the wall clock is set.
-        times = accumulate((now - max(0.0, seconds) for seconds in waited), max)
+        latest = self._latest.get(entry.name, 0.0)
+        times = [*accumulate((max(latest, now - max(0.0, seconds)) for seconds in waited), max)]
+        self._latest[entry.name] = times[-1]
         return [Received(entry.name, data, came) for (data, _), came in zip(taken, times, strict=True)]
 
     def _subscribe(

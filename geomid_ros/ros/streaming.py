@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from functools import cache
+from operator import attrgetter
 
 import numpy as np
 from rclpy.node import Node
@@ -18,7 +19,6 @@ from geomid_ros.monitoring.payload_watch import Carried
 from geomid_ros.ros.inputs import Inputs
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import JOINT_STATES
-from geomid_ros.types import AnyArray
 
 _PERIOD = 5e-3  # [s] between looks for messages: each costs as much as a message
 
@@ -56,7 +56,7 @@ class Streaming:
     def waiting(self) -> list[Received]:
         """All messages that nobody has taken yet."""
         messages, self._early = [*self._early, *self._inputs.waiting()], []
-        return messages
+        return sorted(messages, key=attrgetter("time"))
 
     def wait(self, seconds: float) -> None:
         """Let time pass, and predict what comes meanwhile. Raises what a prediction raises; then there are no more."""
@@ -69,10 +69,10 @@ class Streaming:
         time.sleep(max(0.0, end - time.monotonic()))
 
     def _predict(self) -> None:
-        messages = self._inputs.waiting()
+        messages = self._inputs.waiting(JOINT_STATES)
         self._early += messages
         try:
-            for predicted in self._stream.predict([m.data for m in messages if m.topic == JOINT_STATES]):
+            for predicted in self._stream.predict([message.data for message in messages]):
                 for data in serialised(predicted):
                     self._publisher.publish(data)
         except Exception:
@@ -89,21 +89,23 @@ class Streaming:
 
 
 @cache
-def _template(joints: tuple[str, ...]) -> AnyArray:
-    """The bytes of a message of these joints, whose numbers are zero."""
+def _template(joints: tuple[str, ...]) -> tuple[bytes, np.dtype[np.void]]:
+    """A message of these joints whose numbers are zero, and where these are."""
     zeros = [0.0] * len(joints)
     data = serialize_message(JointState(name=joints, position=zeros, velocity=zeros, effort=zeros))
-    return np.frombuffer(data, np.uint8)
+    numbers, count = ("<f8", (len(joints),)), "V8"  # an array's length stands before it, and is aligned
+    begin = f"V{len(data) - 12 - 3 * 8 * len(joints) - 2 * 8}"  # with names
+    stamp = [("", "V4"), ("seconds", "<u4"), ("nanoseconds", "<u4"), ("", begin)]
+    return data, np.dtype(
+        [*stamp, ("position", numbers), ("", count), ("velocity", numbers), ("", count), ("effort", numbers)]
+    )
 
 
 def serialised(predicted: Predicted) -> Iterator[bytes]:
     """The messages (CDR). To make and to serialise them one by one takes several times as long."""
-    count, size = predicted.efforts.shape
-    data = np.tile(_template(predicted.joints), (count, 1))
-    stamps = np.stack(np.divmod(predicted.stamps, 10**9), axis=1)
-    data[:, 4:12] = stamps.astype("<u4", order="C").view(np.uint8)
-    end = data.shape[1]
-    for numbers in (predicted.efforts, predicted.motion[1], predicted.motion[0]):
-        data[:, end - 8 * size : end] = numbers.astype("<f8", order="C").view(np.uint8)
-        end -= 8 * size + 8  # the array's length stands before it, and is aligned
-    return (row.tobytes() for row in data)
+    data, form = _template(predicted.joints)
+    messages = np.frombuffer(bytearray(data * len(predicted.stamps)), form)
+    messages["seconds"], messages["nanoseconds"] = np.divmod(predicted.stamps, 10**9)
+    messages["position"], messages["velocity"] = predicted.motion[:2]
+    messages["effort"] = predicted.efforts
+    return (message.tobytes() for message in messages)

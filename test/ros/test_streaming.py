@@ -44,7 +44,7 @@ class Listened:
         inputs: Any = SimpleNamespace(waiting=self._take)
         self.streaming = Streaming(node, inputs, self.logged.append)
 
-    def _take(self) -> list[Received]:
+    def _take(self, _: str) -> list[Received]:
         taken, self.waiting = self.waiting, []
         return taken
 

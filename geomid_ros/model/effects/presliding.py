@@ -66,11 +66,12 @@ class Presliding(JointEffect):
     def column(self, motion: JointMotion) -> FloatArray:
         way = np.tanh(motion.velocity / SMOOTHINGS[0])
         bent = motion.past.get(self)
-        return np.asarray((way * self._bent(motion) if bent is None else bent) - way)
+        return np.asarray(-2.0 * way * self._left(motion) if bent is None else bent - way)
 
-    def _bent(self, motion: JointMotion) -> FloatArray:
-        """How far surfaces are bent the way that the joint moves, if it slid one way before."""
-        v, a = motion.velocity, motion.acceleration
-        with np.errstate(divide="ignore", invalid="ignore"):
-            slid = np.where(a * v > 0.0, v**2 / (2.0 * np.abs(a) * self.distance), np.inf)
-        return 1.0 - 2.0 * np.exp(-slid)
+    def _left(self, motion: JointMotion) -> FloatArray:
+        """The share of the way from one side to the other by which surfaces are still to be bent, if the joint slid one
+        way before."""
+        v, a, slid = motion.velocity, motion.acceleration, np.full(motion.velocity.shape, np.inf)
+        np.divide(v**2, 2.0 * self.distance * np.abs(a), out=slid, where=a * v > 0.0)
+        left: FloatArray = np.exp(-slid)
+        return left
