@@ -76,8 +76,8 @@ def reached_joints(place: Place, joints: int) -> tuple[int, ...]:
 @dataclass(frozen=True)
 class Entries:
     """The entries of columns ``(joints, K)`` that can be other than zero: those of the joints that a column reaches,
-    one column after the other. Of columns with effects of two joints they are half; columns of one such effect, which
-    are computed at once, have the entries of all first joints before those of the second ones."""
+    one column after the other. Of columns with effects of two joints they are half; those of one such effect, which are
+    computed at once, come last, the entries of all first joints before those of the second ones."""
 
     columns: tuple[Column, ...]
     joints: int
@@ -99,12 +99,10 @@ class Entries:
 
     def values(self, motion: Motion) -> FloatArray:
         """``(N, entries)`` for a motion, each ``(N, joints)``."""
-        values = np.empty((len(motion.position), len(self)))
-        for column, own, joints in self._alone:
-            values[:, own] = column.values(motion)[:, joints]
-        for effect, own, of_second, first, second in self._pairs:
-            values[:, own], values[:, of_second] = effect.columns(motion.of(first), motion.of(second))
-        return values
+        values = [column.values(motion)[:, joints] for column, joints in self._alone]
+        for effect, (first, second) in self._pairs:
+            values += effect.columns(motion.of(first), motion.of(second))
+        return np.concatenate([motion.position[:, :0], *values], axis=1)
 
     @cached_property
     def remembering(self) -> tuple[JointEffect, ...]:
@@ -118,16 +116,17 @@ class Entries:
         return Entries(tuple(c for c in self.columns if isinstance(c, JointColumn)), self.joints)
 
     @cached_property
-    def _together(self) -> dict[PairEffect | Column, list[Column]]:
-        """The columns, those of an effect of two joints together."""
-        found: dict[PairEffect | Column, list[Column]] = {}
+    def _together(self) -> Mapping[Column | PairEffect, list[Column]]:
+        """The columns, those of an effect of two joints together, after all others."""
+        alone: dict[Column | PairEffect, list[Column]] = {}
+        pairs: dict[Column | PairEffect, list[Column]] = {}
         for column in self.columns:
             match column:
                 case PlacedColumn(PairEffect() as effect):
-                    found.setdefault(effect, []).append(column)
+                    pairs.setdefault(effect, []).append(column)
                 case _:
-                    found[column] = [column]
-        return found
+                    alone[column] = [column]
+        return alone | pairs
 
     @cached_property
     def _places(self) -> Mapping[Column, tuple[slice, tuple[int, ...]]]:
@@ -145,22 +144,20 @@ class Entries:
         return sum(len(joints) for _, joints in self._places.values())
 
     @cached_property
-    def _pairs(self) -> list[tuple[PairEffect, slice, slice, IntArray, IntArray]]:
-        """Of each effect of two joints the entries of the first joints and of the second ones, and these."""
-        found = []
-        for effect, several in self._together.items():
-            if isinstance(effect, PairEffect):
-                begin, end = self._places[several[0]][0].start, self._places[several[-1]][0].stop
-                middle = begin + len(several)
-                first, second = np.array([column.reached(self.joints) for column in several]).T
-                found.append((effect, slice(begin, middle), slice(middle, end), first, second))
-        return found
+    def _pairs(self) -> list[tuple[PairEffect, IntArray]]:
+        """Each effect of two joints, and these ``(2, columns)``."""
+        return [
+            (effect, np.array([column.reached(self.joints) for column in several]).T)
+            for effect, several in self._together.items()
+            if isinstance(effect, PairEffect)
+        ]
 
     @cached_property
-    def _alone(self) -> list[tuple[Column, slice, slice | list[int]]]:
-        """The other columns, where the entries of each are, and at which joints: a slice if that is at all of them."""
-        places = [(c, *self._places[c]) for c in self._together if not isinstance(c, PairEffect)]
-        return [(c, own, slice(None) if len(joints) == self.joints else [*joints]) for c, own, joints in places]
+    def _alone(self) -> list[tuple[Column, slice | list[int]]]:
+        """The other columns, and the joints that each reaches: a slice if these are all."""
+        alone = [column for column in self._together if not isinstance(column, PairEffect)]
+        reached = [[*column.reached(self.joints)] for column in alone]
+        return [(c, slice(None) if len(own) == self.joints else own) for c, own in zip(alone, reached, strict=True)]
 
 
 NO_ENTRIES = Entries((), 0)

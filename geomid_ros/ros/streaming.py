@@ -69,12 +69,13 @@ class Streaming:
         time.sleep(max(0.0, end - time.monotonic()))
 
     def _predict(self) -> None:
-        messages = self._inputs.waiting(JOINT_STATES)
+        messages, handle = self._inputs.waiting(JOINT_STATES), self._publisher.handle
         self._early += messages
         try:
             for predicted in self._stream.predict([message.data for message in messages]):
-                for data in serialised(predicted):
-                    self._publisher.publish(data)
+                with handle:
+                    for data in serialised(predicted):
+                        handle.publish_raw(data)
         except Exception:
             self.forget()
             raise
