@@ -117,7 +117,8 @@ class Motion(JointMotion):
 
     def of(self, joint: int | IntArray) -> JointMotion:
         """The motion of one joint, or of several, ``(..., n)``."""
-        return JointMotion(self.states[..., joint], {effect: state[..., joint] for effect, state in self.past.items()})
+        past = {effect: state.take(joint, axis=-1) for effect, state in self.past.items()}
+        return JointMotion(self.states.take(joint, axis=-1), past)
 
     @property
     def joints(self) -> int:
