@@ -16,6 +16,8 @@ from geomid_ros.live.stream import Stream
 from geomid_ros.model.dynamics import InverseDynamics
 from geomid_ros.model.samples import samples_of
 from geomid_ros.monitoring.payload_watch import Carried
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
 JOINTS = ("joint1", "joint2", "joint3")
@@ -36,20 +38,27 @@ def exact() -> FloatArray:
 
 
 def messages(names: tuple[str, ...] = JOINTS, velocities: bool = True, first: float = TIMES[0]) -> list[bytes]:
-    kinds, (position, velocity, _) = TYPES.types, exact()
-    order, found = [JOINTS.index(name) for name in names if name in JOINTS], []
-    for row, time in enumerate(TIMES - TIMES[0] + first):
-        seconds, nanoseconds = divmod(round(1e9 * time), 10**9)
-        stamp = kinds["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
-        message = kinds["sensor_msgs/msg/JointState"](
-            header=kinds["std_msgs/msg/Header"](stamp=stamp, frame_id=""),
-            name=list(names),
-            position=position[row, order],
-            velocity=velocity[row, order] if velocities else np.zeros(0),
-            effort=np.zeros(len(order)),
-        )
-        found.append(bytes(TYPES.serialize_cdr(message, "sensor_msgs/msg/JointState")))
-    return found
+    position, velocity, _ = exact()
+    order = [JOINTS.index(name) for name in names if name in JOINTS]
+    return [
+        message(round(1e9 * time), names, position[row, order], velocity[row, order] if velocities else np.zeros(0))
+        for row, time in enumerate(TIMES - TIMES[0] + first)
+    ]
+
+
+def message(stamp: int, names: tuple[str, ...], position: FloatArray, velocity: FloatArray) -> bytes:
+    """A message (CDR) at a ``stamp`` [ns], without efforts."""
+    kinds, (seconds, nanoseconds) = TYPES.types, divmod(stamp, 10**9)
+    own = kinds["sensor_msgs/msg/JointState"](
+        header=kinds["std_msgs/msg/Header"](
+            stamp=kinds["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds), frame_id=""
+        ),
+        name=list(names),
+        position=position,
+        velocity=velocity,
+        effort=np.zeros(len(position)),
+    )
+    return bytes(TYPES.serialize_cdr(own, "sensor_msgs/msg/JointState"))
 
 
 @pytest.mark.parametrize("together", [1, 7])
@@ -113,6 +122,88 @@ def test_what_is_carried_is_predicted_until_it_is_put_down(identification: Ident
         expected = session.model.predicted_efforts(samples_of(found[0].motion), parameters)
         np.testing.assert_allclose(found[0].efforts, expected, atol=1e-6)
         stream.carry(None)
+
+
+def spoiled(random: np.random.Generator) -> list[tuple[int, FloatArray, FloatArray]]:
+    """Stamps [ns], positions and velocities, some unknown, of a joint that turns around: stamps come twice, late, after
+    a pause, and from a clock that is set back."""
+    stamps = np.cumsum(random.integers(1, 4, 400)) * 1_000_000 + 5_000_000_000
+    stamps[150:] += 700_000_000
+    stamps[300:] -= 3_000_000_000
+    position = np.cumsum(random.normal(0.0, 0.2, (400, 3)), axis=0)
+    position[:, 1] = np.remainder(position[:, 1], 2.0 * np.pi)
+    velocity = random.normal(size=(400, 3))
+    velocity[random.uniform(size=velocity.shape) < 0.3] = np.nan
+    sent = list(zip(stamps.tolist(), position, velocity, strict=True))
+    for place in random.integers(5, 399, 60).tolist():
+        sent[place : place + 1] = [sent[place], sent[place - random.integers(0, 4)]]
+    return sent
+
+
+def one_by_one(
+    sent: list[tuple[int, FloatArray, FloatArray]], pause: int, time_constant: float, turning: int
+) -> FloatArray:
+    """Positions, velocities and accelerations ``(3, N, joints)`` by the definition, message by message."""
+    found: list[FloatArray] = []
+    latest, last = -pause, np.zeros((3, 3))
+    for stamp, position, measured in sent:
+        motion, step = np.array([position, measured, last[2]]), stamp - latest
+        unknown = np.isnan(measured)
+        if -pause < step <= 0:
+            motion[1, unknown] = last[1, unknown]
+            found.append(motion)
+            continue
+        if abs(step) >= pause:
+            motion[1, unknown], motion[2] = 0.0, 0.0
+        else:
+            moved = position - last[0]
+            moved[turning] -= 2.0 * np.pi * np.round(moved[turning] / (2.0 * np.pi))
+            motion[1, unknown] = (moved / (1e-9 * step))[unknown]
+            motion[2] += (1.0 - np.exp(-1e-9 * step / time_constant)) * (
+                (motion[1] - last[1]) / (1e-9 * step) - last[2]
+            )
+        latest, last = stamp, motion
+        found.append(motion)
+    return np.stack(found, axis=1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_each_message_follows_the_one_before_however_many_come_at_once(
+    seed: int, identification: Identification
+) -> None:
+    random, urdf = np.random.default_rng(seed), (BAGS / "arm3.urdf").read_text(encoding="utf-8")
+    endless = urdf.replace('<joint name="joint2" type="revolute">', '<joint name="joint2" type="continuous">')
+    session = Session(endless, identification.session.configuration, "endless")
+    sent, stream = spoiled(random), Stream()
+    estimate = replace(identification.estimate, parameters=session.model.nominal_parameters)
+    data = [message(stamp, JOINTS, position, velocity) for stamp, position, velocity in sent]
+    found, begin = list[FloatArray](), 0
+    while begin < len(data):
+        stream.use(session, estimate)  # a new estimate does not disturb the motion
+        end = begin + int(random.choice([1, 2, 5, 60]))
+        found += [predicted.motion for predicted in stream.predict(data[begin:end])]
+        begin = end
+    settings = session.signals
+    time_constant = 1.0 / (np.pi * settings.samples_per_cutoff_period * settings.cutoff)
+    expected = one_by_one(sent, settings.max_gap_ns, time_constant, 1)
+    assert 0.3e9 < settings.max_gap_ns < 3e9
+    scale = np.max(np.abs(expected), axis=(1, 2), keepdims=True)
+    np.testing.assert_allclose(np.concatenate(found, axis=1) / scale, expected / scale, atol=1e-12)
+
+
+def test_another_robot_begins_anew(identification: Identification) -> None:
+    urdf, sent = (BAGS / "arm3.urdf").read_text(encoding="utf-8"), messages()
+    locked = Session(urdf, Configuration({"locked_joints": ["joint2"]}), "locked")
+    estimate = replace(identification.estimate, parameters=locked.model.nominal_parameters)
+    streams = Stream(), Stream()
+    streams[0].use(identification.session, identification.estimate)
+    assert [*streams[0].predict(sent[:10])]
+    found = []
+    for stream in streams:
+        stream.use(locked, estimate)
+        found.append(np.concatenate([each.motion for each in stream.predict(sent[10:20])], axis=1))
+    assert found[0].shape == (3, 10, 2)
+    np.testing.assert_array_equal(*found)
 
 
 @pytest.mark.parametrize("velocities", [True, False])

@@ -14,7 +14,7 @@ from geomid_ros.live.inbox import Received
 from geomid_ros.live.stream import Predicted
 from geomid_ros.ros.inputs import Inputs
 from geomid_ros.ros.streaming import serialised
-from geomid_ros.signals.ledger import Ledger
+from geomid_ros.signals.ledger import Account, Ledger
 
 from .domains import free_domain
 from .observer import Observer, plenty
@@ -59,6 +59,56 @@ def test_data_of_several_topics_are_in_the_order_in_which_they_came() -> None:
         taken: list[Received] = []
         observer.wait_for(lambda: taken.extend(inputs.waiting()) or len(taken) == 2 * COUNT, "what waits")
         assert [message.topic for message in taken] == [TOPIC, "wrench"] * COUNT
+
+
+def test_a_topic_keeps_its_order_though_the_wall_clock_is_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To whoever was told to look at it alone, too."""
+    with free_domain() as domain, Observer(domain, lambda: 0.0) as observer:
+        inputs, real = Inputs(observer.node, Ledger()), time.time
+        inputs.listen(JointState, TOPIC)
+        inputs.listen(WrenchStamped, "wrench")
+        publisher = observer.node.create_publisher(JointState, TOPIC, plenty())
+        observer.wait_for(lambda: publisher.get_subscription_count() == 1, "the subscription")
+        taken: list[Received] = []
+        for set_by in (0.0, 1000.0, -1000.0):
+            monkeypatch.setattr(time, "time", lambda ahead=set_by: real() + ahead)
+            publisher.publish(JointState())
+            count = len(taken) + 1
+            observer.wait_for(lambda: taken.extend(inputs.waiting(TOPIC)) or len(taken) == count, "what waits")  # noqa: B023
+            assert inputs.waiting("wrench") == []
+        assert taken == sorted(taken, key=lambda message: message.time)
+        assert taken[-1].time <= time.perf_counter()
+
+
+def test_every_message_is_taken_lost_or_dropped() -> None:
+    """More than the queue holds, and one more publisher than there may be."""
+    with free_domain() as domain, Observer(domain, lambda: 0.0) as observer:
+        ledger = Ledger()
+        inputs = Inputs(observer.node, ledger)
+        inputs.listen(JointState, TOPIC)
+        publisher = observer.node.create_publisher(JointState, TOPIC, plenty())
+        observer.wait_for(lambda: publisher.get_subscription_count() == 1, "the subscription")
+        taken: list[Received] = []
+
+        def counted(sent: int) -> bool:
+            taken.extend(inputs.waiting())
+            account = ledger.topics.get(TOPIC, Account())
+            return len(taken) + account.lost + account.dropped.total() == sent
+
+        publisher.publish(JointState())
+        observer.wait_for(lambda: counted(1), "the first message")
+        for _ in range(1500):
+            publisher.publish(JointState())
+        observer.wait_for(lambda: counted(1501), "all messages")
+        assert ledger.topics[TOPIC].lost > 0
+        before = len(taken)
+        other = observer.node.create_publisher(JointState, TOPIC, plenty())
+        observer.wait_for(lambda: other.get_subscription_count() == 1, "the subscription")
+        for _ in range(3):
+            publisher.publish(JointState())
+        observer.wait_for(lambda: counted(1504), "what is dropped")
+        assert ledger.topics[TOPIC].dropped == {"several publishers": 3}
+        assert len(taken) == before
 
 
 @pytest.mark.parametrize("joints", [("a",), ("ab",), ("joint1", "j2", "joint_33"), tuple(f"j{n}" for n in range(30))])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from types import SimpleNamespace
 from typing import Any
 
@@ -26,6 +28,16 @@ HELD = {
 }
 
 
+class Handle(AbstractContextManager[None]):
+    """A publisher, as rclpy wraps it."""
+
+    def __init__(self, publish_raw: Callable[[bytes], None]) -> None:
+        self.publish_raw = publish_raw
+
+    def __exit__(self, *_: object) -> None:
+        """Nothing is to be done."""
+
+
 class Listened:
     """What a node's ``subscribers`` hear of its stream, and what it logs."""
 
@@ -36,7 +48,7 @@ class Listened:
         publisher = SimpleNamespace(
             topic_name="/geomid/streamed_joint_states",
             get_subscription_count=lambda: subscribers,
-            publish=self.streamed.append,
+            handle=Handle(self.streamed.append),
         )
         node: Any = SimpleNamespace(
             create_publisher=lambda *_: publisher,
@@ -44,8 +56,9 @@ class Listened:
         inputs: Any = SimpleNamespace(waiting=self._take)
         self.streaming = Streaming(node, inputs, self.logged.append)
 
-    def _take(self, _: str) -> list[Received]:
-        taken, self.waiting = self.waiting, []
+    def _take(self, topic: str | None = None) -> list[Received]:
+        taken = [message for message in self.waiting if topic in (None, message.topic)]
+        self.waiting = [message for message in self.waiting if message not in taken]
         return taken
 
     def hear(self, sent: list[bytes]) -> None:
@@ -54,6 +67,23 @@ class Listened:
         self.streaming.wait(0.02)
         while self.waiting and self.streaming._stream.ready:  # the machine is busy
             self.streaming.wait(0.02)
+
+
+def test_messages_that_were_predicted_are_taken_with_all_others_as_they_came(
+    identification: geomid_ros.Identification,
+) -> None:
+    listened = Listened()
+    listened.streaming.use(identification.session, identification.estimate)
+    wrenches = [Received("/wrench", b"", time) for time in (1.5, 2.5)]
+    states = [Received(JOINT_STATES, data, time) for time, data in enumerate(messages()[:3], 1)]
+    listened.waiting = [*wrenches, *states[:2]]
+    while states[1] in listened.waiting:
+        listened.streaming.wait(0.02)
+    assert len(listened.streamed) == 2
+    assert listened.waiting == wrenches
+    listened.waiting.append(states[2])
+    assert [message.time for message in listened.streaming.waiting()] == [1, 1.5, 2, 2.5, 3]
+    assert listened.streaming.waiting() == []
 
 
 def session(**parameters: Any) -> Session:
