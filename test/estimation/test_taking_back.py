@@ -100,7 +100,8 @@ def test_what_is_settled_stays() -> None:
     """Whether it was taken or left out by then."""
     of = case()
     identifier = add(begun(of, np.inf, COUNT), of.samples)
-    identifier.settle(100)
+    for before in (40, 99, 100):  # many, and one alone
+        identifier.settle(before)
     identifier.leave_out("bad", BAD, 0)
     identifier.settle(END)
     identifier.take_again("bad", 0)

@@ -191,6 +191,14 @@ def test_each_message_follows_the_one_before_however_many_come_at_once(
     np.testing.assert_allclose(np.concatenate(found, axis=1) / scale, expected / scale, atol=1e-12)
 
 
+def test_a_clock_may_begin_at_zero(identification: Identification) -> None:
+    """Of the first message no acceleration is known."""
+    stream = Stream()
+    stream.use(identification.session, identification.estimate)
+    first = next(stream.predict(messages(first=0.001)[:2]))
+    np.testing.assert_array_equal(first.motion[2, 0], 0.0)
+
+
 def test_another_robot_begins_anew(identification: Identification) -> None:
     urdf, sent = (BAGS / "arm3.urdf").read_text(encoding="utf-8"), messages()
     locked = Session(urdf, Configuration({"locked_joints": ["joint2"]}), "locked")

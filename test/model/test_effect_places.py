@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -105,12 +106,31 @@ def test_each_column_is_what_it_is_by_itself() -> None:
     carried = still(entries.values(MOTION), entries)
     for column in COLUMNS:
         np.testing.assert_array_equal(carried.column(column), column.values(MOTION))
+        for joint in column.reached(4):
+            entry = carried.effects[:, entries.at(column, joint)]
+            np.testing.assert_array_equal(entry, column.values(MOTION)[:, joint])
 
 
 def test_only_what_a_column_reaches_is_kept() -> None:
     entries = Entries(COLUMNS, 4)
     assert len(entries) == 2 + 4 + 4 + 2 + 2 + 2 + 1
     assert np.all(entries.values(MOTION))
+
+
+def test_efforts_of_several_effects_are_added() -> None:
+    """Two of one kind at one place, too; whether samples carry their columns or not."""
+    columns, motion = Entries(COLUMNS[1:4], 4), MOTION.states
+    moving = fixed_base(np.arange(7), *motion, np.zeros((7, 4)))
+    effects = [
+        (CoulombFriction(), AtJoint(2), 0.5),
+        (CoulombFriction(), AtJoint(2), 0.25),
+        (CoulombFriction(), AtJoint(0), -1.0),
+        (SupplySag(), OnRobot(), 2.0),
+        (CoupledViscousFriction(), AtJoints(2, 3), 3.0),
+    ]
+    expected = sum(value * effect.efforts(MOTION, place) for effect, place, value in effects)
+    for samples in (moving, replace(moving, effects=columns.values(MOTION), entries=columns)):
+        np.testing.assert_allclose(samples.efforts_of(effects), expected, atol=1e-12)
 
 
 def test_joints_change_places_in_the_columns_of_their_own_motion() -> None:
