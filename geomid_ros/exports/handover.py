@@ -170,7 +170,7 @@ _RECORD = (
     "so does the estimate: what was fitted does not carry over to this motion. Record more motion of this joint, in "
     "more poses of the others, and check that nothing was carried or touched meanwhile"
 )
-_ADD = "add these to what it predicts, or record more motion of this joint: they may be weights"
+_ADD = "add these to what it predicts, or record more motion, as they may be weights"
 _ADVICE = "choose another format (--for), or record more motion of this joint"
 
 
