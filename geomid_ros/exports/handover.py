@@ -130,30 +130,35 @@ class JudgedFile:
     def worse(self) -> list[str]:
         """Sentences on the channels that it predicts worse than the description that it is from, and so does all that
         was found."""
-        return [f"{said}; {_RECORD}" for name, said in self._worse if self.found[name] > WORSE * self.given[name]]
+        return [f"{said}; {_RECORD}" for name, said in self._worse if self._whatever_it_says(name)]
 
     @property
     def limited(self) -> list[str]:
-        """The same where all that was found predicts better: what the file cannot say is why."""
-        return [
-            f"{said}{self._why(name)}; {_ADVICE}"
-            for name, said in self._worse
-            if not self.found[name] > WORSE * self.given[name]
-        ]
+        """The same where all that was found predicts better: what the file cannot say is why, or that the errors of
+        sensors stand beside it."""
+        return [f"{said}{self._why(name)}" for name, said in self._worse if not self._whatever_it_says(name)]
 
     @property
     def _worse(self) -> Iterator[tuple[str, str]]:
         for name, own in self.alone.items():
-            if min(own, self.corrected[name]) > WORSE * self.given[name]:
+            if self._is_worse(name, own):
                 sentence = (
                     f"'{name}' is predicted worse by {self.name} than by the given description: RMS {own:.3g} "
                     f"instead of {self.given[name]:.3g}"
                 )
                 yield name, sentence
 
+    def _whatever_it_says(self, channel: str) -> bool:
+        return all(self._is_worse(channel, kind[channel]) for kind in (self.corrected, self.found))
+
+    def _is_worse(self, channel: str, left: float) -> bool:
+        return left > WORSE * self.given[channel]
+
     def _why(self, channel: str) -> str:
+        if not self._is_worse(channel, corrected := self.corrected[channel]):
+            return f", {corrected:.3g} with the errors of sensors in effects.yaml; {_ADD}"
         lacks = self.lacks.get(channel)
-        return f" (it cannot hold {'; '.join(lacks)})" if lacks else ""
+        return (f" (it cannot hold {'; '.join(lacks)})" if lacks else "") + f"; {_ADVICE}"
 
     @property
     def entry(self) -> dict[str, object]:
@@ -165,6 +170,7 @@ _RECORD = (
     "so does the estimate: what was fitted does not carry over to this motion. Record more motion of this joint, in "
     "more poses of the others, and check that nothing was carried or touched meanwhile"
 )
+_ADD = "add these to what it predicts, or record more motion, as they may be weights"
 _ADVICE = "choose another format (--for), or record more motion of this joint"
 
 

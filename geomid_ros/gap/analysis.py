@@ -168,14 +168,14 @@ def _searched(task: _Task, prior: NamesPrior, stage: str) -> Analysis:
     rows = np.where(design.counts > 0.0, design.counts, np.nan)
     lacking = np.array([lack.freedom for lack in names.remainders(design)])
     freedom = np.maximum(rows - names.parameters_by_channel(design) - lacking, 1.0) / rows
-    repeats = noise_by_repeats(task.model, task.records)
+    noise, _ = problem.told_floor(_root_mean_square(left, problem.valid) / np.sqrt(freedom))
     return Analysis(
         problem=problem,
         search=search,
         bare=search.fit([]),
         names=names,
         supports=supports,
-        floor=repeats.floor(_root_mean_square(left, problem.valid) / np.sqrt(freedom)),
+        floor=noise_by_repeats(task.model, task.records).floor(noise),
     )
 
 
@@ -226,8 +226,9 @@ def _last_round(task: _Task, prior: NamesPrior, stage: str) -> _Round:
         if attempt < _ROUNDS - 1:
             residual = problem.residual(rounds[-1].columns, found)
             residual -= problem.remainder(rounds[-1].search.design, found)
-            floor = _typical_size(residual, problem.valid)
-            noise = _noise(residual, problem.valid, task.records)
+            floor, told = problem.told_floor(_typical_size(residual, problem.valid))
+            pairs = zip(told.tolist(), _noise(residual, problem.valid, task.records), noise, strict=True)
+            noise = tuple(own if is_told else earlier for is_told, own, earlier in pairs)
     return rounds[-1]
 
 

@@ -27,7 +27,7 @@ class ChannelRows:
     remainder in their ``block (m,)``, which are ``scale (m,)`` times those given: a draw of a block with variance 1 has
     a mean square of 1; ``place`` of each term among the columns, and ``links (D,)`` of the inertial columns of all
     channels, -1 where they are absent; ``before``: what is left unsure of the features' coefficients by other
-    recordings, see :class:`Remainder`."""
+    recordings, see :class:`Remainder`, and what these ``expected (m,)``, which is taken off the target."""
 
     columns: FloatArray
     features: FloatArray
@@ -36,6 +36,7 @@ class ChannelRows:
     place: Mapping[Any, int]
     links: IntArray
     before: FloatArray | None = None
+    expected: FloatArray | None = None
 
     @staticmethod
     def of(
@@ -45,12 +46,21 @@ class ChannelRows:
         place: Mapping[Any, int],
         links: IntArray,
         before: FloatArray | None = None,
+        expected: FloatArray | None = None,
     ) -> ChannelRows:
         """With features of any scale."""
         sizes = np.bincount(block, np.sum(features**2, axis=0)) / max(len(columns), 1)
         scale = 1.0 / np.sqrt(np.maximum(sizes, _LEAST_SIZE))[block]
-        scaled = None if before is None else before / np.outer(scale, scale)
-        return ChannelRows(columns, features * scale, scale, block, place, links=links, before=scaled)
+        return ChannelRows(
+            columns,
+            features * scale,
+            scale,
+            block,
+            place,
+            links=links,
+            before=None if before is None else before / np.outer(scale, scale),
+            expected=None if expected is None else expected / scale,
+        )
 
     @property
     def count(self) -> int:
@@ -87,8 +97,9 @@ class ChannelRows:
 @dataclass(frozen=True, eq=False)
 class Lack:
     """What a channel's remainder is: ``coefficients (m,)`` of the features that were given, the share of the residual's
-    squares that each block ``explained (blocks,)``, its sum of squares (``power``), for how many parameters it counts
-    (``freedom``), and the ``triangle (m, m)`` of which ``T'T`` is the coefficients' covariance."""
+    squares that each block ``explained (blocks,)``, its sum of squares (``power``; beside other recordings what is new,
+    if that is less than all), for how many parameters it counts (``freedom``), and the ``triangle (m, m)`` of which
+    ``T'T`` is the coefficients' covariance."""
 
     coefficients: FloatArray
     triangle: FloatArray
@@ -239,7 +250,8 @@ class Design:
             own = np.where(channel.block[:, None] == np.arange(len(channel.remainder.usual)), mean[:, None], 0.0)
             explained = np.sum(own * (squared @ own), axis=0)
             freedom = float(np.sum((whitener @ squared) * whitener))
-            power = float(mean @ squared @ mean)
+            wholes = [mean] if channel.expected is None else [mean, mean + channel.expected]
+            power = min(float(whole @ squared @ whole) for whole in wholes)
             noise = max(square - float(white @ white), 0.0) / max(channel.count, 1)
             triangle = np.sqrt(noise) * channel.scale * whitener
             found.append(Lack(channel.scale * mean, triangle, explained / max(square, 1e-300), power, freedom))

@@ -140,6 +140,9 @@ def test_a_file_worse_than_what_it_is_from_says_so_with_the_channel() -> None:
     assert "cannot hold" not in sentence, "another format has the same"
     offsets = replace(judged_file(found=1.1), corrected={"a": 0.9, "b": 1.0})
     assert not offsets.worse, "an error of a sensor is no part of the robot"
+    (sentence,) = offsets.limited
+    assert "RMS 2 instead of 1, 0.9 with the errors of sensors in effects.yaml" in sentence
+    assert "another format" not in sentence, "no description holds them"
 
 
 def test_what_a_file_cannot_say_casts_no_doubt_on_a_result_that_predicts_better() -> None:

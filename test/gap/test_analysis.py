@@ -1,5 +1,6 @@
 """Rounds of search and linearisation: when they end, and what is noise in them."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -122,18 +123,22 @@ def test_the_first_noise_is_that_of_what_was_measured_however_many_columns_there
 
 
 class Rounds:
-    """Searches that do not settle: of each attempt what it was given, and the noise of what it left."""
+    """Searches that do not settle: of each attempt what it was given, and the noise of what it left by channel, of
+    which some are ``told``."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, told: Sequence[bool]) -> None:
         self.noises: list[Any] = []
         self.made = 0
-        monkeypatch.setattr(analysis, "_beginning", lambda *_: ("first", None))
+        monkeypatch.setattr(analysis, "_beginning", lambda *_: (("first",) * len(told), None))
         monkeypatch.setattr(analysis, "_round", self.round)
         monkeypatch.setattr(analysis, "_same", lambda *_: False)
         monkeypatch.setattr(analysis, "_noise", self.noise)
         monkeypatch.setattr(analysis, "_typical_size", lambda *_: None)
         monkeypatch.setattr(analysis, "total_model", lambda *_: None)
-        self.problem = SimpleNamespace(residual=lambda *_: 0.0, remainder=lambda *_: 0.0, valid=None)
+        self.problem = SimpleNamespace(
+            residual=lambda *_: 0.0, remainder=lambda *_: 0.0, valid=None, told_floor=lambda _: (None, np.array(told))
+        )
+        self.channels = len(told)
 
     def round(self, *given: Any, variances: object, attempt: int, settling: bool) -> Any:
         _, _, _, noise, before = given
@@ -146,19 +151,20 @@ class Rounds:
             columns=None, found=attempt, search=SimpleNamespace(design=SimpleNamespace(variances=attempt))
         )
 
-    def noise(self, *_: Any) -> int:
+    def noise(self, *_: Any) -> tuple[int, ...]:
         self.made += 1
-        return self.made
+        return (self.made,) * self.channels
 
 
 def test_what_does_not_settle_is_fitted_in_the_noise_of_the_last_search(monkeypatch: pytest.MonkeyPatch) -> None:
-    rounds = Rounds(monkeypatch)
+    """Of a channel whose rows are too few to tell it in the one before."""
+    rounds = Rounds(monkeypatch, told=(True, False))
     task: Any = SimpleNamespace(
         model=None, records=None, linearised=lambda *_: rounds.problem, progress=lambda *_: None
     )
     analysis._last_round(task, None, "")  # type: ignore[arg-type]
     searches = ["first", 1, 2, 3, 4, 5]
-    assert rounds.noises == [*searches, 5, 5, 5]
+    assert rounds.noises == [(noise, "first") for noise in (*searches, 5, 5, 5)]
 
 
 def test_what_two_joints_share_is_looked_for_where_they_move_together() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
-from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.evidence.record import FEWEST_ROWS, Records
 from geomid_ros.inference.fit import unfitted
 from geomid_ros.model.effects import AtJoint, identified_effect
 from geomid_ros.types import BoolArray
@@ -16,14 +16,33 @@ from . import planted
 FLOOR = np.full(3, planted.NOISE)
 
 
-def valid(joint: int, level: float, floor: float = 1.0) -> BoolArray:
+def problem(joint: int, level: float, floor: float = 1.0) -> LinearisedProblem:
     """With Coulomb friction of a level at a joint, where the noise is so many times the planted one."""
     model = planted.model()
     inertias = planted.true_inertias(2, 0.1)
     records = Records.make([planted.recording(planted.rigid(inertias), 2)], planted.CUTOFF)
     friction = (identified_effect("coulomb_friction"), AtJoint(joint), np.array([level]))
     total = replace(total_model(model, unfitted(planted.prior(inertias))), effects=(friction,))
-    return LinearisedProblem(model, records, total, floor * FLOOR).valid
+    return LinearisedProblem(model, records, total, floor * FLOOR)
+
+
+def valid(joint: int, level: float, floor: float = 1.0) -> BoolArray:
+    """The valid instants of that problem."""
+    return problem(joint, level, floor).valid
+
+
+def test_noise_by_which_hardly_an_instant_counts_is_not_told() -> None:
+    """It is what few rows leave: by it fewer count, which leave less, until nothing is judged there."""
+    before = problem(2, 2.0)
+    left = FLOOR * [0.9, 0.9, 0.0]
+    assert np.count_nonzero(before.with_floor(left).valid[:, 2]) < FEWEST_ROWS < np.count_nonzero(before.valid[:, 2])
+    floor, told = before.told_floor(left)
+    np.testing.assert_array_equal(told, [True, True, False])
+    np.testing.assert_array_equal(floor, np.where(told, left, before.floor))
+    for other in (before, before.with_floor(np.full(3, np.inf))):
+        floor, told = other.told_floor(0.9 * FLOOR)
+        np.testing.assert_array_equal(floor, 0.9 * FLOOR)
+        assert np.all(told)
 
 
 def test_without_friction_all_that_moves_counts() -> None:

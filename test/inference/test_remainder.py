@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from geomid_ros.inference.design import ChannelRows, Design
+from geomid_ros.inference.design import ChannelRows, Design, Lack
 from geomid_ros.inference.remainder import USUAL, Remainder
 from geomid_ros.types import FloatArray
 
@@ -135,6 +135,19 @@ def test_of_what_hardly_occurs_features_are_not_made_large() -> None:
     rare = ChannelRows.of(own.columns, own.features * np.where(BLOCK == 1, 1e-9, 1.0), BLOCK, {}, own.links)
     assert np.max(rare.features[:, BLOCK == 1] ** 2) < 1e-6
     assert np.max(rare.scale) < 1e3
+
+
+def test_beside_other_recordings_a_model_lacks_what_is_new_but_no_more_than_all() -> None:
+    own, parameters = rows(6, before=BEFORE), np.array([1.0, 2.0, 3.0])
+
+    def lack(expected: FloatArray | None) -> Lack:
+        again = ChannelRows.of(own.columns, own.features / own.scale, BLOCK, {}, own.links, BEFORE, expected)
+        return Design.of([again], COLUMNS).remainders((), (), parameters)[0]
+
+    alone = lack(None)
+    assert lack(np.zeros(len(BLOCK))).power == pytest.approx(alone.power)
+    assert lack(5.0 * alone.coefficients).power == pytest.approx(alone.power)  # what is new
+    assert lack(-0.9 * alone.coefficients).power == pytest.approx(0.01 * alone.power)  # all
 
 
 def test_products_beside_other_variances_go_with_their_design() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesFit
 from geomid_ros.gap.evidence.features import Basis, Features, StandingRemainder, features
 from geomid_ros.gap.evidence.noise import Autoregression, runs_of
-from geomid_ros.gap.evidence.record import Records, TotalModel
+from geomid_ros.gap.evidence.record import FEWEST_ROWS, Records, TotalModel
 from geomid_ros.inference.design import ChannelRows, Design, Lack
 from geomid_ros.model.effects import Effect, MotionEffect, Place, SensorEffect, Situation, SituationEffect, joints_of
 from geomid_ros.model.measurement import MeasurementModel, Rows
@@ -65,6 +65,16 @@ class LinearisedProblem:
         problem.floor = floor
         vars(problem).pop("valid", None)
         return problem
+
+    def told_floor(self, left: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """The noise floor that is ``left (C,)``, and of which channels it is told: of others it is the one before.
+
+        What few rows leave is less than the noise, by which fewer instants are valid, which leave even less: where
+        those would be too few the rows do not tell the noise.
+        """
+        valid = np.count_nonzero(self.with_floor(left).valid, axis=0)
+        told = (valid >= FEWEST_ROWS) | np.isinf(self.floor)
+        return np.where(told, left, self.floor), told
 
     @cached_property
     def situation(self) -> Situation:
@@ -254,9 +264,16 @@ def design_of(
         place = {term: inertial.shape[1] + index for index, term in enumerate(terms)}
         first = inertial.shape[1] + len(own) + 1
         unsure = None if remainder.unsure is None else remainder.unsure / noise[channel].variances[-1]
-        links = np.where(felt, np.cumsum(felt) - 1, -1)
         channels.append(
-            ChannelRows.of(white[:, :first], white[:, first:], remainder.block, place, links=links, before=unsure)
+            ChannelRows.of(
+                white[:, :first],
+                white[:, first:],
+                remainder.block,
+                place,
+                links=np.where(felt, np.cumsum(felt) - 1, -1),
+                before=unsure,
+                expected=remainder.mean,
+            )
         )
     return Design.of(channels, rows.coefficients.shape[2])
 
