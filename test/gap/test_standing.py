@@ -11,6 +11,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.gap.analysis import standing_remainder
 from geomid_ros.gap.evidence.features import LARGEST_SCALE, StandingRemainder
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
+from geomid_ros.gap.evidence.noise import Autoregression
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.workflow import find_gap, lacking
 from geomid_ros.inference.fit import unfitted
@@ -126,6 +127,16 @@ def test_a_change_beside_it_that_has_no_name_is_left_where_it_is() -> None:
 
 def test_a_change_beside_it_is_named() -> None:
     assert list(named(standing(), [recorded(6, more=0.3)])) == [("coulomb_friction", MODEL.robot.joint_names[-1])]
+
+
+def test_what_was_lacking_and_is_there_now_is_nothing_that_lacks() -> None:
+    """The remainder is then what was expected, taken back; together they are next to nothing."""
+    given = unfitted(planted.prior(LINKS))
+    records = Records.make([planted.recording(planted.rigid(TRUE), 4, 30.0)], planted.CUTOFF)
+    problem = LinearisedProblem(MODEL, records, total_model(MODEL, given), standing=standing())
+    design = problem.design({}, (Autoregression.white(),) * len(MODEL.channels))
+    expected = float(np.sum(problem.expected[problem.valid[:, JOINT], JOINT] ** 2))
+    assert given.remainders(design)[JOINT].power < 0.1 * expected
 
 
 def test_nothing_is_known_of_what_depends_on_time() -> None:
