@@ -137,6 +137,5 @@ def noise(where: Arm, run: Run) -> FloatArray:
 def identified(where: Arm, targets: FloatArray, gamma: float | None = None) -> Estimate:
     """The estimate from targets ``(N, channels)``."""
     summary = RowSummary(where.model.channels)
-    for rows, values in zip(where.coefficients, targets, strict=True):
-        summary.add(rows, values)
+    summary.add(where.coefficients, targets)
     return estimate(where.model, summary, EstimatorSettings(gamma=gamma))

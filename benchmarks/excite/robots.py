@@ -95,8 +95,7 @@ def identified(knowledge: Belief, recordings: list[Recorded]) -> Estimate:
     """The estimate from some recordings."""
     summary = RowSummary(knowledge.model.channels)
     for recording in recordings:
-        for rows, measured in zip(recording.rows, recording.measured, strict=True):
-            summary.add(rows, measured)
+        summary.add(recording.rows, recording.measured)
     return estimate(knowledge.model, summary, EstimatorSettings())
 
 

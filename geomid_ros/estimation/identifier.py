@@ -185,7 +185,7 @@ class Identifier:
     ) -> None:
         """Take the rows of instants at which something moved."""
         if self._held == 0 and self._recent.idle:  # otherwise they would only pass through
-            self._summary.add_all(coefficients, targets, elapsed, of_motion, states)
+            self._summary.add(coefficients, targets, elapsed, of_motion, states)
             self.instants += len(elapsed)
             return
         for instant in zip(coefficients, targets, elapsed.tolist(), of_motion, states, strict=True):
@@ -339,5 +339,5 @@ def _with(summary: RowSummary, instants: Sequence[Instant]) -> RowSummary:
     """The summary, once it has these instants, too."""
     for begin in range(0, len(instants), PIECE):
         rows = (instant.rows for instant in instants[begin : begin + PIECE])
-        summary.add_all(*map(np.array, zip(*rows, strict=True)))
+        summary.add(*map(np.array, zip(*rows, strict=True)))
     return summary

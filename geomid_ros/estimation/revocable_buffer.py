@@ -32,7 +32,7 @@ class Instant:
 
     @property
     def rows(self) -> tuple[FloatArray, FloatArray, float, IntArray, FloatArray]:
-        """What :meth:`RowSummary.add_all` takes of several."""
+        """What :meth:`RowSummary.add` takes of several."""
         return self.coefficients, self.targets, self.elapsed, self.regimes, self.state
 
 

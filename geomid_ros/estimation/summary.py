@@ -123,29 +123,16 @@ class RowSummary:
         self,
         coefficients: FloatArray,
         targets: FloatArray,
-        elapsed: float = 0.0,
+        elapsed: FloatArray | float = 0.0,
         regimes: IntArray | int = 0,
-        state: FloatArray | None = None,
-    ) -> None:
-        """Add one instant's rows: ``coefficients (channels, D)``, ``targets (channels,)``, those that are usable.
-
-        By ``elapsed`` [s] all earlier rows grow older. ``regimes (channels,)`` of the joints' motion, and its ``state
-        (S,)``, if that is known.
-        """
-        groups = np.broadcast_to(regimes, targets.shape)
-        states = None if state is None else state[None]
-        self.add_all(coefficients[None], targets[None], np.array([elapsed]), groups[None], states)
-
-    def add_all(
-        self,
-        coefficients: FloatArray,
-        targets: FloatArray,
-        elapsed: FloatArray,
-        regimes: IntArray,
         states: FloatArray | None = None,
     ) -> None:
-        """Add the rows of N instants: ``coefficients (N, channels, D)``, ``targets`` and ``regimes (N, channels)``,
-        ``elapsed (N,)``, and the motion's ``states (N, S)``, if they are known."""
+        """Add the rows of N instants that are usable: ``coefficients (N, channels, D)``, ``targets (N, channels)``.
+
+        By ``elapsed (N,)`` [s] all earlier rows grow older. ``regimes (N, channels)`` of the joints' motion, and its
+        ``states (N, S)``, if they are known.
+        """
+        elapsed, regimes = np.broadcast_to(elapsed, len(targets)), np.broadcast_to(regimes, targets.shape)
         if states is not None and np.isinf(self._forgetting_time):  # repeats of what is forgotten do not count
             self.visited.add(states, elapsed)
         self._complete = False

@@ -203,8 +203,7 @@ def _rows(model: MeasurementModel, batches: Sequence[Samples]) -> SummaryState:
     summary = RowSummary(model.channels)
     for samples in batches:
         rows = model.rows(samples)
-        for coefficients, targets in zip(rows.coefficients, rows.targets, strict=True):
-            summary.add(coefficients, targets)
+        summary.add(rows.coefficients, rows.targets)
     return summary.state()
 
 

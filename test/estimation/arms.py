@@ -186,10 +186,9 @@ def solved(case: Case, **settings: object) -> Estimate:
 
 
 def summary(
-    model: MeasurementModel, coefficients: FloatArray, targets: FloatArray, regimes: IntArray | None = None
+    model: MeasurementModel, coefficients: FloatArray, targets: FloatArray, regimes: IntArray | int = 0
 ) -> RowSummary:
     """Of rows all at once, of fast motion unless it is said."""
     result = RowSummary(model.channels)
-    fast = np.zeros(targets.shape, dtype=np.int64)
-    result.add_all(coefficients, targets, np.zeros(len(targets)), fast if regimes is None else regimes)
+    result.add(coefficients, targets, regimes=regimes)
     return result

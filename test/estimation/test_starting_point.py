@@ -33,7 +33,7 @@ DAMPING = 1e-2
 
 def summary(case: Case, still: BoolArray | None = None) -> RowSummary:
     rows = case.model.rows(case.samples)
-    regimes = None if still is None else (REGIMES - 1) * still
+    regimes = 0 if still is None else (REGIMES - 1) * still
     return arms.summary(case.model, rows.coefficients, rows.targets, regimes)
 
 

@@ -40,8 +40,7 @@ def rows(seed: int, count: int) -> tuple[FloatArray, FloatArray]:
 def summary(coefficients: FloatArray, targets: FloatArray, **settings: float) -> RowSummary:
     """One instant every second."""
     result = RowSummary(CHANNELS, **settings)
-    for row, target in zip(coefficients, targets, strict=True):
-        result.add(row, target, 1.0)
+    result.add(coefficients, targets, 1.0)
     return result
 
 
@@ -78,7 +77,7 @@ def test_folds_follow_one_another_in_time(count: int, block: int) -> None:
     again = RowSummary(CHANNELS, folds=4, block=30)
     again.restore(found.state())
     for later in (found, again):
-        later.add(coefficients[0], targets[0], 1.0)
+        later.add(coefficients[:1], targets[:1], 1.0)
     np.testing.assert_allclose(again.counts([3]), found.counts([3]))
 
 
@@ -91,11 +90,11 @@ def test_many_instants_at_once_are_as_one_by_one(forgetting_time: float) -> None
     regimes, elapsed = rng.integers(0, REGIMES, targets.shape), rng.random(len(targets))
     for folds, block in ((4, 20), (2, 1000)):
         alone, together = (RowSummary(CHANNELS, folds, block, forgetting_time) for _ in range(2))
-        for row, target, seconds, group in zip(coefficients, targets, elapsed, regimes, strict=True):
-            alone.add(row, target, float(seconds), group)
+        for one in map(slice, range(900), range(1, 901)):
+            alone.add(coefficients[one], targets[one], elapsed[one], regimes[one])
         ends = [0, *np.sort(rng.integers(0, 900, 8)).tolist(), 900]
         for piece in map(slice, ends, ends[1:]):
-            together.add_all(coefficients[piece], targets[piece], elapsed[piece], regimes[piece])
+            together.add(coefficients[piece], targets[piece], elapsed[piece], regimes[piece])
         expected, found = alone.state(), together.state()
         assert (found.instants, found.rows) == (expected.instants, expected.rows)
         np.testing.assert_allclose([found.time, found.weight], [expected.time, expected.weight], rtol=1e-13)
@@ -110,8 +109,7 @@ def test_rows_are_kept_apart_by_regime() -> None:
     coefficients, targets = rows(1, 300)
     regimes = np.random.default_rng(1).integers(0, REGIMES, targets.shape)
     found = RowSummary(CHANNELS, folds=4, block=20)
-    for row, target, group in zip(coefficients, targets, regimes, strict=True):
-        found.add(row, target, 1.0, group)
+    found.add(coefficients, targets, 1.0, regimes)
     x = np.random.default_rng(1).normal(size=DIMENSION)
     for group in range(REGIMES):
         for k in range(len(CHANNELS)):
@@ -131,8 +129,7 @@ def test_forgetting_is_exponential_weighting_by_age(count: int) -> None:
     coefficients, targets = rows(1, count)
     elapsed = np.random.default_rng(1).uniform(0.0, 2.0, count)
     found = RowSummary(CHANNELS, folds=4, block=20, forgetting_time=30.0)
-    for row, target, step in zip(coefficients, targets, elapsed, strict=True):
-        found.add(row, target, step)
+    found.add(coefficients, targets, elapsed)
     x = np.random.default_rng(1).normal(size=DIMENSION)
     weights = np.exp((np.cumsum(elapsed) - np.sum(elapsed)) / 30.0)
     for k in range(len(CHANNELS)):
@@ -145,8 +142,7 @@ def test_forgetting_is_exponential_weighting_by_age(count: int) -> None:
 def test_long_after_the_past_weighs_nothing_and_nothing_breaks() -> None:
     coefficients, targets = rows(0, 50)
     found = summary(coefficients, 1e3 + targets, block=5, forgetting_time=1.5)
-    for _ in range(750):
-        found.add(coefficients[0], np.zeros(4), 4.0)
+    found.add(np.repeat(coefficients[:1], 750, axis=0), np.zeros((750, 4)), 4.0)
     x = np.zeros(DIMENSION)
     np.testing.assert_allclose(content(found, x)[:3], 0.0, atol=1e-200)
     np.testing.assert_allclose(found.rms(x)[:3], 0.0, atol=1e-100)
@@ -178,8 +174,8 @@ def test_memory_is_bounded() -> None:
     found = RowSummary(CHANNELS, folds=2)
     most = 0
     for _ in range(3):
-        for row, target in zip(coefficients, targets, strict=True):
-            found.add(row, target)
+        for one in map(slice, range(400), range(1, 401)):
+            found.add(coefficients[one], targets[one])
             most = max(most, sum(len(channel) for fold in found._waiting for channel in fold))
     assert most < 2 * len(CHANNELS) * RowSummary._CHUNK
     for channel, parts in zip(found.groups, found.parts(), strict=True):
@@ -195,12 +191,10 @@ def test_a_snapshot_stays_as_it_was_and_goes_on_by_itself(forgetting_time: float
     x = np.random.default_rng(4).normal(size=DIMENSION)
     found = summary(coefficients[:250], targets[:250], forgetting_time=forgetting_time, block=40)
     copy, before = found.snapshot(), content(found, x)
-    for row, target in zip(coefficients[250:], targets[250:], strict=True):
-        found.add(row, target, 1.0)
+    found.add(coefficients[250:], targets[250:], 1.0)
     found.parts()
     np.testing.assert_array_equal(content(copy, x), before)
-    for row, target in zip(coefficients[250:], targets[250:], strict=True):
-        copy.add(row, target, 1.0)
+    copy.add(coefficients[250:], targets[250:], 1.0)
     whole = summary(coefficients, targets, forgetting_time=forgetting_time, block=40)
     for other in (found, copy):
         np.testing.assert_allclose(content(other, x), content(whole, x), rtol=CONTENT)

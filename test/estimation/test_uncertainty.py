@@ -123,7 +123,7 @@ def test_white_noise_through_the_low_pass_counts_as_its_bandwidth(cutoff: float,
     kernel = derivative_kernels(cutoff, period)[0]
     model = arm("arm3", 2).model
     rows = RowSummary(model.channels)
-    rows.add(np.zeros((3, model.dimension)), np.full(3, np.nan), elapsed=period)
+    rows.add(np.zeros((1, 3, model.dimension)), np.full((1, 3), np.nan), elapsed=period)
     assert least_inflation(rows, cutoff) == pytest.approx(np.sum(kernel) ** 2 / np.sum(kernel**2), rel=0.01)
     assert least_inflation(rows, np.inf) == 1.0
 

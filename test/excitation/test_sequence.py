@@ -58,8 +58,7 @@ def test_a_sequence_learns_and_comes_to_an_end() -> None:
             break
         rows = prior.model.rows(samples_of(motion.at(times)[:3])).coefficients
         measured = rows @ true + prior.sigmas * random.standard_normal(rows.shape[:2])
-        for own, targets in zip(rows, measured, strict=True):
-            summary.add(own, targets)
+        summary.add(rows, measured)
         sigmas = dict(zip(TASK.feasibility.names, prior.sigmas.tolist(), strict=True))
         found = estimate(prior.model, summary, EstimatorSettings(sigma=sigmas))
         knowledge = known_before(prior.model, found.posterior, prior.sigmas.tolist(), "estimate")
