@@ -10,7 +10,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.checks.base import carried_weight, unnamed_feet
+from geomid_ros.checks.base import carried_weight, gyroscope, on_all_feet, unnamed_feet
 from geomid_ros.checks.candidates import Decision, Tried, contradicted, decide
 from geomid_ros.checks.causes import MODEL, Cause, Finding
 from geomid_ros.checks.changes import changes, lags
@@ -19,7 +19,6 @@ from geomid_ros.checks.instants import FEWEST, Instants, Kept, Stretch
 from geomid_ros.checks.obvious import frozen_position, held_efforts, impossible_description, wrong_gains
 from geomid_ros.checks.subject import Subject
 from geomid_ros.checks.transforms import transforms
-from geomid_ros.checks.turning import gyroscope, on_all_feet
 from geomid_ros.checks.unexplained import badly_explained, hint, rms
 from geomid_ros.checks.wrenches import WrenchSensorCheck, can_be_judged
 from geomid_ros.model.channels import WrenchSensor
