@@ -32,7 +32,7 @@ from geomid_ros.estimation.fleet_outliers import population_and_members
 from geomid_ros.estimation.population import RobotLikelihood
 from geomid_ros.estimation.summary import RowSummary, SummaryState
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.fleet.cluster import Cluster
+from geomid_ros.fleet.fleet import Cluster
 from geomid_ros.fleet.kept import Store, summarise, total
 from geomid_ros.fleet.recordings import find_bags
 from geomid_ros.fleet.work import FleetPlan, summarise_bag

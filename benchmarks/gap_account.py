@@ -40,7 +40,7 @@ from geomid_ros.errors import GeomidError
 from geomid_ros.files.models.effects_file import is_body
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.model.effects import Effect, effect_class, values_of
-from geomid_ros.session.results import save
+from geomid_ros.session.session import save
 from geomid_ros.session.written_simulation import write_found
 from geomid_ros.simulation import simulate
 

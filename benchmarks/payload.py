@@ -22,8 +22,7 @@ from geomid_ros.files.bags.bag import Bag
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Topics, read_samples
-from geomid_ros.session.results import save
-from geomid_ros.session.session import Session
+from geomid_ros.session.session import Session, save
 from geomid_ros.simulation.options import Hidden, SimulationOptions
 from geomid_ros.simulation.recording import simulate
 from geomid_ros.simulation.robot import build_robot

@@ -20,7 +20,7 @@ import geomid_ros
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity
-from geomid_ros.session.results import save
+from geomid_ros.session.session import save
 from geomid_ros.session.written_simulation import write_found
 from geomid_ros.simulation import EFFECTS as HIDEABLE
 from geomid_ros.simulation import WRIST_FRAME, Hidden, SimulationOptions, simulate

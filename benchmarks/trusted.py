@@ -31,8 +31,7 @@ from geomid_ros.api.identify import Identification
 from geomid_ros.checks.verdict import USABLE
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import LinkEstimate
-from geomid_ros.estimation.identified import numbers, sizes
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES
+from geomid_ros.estimation.uncertain_inertia import QUANTITIES, numbers, sizes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.simulation import WRIST_FRAME, SimulationOptions, simulate
 from geomid_ros.simulation.robots import robot_description

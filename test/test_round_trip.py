@@ -16,8 +16,7 @@ from geomid_ros.options import silent
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import find_in_messages, gap_session
 from geomid_ros.session.recordings import Topics, read_samples
-from geomid_ros.session.results import save
-from geomid_ros.session.session import Session
+from geomid_ros.session.session import Session, save
 
 SECONDS = 12.0
 KINDS = {

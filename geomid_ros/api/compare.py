@@ -24,7 +24,7 @@ from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.schema import entry, plain
 from geomid_ros.model.urdf_tree import read_xml
 from geomid_ros.options import takes
-from geomid_ros.report.plain_pages import ChannelErrors, ComparisonPage, write_comparison_page
+from geomid_ros.report.result_pages import ChannelErrors, ComparisonPage, write_comparison_page
 from geomid_ros.session.options import PathLike, paths
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray

@@ -15,13 +15,12 @@ from geomid_ros.estimation.fleet_outliers import population_and_members
 from geomid_ros.estimation.population import FEWEST, Population, RobotLikelihood
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.population import write_population
-from geomid_ros.fleet.cluster import Cluster
-from geomid_ros.fleet.fleet import Fleet, FleetRobot
+from geomid_ros.fleet.fleet import Cluster, Fleet, FleetRobot
 from geomid_ros.fleet.kept import Store, changes
 from geomid_ros.fleet.recordings import find_bags, on_this_disk
 from geomid_ros.fleet.work import FleetPlan
 from geomid_ros.options import takes
-from geomid_ros.report.plain_pages import FleetPage, RobotLine, write_fleet_page
+from geomid_ros.report.result_pages import FleetPage, RobotLine, write_fleet_page
 
 _KEPT = "kept"
 

@@ -21,8 +21,7 @@ from geomid_ros.model.channels import Channel
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, read_fitted
-from geomid_ros.session.results import document
-from geomid_ros.session.session import Session
+from geomid_ros.session.session import Session, document
 from geomid_ros.types import FloatArray
 
 if TYPE_CHECKING:

@@ -27,14 +27,13 @@ from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.model.effects import effect_class
 from geomid_ros.model.samples import Samples
 from geomid_ros.options import Progress, silent, takes
-from geomid_ros.report.identification_page import write_identification_page
+from geomid_ros.report.result_pages import write_identification_page
 from geomid_ros.report.series import Series, series_of
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import gap_session, remainder_of
 from geomid_ros.session.options import PathLike
 from geomid_ros.session.recordings import Bags, read_bags
-from geomid_ros.session.results import identified_urdf, installed_version
-from geomid_ros.session.session import Session
+from geomid_ros.session.session import Session, identified_urdf, installed_version
 from geomid_ros.session.training import Training
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from geomid_ros.files.models.estimate_file import OF_PAGE, EstimateFile
 from geomid_ros.files.models.gap_file import Errors, GapFile, read_gap
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.report.gap_page import GapPage, write_gap_page
-from geomid_ros.report.identification_page import write_identification_page
+from geomid_ros.report.result_pages import write_identification_page
 from geomid_ros.resimulation.resimulate import Kind, Resimulated
 from geomid_ros.session.options import PathLike
 

@@ -1,5 +1,5 @@
-"""Whether a base that moves is as declared: what its legs carry, where its IMU is, and whether its gyroscope turns as the
-legs say.
+"""Whether a base that moves is as declared: what its legs carry, where its IMU is, and whether its gyroscope turns as
+the legs say.
 
 Feet that all stand tell how the base turns, by the encoders alone: the points where they touch do not move. No mass and
 no effort is asked, so that nothing of what is identified can hide what is wrong.

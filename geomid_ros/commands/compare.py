@@ -42,7 +42,7 @@ def compare(out: Path, as_json: bool, **options: Any) -> None:
 
 def _show(found: geomid_ros.Comparison) -> None:
     """Print whether the results differ, and a table of what differs and of the errors of both."""
-    from geomid_ros.report.plain_pages import error, row, verdict
+    from geomid_ros.report.result_pages import error, row, verdict
 
     console = results_console()
     print_remarks(console, {"DOUBTFUL": found.doubts, "Note": found.notes})

@@ -18,7 +18,7 @@ from geomid_ros.estimation.uncertain_inertia import QUANTITIES
 from geomid_ros.files.models.effects_file import is_coefficient
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.model.effects import EFFECTS, KnownEffect
-from geomid_ros.report import gap_words, identification_page
+from geomid_ros.report import gap_words, result_pages
 from geomid_ros.signals.ledger import Account
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def show(found: Identification) -> None:
     console.print("In the tables ± is one standard deviation.")
     console.print(_links_table(file, links))
     if file.judgement.word == USABLE:
-        say(console, "", " ".join(identification_page.identified(links)))
+        say(console, "", " ".join(result_pages.identified(links)))
     if file.known:
         console.print(_known_table(file.known))
     of_joints = _at_every_joint(file.effect_estimates)
@@ -85,7 +85,7 @@ def _links_table(file: EstimateFile, links: Sequence[LinkEstimate]) -> Table:
         com = lines(f"{c:+.3f} ± {s:.3f}" for c, s in zip(link.com, link.std_com, strict=True))
         shares = f"{100 * link.from_data:.0f} %", f"{link.distance_from_prior:.2f}"
         untold = [name for name in QUANTITIES if name not in link.identified]
-        table.add_row(names, *masses, com, *shares, identification_page.cannot_tell(untold))
+        table.add_row(names, *masses, com, *shares, result_pages.cannot_tell(untold))
     return table
 
 

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.estimation.channel_products import ChannelProducts
-from geomid_ros.estimation.link_spreads import cost_of_spreads, likely_spreads
+from geomid_ros.estimation.fit import cost_of_spreads, likely_spreads
 from geomid_ros.estimation.objective import rows_at
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.profile_objective import (

@@ -11,10 +11,9 @@ import numpy as np
 
 from geomid_ros.estimation import uncertainty
 from geomid_ros.estimation.estimate import EffectEstimate, LinkEstimate, WeighedEstimate
-from geomid_ros.estimation.identified import identified
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.estimation.problem import Problem
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES
+from geomid_ros.estimation.uncertain_inertia import QUANTITIES, identified
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.measurement import MeasurementModel

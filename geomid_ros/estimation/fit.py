@@ -2,8 +2,9 @@
 
 Minus twice the logarithm of the likelihood is ``sum_k N_k (log s_k^2 + S_k / (N_k s_k^2))`` with the standard deviation
 s_k of each group of rows, which is estimated, and its sum of squares S_k. A link's error is Gaussian in geodesic
-distance, of a spread of its own (:mod:`geomid_ros.estimation.link_spreads`). The spreads maximise the marginal
-likelihood in Laplace's approximation.
+distance, of a spread of its own. Its square has an inverse-gamma distribution about the usual one, whose tails are
+heavy: a link that the data call wrong is let go, and loosens no other. The spreads maximise the marginal likelihood in
+Laplace's approximation.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.estimation.link_spreads import cost_of_spreads, likely_spreads
 from geomid_ros.estimation.objective import Evaluation, ProductsObjective, ResidualObjective, row_weights
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.solvers import Extrapolation, Solution, trust_region
@@ -22,14 +22,39 @@ from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
 from geomid_ros.estimation.tolerances import LEAST_GRADIENT, SETTLED
 from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
+from geomid_ros.geometry.symmetric import SIZE
 from geomid_ros.types import FloatArray
 
+CERTAINTY = 20.0
+"""The usual spread counts as much as the directions of two links."""
 INDEPENDENT = 2.67
 """Independent rows per period of the filter's cutoff, which leaves nothing above 1.5 times this frequency."""
 _ROUNDS = 60
 _BUDGET = 3  # times the solver's steps, of all rounds together: five times what measured robots ask for
 _SETTLED = 1e-7  # relative change of standard deviations and spreads, which falls to about a third in a round
 _SETTLED_WARM = 1e-8  # the same where rounds are extrapolated, so that few more are needed
+
+
+def likely_spreads(
+    off: FloatArray, variances: FloatArray, usual: FloatArray, certainty: float = CERTAINTY
+) -> FloatArray:
+    """MacKay's re-estimate ("Bayesian interpolation", 1992) ``(links,)``: the mean square of each link's error, what
+    the data leave undetermined included.
+
+    Args:
+        off: tangent coordinates ``(10 links,)`` of the links from their priors.
+        variances: of these ``(10 links,)``, by the data and the priors.
+        usual: spreads ``(links,)``, geodesic distances.
+        certainty: how many directions the usual spread counts as much as.
+    """
+    squares = np.sum((off**2 + variances).reshape(-1, SIZE), axis=1)
+    return np.asarray(np.sqrt((squares + certainty * usual**2) / (SIZE + certainty)))
+
+
+def cost_of_spreads(spreads: FloatArray, usual: FloatArray, certainty: float = CERTAINTY) -> float:
+    """Minus twice the logarithm of the distribution of ``spreads (links,)``, up to a constant."""
+    relative = spreads / usual
+    return certainty * float(np.sum(relative**-2.0 + 2.0 * np.log(relative)))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

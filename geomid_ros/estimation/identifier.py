@@ -11,7 +11,7 @@ from typing import TypeAlias
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.channel_summary import usable
+from geomid_ros.estimation.channel_products import usable
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart, estimate
 from geomid_ros.estimation.fit import INDEPENDENT

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.estimation.channel_summary import triangular
+from geomid_ros.estimation.channel_products import triangular
 from geomid_ros.estimation.objective import GeodesicObjective, ProductsObjective, ResidualObjective, dual_metric
 from geomid_ros.estimation.solvers import SOLVERS, Solution, trust_region
 from geomid_ros.estimation.tolerances import LEAST_GRADIENT, ROUNDING_OF_PRODUCTS

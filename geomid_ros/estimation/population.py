@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.channel_summary import triangular
+from geomid_ros.estimation.channel_products import triangular
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.posterior import EffectCoordinate, RobotParameters, effect_columns
 from geomid_ros.estimation.starting_point import usual_spreads

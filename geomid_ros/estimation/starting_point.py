@@ -7,7 +7,7 @@ from itertools import chain
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.channel_summary import triangular
+from geomid_ros.estimation.channel_products import triangular
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.tolerances import ROUNDING, ROUNDING_OF_PRODUCTS
 from geomid_ros.geometry import pseudo_inertia

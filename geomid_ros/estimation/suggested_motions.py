@@ -12,11 +12,10 @@ from itertools import compress
 
 import numpy as np
 
-from geomid_ros.estimation.channel_summary import triangular
+from geomid_ros.estimation.channel_products import triangular
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimate_parts import deviations_of, sensitivity_of_numbers
-from geomid_ros.estimation.identified import identified
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES
+from geomid_ros.estimation.uncertain_inertia import QUANTITIES, identified
 from geomid_ros.estimation.uncertainty import doubted
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.channel_summary import ChannelSummary, joined, together, triangular, usable
+from geomid_ros.estimation.channel_products import ChannelSummary, joined, together, triangular, usable
 from geomid_ros.estimation.visited_states import VisitedStates, Visits
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.samples import REGIMES

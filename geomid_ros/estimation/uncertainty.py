@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from geomid_ros.estimation.channel_summary import triangular
+from geomid_ros.estimation.channel_products import triangular
 from geomid_ros.estimation.estimate import FINEST, LinksInformation
 from geomid_ros.estimation.solvers import Extrapolation
 from geomid_ros.geometry import definite, pseudo_inertia

@@ -21,8 +21,7 @@ from geomid_ros.files.models.written_model import WrittenModel, written_model
 from geomid_ros.files.schema import entry
 from geomid_ros.model.effects import effect_class
 from geomid_ros.model.samples import Samples
-from geomid_ros.session.results import with_inertias_of
-from geomid_ros.session.session import Session
+from geomid_ros.session.session import Session, with_inertias_of
 from geomid_ros.types import FloatArray
 
 MUJOCO = "mujoco"

@@ -23,8 +23,7 @@ from geomid_ros.fleet.kept import SUFFIX, BagSummary, RobotResults, Store, summa
 from geomid_ros.fleet.recordings import FleetBag, on_this_disk
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, Topics, with_locked
-from geomid_ros.session.results import installed_version, save
-from geomid_ros.session.session import Session
+from geomid_ros.session.session import Session, installed_version, save
 from geomid_ros.types import FloatArray
 
 

@@ -10,7 +10,7 @@ from time import perf_counter
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.link_spreads import CERTAINTY
+from geomid_ros.estimation.fit import CERTAINTY
 from geomid_ros.gap.analysis import analyse, standing_remainder
 from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesPrior, not_driving
 from geomid_ros.gap.evidence.features import StandingRemainder

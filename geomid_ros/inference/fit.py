@@ -15,8 +15,8 @@ from typing import Any, Generic
 
 import numpy as np
 
-from geomid_ros.estimation.alike_prior import cost_of_own, held_together, likely_own
-from geomid_ros.estimation.link_spreads import cost_of_spreads, likely_spreads
+from geomid_ros.estimation.fit import cost_of_spreads, likely_spreads
+from geomid_ros.estimation.link_priors import cost_of_own, held_together, likely_own
 from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, fit_scales
 from geomid_ros.geometry import definite, pseudo_inertia
 from geomid_ros.geometry.definite import Packed

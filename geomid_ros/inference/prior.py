@@ -12,7 +12,7 @@ from typing import Generic
 
 import numpy as np
 
-from geomid_ros.estimation.alike_prior import common_spreads
+from geomid_ros.estimation.link_priors import common_spreads
 from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point

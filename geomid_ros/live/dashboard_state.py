@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from geomid_ros.estimation.uncertain_inertia import interval_of_positive
-from geomid_ros.report.identification_page import cannot_tell
+from geomid_ros.report.result_pages import cannot_tell
 
 State: TypeAlias = dict[str, Any]
 _COUNTS = ("received", "accepted", "lost")

@@ -20,8 +20,7 @@ from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.live.threads import Activity, start_daemon, start_later
 from geomid_ros.live.worker import LONG, Worker
-from geomid_ros.session.results import save
-from geomid_ros.session.session import Session
+from geomid_ros.session.session import Session, save
 
 _PATIENCE = 0.4  # [s] for the last checkpoint
 _LATE = 4.0  # [s] for an estimate from all data; then the last one is saved

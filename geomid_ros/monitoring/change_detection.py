@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from geomid_ros.estimation.channel_summary import triangular, usable
+from geomid_ros.estimation.channel_products import triangular, usable
 from geomid_ros.estimation.identifier import LONGEST_STEP
 from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.geometry import definite

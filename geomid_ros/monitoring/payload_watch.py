@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from geomid_ros.estimation.channel_summary import usable
+from geomid_ros.estimation.channel_products import usable
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.tolerances import LARGEST_STEP, ROUNDING, ROUNDS, SETTLED
 from geomid_ros.estimation.uncertain_inertia import interval_of_positive

@@ -26,8 +26,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.model.se3 import quaternion
 from geomid_ros.monitoring.payload_watch import Carried
 from geomid_ros.ros.streaming import Streaming
-from geomid_ros.session.results import identified_urdf
-from geomid_ros.session.session import Session
+from geomid_ros.session.session import Session, identified_urdf
 from geomid_ros.types import FloatArray
 
 _LARGEST_MARKER = 2.0  # [m] a link that is not identifiable may have any size; RViz need not show it

@@ -27,8 +27,7 @@ from geomid_ros.options import Progress, silent
 from geomid_ros.resimulation.resimulate import CUTOFF as SHARP_CUTOFF
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import HELD_OUT, Bags, divided, read_samples, samples_of_messages
-from geomid_ros.session.results import document
-from geomid_ros.session.session import Session
+from geomid_ros.session.session import Session, document
 from geomid_ros.session.training import check_measured
 from geomid_ros.signals.kernels import LOWEST_RATE_PER_CUTOFF
 from geomid_ros.signals.messages import JOINT_STATES, Accepted, message_type, parse

@@ -14,12 +14,11 @@ from geomid_ros.checks.verdict import Verdict, recording_verdict
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import WarmStart, estimate
-from geomid_ros.estimation.identified import identified, numbers
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
 from geomid_ros.estimation.summary import RowSummary
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UncertainInertia
+from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UncertainInertia, identified, numbers
 from geomid_ros.files.models.posterior import places_in
 from geomid_ros.geometry.symmetric import SIZE
 from geomid_ros.inference.prior import GAIN, SPREAD_OF_PAYLOADS, usual_payload

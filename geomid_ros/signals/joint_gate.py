@@ -11,9 +11,9 @@ from math import tau
 import numpy as np
 
 from geomid_ros.signals.admission import FEW, Answer, Gate
+from geomid_ros.signals.clocks import FEWEST
 from geomid_ros.signals.effort_quality import SpikeHeights
 from geomid_ros.signals.ledger import Reason, driver_error
-from geomid_ros.signals.periods import FEWEST
 from geomid_ros.signals.settings import CLEAR, FASTEST, FINEST, SHORTEST_CONTACT
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 

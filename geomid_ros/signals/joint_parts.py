@@ -8,9 +8,9 @@ from typing import TypeAlias
 
 import numpy as np
 
+from geomid_ros.signals.clocks import MISSED
 from geomid_ros.signals.joint_messages import JointReader, RejectedError
 from geomid_ros.signals.ledger import driver_error
-from geomid_ros.signals.periods import MISSED
 from geomid_ros.signals.settings import MOST_WAITING
 from geomid_ros.types import FloatArray
 

@@ -13,8 +13,8 @@ from fleet.bags import URDF, piece, torn, without_efforts
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.population import read_population
-from geomid_ros.fleet import cluster as clusters
-from geomid_ros.fleet.cluster import Cluster
+from geomid_ros.fleet import fleet as clusters
+from geomid_ros.fleet.fleet import Cluster
 
 from .running import done, geomid, read, refused
 

@@ -13,7 +13,7 @@ from geomid_ros.estimation import choice
 from geomid_ros.estimation.coefficient_fit import CoefficientFit, CoefficientRows
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate
 from geomid_ros.estimation.estimator import WarmStart
-from geomid_ros.estimation.link_spreads import CERTAINTY
+from geomid_ros.estimation.fit import CERTAINTY
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, identifiable
 from geomid_ros.model.effects.coulomb_friction import SMOOTHINGS, CoulombFriction

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.estimation import estimator
-from geomid_ros.estimation.fit import Fit, fit, likelier
-from geomid_ros.estimation.link_spreads import CERTAINTY
+from geomid_ros.estimation.fit import CERTAINTY, Fit, fit, likelier
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS, USUAL_SPREAD_OF_REALS
 from geomid_ros.geometry import pseudo_inertia, spd

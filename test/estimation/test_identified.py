@@ -13,9 +13,8 @@ from files.recordings import BAGS
 from estimation.arms import arm, summary
 from geomid_ros.estimation.estimate import Estimate, LinksInformation
 from geomid_ros.estimation.estimator import EstimatorSettings, estimate
-from geomid_ros.estimation.identified import identified, numbers, sizes
 from geomid_ros.estimation.suggested_motions import FAST, POSES, TILTED, suggested_motions
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES, interval_of_positive
+from geomid_ros.estimation.uncertain_inertia import QUANTITIES, identified, interval_of_positive, numbers, sizes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.measurement import MeasurementModel

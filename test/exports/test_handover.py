@@ -23,7 +23,7 @@ from geomid_ros.files.models.urdf import for_drake, with_inertials
 from geomid_ros.files.models.written_model import written_model
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.model.samples import Samples
-from geomid_ros.session.results import save
+from geomid_ros.session.session import save
 from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.types import FloatArray
 

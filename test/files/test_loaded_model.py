@@ -30,8 +30,7 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import GRAVITY, Robot
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import read_with_locked
-from geomid_ros.session.results import save
-from geomid_ros.session.session import Session
+from geomid_ros.session.session import Session, save
 from geomid_ros.types import FloatArray
 
 from .effects import PAYLOAD, effect

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.fleet.cluster import Cluster, failure
+from geomid_ros.fleet.fleet import Cluster, failure
 
 distributed = pytest.importorskip("distributed")
 

@@ -16,8 +16,7 @@ from geomid_ros.fleet.kept import BagSummary, summarise, total
 from geomid_ros.fleet.work import solve
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags
-from geomid_ros.session.results import document
-from geomid_ros.session.session import Session
+from geomid_ros.session.session import Session, document
 from geomid_ros.types import FloatArray
 
 from .bags import URDF, piece

@@ -20,7 +20,7 @@ from geomid_ros.estimation.suggested_motions import FAST, POSES
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES
 from geomid_ros.files.models.estimate_file import EstimateFile, RowsEntry, account_entry, estimate_document
 from geomid_ros.model.effects import Quantity
-from geomid_ros.report.identification_page import write_identification_page
+from geomid_ros.report.result_pages import write_identification_page
 from geomid_ros.report.series import Series
 from geomid_ros.signals.ledger import Account
 

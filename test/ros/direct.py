@@ -15,7 +15,7 @@ from geomid_ros.live.inbox import Received
 from geomid_ros.live.status import Listener
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros.diagnostics import Diagnostics
-from geomid_ros.session.results import document
+from geomid_ros.session.session import document
 
 from .rig import NOTHING, SOLVE_PERIOD, Rig, Twin
 from .waiting import PATIENCE, final_estimate

@@ -15,8 +15,8 @@ from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import CUTOFF_PER_RATE, MESSAGES_FOR_RATE, GapReader, gap_pipeline, gap_session, rate
 from geomid_ros.session.recordings import Bags, Topics, divided, read_samples
 from geomid_ros.session.session import Session
+from geomid_ros.signals.clocks import FEWEST
 from geomid_ros.signals.kernels import derivative_kernels
-from geomid_ros.signals.periods import FEWEST
 
 BAG = BAGS / "arm3"
 SHARE = 0.3

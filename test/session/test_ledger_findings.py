@@ -25,8 +25,7 @@ from geomid_ros.live.worker import Worker
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, read_bags
-from geomid_ros.session.results import document
-from geomid_ros.session.session import Session
+from geomid_ros.session.session import Session, document
 from geomid_ros.session.training import Training
 from geomid_ros.signals.joint_gate import CLOCK_SET, EARLY, SPIKE_OR_CONTACT
 from geomid_ros.signals.joint_messages import UNWRAPPED

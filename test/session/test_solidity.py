@@ -10,7 +10,7 @@ from files.recordings import BAGS
 
 from geomid_ros.estimation.estimate import LinkEstimate
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.session.solidity import impossible_links
+from geomid_ros.session.review import impossible_links
 
 URDF = """<robot name="one"><link name="base"/>
 <link name="rod"><collision><geometry><box size="0.1 0.1 1"/></geometry></collision></link>

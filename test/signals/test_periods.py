@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomid_ros.signals.periods import RegularClock, in_bursts
+from geomid_ros.signals.clocks import RegularClock, in_bursts
 from geomid_ros.signals.sampler import NOW_IN_BURSTS, UNEVEN
 from geomid_ros.types import IntArray
 

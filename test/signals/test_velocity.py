@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from geomid_ros.model.samples import Samples
+from geomid_ros.signals.clocks import SCALED
 from geomid_ros.signals.messages import JOINT_STATES
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
-from geomid_ros.signals.velocity_check import SCALED
 from geomid_ros.types import FloatArray
 
 from .feeding import JOINTS, Motion, assert_same, feed, joint_messages, regular

@@ -1,17 +1,179 @@
-"""The effects of a robot, with their places and sizes: as requested, or drawn from the seed."""
+"""The effects of a robot, with their places and sizes: as requested, or drawn from the seed, from the range that real
+joints of that size show.
+
+``E`` is the joint's effort limit, ``V`` its velocity limit. The first parameter of each is the one that a bare number
+means. Units on a turning joint; every effort is what the motor has to supply, signs included.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import replace
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from inspect import isfunction
 
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.simulation.description import Description, UrdfLimits
 from geomid_ros.simulation.effects.physics import GEARS, TrueEffect
-from geomid_ros.simulation.effects.sizes import SIZES, Site
 from geomid_ros.simulation.options import Hidden, RandomStream, SimulationOptions, generator
+
+_ROTOR_TIME = 1e-4  # s; a rotor as light as the integration allows, hardly visible beside the noise
+
+
+@dataclass(frozen=True)
+class Site:
+    """Where an effect acts: a ``joint``, the ``other`` one if it depends on two, and the effort limit of the robot's
+    ``strongest`` joint. ``given`` are the parameters that the user chose."""
+
+    joint: UrdfLimits
+    other: UrdfLimits
+    strongest: float
+    given: Mapping[str, float]
+
+
+Size = Callable[[Site, np.random.Generator], dict[str, float]]
+
+
+def _between(low: float, high: float, rng: np.random.Generator) -> float:
+    """A number whose logarithm is uniform."""
+    return float(np.exp(rng.uniform(math.log(low), math.log(high))))
+
+
+def _sign(rng: np.random.Generator) -> float:
+    return -1.0 if rng.uniform() < 0.5 else 1.0
+
+
+def viscous_friction(site: Site, rng: np.random.Generator) -> dict[str, float]:
+    """Effort c v: ``coefficient`` [N m s/rad], 1 to 10 % of E at V."""
+    return {"coefficient": _between(0.01, 0.1, rng) * site.joint.effort / site.joint.velocity}
+
+
+def coulomb_friction(site: Site, rng: np.random.Generator) -> dict[str, float]:
+    """``level`` [N m], 1 to 8 % of E."""
+    return {"level": _between(0.01, 0.08, rng) * site.joint.effort}
+
+
+def stribeck_friction(site: Site, rng: np.random.Generator) -> dict[str, float]:
+    """Dry friction of ``level + excess exp(-(v/speed)^2)`` [N m, rad/s]."""
+    level = _between(0.01, 0.06, rng) * site.joint.effort
+    speed = _between(0.03, 0.12, rng) * site.joint.velocity
+    return {"level": level, "excess": rng.uniform(0.4, 1.2) * level, "speed": speed}
+
+
+def load_friction(_: Site, rng: np.random.Generator) -> dict[str, float]:
+    """Dry friction of ``coefficient`` [-] times the magnitude of the effort that the gear passes on."""
+    return {"coefficient": _between(0.03, 0.15, rng)}
+
+
+def rotor_inertia(site: Site, rng: np.random.Generator) -> dict[str, float]:
+    """``inertia`` [kg m^2] as the joint feels it; the bare rotor reaches V at E in 1 to 6 ms."""
+    return {"inertia": _between(1e-3, 6e-3, rng) * site.joint.effort / site.joint.velocity}
+
+
+def spring(site: Site, rng: np.random.Generator) -> dict[str, float]:
+    """Effort k (q - q0): ``stiffness`` [N m/rad], 4 to 30 % of E at the end of the range; ``equilibrium`` [rad]."""
+    stiffness = _between(0.04, 0.3, rng) * site.joint.effort / site.joint.half_range
+    return {"stiffness": stiffness, "equilibrium": site.joint.centre + rng.uniform(-0.5, 0.5) * site.joint.half_range}
+
+
+def effort_offset(site: Site, rng: np.random.Generator) -> dict[str, float]:
+    """Measured minus true effort: ``offset`` [N m], 1 to 5 % of E."""
+    return {"offset": _sign(rng) * _between(0.01, 0.05, rng) * site.joint.effort}
+
+
+def effort_gain(_: Site, rng: np.random.Generator) -> dict[str, float]:
+    """Measured by true effort: ``gain`` [-], 4 to 20 % off."""
+    return {"gain": 1.0 + _sign(rng) * _between(0.04, 0.2, rng)}
+
+
+def gravity_tilt(_: Site, rng: np.random.Generator) -> dict[str, float]:
+    """Rotation vector of the base, ``tilt_x``, ``tilt_y`` [rad], together half a degree to five."""
+    angle, direction = math.radians(_between(0.5, 5.0, rng)), rng.uniform(0.0, 2.0 * math.pi)
+    return {"tilt_x": angle * math.cos(direction), "tilt_y": angle * math.sin(direction)}
+
+
+def effort_delay(_: Site, rng: np.random.Generator) -> dict[str, float]:
+    """How late the measured efforts are, ``delay`` [s], 2 to 12 ms of either sign."""
+    return {"delay": _sign(rng) * _between(0.002, 0.012, rng)}
+
+
+def payload(site: Site, rng: np.random.Generator) -> dict[str, float]:
+    """A box: ``mass`` [kg], ``com_*`` [m] in the link frame, ``i**`` [kg m^2] about its centre in the link's axes."""
+    mass = site.given.get("mass", _between(0.02, 0.08, rng) * site.strongest / 9.81 / 0.5)
+    x, y, z = rng.uniform(-0.1, 0.1, 3).tolist()
+    a, b, c = (np.cbrt(mass / 2000.0) * rng.uniform(0.5, 2.0, 3)).tolist()
+    box = {"ixx": b * b + c * c, "iyy": a * a + c * c, "izz": a * a + b * b}
+    moments = {name: mass / 12.0 * value for name, value in box.items()}
+    return {"mass": mass, "com_x": x, "com_y": y, "com_z": z, **moments, "ixy": 0.0, "ixz": 0.0, "iyz": 0.0}
+
+
+def joint_elasticity(site: Site, rng: np.random.Generator) -> dict[str, float]:
+    """Gear ``stiffness`` [N m/rad], wound up by 0.01 to 0.05 rad at E, with ``damping`` and a light rotor."""
+    stiffness = site.given.get("stiffness", site.joint.effort / _between(0.01, 0.05, rng))
+    return {"stiffness": stiffness, **_light_rotor(site, stiffness)}
+
+
+def backlash(site: Site, rng: np.random.Generator) -> dict[str, float]:
+    """Play of ``gap`` [rad], 3 to 20 mrad, between flanks of some ``stiffness`` and ``damping``, with a light rotor."""
+    gap = site.given.get("gap", _between(0.003, 0.02, rng))
+    stiffness = site.given.get("stiffness", site.joint.effort / (0.2 * gap))
+    return {"gap": gap, "stiffness": stiffness, **_light_rotor(site, stiffness)}
+
+
+def _light_rotor(site: Site, stiffness: float) -> dict[str, float]:
+    rotor = site.given.get("rotor_inertia", _ROTOR_TIME * site.joint.effort / site.joint.velocity)
+    return {"damping": math.sqrt(stiffness * rotor), "rotor_inertia": rotor}
+
+
+def wrench_offset(_: Site, rng: np.random.Generator) -> dict[str, float]:
+    """Measured minus true wrench in the sensor's axes, ``fx`` to ``fz`` [N], ``tx`` to ``tz`` [N m]."""
+    force = [_sign(rng) * _between(0.5, 5.0, rng) for _ in range(3)]
+    torque = [_sign(rng) * _between(0.02, 0.3, rng) for _ in range(3)]
+    return dict(zip(("fx", "fy", "fz", "tx", "ty", "tz"), force + torque, strict=True))
+
+
+def cogging(site: Site, rng: np.random.Generator) -> dict[str, float]:
+    """Effort A sin(cycles q + phase): ``amplitude`` [N m], 1 to 6 % of E, some ``cycles`` per turn."""
+    amplitude = _between(0.01, 0.06, rng) * site.joint.effort
+    return {"amplitude": amplitude, "cycles": float(rng.integers(5, 21)), "phase": rng.uniform(0.0, 2.0 * math.pi)}
+
+
+def cable_force(site: Site, rng: np.random.Generator) -> dict[str, float]:
+    """A cable over pulleys on two joints, stretched by w = q + ratio q_other - start where that is above 0: efforts
+    k w and ratio k w; ``stiffness`` k [N m/rad], 8 to 40 % of E of the weaker joint over half the range, ``ratio`` [-],
+    ``start`` [rad]."""
+    weaker = min(site.joint.effort, site.other.effort)
+    stiffness, ratio = _between(0.08, 0.4, rng) * weaker / site.joint.half_range, rng.uniform(0.4, 0.9)
+    slack = rng.uniform(-0.2, 0.2) * site.joint.half_range
+    return {"stiffness": stiffness, "ratio": ratio, "start": site.joint.centre + ratio * site.other.centre + slack}
+
+
+def drift(site: Site, rng: np.random.Generator) -> dict[str, float]:
+    """Measured minus true effort grows from 0 at ``rate`` [N m/s], 1 to 6 % of E in half a minute."""
+    return {"rate": _sign(rng) * _between(0.01, 0.06, rng) * site.joint.effort / 30.0}
+
+
+def position_friction(site: Site, rng: np.random.Generator) -> dict[str, float]:
+    """Dry friction of ``level (1 + modulation sin(cycles q + phase))`` [N m]: a bent shaft, an uneven seal."""
+    level, modulation = _between(0.02, 0.08, rng) * site.joint.effort, rng.uniform(0.6, 1.0)
+    cycles, phase = float(rng.integers(1, 4)), rng.uniform(0.0, 2.0 * math.pi)
+    return {"level": level, "modulation": modulation, "cycles": cycles, "phase": phase}
+
+
+def joint_coupling(site: Site, rng: np.random.Generator) -> dict[str, float]:
+    """Effort c v_other, as of a differential wrist: ``coefficient`` [N m s/rad], 2 to 10 % of E at V."""
+    return {"coefficient": _sign(rng) * _between(0.02, 0.1, rng) * site.joint.effort / site.joint.velocity}
+
+
+SIZES: dict[str, Size] = {
+    name: size
+    for name, size in globals().items()
+    if isfunction(size) and size.__module__ == __name__ and not name.startswith("_")
+}
+"""Of every effect, which has a public function here."""
+
 
 WRENCH_TOPIC = "/wrench"
 """Where a recording has its wrench."""

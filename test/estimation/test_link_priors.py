@@ -10,11 +10,11 @@ import pytest
 from model.robots import urdf
 
 from geomid_ros.estimation import coupled_prior
-from geomid_ros.estimation.alike_prior import AlikePrior
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.fit import Fit
 from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.estimation.link_priors import AlikePrior
 from geomid_ros.estimation.objective import ProductsObjective
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.files.models.readers import ELEMENTS
