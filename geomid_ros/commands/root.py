@@ -37,7 +37,10 @@ COMMANDS = {
     "simulate": "Record a rosbag of a simulated robot.",
     "verify": "Check that a model predicts a recording.",
 }
-"""The first sentence of each command's help, by its name, which is that of its module."""
+"""The first sentence of each command's help, by its name."""
+_HOMES = dict.fromkeys(
+    ("compare", "export", "feedforward", "payload", "report", "sample", "verify"), "results"
+) | dict.fromkeys(("dashboard", "demo", "play"), "live")  # modules of commands that have none of their own name
 
 
 class _Failure(click.ClickException):
@@ -56,7 +59,9 @@ class _Group(click.Group):
         if cmd_name not in COMMANDS:
             return None
         load_hashes()
-        command: click.Command = getattr(import_module(f"geomid_ros.commands.{cmd_name}"), cmd_name)
+        command: click.Command = getattr(
+            import_module(f"geomid_ros.commands.{_HOMES.get(cmd_name, cmd_name)}"), cmd_name
+        )
         return command
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:

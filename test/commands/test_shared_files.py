@@ -13,7 +13,7 @@ import pytest
 from files.recordings import BAGS
 
 import geomid_ros
-from geomid_ros.commands.demo import shared_file
+from geomid_ros.commands.live import shared_file
 from geomid_ros.commands.options import Output
 from geomid_ros.commands.root import COMMANDS, root
 from geomid_ros.errors import InputError

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.fuzz.mutations import changed_bytes
 from benchmarks.fuzz.target import require
 from benchmarks.fuzz.targets.model import EDGES, changed_document
-from geomid_ros.commands.demo import shared_file
+from geomid_ros.commands.live import shared_file
 from geomid_ros.files.archive import decoded, encoded, pack, unpack
 from geomid_ros.files.checkpoints import Checkpoint
 from geomid_ros.model.samples import Samples

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.fuzz.target import require
-from geomid_ros.commands.demo import shared_file
+from geomid_ros.commands.live import shared_file
 from geomid_ros.errors import GeomidError
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session

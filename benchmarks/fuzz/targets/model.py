@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.fuzz.mutations import changed_text
 from benchmarks.fuzz.target import require
-from geomid_ros.commands.demo import shared_file
+from geomid_ros.commands.live import shared_file
 from geomid_ros.model.effects import EFFECTS
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session

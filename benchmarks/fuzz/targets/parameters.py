@@ -9,7 +9,7 @@ import yaml
 
 from benchmarks.fuzz.mutations import NUMBERS, changed_text
 from benchmarks.fuzz.target import require
-from geomid_ros.commands.demo import shared_file
+from geomid_ros.commands.live import shared_file
 from geomid_ros.session.configuration import PARAMETERS, Configuration
 
 _SNIPPETS = (

@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.fuzz.mutations import NUMBERS, changed_text
 from benchmarks.fuzz.target import require
-from geomid_ros.commands.demo import shared_file
+from geomid_ros.commands.live import shared_file
 from geomid_ros.files.models.effects_file import coefficient
 from geomid_ros.files.models.urdf import with_effects, with_inertials
 from geomid_ros.model.effects import Quantity

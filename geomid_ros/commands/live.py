@@ -1,4 +1,4 @@
-"""``geomid demo``: watch a robot's inertias being identified live."""
+"""``geomid demo``, ``play`` and ``dashboard``: a node and what it hears."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import OUT
+from geomid_ros.commands.options import OUT, PATH
 from geomid_ros.commands.terminal import progress_bar, results_console
-from geomid_ros.errors import InputError, needing_ros
+from geomid_ros.errors import InputError, needing_ros, printable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -120,3 +120,57 @@ def _conclude(console: Console, file: EstimateFile, truth: dict[str, float], dif
         highlight=False,
         soft_wrap=True,
     )
+
+
+@click.command()
+@click.argument("bag", type=PATH)
+@click.option(
+    "--rate",
+    default=1.0,
+    show_default=True,
+    type=click.FloatRange(0.01, 100.0),
+    help="Playback speed, relative to real time.",
+)
+@click.option(
+    "--wait", default=10.0, show_default=True, type=click.FloatRange(0.0), help="Longest wait for subscribers [s]."
+)
+@click.option(
+    "--topic", multiple=True, help="Also publish this topic; may be repeated. A robot will follow recorded commands."
+)
+@click.option(
+    "--config", type=PATH, help="The node's parameter file (YAML); also publish the topics of its wrench sensors."
+)
+def play(bag: Path, rate: float, wait: float, topic: tuple[str, ...], config: Path | None) -> None:
+    """Play a rosbag on live topics.
+
+    Publishes only the topics of BAG that geomid reads: joint_states, odom, imu and robot_description in any
+    namespace, and /clock.
+    """
+    from geomid_ros.session.configuration import Configuration
+
+    with needing_ros("playing a bag"):
+        from geomid_ros.ros.player import play as published
+    sensors = Configuration.read(config).sensors if config else []
+    named = [*topic, *(sensor.topic for sensor in sensors)]
+    count = 0
+    with progress_bar() as progress:
+        progress(f"playing {bag.name}", 0.0)
+        for count, total in published(bag, rate, wait, named, lambda said: click.echo(printable(said), err=True)):
+            progress(f"playing {bag.name}", count / total)
+    click.echo(f"Published {count} messages of {bag}")
+
+
+@click.command()
+@click.option("--node", default="/geomid", show_default=True, metavar="NAME", help="Node to show.")
+@click.option(
+    "--port", type=click.IntRange(1, 65535), help="Port of the page.  [default: 8765, or any free one if that is taken]"
+)
+def dashboard(node: str, port: int | None) -> None:
+    """Show a running node on a local page.
+
+    Shows masses with their intervals, fit, gaps and diagnostics. The page is on 127.0.0.1, not visible from the
+    network. It is read-only and needs no network. Ctrl+C ends it.
+    """
+    with needing_ros("the dashboard"):
+        from geomid_ros.ros.dashboard import run_dashboard
+    run_dashboard(node, port, lambda said: click.echo(printable(said)))
