@@ -17,7 +17,7 @@ from geomid_ros.estimation.objective import ResidualObjective
 from geomid_ros.estimation.paper_estimator import PAPER
 from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.estimation.starting_point import (
-    USUAL_SPREAD_OF_LINKS,
+    USUAL_SPREAD,
     prior_parameters,
     scales_of_coefficients,
     usual_spreads,
@@ -133,7 +133,7 @@ def _distance_to_batch(streamed: FloatArray) -> tuple[float, float]:
     sigmas = np.resize(identifier.solve().sigmas, sum(map(len, targets)))
     rows = np.concatenate(coefficients)
     rows /= sigmas[:, None]
-    confidence = (USUAL_SPREAD_OF_LINKS / usual_spreads(manifold)) ** 2
+    confidence = (USUAL_SPREAD / usual_spreads(manifold)) ** 2
     ones = np.ones(len(rows))
     objective = ResidualObjective(
         manifold, rows, np.concatenate(targets) / sigmas, ones, prior, PAPER, confidence=confidence

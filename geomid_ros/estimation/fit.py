@@ -18,7 +18,7 @@ import numpy as np
 from geomid_ros.estimation.objective import Evaluation, ProductsObjective, ResidualObjective, row_weights
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.solvers import Extrapolation, Solution, trust_region
-from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
+from geomid_ros.estimation.starting_point import USUAL_SPREAD
 from geomid_ros.estimation.tolerances import LEAST_GRADIENT, SETTLED
 from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
@@ -232,7 +232,7 @@ def _prior_weights(problem: Problem, spreads: FloatArray, measured: float) -> Fl
     """Weights ``(D,)`` of the squared distance to the prior, for these spreads of the links and rows of this weight."""
     usual = _every_spread(problem, spreads)
     if problem.gamma is not None:
-        return np.asarray(problem.gamma * measured * (USUAL_SPREAD_OF_LINKS / usual) ** 2)
+        return np.asarray(problem.gamma * measured * (USUAL_SPREAD / usual) ** 2)
     # Of the rows only a share counts: in units of all of them the prior, and what was weighed, are as much heavier.
     return np.asarray(usual**-2.0 / problem.independent)
 

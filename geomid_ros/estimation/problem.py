@@ -10,8 +10,7 @@ import numpy as np
 from geomid_ros.estimation.channel_products import ChannelProducts
 from geomid_ros.estimation.objective import dual_metric, row_weights, rows_at
 from geomid_ros.estimation.starting_point import (
-    USUAL_SPREAD_OF_LINKS,
-    USUAL_SPREAD_OF_REALS,
+    USUAL_SPREAD,
     first_sigmas,
     prior_parameters,
     prior_spreads,
@@ -66,7 +65,7 @@ class Problem:
         """The usual spreads of the links' priors ``(links,)``."""
         if self.given_spreads is not None:
             return self.given_spreads
-        return np.full(len(self.model.body_names), USUAL_SPREAD_OF_LINKS)
+        return np.full(len(self.model.body_names), USUAL_SPREAD)
 
     @cached_property
     def manifold(self) -> ParameterManifold:
@@ -86,7 +85,7 @@ class Problem:
         as positive ones are.
         """
         positive, real = np.split(self.prior_spreads[self.manifold.inertial.stop :], [self.model.positives])
-        least = USUAL_SPREAD_OF_REALS * self.scales[: self.model.positives] / point.positives
+        least = USUAL_SPREAD * self.scales[: self.model.positives] / point.positives
         fitted = np.abs(self.prior_point.reals) / self.manifold.scales if self.given is None else 0.0
         return np.concatenate([np.maximum(positive, least), np.maximum(real, fitted)])
 

@@ -10,22 +10,19 @@ import numpy as np
 from numpy.linalg import LinAlgError
 
 from geomid_ros.estimation.objective import Evaluation, Objective
+from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.types import FloatArray
 
 _ACCEPT = 1e-4
-_EXPAND_ABOVE = 0.75
-_SHRINK_BELOW = 0.25
+_SHRINK_BELOW = 0.25  # and expand above what that leaves of one
 # Relative to the value. Its rounding, which grows with the condition of the links, may hide a decrease as small as the
 # first; no step decreases it by less than the second.
 _HIDDEN = 1e-10
 _ROUNDING = 1e-13
-_SHORTEST = 1e-12  # step
 _NEARLY = 0.99  # of the radius: a step that long is as good as one to the ball's end
-_CLOSE = 1e-10  # relative width of a bracket
 _REMEMBERED = 6  # last rounds of a fixed-point iteration
-_ROUNDING_OF_MOVES = 1e-8  # of the least squares
 _FURTHEST = 30.0  # times the last round's move; g is not as linear as that
 GRADIENT = 1e-8
 """Norm at which a solve ends, as a share of the objective's scale."""
@@ -103,12 +100,12 @@ def trust_region(
             if hidden and np.linalg.norm(trial.gradient) <= 0.5 * np.linalg.norm(evaluation.gradient):
                 ratio = 1.0
                 break
-            if predicted <= _ROUNDING * evaluation.value or length < _SHORTEST:
+            if predicted <= _ROUNDING * evaluation.value:
                 return Solution(point, evaluation, *_ROUNDED, step, tuple(values))
             radius = 0.25 * length
         if ratio < _SHRINK_BELOW:
             radius = 0.25 * length
-        elif ratio > _EXPAND_ABOVE and length >= _NEARLY * radius:
+        elif ratio > 1.0 - _SHRINK_BELOW and length >= _NEARLY * radius:
             radius = 2.0 * radius
         point, evaluation = candidate, trial
         values.append(evaluation.value)
@@ -152,7 +149,7 @@ class _QuadraticModel:
         smallest = _ROUNDING * max(sizes)
         low, high, damping, trial = 0.0, np.inf, 0.0, self._undamped
         fitting: FloatArray | None = None
-        while fitting is None or high - max(low, smallest) > _CLOSE * high:
+        while fitting is None or high - max(low, smallest) > ROUNDING * high:
             length = np.inf if trial is None else float(np.linalg.norm(trial[0]))
             if trial is not None and length <= radius:
                 high, fitting = damping, trial[0]
@@ -220,7 +217,7 @@ class Extrapolation:
         """The next x ``(n,)`` after a round that began at x and ended at g(x)."""
         self._rounds.append((ended, ended - begun))
         ends, moves = (np.array(each).T for each in zip(*self._rounds, strict=True))
-        shares, *_ = np.linalg.lstsq(np.diff(moves), moves[:, -1], rcond=_ROUNDING_OF_MOVES)
+        shares, *_ = np.linalg.lstsq(np.diff(moves), moves[:, -1], rcond=ROUNDING)
         further = np.diff(ends) @ shares
         if not np.max(np.abs(further)) <= _FURTHEST * np.max(np.abs(ended - begun)):
             self._rounds.clear()

@@ -27,9 +27,7 @@ _LEAST_SIGMA_SHARE = 1e-3
 # Usual error of priors, per direction of the tangent space: inertias from CAD a fifth; positive coefficients a factor
 # of e, for they are a first fit that absorbs what the inertias cannot explain; real ones a fifth of what their channel
 # measures.
-USUAL_SPREAD_OF_LINKS = 0.2
-_USUAL_SPREAD_OF_POSITIVES = 1.0
-USUAL_SPREAD_OF_REALS = 0.2
+USUAL_SPREAD = 0.2
 
 
 def channel_sizes(summary: RowSummary, dimension: int) -> FloatArray:
@@ -81,9 +79,8 @@ def scales_of_coefficients(model: MeasurementModel, summary: RowSummary) -> Floa
 
 def usual_spreads(manifold: ParameterManifold) -> FloatArray:
     """Usual standard deviations ``(D,)`` of a prior's error, in tangent coordinates."""
-    spreads = np.full(manifold.dimension, USUAL_SPREAD_OF_LINKS)
-    spreads[manifold.positive] = _USUAL_SPREAD_OF_POSITIVES
-    spreads[manifold.real] = USUAL_SPREAD_OF_REALS
+    spreads = np.full(manifold.dimension, USUAL_SPREAD)
+    spreads[manifold.positive] = 1.0
     return spreads
 
 

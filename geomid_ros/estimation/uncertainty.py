@@ -15,12 +15,9 @@ from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.types import FloatArray, IntArray, frozen
 
-# The usual spread counts as much as one direction of the tangent space that the data determine.
-_CERTAINTY_OF_USUAL = 1.0
 _ROUNDS = 10  # of the fixed point; a fixed number, so that rounding cannot change how many there are
 _FOLDS_OF_BLOCKS = (1, 2, 4)
 """Correlations that are longer than a block hide in it: of blocks of several lengths, those count that show most."""
-_LARGEST_SPREAD = 100.0  # times the usual
 _DOUBT = 3.0  # times as large as they are taken to be the prior's errors may be, if the data alone are believed
 _ROUNDING = float(np.finfo(float).eps)  # of the largest information: what rounding may make of none
 _STEP = 1e-5
@@ -250,10 +247,9 @@ def prior_spreads(rows: Fold, from_prior: FloatArray, groups: Sequence[Parameter
         # Not as information times distance, of which rounding would leave little.
         moved = from_prior - spreads * (left @ (own * from_prior / spreads - spreads * rows.gradient))
         determined = np.clip(1.0 - np.diag(left), 0.0, 1.0)
-        squares = np.bincount(member, moved**2, len(groups)) + _CERTAINTY_OF_USUAL * usual**2
-        counts = np.bincount(member, determined, len(groups)) + _CERTAINTY_OF_USUAL
-        # Few rows of many parameters can be fitted at any distance.
-        found = np.minimum(np.sqrt(squares / counts), _LARGEST_SPREAD * usual)
+        # The usual spread counts as much as one direction of the tangent space that the data determine.
+        squares = np.bincount(member, moved**2, len(groups)) + usual**2
+        found = np.sqrt(squares / (np.bincount(member, determined, len(groups)) + 1.0))
         begun = extrapolation.next(begun, np.log(found))
     return np.asarray(found[member])
 

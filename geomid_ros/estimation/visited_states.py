@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.types import FloatArray
 
 _MOST = 1024  # states that are kept: of more, one of two
 # Which of two, by chance: every second one would again and again be the same one of a motion that repeats.
 _WHICH = np.random.default_rng(0).integers(2, size=_MOST - 1)
 _NEXT = 1.0 - 1e-6
-_CONSTANT = 1e-9  # of a coordinate's largest value: rounding errors are no motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +112,7 @@ class VisitedStates:
             return 1.0
         states = self.kept[:, 0]
         scales = np.std(states, axis=0)
-        told = scales > _CONSTANT * np.max(np.abs(states), axis=0)
+        told = scales > ROUNDING * np.max(np.abs(states), axis=0)
         places, before, after = np.moveaxis(self.kept[:, :, told] / scales[told], 1, 0)
         squares = np.sum(places**2, axis=1)
         apart = squares[:, None] + squares - 2.0 * places @ places.T

@@ -16,7 +16,7 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import WarmStart, estimate
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.posterior import Posterior
-from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
+from geomid_ros.estimation.starting_point import USUAL_SPREAD
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.uncertain_inertia import QUANTITIES, UncertainInertia, identified, numbers
 from geomid_ros.files.models.posterior import places_in
@@ -133,7 +133,7 @@ def weigh(
         order, (rows, targets) = places_in(empty, carrying), empty.evidence
         prior = np.where(order >= 0, empty.prior[order], prior)
         known = WeighedRows(np.where(order >= 0, rows[:, order], 0.0), targets)
-    spreads = np.append(np.full(len(model.identified), USUAL_SPREAD_OF_LINKS), SPREAD_OF_PAYLOADS)
+    spreads = np.append(np.full(len(model.identified), USUAL_SPREAD), SPREAD_OF_PAYLOADS)
     summary = identifier.snapshot()
     solve = partial(estimate, carrying, settings=settings, prior=prior, spreads=spreads, known=known)
     found = solve(summary)

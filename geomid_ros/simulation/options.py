@@ -193,17 +193,9 @@ def _number(word: str, text: str) -> float:
     return value
 
 
-class RandomStream(IntEnum):
-    """What a stream of random numbers decides; they are independent, so that changing one choice leaves the others as
-    they were."""
-
-    INERTIA = 0
-    EFFECTS = 1
-    ORDER = 2
-    MOTION = 3
-    NOISE = 4
-    HIDDEN = 5
-    REALISTIC = 6
+RandomStream = IntEnum("RandomStream", "INERTIA EFFECTS ORDER MOTION NOISE HIDDEN REALISTIC", start=0)
+"""What a stream of random numbers decides; they are independent, so that changing one choice leaves the others as they
+were."""
 
 
 def generator(seed: int, stream: RandomStream, *part: int) -> np.random.Generator:

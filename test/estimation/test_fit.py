@@ -12,7 +12,7 @@ import pytest
 from geomid_ros.estimation import estimator
 from geomid_ros.estimation.fit import CERTAINTY, Fit, fit, likelier
 from geomid_ros.estimation.problem import Problem
-from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS, USUAL_SPREAD_OF_REALS
+from geomid_ros.estimation.starting_point import USUAL_SPREAD
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.effects import identifiable
 from geomid_ros.model.measurement import MeasurementModel
@@ -59,8 +59,8 @@ def test_a_link_that_is_wrong_alone_is_let_go_and_the_others_stay(wrong: int, se
     links[wrong] *= 3.0
     found = fitted(with_links(case, links, seed))
     others = np.delete(np.arange(len(links)), wrong)
-    assert found.spreads[wrong] > 1.5 * USUAL_SPREAD_OF_LINKS
-    assert np.all(found.spreads[others] < 1.1 * USUAL_SPREAD_OF_LINKS)
+    assert found.spreads[wrong] > 1.5 * USUAL_SPREAD
+    assert np.all(found.spreads[others] < 1.1 * USUAL_SPREAD)
     assert found.point.pseudo_inertias[wrong, 3, 3] == pytest.approx(links[wrong, 0], rel=0.15)
     from_urdf = distances(found, nominal)
     assert np.all(from_urdf[others] < 0.25 * from_urdf[wrong])
@@ -144,7 +144,7 @@ def test_a_links_spread_is_its_distance_from_the_prior_and_what_is_unsure_of_it(
     links = manifold.inertial
     squares = manifold.log(prior, found.point)[links] ** 2 + np.sum(vectors**2 / values, axis=1)[links]
     of_links = np.sum(squares.reshape(-1, 10), axis=1)
-    expected = np.sqrt((of_links + CERTAINTY * USUAL_SPREAD_OF_LINKS**2) / (10.0 + CERTAINTY))
+    expected = np.sqrt((of_links + CERTAINTY * USUAL_SPREAD**2) / (10.0 + CERTAINTY))
     np.testing.assert_allclose(found.spreads, expected, rtol=1e-5)
 
 
@@ -163,7 +163,7 @@ def test_the_score_is_the_density_of_what_was_measured() -> None:
     covariance = np.diag(sigmas**2) + (tangent * found.assumed_spreads**2) @ tangent.T
     off = left - tangent @ manifold.log(found.point, prior)
     density = np.linalg.slogdet(covariance)[1] + off @ np.linalg.solve(covariance, off)
-    wide = found.spreads / USUAL_SPREAD_OF_LINKS
+    wide = found.spreads / USUAL_SPREAD
     expected = density + CERTAINTY * np.sum(wide**-2.0 + 2.0 * np.log(wide))
     assert found.score == pytest.approx(expected, abs=0.05)
 
@@ -241,7 +241,7 @@ def test_what_was_fitted_first_is_known_to_its_own_size_at_best() -> None:
     errors = found.usual_errors(found.prior_point)
     own = np.abs(found.prior_point.reals) / found.manifold.scales
     assert np.all(errors[found.model.positives :] >= own)
-    assert np.max(own) > 2.0 * USUAL_SPREAD_OF_REALS
+    assert np.max(own) > 2.0 * USUAL_SPREAD
 
 
 @pytest.mark.parametrize("fast", [0, 5])

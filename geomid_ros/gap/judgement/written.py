@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_REALS
+from geomid_ros.estimation.starting_point import USUAL_SPREAD
 from geomid_ros.gap.analysis import Analysis
 from geomid_ros.gap.candidates import CLEARLY, Candidate, EffectTerm, NamesFit, NamesPrior
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
@@ -188,7 +188,7 @@ def _with_ordinary(
     said = {term for candidate in named for term in candidate.terms}
     terms = tuple(term for candidate in ordinary for term in candidate.terms if term not in said)
     sizes = problem.usual_sizes(terms)
-    spreads = USUAL_SPREAD_OF_REALS * np.where(np.isfinite(sizes) & (sizes > 0.0), sizes, 1.0)  # of nothing: any
+    spreads = USUAL_SPREAD * np.where(np.isfinite(sizes) & (sizes > 0.0), sizes, 1.0)  # of nothing: any
     return replace(
         prior,
         terms=(*prior.terms, *terms),
