@@ -77,7 +77,7 @@ def _findings_table(result: GapResult) -> Table:
 
 def _sentences(result: GapResult) -> Iterator[str]:
     """One of each finding, with its rivals where there are any to choose from; of many findings only of these."""
-    few = len(result.findings) <= gap_words.FEW
+    few = len(result.findings) <= gap_words.MOST_LISTED
     for finding in result.findings:
         rivals = [gap_words.compared(rival) for rival in finding.rivals[: gap_words.MOST_LISTED]]
         ambiguous = finding.confidence == "ambiguous" and rivals

@@ -19,14 +19,13 @@ from geomid_ros.excitation.motion import ExcitingMotion
 from geomid_ros.model.effects import effect_class
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import ACCELERATION_PER_SPEED, random_states, samples_of
+from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, frozen
 
 NOISE = 2e-3
 """Standard deviation of an effort of which nothing is known, as a share of the joint's limit."""
-CUTOFF = 5.0
-"""[Hz] of the low-pass that recordings usually pass."""
-ROWS_PER_SECOND = INDEPENDENT * CUTOFF
-"""Independent measurements of each joint in a second behind that filter."""
+ROWS_PER_SECOND = INDEPENDENT * SignalSettings().cutoff
+"""Independent measurements of each joint in a second behind the usual filter."""
 _USUAL_SHARE = 0.02  # of the joint's effort limit that an effect usually adds
 _STATES = 200
 _OTHERS = (

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
+from geomid_ros.estimation.tolerances import ROUNDING_OF_PRODUCTS
 from geomid_ros.excitation.feasibility import Feasibility
 from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Belief
 from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
@@ -26,7 +27,6 @@ _RATE = 20.0  # [Hz] of the instants
 _RANDOM = 24
 _STEPS = 150
 _FIRST, _GROWTH = 0.3, 1.5  # size of the first random step, and by how much it grows with success
-_RIDGE = 1e-12  # of columns of unit size
 _REFERENCE = 0.5  # share of the limits' reach of the motion on which a rival is fitted for the first time
 
 
@@ -209,7 +209,7 @@ class _Known:
         normal, right = both.T @ both, both.T @ target
         normal[:size, :size] += self.precision
         units = 1.0 / np.sqrt(np.maximum(np.diag(normal), np.finfo(float).tiny))
-        scaled = normal * np.outer(units, units) + _RIDGE * np.eye(len(units))
+        scaled = normal * np.outer(units, units) + ROUNDING_OF_PRODUCTS * np.eye(len(units))
         solution = units * np.linalg.solve(scaled, units * right)
         return max(float(target @ target - right @ solution), 0.0), solution[size:]
 

@@ -14,10 +14,8 @@ from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
 from geomid_ros.types import FloatArray
 
 NONE = "n/a"
-FEW = 4
-"""Effects that a sentence can name, and findings that get one each."""
 MOST_LISTED = 3
-"""Parts of a sentence that lists, and rivals that are compared with."""
+"""Parts of a sentence that lists, findings that get a sentence each, and rivals that are compared with."""
 MOST_CANDIDATES = 8
 """Candidates in a table, the best first."""
 _ALIKE = 3.0  # standard deviations
@@ -249,7 +247,7 @@ def not_explained(result: GapResult) -> list[tuple[str, float, str]]:
 def _named(result: GapResult) -> str:
     """The findings, each effect once with all places where it acts, of many the surest; and the links that changed."""
     findings, changed = result.findings, [f"a change of link '{change.link}'" for change in result.links]
-    if len(findings) > FEW:
+    if len(findings) > MOST_LISTED:
         first = [f"{effect_name(f.effect)} {place(f.joint, f.link)}" for f in findings[:MOST_LISTED]]
         return _listed([f"{len(findings)} effects, most certainly {_listed(first)}", *changed])
     places: dict[str, list[str]] = {}

@@ -41,8 +41,6 @@ _MOTIONS = 0.5  # of the larger one's standard deviation: a simulation lags and 
 _STILL = 0.02  # [rad, m] standard deviation of a joint that does not move
 _LONGEST_SHIFT = 2.0  # [s] between the beginnings of the two recordings and of the motion in them
 _STEP = 0.02  # [s]
-CUTOFF_PER_RATE = 1.0 / LOWEST_RATE_PER_CUTOFF
-"""The highest cutoff, as a share of the messages' rate."""
 MESSAGES_FOR_RATE = 64
 """The rate is that of so many messages at the beginning."""
 
@@ -101,7 +99,7 @@ def gap_cutoff(session: Session, rate: float) -> float:
     allows."""
     if "filter.cutoff" in session.configuration.given:
         return float(session.configuration["filter.cutoff"])
-    return min(CUTOFF, CUTOFF_PER_RATE * rate)
+    return min(CUTOFF, rate / LOWEST_RATE_PER_CUTOFF)
 
 
 def gap_pipeline(session: Session, cutoff: float) -> SignalPipeline:
@@ -328,7 +326,7 @@ class GapReader:
             topic: read the joints' set-points on this topic instead of the joint states.
         """
         shares = [(path, share) for path, share in self.bags.shares if share > 0.0]
-        cutoff = min(SHARP_CUTOFF, CUTOFF_PER_RATE * self._rate([*self.bags.fitted, *self.bags.validate]))
+        cutoff = min(SHARP_CUTOFF, self._rate([*self.bags.fitted, *self.bags.validate]) / LOWEST_RATE_PER_CUTOFF)
         return [self._late(path, share, cutoff, topic) for path, share in shares]
 
     def _late(self, path: Path, share: float, cutoff: float, topic: str) -> Samples:

@@ -18,8 +18,6 @@ from geomid_ros.model.effects import Effect, KnownEffect, OnLink, Place, effect_
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray, frozen
 
-_OF_BODY = 4.0  # parameters
-
 
 def open_questions(feasibility: Feasibility, path: Path) -> tuple[DiscriminationCriterion, list[tuple[str, list[str]]]]:
     """Who says what a motion would decide, and of each finding its label and those of its rivals.
@@ -74,9 +72,9 @@ def _any(model: MeasurementModel, effect: str, joint: str, link: str = "") -> Na
 
 
 def _penalty(effect: Effect, place: Place) -> float:
-    """For how many parameters an effect counts: of a body its mass and centre, as little is said of its inertia."""
+    """For how many parameters an effect counts: a body for those that are said first, without its inertia."""
     terms = Candidate.of(effect, place).terms
-    return float(len(terms) + bool(effect.scanned)) if terms else _OF_BODY
+    return float(len(terms) + bool(effect.scanned)) if terms else float(effect.said_first or 0)
 
 
 def _link_of(model: MeasurementModel, place: Place) -> str:

@@ -12,11 +12,11 @@ from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN, Samples
 from geomid_ros.resimulation.resimulate import CUTOFF
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.gap import CUTOFF_PER_RATE, MESSAGES_FOR_RATE, GapReader, gap_pipeline, gap_session, rate
+from geomid_ros.session.gap import MESSAGES_FOR_RATE, GapReader, gap_pipeline, gap_session, rate
 from geomid_ros.session.recordings import Bags, Topics, divided, read_samples
 from geomid_ros.session.session import Session
 from geomid_ros.signals.clocks import FEWEST
-from geomid_ros.signals.kernels import derivative_kernels
+from geomid_ros.signals.kernels import LOWEST_RATE_PER_CUTOFF, derivative_kernels
 
 BAG = BAGS / "arm3"
 SHARE = 0.3
@@ -30,7 +30,7 @@ def session() -> Session:
 def test_what_is_simulated_again_is_the_end_that_is_held_out(session: Session) -> None:
     """Read with its own low-pass, and without the columns of the effects that are searched for."""
     (late,) = GapReader(session, Bags(fitted=[BAG], hold_out=SHARE)).sharp()
-    pipeline = gap_pipeline(session, min(CUTOFF, CUTOFF_PER_RATE * 100.0))
+    pipeline = gap_pipeline(session, min(CUTOFF, 100.0 / LOWEST_RATE_PER_CUTOFF))
     with Bag(BAG) as bag:
         everything = list(read_samples(bag, session, pipeline, Topics("joint_states", "odom")))
     ((_, expected),) = divided([Samples.concatenate(everything)], SHARE)
@@ -46,7 +46,7 @@ def test_the_highest_cutoff_is_one_that_every_part_of_a_recording_allows() -> No
     rng = np.random.default_rng(1)
     for _ in range(200):
         stamps = np.cumsum(20_000_000 + 1_000_000 * rng.normal(size=(2, MESSAGES_FOR_RATE)), axis=1).astype(np.int64)
-        chosen = CUTOFF_PER_RATE * rate(stamps[0].tolist())
+        chosen = rate(stamps[0].tolist()) / LOWEST_RATE_PER_CUTOFF
         derivative_kernels(chosen, 1e-9 * float(np.median(np.diff(stamps[1, :FEWEST]))))
 
 

@@ -24,6 +24,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
+from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.files.disk import read_bytes, write_bytes
 from geomid_ros.files.schema import plain, structured, upper_triangle
 from geomid_ros.gap.evidence.features import LARGEST_SCALE, Basis, StandingRemainder
@@ -37,7 +38,6 @@ SAME = 1e-6
 _HEADER = "posterior"
 _VECTORS = ("parameters", "prior", "prior_spreads")
 _MOST_PARAMETERS = 2000
-_ROUNDING = 1e-8
 T = TypeVar("T")
 
 # What NumPy, zipfile and json raise; RuntimeError for encrypted files, MemoryError for an array that is not there.
@@ -243,7 +243,7 @@ def _check(posterior: Posterior) -> None:
     covariance = posterior.covariance
     deviations = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
     scaled = covariance / np.outer(deviations, deviations)
-    if not np.allclose(scaled, scaled.T, rtol=0.0, atol=_ROUNDING) or np.linalg.eigvalsh(scaled)[0] < -_ROUNDING:
+    if not np.allclose(scaled, scaled.T, rtol=0.0, atol=ROUNDING) or np.linalg.eigvalsh(scaled)[0] < -ROUNDING:
         raise InputError("holds a covariance that is not positive semidefinite")
 
 
