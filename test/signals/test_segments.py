@@ -1,11 +1,14 @@
-"""Segments of numbers on the time grid: which instants are ready, and what is kept."""
+"""Segments of numbers on the time grid: which instants are ready, and what is kept.
+
+A whole recording through the low-pass.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from geomid_ros.signals.kernels import GridValues
+from geomid_ros.signals.kernels import GridValues, filtered
 from geomid_ros.signals.streams import Grid, PoseSegment, Segment, Stream, VectorSegment
 from geomid_ros.types import FloatArray
 
@@ -102,3 +105,11 @@ class TestGridValues:
         values.extend(10, np.ones((4, 1)))
         values.drop_before(9)
         assert (values.first, values.end) == (10, 14)
+
+
+def test_rows_that_are_asked_for_are_those_of_the_whole() -> None:
+    """At the ends, too, beyond which the outermost values go on."""
+    values = np.random.default_rng(0).normal(size=(200, 3))
+    at = np.array([0, 1, 50, 51, 199])
+    for some, whole in zip(filtered(values, 8.0, 0.01, at), filtered(values, 8.0, 0.01), strict=True):
+        np.testing.assert_allclose(some, whole[at], rtol=1e-12, atol=1e-12 * np.max(np.abs(whole)))

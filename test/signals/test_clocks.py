@@ -1,0 +1,162 @@
+"""Messages in bursts are timed by their number in the row.
+
+Samples move by their positions; velocities of messages tell whether stamps and units are right.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from geomid_ros.model.samples import Samples
+from geomid_ros.signals.clocks import SCALED, RegularClock, in_bursts
+from geomid_ros.signals.messages import JOINT_STATES
+from geomid_ros.signals.pipeline import SignalPipeline
+from geomid_ros.signals.sampler import NOW_IN_BURSTS, UNEVEN
+from geomid_ros.signals.settings import SignalSettings
+from geomid_ros.types import FloatArray, IntArray
+
+from .feeding import JOINTS, START, Motion, assert_same, balanced, feed, joint_messages, regular
+from .spoiled import in_parts, pipeline
+
+MS = 1_000_000  # [ns]
+PERIOD = 10 * MS
+
+
+def received(sizes: IntArray, late: IntArray) -> tuple[IntArray, IntArray]:
+    """When messages were measured and, in bursts of these sizes that are late by so much [ns], received."""
+    measured = START + PERIOD * np.arange(int(np.sum(sizes)))
+    ends = np.cumsum(sizes) - 1
+    burst = np.repeat(np.arange(len(sizes)), sizes)
+    within = np.arange(len(measured)) - (ends - sizes + 1)[burst]
+    return measured, measured[ends][burst] + late[burst] + 10_000 * within
+
+
+@pytest.mark.parametrize("size", [2, 5, 20])
+def test_times_are_those_of_the_measurement(size: int) -> None:
+    """To a constant, within the unevenness of the bursts' ends; with another size of bursts, and after a pause."""
+    rng = np.random.default_rng(size)
+    sizes = np.clip(rng.integers(size - 1, size + 2, 1000 // size), 1, None)
+    measured, stamps = received(sizes, rng.integers(0, 2 * MS, len(sizes)))
+    assert in_bursts(stamps[:100], 500 * MS)
+    clock = RegularClock(stamps[:320])
+    assert clock.is_right
+    assert clock.period == pytest.approx(PERIOD, rel=3e-3)
+    error = clock.times(stamps) - measured
+    assert np.max(np.abs(error - np.mean(error))) < 3 * MS
+    later = clock.times(stamps + (stamps[-1] - stamps[0]) + 5_000 * MS)
+    assert later[0] - stamps[-1] == pytest.approx(5_000 * MS, abs=3 * size * PERIOD)
+    assert np.all(np.diff(np.concatenate([later])) > 0)
+
+
+@pytest.mark.parametrize("lost", [3, 6, 9])
+def test_lost_messages_delay_those_after_them_at_once(lost: int) -> None:
+    """By as many periods, from the next burst but one on."""
+    measured, stamps = received(np.full(60, 10), np.zeros(60, dtype=np.int64))
+    clock = RegularClock(stamps[:320])
+    kept = np.r_[0:400, 400 + lost : len(stamps)]
+    error = (clock.times(stamps[kept]) - measured[kept]) / PERIOD
+    assert np.max(np.abs(error[420:] - np.mean(error[:400]))) < 0.5
+
+
+def test_uneven_bursts_are_refused() -> None:
+    """Nothing says when their messages were measured: they are refused, and counted, whatever the blocks."""
+    rng = np.random.default_rng(3)
+    stamps = START + np.cumsum(np.where(rng.random(1000) < 0.15, rng.integers(5 * MS, 450 * MS, 1000), 1000))
+    messages = joint_messages(stamps)
+    accounts = []
+    for ends in ((), range(7, len(messages), 7)):
+        target = pipeline(merge=False)
+        assert in_parts(target, messages, ends) is None
+        accounts.append(target.ledger.topics["joint_states"])
+        assert balanced(target, messages)
+    assert accounts[0] == accounts[1]
+    assert accounts[0].rejected[UNEVEN] >= 640
+
+
+def test_bursts_that_begin_later_are_named() -> None:
+    stamps = regular(0.01, 12.0)
+    places = np.arange(len(stamps))
+    in_tens = np.where(places < 500, stamps, stamps[np.minimum(places // 10 * 10 + 9, len(stamps) - 1)] + places % 10)
+    paused = stamps + np.where(places < 400, 0, 60_000 * MS)
+    for expected, sent in ((0, stamps), (0, paused), (1, in_tens)):
+        target = pipeline(merge=False)
+        in_parts(target, joint_messages(sent), ())
+        assert (target.ledger.topics["joint_states"].noted[NOW_IN_BURSTS] > 0) == bool(expected)
+
+
+STAMPS = regular(0.01, 10.0)
+SETTINGS = SignalSettings(period=0.01)
+
+
+def fed(velocity: FloatArray | None) -> Samples:
+    """Samples of the motion with these velocities ``(N, joints)`` in the messages."""
+    messages = joint_messages(STAMPS)
+    if velocity is not None:
+        messages = [replace(message, velocity=row) for message, row in zip(messages, velocity, strict=True)]
+    return feed(SignalPipeline(JOINTS, settings=SETTINGS), messages)
+
+
+@cache
+def derivatives() -> Samples:
+    """Samples of the motion without velocities in the messages."""
+    return fed(None)
+
+
+def true_velocity() -> FloatArray:
+    return Motion().derivative(STAMPS, 1)
+
+
+VELOCITIES = {
+    "right": lambda v: v,
+    "twice": lambda v: 2.0 * v,
+    "late by a hundredth of a second": lambda v: np.roll(v, 1, axis=0),
+    "missing at a joint": lambda v: np.where(np.arange(v.shape[1]) == 1, np.nan, v),
+}
+
+
+@pytest.mark.parametrize("case", VELOCITIES)
+def test_samples_move_by_their_positions(case: str) -> None:
+    assert_same(fed(VELOCITIES[case](true_velocity())), derivatives(), tolerance=0.0)
+
+
+@pytest.mark.parametrize(
+    ("factor", "seconds", "noted"),
+    [
+        (1.0, 10.0, False),
+        (1.02, 10.0, False),
+        (1.1, 10.0, True),
+        (1.1, 2.0, False),
+        (0.714, 10.0, True),
+        (-1.0, 10.0, False),
+        (2.0, 10.0, False),
+        (0.5, 10.0, False),
+    ],
+)
+def test_velocities_in_another_unit_of_time_are_told(factor: float, seconds: float, noted: bool) -> None:
+    """As are stamps that run too fast; a joint that is reversed, or a clock off by half, is another fault. As a motion
+    begins, velocities that are late are less than the derivatives, too: so little tells nothing."""
+    velocity = factor * true_velocity()
+    messages = [replace(m, velocity=row) for m, row in zip(joint_messages(STAMPS), velocity, strict=True)]
+    target = SignalPipeline(JOINTS, settings=SETTINGS)
+    feed(target, messages[: round(100 * seconds)])
+    assert (SCALED in target.ledger.topics[JOINT_STATES].noted) == noted
+
+
+@pytest.mark.parametrize("rate", [1.0, 2.0])
+def test_a_joint_that_stands_still_tells_nothing(rate: float) -> None:
+    """What moves there is in the last digits; a clock is judged by the others."""
+    still = np.arange(3) == 1
+    small, factors = np.where(still, 1e-7, 1.0), np.where(still, 0.7, rate)
+    messages = [
+        replace(m, position=small * m.position, velocity=factors * small * row)
+        for m, row in zip(joint_messages(STAMPS), true_velocity(), strict=True)
+    ]
+    target = SignalPipeline(JOINTS, settings=SETTINGS)
+    feed(target, messages)
+    noted = " ".join(map(str, target.ledger.topics[JOINT_STATES].noted))
+    assert ("stamps run 2 times too fast" in noted) == (rate == 2.0)
+    assert str(SCALED) not in noted
