@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.estimation.channel_products import ChannelProducts
+from geomid_ros.estimation.tolerances import ROUNDS
 from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import ONE_BODY, ParameterManifold
 from geomid_ros.inference.prior import SPREAD_OF_PAYLOADS, usual_payload
@@ -28,7 +29,6 @@ FOLLOWS = 0.6
 """A channel follows the model if no more than this share of its standard deviation is left."""
 HALF = 0.5
 """Of a whole: more is most of it."""
-_ROUNDS = 12
 _SETTLED = 1e-3
 SPREAD = 0.7
 """Of links, a geodesic distance, of gains, and of curves in units of a channel: a mass may be half or twice that of the
@@ -167,7 +167,7 @@ def evidence(
     sigmas = np.full(len(tolerated), 0.5)
     # Of efforts next to nothing, beside what the links predict, sums of squares leave their rounding errors.
     least = max(LEAST_SIGMA**2, float(np.finfo(float).eps * np.max(sums.targets / counts)))
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         whole = sums.weighed(sigmas**-2.0)
         mean, posterior, held = _solved(whole[:-1, :-1] + np.diag(precision), whole[:-1, -1], bounded, held)
         squares = np.maximum(sums.squares(np.append(mean, -1.0)), 0.0)

@@ -19,7 +19,7 @@ from geomid_ros.estimation.objective import Evaluation, ProductsObjective, Resid
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.solvers import Extrapolation, Solution, trust_region
 from geomid_ros.estimation.starting_point import USUAL_SPREAD
-from geomid_ros.estimation.tolerances import LEAST_GRADIENT, SETTLED
+from geomid_ros.estimation.tolerances import LEAST_GRADIENT, ROUNDS, SETTLED
 from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.geometry.symmetric import SIZE
@@ -29,10 +29,8 @@ CERTAINTY = 20.0
 """The usual spread counts as much as the directions of two links."""
 INDEPENDENT = 2.67
 """Independent rows per period of the filter's cutoff, which leaves nothing above 1.5 times this frequency."""
-_ROUNDS = 60
 _BUDGET = 3  # times the solver's steps, of all rounds together: five times what measured robots ask for
 _SETTLED = 1e-7  # relative change of standard deviations and spreads, which falls to about a third in a round
-_SETTLED_WARM = 1e-8  # the same where rounds are extrapolated, so that few more are needed
 
 
 def likely_spreads(
@@ -150,13 +148,31 @@ def fit(
         tolerance: largest geodesic distance of the result from the minimum.
         max_steps: of the solver, for each noise and spreads.
     """
-    within = _SETTLED if start is None else _SETTLED_WARM
-    place, sigmas, spreads, spent = settle(
-        problem, start, spreads, tolerance=tolerance, max_steps=max_steps, within=within
-    )
+    point = start or problem.prior_point
+    spreads = problem.usual if spreads is None or problem.gamma is not None else spreads
+    sigmas = problem.noise(point.parameters) if start is not None else problem.first_noise
+    # Near its fixed point the iteration is linear: it can be extrapolated, and one step for each noise is enough.
+    extrapolation, most = (None, max_steps) if start is None else (Extrapolation(), 1)
+    steps, spent = 0, False
+    for _ in range(ROUNDS):
+        rough = _rough(problem, sigmas, spreads)
+        solution = trust_region(rough, point, _gradient(rough, tolerance), most)
+        point, steps = solution.point, steps + solution.steps
+        begun = np.log(np.concatenate([sigmas, spreads]))
+        sigmas = problem.noise(point.parameters)
+        if problem.gamma is None:
+            spreads = _spreads(problem, rough, solution)
+        ended = np.log(np.concatenate([sigmas, spreads]))
+        if np.all(np.abs(ended - begun) < _SETTLED):
+            break
+        spent = steps > _BUDGET * max_steps
+        if spent:
+            break
+        if extrapolation is not None:
+            sigmas, spreads = np.split(np.exp(extrapolation.next(begun, ended)), [len(sigmas)])
     return Fit(
         problem=problem,
-        place=place,
+        place=point,
         sigmas=sigmas,
         spreads=spreads,
         spent=spent,
@@ -176,46 +192,6 @@ def likelier(solve: Callable[..., Fit], other: Point, spreads: FloatArray | None
         return second if second.score < first.score - SETTLED else first
 
     return best
-
-
-def settle(
-    problem: Problem,
-    start: Point | None,
-    spreads: FloatArray | None,
-    *,
-    tolerance: float,
-    max_steps: int,
-    within: float,
-) -> tuple[Point, FloatArray, FloatArray, bool]:
-    """The parameters, the noise of each group ``(groups,)`` and the spread of each link ``(links,)`` that go together;
-    and whether the budget of steps ended the search for them.
-
-    Args:
-        problem, start, spreads, tolerance, max_steps: as of :func:`fit`.
-        within: relative change of noise and spreads in a round with which the search for them ends.
-    """
-    point = start or problem.prior_point
-    spreads = problem.usual if spreads is None or problem.gamma is not None else spreads
-    sigmas = problem.noise(point.parameters) if start is not None else problem.first_noise
-    # Near its fixed point the iteration is linear: it can be extrapolated, and one step for each noise is enough.
-    extrapolation, most = (None, max_steps) if start is None else (Extrapolation(), 1)
-    steps = 0
-    for _ in range(_ROUNDS):
-        rough = _rough(problem, sigmas, spreads)
-        solution = trust_region(rough, point, _gradient(rough, tolerance), most)
-        point, steps = solution.point, steps + solution.steps
-        begun = np.log(np.concatenate([sigmas, spreads]))
-        sigmas = problem.noise(point.parameters)
-        if problem.gamma is None:
-            spreads = _spreads(problem, rough, solution)
-        ended = np.log(np.concatenate([sigmas, spreads]))
-        if np.all(np.abs(ended - begun) < within):
-            break
-        if steps > _BUDGET * max_steps:
-            return point, sigmas, spreads, True
-        if extrapolation is not None:
-            sigmas, spreads = np.split(np.exp(extrapolation.next(begun, ended)), [len(sigmas)])
-    return point, sigmas, spreads, False
 
 
 def _rough(problem: Problem, sigmas: FloatArray, spreads: FloatArray) -> ProductsObjective:

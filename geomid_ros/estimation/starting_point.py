@@ -13,14 +13,12 @@ from geomid_ros.estimation.tolerances import ROUNDING, ROUNDING_OF_PRODUCTS
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.samples import REGIMES
+from geomid_ros.model.samples import REGIMES, STILL
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 # A positive coefficient without evidence starts where its effect is this share of the channel's size.
 _LEAST_SHARE = 1e-2
-# In rad/s, rad/s^2 (m/s, m/s^2): the apparent motion of a joint at rest, which must not pass for evidence, and the
-# least motion at which a coefficient is made large enough to show.
-_NOISE_MOTION = 1e-2
+# In rad/s, rad/s^2 (m/s, m/s^2): the least motion at which a coefficient is made large enough to show.
 _LEAST_MOTION = 0.1
 # No model predicts a channel better than this share of its size.
 _LEAST_SIGMA_SHARE = 1e-3
@@ -190,7 +188,8 @@ def _fitted_effects(
     remainder = factor[:, -1] - factor[:, :-1][:, inertial] @ parameters[columns[inertial]]
     regressor = factor[:, :-1][:, ~inertial]
     split = np.hstack([regressor, -regressor[:, ~positive]])
-    damping = _NOISE_MOTION * np.sqrt(count) * np.eye(split.shape[1])
+    # The apparent motion of a joint at rest must not pass for evidence.
+    damping = STILL * np.sqrt(count) * np.eye(split.shape[1])
     described = np.append(model.described_coefficients[chosen - first], np.zeros(np.count_nonzero(~positive)))
     halves = _non_negative(np.concatenate([split, damping]), np.append(remainder, damping @ described))
     fitted = halves[: len(chosen)]
