@@ -27,8 +27,8 @@ from typing import IO, cast
 import numpy as np
 
 from benchmarks.report import Report
+from geomid_ros.estimation.comparison import population_and_members
 from geomid_ros.estimation.estimator import EstimatorSettings
-from geomid_ros.estimation.fleet_outliers import population_and_members
 from geomid_ros.estimation.population import RobotLikelihood
 from geomid_ros.estimation.summary import RowSummary, SummaryState
 from geomid_ros.files.models.urdf import read_urdf

@@ -14,6 +14,7 @@ import numpy as np
 from geomid_ros.api.identification import IdentificationSummary
 from geomid_ros.api.options import IdentifyOptions
 from geomid_ros.api.robot import configuration, description, recordings
+from geomid_ros.checks.candidates import ROUNDS
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.uncertain_inertia import SURE
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
 
 DELAY = "command.delay"
 """The parameter that an identification finds of commands."""
-_DELAYS = 3  # times a recording is read again with the delay of commands that was found
 
 
 class Identification(IdentificationSummary):
@@ -181,7 +181,7 @@ def identify(options: IdentifyOptions) -> Identification:
         return session, held_out, judged, session.identifier.solve()
 
     session, held_out, judged, estimate = solved(parameters)
-    for _ in range(_DELAYS):
+    for _ in range(ROUNDS):
         if (delay := _late(estimate)) is None:
             break
         parameters = parameters.with_values({DELAY: parameters[DELAY] + delay})

@@ -12,6 +12,7 @@ from geomid_ros.estimation.estimate import FINEST, LinksInformation
 from geomid_ros.estimation.solvers import Extrapolation
 from geomid_ros.geometry import definite, pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.model.dynamics import STEP
 from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.types import FloatArray, IntArray, frozen
 
@@ -20,7 +21,6 @@ _FOLDS_OF_BLOCKS = (1, 2, 4)
 """Correlations that are longer than a block hide in it: of blocks of several lengths, those count that show most."""
 _DOUBT = 3.0  # times as large as they are taken to be the prior's errors may be, if the data alone are believed
 _ROUNDING = float(np.finfo(float).eps)  # of the largest information: what rounding may make of none
-_STEP = 1e-5
 # Directions of less variance are not distinguished: a share of all of the variance there is.
 _FLOOR = 1e-4
 
@@ -258,9 +258,9 @@ def physical_sensitivity(point: Point) -> FloatArray:
     """Derivative ``(links, 10, 10)`` of each link's quantities (:func:`pseudo_inertia.quantities_of`) by its ten
     tangent coordinates, by central differences along straight lines of the parameters, which begin as geodesics do."""
     parameters = pseudo_inertia.to_parameters(point.pseudo_inertias)[:, None]
-    steps = _STEP * np.swapaxes(point.links_jacobian, -1, -2)  # one of each coordinate
+    steps = STEP * np.swapaxes(point.links_jacobian, -1, -2)  # one of each coordinate
     ahead, behind = pseudo_inertia.quantities_of(np.stack([parameters + steps, parameters - steps]))
-    return np.asarray(np.swapaxes(ahead - behind, -1, -2) / (2.0 * _STEP))
+    return np.asarray(np.swapaxes(ahead - behind, -1, -2) / (2.0 * STEP))
 
 
 def links_information(

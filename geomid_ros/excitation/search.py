@@ -17,9 +17,9 @@ from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.excitation.feasibility import HALVINGS, Feasibility
 from geomid_ros.excitation.knowledge import covariance_of
 from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
+from geomid_ros.model.dynamics import STEP
 from geomid_ros.types import FloatArray
 
-_STEP = 1e-6  # of positions, speeds and accelerations, by which rows are differentiated
 _RATE = 6.0  # [Hz] of instants
 _RANDOM = 12  # motions to begin with
 _STEPS = 70  # evaluations at most
@@ -164,7 +164,7 @@ class Search:
         pull = by_rows / knowledge.sigmas[:, None]
         pull[:, :joints] += by_efforts[..., None] * self._whitened_parameters
         along = np.einsum("ancd,ncd->an", nearby, pull @ knowledge.posterior.jacobian.T)
-        slopes = (along[1:] - along[0]) / _STEP
+        slopes = (along[1:] - along[0]) / STEP
         return value + cost, slopes.reshape(3, joints, count).swapaxes(1, 2)
 
     @cached_property
@@ -177,7 +177,7 @@ class Search:
         """Rows ``(1 + 3 J, N, C, D)`` by the parameters: there, and a step of each joint's position, speed and
         acceleration away."""
         count, joints = states.shape[1:]
-        steps = _STEP * np.eye(3 * joints).reshape(3 * joints, 3, 1, joints)
+        steps = STEP * np.eye(3 * joints).reshape(3 * joints, 3, 1, joints)
         near = np.concatenate([states[None, :3], states[None, :3] + steps]).swapaxes(0, 1).reshape(3, -1, joints)
         rows = self.feasibility.knowledge.rows_of_parameters(near)
         return rows.reshape(3 * joints + 1, count, *rows.shape[1:])

@@ -15,11 +15,9 @@ from geomid_ros.estimation.uncertain_inertia import UncertainInertia
 from geomid_ros.exports.model import Model
 from geomid_ros.files.models.posterior import SAME
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.session.setup import LIGHT
 from geomid_ros.types import FloatArray
 
-# Gravity is compensated by mass and centre of mass: links of which the data do not identify these may be this share of
-# the mass.
-_UNIDENTIFIED_SHARE = 0.1
 _AS_INDEPENDENT = "± counts both estimates' errors as independent: too large if one started from the other"
 
 
@@ -170,7 +168,8 @@ def _check_whole(model: Model, links: Sequence[str]) -> None:
 def _check_identified(model: Model, links: Sequence[str]) -> None:
     masses = {link: model.bodies[link].mass for link in links}
     unidentified = {link: names for link in links if (names := _unidentified_weight(model.bodies[link]))}
-    if sum(masses[link] for link in unidentified) > _UNIDENTIFIED_SHARE * sum(masses.values()):
+    # Gravity is compensated by mass and centre of mass.
+    if sum(masses[link] for link in unidentified) > LIGHT * sum(masses.values()):
         quantities = "; ".join(f"{', '.join(names)} of '{link}'" for link, names in unidentified.items())
         raise InputError(
             f"{model.source}: the data hardly identify {quantities}; these are mostly as in the prior. Record a "

@@ -16,7 +16,8 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import SIGN, Samples
 from geomid_ros.types import FloatArray, frozen
 
-_STEP = 1e-5
+STEP = 1e-5
+"""Of derivatives by differences, in rad, rad/s, rad/s^2, or tangent coordinates."""
 
 
 class Dynamics:
@@ -82,14 +83,14 @@ class Dynamics:
         def wrench(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
             return _carried_wrench(model, data, frame, q, v, a)
 
-        steps = [_STEP * velocities for velocities in self._coupling.T]
+        steps = [STEP * velocities for velocities in self._coupling.T]
         still = np.zeros(model.nv)
         yield np.array(
             [wrench(pin.integrate(model, q, s), v, a) - wrench(pin.integrate(model, q, -s), v, a) for s in steps]
-        ).T / (2.0 * _STEP)
-        yield np.array([wrench(q, v + s, a) - wrench(q, v - s, a) for s in steps]).T / (2.0 * _STEP)
+        ).T / (2.0 * STEP)
+        yield np.array([wrench(q, v + s, a) - wrench(q, v - s, a) for s in steps]).T / (2.0 * STEP)
         # Acceleration and gravity enter linearly.
-        yield np.array([wrench(q, v, a + s) - wrench(q, v, a) for s in steps]).T / _STEP
+        yield np.array([wrench(q, v, a + s) - wrench(q, v, a) for s in steps]).T / STEP
         yield np.array([wrench(q, still, still) for _ in _unit_gravities(model)]).T
 
 

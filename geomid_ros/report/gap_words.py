@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from geomid_ros.estimation.estimate import TOLD
 from geomid_ros.estimation.uncertain_inertia import SURE
 from geomid_ros.gap.judgement.held_out import REACHED
 from geomid_ros.gap.result import Confidence, Finding, GapResult, LinkChange, Ranked, Rival, Unexplained
@@ -18,7 +19,6 @@ MOST_LISTED = 3
 """Parts of a sentence that lists, findings that get a sentence each, and rivals that are compared with."""
 MOST_CANDIDATES = 8
 """Candidates in a table, the best first."""
-_ALIKE = 3.0  # standard deviations
 _NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck", "imu": "IMU"}
 _VARIABLES = {
     "position": "its position",
@@ -211,7 +211,7 @@ def _common_gain(result: GapResult) -> list[Finding]:
         return []
     values, weights = np.array([gain.value for gain in gains]), 1.0 / np.square([gain.std for gain in gains])
     off = np.abs(values - np.average(values, weights=weights)) * np.sqrt(weights)
-    return list(found.values()) if np.all(off < _ALIKE) else []
+    return list(found.values()) if np.all(off < TOLD) else []
 
 
 def _few(parts: Sequence[str]) -> str:

@@ -42,7 +42,6 @@ RATE = 100.0
 _OTHERS = 6  # motions on which efforts are to be predicted
 _COMPARED = 3  # random motions with which a designed one is compared
 _SLOW_SHARE = {PREDICTION: 0.1, "friction": 0.5}
-_MANY = 20.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -88,12 +87,9 @@ class Decision:
         )
         if self.is_sure:
             return f"{said}; {DECIDED:g} decide"
-        times = DECIDED / max(self.difference, 1e-9)
-        longer = (
-            f"record it {times:.0f} times"
-            if times < _MANY
-            else "no motion within these limits discriminates between them"
-        )
+        longer = "no motion within these limits discriminates between them"
+        if self.difference > 1.0:
+            longer = f"record it {DECIDED / self.difference:.0f} times"
         return f"{said}; {DECIDED:g} would decide: {longer}"
 
 

@@ -24,7 +24,8 @@ from geomid_ros.signals.settings import ACCELEROMETER_BIAS, SignalSettings
 from geomid_ros.signals.unitree import UnitreeMessages
 from geomid_ros.types import FloatArray
 
-_LIGHT = 0.1  # of the mass that moves: where so little stands does not matter
+LIGHT = 0.1
+"""Share of a mass that does not matter."""
 
 
 class Setup:
@@ -230,5 +231,5 @@ def _lockable(robot: Robot, heard: Collection[str], frames: Iterable[str]) -> tu
     moving = {link for joint in moved_by for link in robot.tree.subtree(child[joint])}
     moving = set(robot.tree.links) if robot.floating_base else moving
     masses = {link: float(parameters[0]) for link, parameters in robot.tree.inertials.items() if link in moving}
-    light = sum(masses[link] for link in behind & masses.keys()) <= _LIGHT * sum(masses.values())
+    light = sum(masses[link] for link in behind & masses.keys()) <= LIGHT * sum(masses.values())
     return tuple(absent) if light else ()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.fleet_outliers import population_and_members
+from geomid_ros.estimation.comparison import population_and_members
 from geomid_ros.estimation.population import Population, PopulationFit, RobotLikelihood, common
 from geomid_ros.types import FloatArray
 
