@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from geomid_ros.model.effects import EFFECTS
+from geomid_ros.model.effects import _FILES, EFFECTS
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "geomid_ros"
@@ -200,8 +200,8 @@ def test_only_an_effect_knows_itself() -> None:
     known = {(name, node.value) for name, path in OUTSIDERS.items() for node in texts(path) if node.value in EFFECTS}
     assert known == NAMESAKES
     for name in OUTSIDERS:
-        classes = {other for other, _ in imports(name) if other.rpartition(".")[2] in EFFECTS}
-        assert not {other for other in classes if other.startswith(OF_EFFECTS)}, f"{name} imports {classes}"
+        files = {other for other, _ in imports(name) if other in {f"{OF_EFFECTS}.{own}" for own in _FILES}}
+        assert not files, f"{name} imports {files}"
     for template in PACKAGE.rglob("*.j2"):
         words = set(re.findall(r"\w+", template.read_text(encoding="utf-8")))
         assert not {name for name in words & EFFECTS.keys() if "_" in name}, template

@@ -11,10 +11,9 @@ import pytest
 from geomid_ros.model.columns import Entries, JointColumn
 from geomid_ros.model.effects import JointMotion
 from geomid_ros.model.effects import Motion as WithPast
-from geomid_ros.model.effects.coulomb_friction import SMOOTHINGS, CoulombFriction
-from geomid_ros.model.effects.presliding import DISTANCES, Presliding
+from geomid_ros.model.effects.dry_friction import SMOOTHINGS, CoulombFriction, StribeckFriction
+from geomid_ros.model.effects.other_friction import DISTANCES, Presliding
 from geomid_ros.model.effects.situation import AtJoint
-from geomid_ros.model.effects.stribeck_friction import StribeckFriction
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration

@@ -23,11 +23,10 @@ from geomid_ros.model.effects import (
     SituationEffect,
     effect_class,
 )
-from geomid_ros.model.effects.backlash import CROSSINGS
-from geomid_ros.model.effects.coulomb_friction import SMOOTHINGS
-from geomid_ros.model.effects.presliding import DISTANCES
-from geomid_ros.model.effects.saturating_friction import SPEEDS as SETTING_IN
-from geomid_ros.model.effects.stribeck_friction import SPEEDS
+from geomid_ros.model.effects.dry_friction import SMOOTHINGS, SPEEDS
+from geomid_ros.model.effects.other_friction import DISTANCES
+from geomid_ros.model.effects.other_friction import SPEEDS as SETTING_IN
+from geomid_ros.model.effects.soft_gears import CROSSINGS
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN

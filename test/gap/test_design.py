@@ -15,8 +15,8 @@ from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import AtJoint, AtSensor, OnLink, OnRobot, Situation
 from geomid_ros.model.effects.gravity_tilt import GravityTilt
 from geomid_ros.model.effects.payload import CarriedBody
+from geomid_ros.model.effects.sensor_errors import WrenchOffset
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
-from geomid_ros.model.effects.wrench_offset import WrenchOffset
 from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray

@@ -18,11 +18,11 @@ from geomid_ros.geometry.manifold import Point
 from geomid_ros.inference.fit import JointFit, fit, unfitted
 from geomid_ros.inference.prior import Prior
 from geomid_ros.model.effects import AtJoint, Effect, OnRobot
+from geomid_ros.model.effects.dry_friction import LoadFriction
 from geomid_ros.model.effects.effort_delay import EffortDelay
 from geomid_ros.model.effects.effort_gain import EffortGain
 from geomid_ros.model.effects.effort_offset import EffortOffset
 from geomid_ros.model.effects.gravity_tilt import GravityTilt
-from geomid_ros.model.effects.load_friction import LoadFriction
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.model.samples import Samples
 

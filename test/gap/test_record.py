@@ -12,7 +12,7 @@ from model.robots import fixed_base
 from geomid_ros.gap.evidence.record import Records, TotalModel
 from geomid_ros.model.columns import Entries, JointColumn
 from geomid_ros.model.effects import AtJoint, AtJoints, Effect, OnRobot
-from geomid_ros.model.effects.coulomb_friction import CoulombFriction
+from geomid_ros.model.effects.dry_friction import CoulombFriction
 from geomid_ros.model.effects.effect import JointMotion, PairEffect
 from geomid_ros.model.effects.effort_delay import EffortDelay
 from geomid_ros.model.effects.effort_gain import EffortGain

@@ -21,7 +21,7 @@ from geomid_ros.inference.fit import JointFit, fit, scattered, unfitted
 from geomid_ros.inference.prior import GAIN, OtherRecordings, Prior
 from geomid_ros.inference.rao_score import score_test
 from geomid_ros.model.effects import AtSensor
-from geomid_ros.model.effects.wrench_offset import WrenchOffset
+from geomid_ros.model.effects.sensor_errors import WrenchOffset
 from geomid_ros.types import FloatArray
 
 from .planted import model

@@ -12,9 +12,9 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.model.columns import JointColumn
-from geomid_ros.model.effects.coulomb_friction import CoulombFriction
+from geomid_ros.model.effects.dry_friction import CoulombFriction
 from geomid_ros.model.effects.effort_offset import EffortOffset
-from geomid_ros.model.effects.presliding import DISTANCES, Presliding
+from geomid_ros.model.effects.other_friction import DISTANCES, Presliding
 from geomid_ros.model.effects.rotor_inertia import RotorInertia
 from geomid_ros.model.effects.spring import Spring
 from geomid_ros.model.effects.viscous_friction import ViscousFriction

@@ -1,4 +1,4 @@
-"""Physical effects, one file each: what :data:`_FILES` lists is known everywhere."""
+"""Physical effects, one class each: what is in the files of :data:`_FILES` is known everywhere."""
 
 from __future__ import annotations
 
@@ -60,24 +60,17 @@ _FILES = (
     "rotor_inertia",
     "effort_offset",
     "spring",
-    "coulomb_friction",
-    "stribeck_friction",
-    "load_friction",
+    "dry_friction",
     "effort_gain",
-    "joint_elasticity",
-    "backlash",
+    "soft_gears",
     "effort_delay",
     "gravity_tilt",
     "payload",
-    "wrench_offset",
-    "imu_offset",
-    "command_delay",
-    "saturating_friction",
-    "quadratic_friction",
-    "presliding",
+    "sensor_errors",
+    "other_friction",
     "coupled_motor",
 )
-"""The files of effects, in the order in which they are tried."""
+"""The files of effects, in the order in which they are tried; those of a family are in one."""
 
 EFFECTS: dict[str, type[Effect]] = {}
 """All effects, by name, in the order in which they are tried."""

@@ -6,7 +6,7 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
-from geomid_ros.model.effects.coulomb_friction import CoulombFriction
+from geomid_ros.model.effects.dry_friction import CoulombFriction
 from geomid_ros.model.effects.effect import FRICTION_DRIFT, Effect, PairEffect
 from geomid_ros.model.effects.parameters import EFFORT, ParameterForm, Values
 from geomid_ros.model.effects.situation import JointMotion
