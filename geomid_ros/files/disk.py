@@ -13,7 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from geomid_ros.errors import GeomidError, InputError
-from geomid_ros.signals.settings import MOST_BYTES
+
+MOST_BYTES = 100_000_000
+"""Of a file that is read as a whole, unless a smaller bound is given; of a message or a chunk of messages in a
+recording: recorders make chunks of 1 or 4 MB, or of one message that is larger."""
 
 FOR_OWNER = stat.S_IRUSR | stat.S_IWUSR
 

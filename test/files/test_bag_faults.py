@@ -26,7 +26,7 @@ from rosbags.typesys import Stores, get_typestore
 from benchmarks.fuzz.mcap_writer import MAGIC, Form, Message, chunk, mcap, record, text
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import Bag
-from geomid_ros.signals.settings import MOST_BYTES
+from geomid_ros.files.disk import MOST_BYTES
 
 from .recordings import BAGS, TYPES, Recorded, recorded, write_bag
 

@@ -25,7 +25,7 @@ from typing import Any
 from urllib.parse import quote
 
 from geomid_ros.files.bags.storage import FaultError, RawMessage, Storage, TornError
-from geomid_ros.signals.settings import MOST_BYTES
+from geomid_ros.files.disk import MOST_BYTES
 
 _MAGIC = b"SQLite format 3\0"
 _HEADER = struct.Struct(">16xH6xII60xI4x")  # page size, changes, pages, changes when the pages were counted

@@ -21,7 +21,7 @@ from typing import NamedTuple, TypeVar
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.storage import PIECE, FaultError, RawMessage, Storage, TornError, unpacked, unpacked_part
-from geomid_ros.signals.settings import MOST_BYTES
+from geomid_ros.files.disk import MOST_BYTES
 
 _MAGIC = b"\x89MCAP0\r\n"
 _RECORD = struct.Struct("<BQ")  # kind, length

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from geomid_ros.errors import InputError
-from geomid_ros.signals.settings import MOST_BYTES
+from geomid_ros.files.disk import MOST_BYTES
 
 
 class RawMessage(NamedTuple):
