@@ -24,14 +24,17 @@ LOW_STATE, LOW_CMD = "unitree_go/msg/LowState", "unitree_go/msg/LowCmd"
 KINDS = {JOINT_STATES: LOW_STATE, IMU: LOW_STATE, COMMANDS: LOW_CMD}
 """The type that serves in place of that of each topic."""
 
-# Places in bytes, with the four that say how the rest is written.
-_SIZES = {LOW_STATE: 1180, LOW_CMD: 812}
 _MOTORS = 20
 _SENSED = slice(44, 68)  # gyroscope and accelerometer, three numbers each
-_FIRST = {LOW_STATE: 84, LOW_CMD: 28}
-_MOTOR = {  # in single precision: q, dq, tau_est; q, dq, tau, kp, kd
-    LOW_STATE: np.dtype({"names": "qdt", "formats": ["<f4"] * 3, "offsets": (0, 4, 12), "itemsize": 48}),
-    LOW_CMD: np.dtype({"names": "qdtkv", "formats": ["<f4"] * 5, "offsets": range(0, 20, 4), "itemsize": 36}),
+# Size, and place of the first motor in bytes, with the four that say how the rest is written; and a motor, in single
+# precision: q, dq, tau_est; q, dq, tau, kp, kd.
+_LAYOUTS = {
+    LOW_STATE: (1180, 84, np.dtype({"names": "qdt", "formats": ["<f4"] * 3, "offsets": (0, 4, 12), "itemsize": 48})),
+    LOW_CMD: (
+        812,
+        28,
+        np.dtype({"names": "qdtkv", "formats": ["<f4"] * 5, "offsets": range(0, 20, 4), "itemsize": 36}),
+    ),
 }
 
 
@@ -83,7 +86,7 @@ class UnitreeMessages:
         origins, raw = list[int](), list[Raw]()
         for place, (topic, time, kind, data) in enumerate(messages):
             found = dict.fromkeys(names[topic], data)
-            if kind in _SIZES:
+            if kind in _LAYOUTS:
                 try:
                     found = self.translated(kind, time, data)
                 except (ValueError, struct.error) as error:  # a time that no stamp can be
@@ -99,10 +102,11 @@ class UnitreeMessages:
         Raises:
             ValueError: it is none of this kind.
         """
-        if len(data) < _SIZES[kind] or data[:2] != LITTLE_ENDIAN:
-            raise ValueError(f"{len(data)} bytes, expected {_SIZES[kind]}, little-endian")
-        own = np.ndarray(self._gains.shape[1], _MOTOR[kind], data, _FIRST[kind])
-        numbers = np.array([own[name] for name in _MOTOR[kind].names or ()], dtype=float)
+        size, first, motor = _LAYOUTS[kind]
+        if len(data) < size or data[:2] != LITTLE_ENDIAN:
+            raise ValueError(f"{len(data)} bytes, expected {size}, little-endian")
+        own = np.ndarray(self._gains.shape[1], motor, data, first)
+        numbers = np.array([own[name] for name in motor.names or ()], dtype=float)
         if kind == LOW_CMD:
             return {COMMANDS: self._joint_state(time, self._set_points(*numbers))} if self._state.size else {}
         self._state = numbers
