@@ -26,7 +26,7 @@ from geomid_ros.estimation.problem import Problem, subproblem
 from geomid_ros.estimation.solvers import SOLVERS
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.tolerances import ROUNDING
-from geomid_ros.estimation.uncertain_inertia import SURE, WITHIN
+from geomid_ros.estimation.uncertain_inertia import WITHIN
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.alike_parts import AlikeParts
 from geomid_ros.model.measurement import MeasurementModel
@@ -35,6 +35,7 @@ from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_ro
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
 _FAR = 2.0  # times the usual distance
+_TAKEN = 2.0  # of its own standard deviations: an effect that is smaller may as well be nothing
 _SPENT = (
     "the solver's budget of steps was spent before the spreads of the links had settled: masses are those of the last "
     "step; is the URDF this robot's, in SI units, and do efforts have the signs of its joints?"
@@ -221,7 +222,7 @@ def _unsure(model: MeasurementModel, result: Estimate, columns: IntArray) -> Int
     sizes = _sizes(result)
     sizes[[model.coefficients[column - first].mechanism in always for column in own]] = np.inf
     least = float(np.min(sizes, initial=np.inf))
-    return np.asarray(own[(sizes < SURE) & (sizes <= least)])
+    return np.asarray(own[(sizes < _TAKEN) & (sizes <= least)])
 
 
 def _untold_errors(model: MeasurementModel, result: Estimate, columns: IntArray) -> IntArray:
@@ -229,7 +230,7 @@ def _untold_errors(model: MeasurementModel, result: Estimate, columns: IntArray)
     first = model.dimension - len(model.coefficients)
     own = columns[columns >= first]
     of_sensor = np.array([model.coefficients[column - first].effect.of_sensor for column in own], dtype=bool)
-    return np.asarray(own[of_sensor & (_sizes(result) < SURE)])
+    return np.asarray(own[of_sensor & (_sizes(result) < _TAKEN)])
 
 
 def _sizes(result: Estimate) -> FloatArray:

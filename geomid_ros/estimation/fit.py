@@ -31,6 +31,7 @@ INDEPENDENT = 2.67
 """Independent rows per period of the filter's cutoff, which leaves nothing above 1.5 times this frequency."""
 _BUDGET = 3  # times the solver's steps, of all rounds together: five times what measured robots ask for
 _SETTLED = 1e-7  # relative change of standard deviations and spreads, which falls to about a third in a round
+_SETTLED_WARM = 1e-8  # the same where rounds are extrapolated, so that few more are needed
 
 
 def likely_spreads(
@@ -153,7 +154,7 @@ def fit(
     sigmas = problem.noise(point.parameters) if start is not None else problem.first_noise
     # Near its fixed point the iteration is linear: it can be extrapolated, and one step for each noise is enough.
     extrapolation, most = (None, max_steps) if start is None else (Extrapolation(), 1)
-    steps, spent = 0, False
+    steps, spent, within = 0, False, _SETTLED if start is None else _SETTLED_WARM
     for _ in range(ROUNDS):
         rough = _rough(problem, sigmas, spreads)
         solution = trust_region(rough, point, _gradient(rough, tolerance), most)
@@ -163,7 +164,7 @@ def fit(
         if problem.gamma is None:
             spreads = _spreads(problem, rough, solution)
         ended = np.log(np.concatenate([sigmas, spreads]))
-        if np.all(np.abs(ended - begun) < _SETTLED):
+        if np.all(np.abs(ended - begun) < within):
             break
         spent = steps > _BUDGET * max_steps
         if spent:
