@@ -41,6 +41,7 @@ RATE = 100.0
 """[Hz] of the points of a trajectory."""
 _OTHERS = 6  # motions on which efforts are to be predicted
 _COMPARED = 3  # random motions with which a designed one is compared
+_MANY = 20.0  # recordings
 _SLOW_SHARE = {PREDICTION: 0.1, "friction": 0.5}
 
 
@@ -87,9 +88,12 @@ class Decision:
         )
         if self.is_sure:
             return f"{said}; {DECIDED:g} decide"
-        longer = "no motion within these limits discriminates between them"
-        if self.difference > 1.0:
-            longer = f"record it {DECIDED / self.difference:.0f} times"
+        times = DECIDED / max(self.difference, 1e-9)
+        longer = (
+            f"record it {times:.0f} times"
+            if times < _MANY
+            else "no motion within these limits discriminates between them"
+        )
         return f"{said}; {DECIDED:g} would decide: {longer}"
 
 
