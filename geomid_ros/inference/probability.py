@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic
 
@@ -54,6 +54,9 @@ class Supports(Generic[Chosen, Term]):
         self._covariance = self._sized.covariance
         self._lacking = _lacking(selection.design, found)
         self._losses: dict[Chosen, float] = {}
+        self._groups_of_odds: dict[float, set[Hashable]] = {}
+        for hypothesis in selection.hypotheses:
+            self._groups_of_odds.setdefault(hypothesis.odds, set()).add(hypothesis.group)
 
     def of(self, candidate: Chosen) -> Support[Chosen]:
         """The support of one of them.
@@ -74,7 +77,7 @@ class Supports(Generic[Chosen, Term]):
         """By how much more common than their prior odds say hypotheses like one are, as twice a logarithm: of the Beta
         distribution that these are from, as if they had been seen once before, and how many others were found (Scott
         and Berger, "Bayes and empirical-Bayes multiplicity adjustment in the variable-selection problem", 2010)."""
-        alike = {hypothesis.group for hypothesis in self._selection.hypotheses if hypothesis.odds == candidate.odds}
+        alike = self._groups_of_odds[candidate.odds]
         others = sum(c.group in alike for c in self._found.chosen if c.group != candidate.group)
         return 2.0 * float(np.log((1 + others) / (1.0 + candidate.odds * (len(alike) - 1 - others))))
 

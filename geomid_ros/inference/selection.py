@@ -207,12 +207,13 @@ class Selection(Generic[Chosen, Term]):
     ) -> Iterator[JointFit[Chosen, Term]]:
         """The sets in which another stands in the place of a hypothesis while one beside it, in the same channels, has
         the constants that suit the other: those it has were chosen beside this one, and speak for it."""
+        overlapping = [h for h in self.hypotheses if self._overlap(h, candidate)]
         for beside in current.chosen:
             variants = [h for h in self.hypotheses if h.group == beside.group]
             if beside is candidate or len(variants) == 1 or not self._overlap(beside, candidate):
                 continue
             rest, own = self.without(current, candidate, beside), {candidate.group, beside.group}
-            others = [h for h in self.hypotheses if h.group not in own and self._overlap(h, candidate)]
+            others = [h for h in overlapping if h.group not in own]
             promised = list[tuple[float, JointFit[Chosen, Term], Chosen]]()
             for other in [t.candidate for t in self._rank(rest, others) if t.gain > 0.0][:_SHORTLIST]:
                 larger = self.fit([*rest.chosen, other], rest)
