@@ -30,7 +30,7 @@ from rich.table import Table
 
 import geomid_ros
 from benchmarks.posterior import true_parameters
-from geomid_ros.estimation.uncertain_inertia import SURE
+from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.model.effects import DEFAULT_EFFECTS
 from geomid_ros.simulation.bag import write_bag
 from geomid_ros.simulation.effects.physics import TrueEffect
@@ -190,7 +190,7 @@ def row(kind: str, seed: int) -> Row:
     for effect in identified.effects:
         if effect.name in held:
             expected = next(iter(true[effect.name, effect.joint].values()))
-            held[effect.name] += abs(effect.value - expected) < SURE * effect.std
+            held[effect.name] += abs(effect.value - expected) < STDS_OF_95 * effect.std
     posterior = identified.estimate.posterior
     error = posterior.coordinates(true_parameters(posterior, truth, urdf, ()))
     return Row(

@@ -34,7 +34,7 @@ from benchmarks.measured_data import CASES, DATA, Case
 from geomid_ros.api.options import RecordingOptions
 from geomid_ros.api.robot import configuration, description, topics
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.uncertain_inertia import SURE
+from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.model.effects import DEFAULT_EFFECTS
 from geomid_ros.model.samples import Samples
@@ -165,7 +165,7 @@ def agreement(one: Estimate, other: Estimate) -> tuple[int, int]:
     """Number of effects that both estimates have, and of those whose difference may be chance."""
     values = {(effect.name, effect.joint, *effect.parameters): effect for effect in one.effects}
     pairs = [(values[key], own) for own in other.effects if (key := (own.name, own.joint, *own.parameters)) in values]
-    agreeing = [abs(a.value - b.value) < SURE * np.hypot(a.std, b.std) for a, b in pairs]
+    agreeing = [abs(a.value - b.value) < STDS_OF_95 * np.hypot(a.std, b.std) for a, b in pairs]
     return len(pairs), int(sum(agreeing))
 
 

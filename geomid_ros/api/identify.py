@@ -17,7 +17,7 @@ from geomid_ros.api.robot import configuration, description, recordings
 from geomid_ros.checks.candidates import ROUNDS
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.uncertain_inertia import SURE
+from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.effects_file import write_sidecar
 from geomid_ros.files.models.estimate_file import EstimateFile
@@ -202,7 +202,7 @@ def identify(options: IdentifyOptions) -> Identification:
 def _late(estimate: Estimate) -> float | None:
     """How late commands act [s], if they do: a delay is identified to first order, as it becomes smaller exactly."""
     delays = (effect for effect in estimate.effects if effect_class(effect.name).place == "commands")
-    return next((effect.value for effect in delays if abs(effect.value) > SURE * effect.std), None)
+    return next((effect.value for effect in delays if abs(effect.value) > STDS_OF_95 * effect.std), None)
 
 
 def _recording(share: float) -> str:

@@ -17,7 +17,7 @@ from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.evidence import LEAST_SIGMA, Evidence
 from geomid_ros.checks.instants import FEWEST
 from geomid_ros.checks.subject import Subject
-from geomid_ros.estimation.uncertain_inertia import SURE
+from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.inference.probability import shares
 from geomid_ros.types import FloatArray, IntArray
 
@@ -153,7 +153,7 @@ class Tried:
         judged = self.candidate.judged(part)
         off = np.abs(judged.estimates - self.judged.estimates)
         # What noise and friction have in common makes sizes less sure than their deviations say: signs have to agree.
-        allowed = np.maximum(np.abs(self.judged.estimates), SURE * judged.deviations)
+        allowed = np.maximum(np.abs(self.judged.estimates), STDS_OF_95 * judged.deviations)
         return judged.log > part.nominal.log and bool(np.all(off <= allowed))
 
 

@@ -19,7 +19,7 @@ from geomid_ros.checks.evidence import HALF, SPREAD, payload_factor
 from geomid_ros.checks.flexible import Gain, by_channel
 from geomid_ros.checks.instants import FEWEST, elapsed
 from geomid_ros.checks.subject import STRETCHES, Subject
-from geomid_ros.estimation.uncertain_inertia import SURE
+from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.types import BoolArray, FloatArray
 
 _PLACES = np.linspace(0.0, 1.0, STRETCHES, endpoint=False)[1:]  # from which on something may be another
@@ -243,7 +243,7 @@ def lags(subject: Subject) -> Iterator[Candidate]:
     if _matters(common)[0] and abs(lag) < _MOST_LAG:
         yield _late(subject, [*range(count)], np.full(count, lag), _rates)
     # Where more fits it is no lag, so it may be none elsewhere.
-    told = np.abs(each.coefficients) > np.maximum(SURE * each.deviations, 1.0)
+    told = np.abs(each.coefficients) > np.maximum(STDS_OF_95 * each.deviations, 1.0)
     main = [*np.flatnonzero(_matters(each))]
     if main and count > 1 and common.per_instant <= HALF * each.per_instant and not np.any(told):
         lags = _MOST_LAG * each.coefficients[main]
@@ -252,7 +252,7 @@ def lags(subject: Subject) -> Iterator[Candidate]:
 
 def _matters(gain: Gain) -> BoolArray:
     """Whether lags are surely large enough ``(k,)``."""
-    return np.asarray(_MOST_LAG * (np.abs(gain.coefficients) - SURE * gain.deviations) > _LEAST_LAG)
+    return np.asarray(_MOST_LAG * (np.abs(gain.coefficients) - STDS_OF_95 * gain.deviations) > _LEAST_LAG)
 
 
 def _late(subject: Subject, main: list[int], lags: FloatArray, columns: Columns) -> Candidate:

@@ -14,7 +14,7 @@ from geomid_ros.checks.evidence import LEAST_SIGMA
 from geomid_ros.checks.instants import FEWEST
 from geomid_ros.checks.subject import Subject
 from geomid_ros.estimation.estimate import EffectEstimate, is_told
-from geomid_ros.estimation.uncertain_inertia import SURE
+from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.controller import Controller
 from geomid_ros.model.effects import effect_class
@@ -133,7 +133,7 @@ def frozen_position(subject: Subject) -> Cause | None:
             once = np.count_nonzero(np.diff(still.astype(np.int8), prepend=0) == 1) == 1
             own = subject.joints == joint
             inside, outside = _left(subject, still, around, own)
-            surely = np.sqrt(1.0 + SURE * np.sqrt(2.0))  # of a pose, whose residuals are one number
+            surely = np.sqrt(1.0 + STDS_OF_95 * np.sqrt(2.0))  # of a pose, whose residuals are one number
             off = (inside > surely * outside) & changes & (once | own)
             moving = np.ptp(positions[still], axis=0) > LEAST_SIGMA * np.ptp(positions, axis=0)
             if np.any(moving) and np.any(off):

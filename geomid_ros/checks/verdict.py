@@ -12,7 +12,7 @@ from geomid_ros.checks.causes import Finding
 from geomid_ros.checks.unexplained import WORSE
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.summary import RowSummary
-from geomid_ros.estimation.uncertain_inertia import SURE
+from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.inference.design import BLOCKS
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
@@ -170,7 +170,7 @@ def _worse(model: MeasurementModel, own: FloatArray, nominal: FloatArray) -> lis
         rise = after[known] - before[known]
         if len(rise) < BLOCKS // 2 or not np.mean(after[known]) > WORSE**2 * np.mean(before[known]):
             continue
-        if np.mean(rise) > SURE * np.std(rise, ddof=1) / np.sqrt(len(rise)):
+        if np.mean(rise) > STDS_OF_95 * np.std(rise, ddof=1) / np.sqrt(len(rise)):
             worse.append(channel.name)
     return worse
 

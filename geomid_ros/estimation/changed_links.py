@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.estimation.estimate import LinksInformation
-from geomid_ros.estimation.uncertain_inertia import SURE
+from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.geometry.pseudo_inertia import SIZE
 from geomid_ros.model.effects import Quantity
@@ -48,12 +48,12 @@ class ChangedLink:
     def sentence(self) -> str:
         """In words, with 95 % intervals: the mass, or where that may be as it was, the first moment."""
         others = f", or {' or '.join(self.rivals)} has changed instead" if self.rivals else ""
-        interval = f"± {SURE * self.mass.std:.2g} kg"
+        interval = f"± {STDS_OF_95 * self.mass.std:.2g} kg"
         if _is_sure(self.mass):
             less = "less" if self.mass.value < 0.0 else "more"
             return f"{self.link} weighs {abs(self.mass.value):.3g} {interval} {less}{others}"
         moments = [
-            f"first moment {axis} by {change.value:.2g} ± {SURE * change.std:.2g} kg m"
+            f"first moment {axis} by {change.value:.2g} ± {STDS_OF_95 * change.std:.2g} kg m"
             for axis, change in self.moment.items()
             if _is_sure(change)
         ]
@@ -63,7 +63,7 @@ class ChangedLink:
 
 def _is_sure(change: Quantity) -> bool:
     """True if a change is not zero."""
-    return abs(change.value) > SURE * change.std
+    return abs(change.value) > STDS_OF_95 * change.std
 
 
 @dataclass(frozen=True, eq=False)

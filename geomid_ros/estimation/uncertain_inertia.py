@@ -21,7 +21,7 @@ QUANTITIES = ("mass", "com x", "com y", "com z", "Ixx", "Ixy", "Iyy", "Ixz", "Iy
 """Names of a link's ten quantities, in the order of :func:`geomid_ros.geometry.pseudo_inertia.quantities_of`."""
 UNITS = ("kg", *("m", "m", "m"), *("kg m^2", "kg m^2", "kg m^2"), *("kg m^2", "kg m^2", "kg m^2"))
 """Units of these."""
-SURE = 1.96
+STDS_OF_95 = 1.96
 """Standard deviations to either side that hold 95 %."""
 _LARGEST_LOG = 50.0  # of a factor: nothing is known then
 
@@ -93,7 +93,7 @@ class UncertainInertia:
 
 def interval_of_positive(value: float, deviation: float) -> tuple[float, float]:
     """The 95 % interval of a positive quantity along the geodesic: of its logarithm, so that it stays positive."""
-    factor = float(np.exp(min(SURE * deviation / value, _LARGEST_LOG))) if np.isfinite(deviation) else 1.0
+    factor = float(np.exp(min(STDS_OF_95 * deviation / value, _LARGEST_LOG))) if np.isfinite(deviation) else 1.0
     return value / factor, value * factor
 
 
@@ -109,7 +109,7 @@ def identified(parameters: FloatArray, doubted: FloatArray, of_prior: FloatArray
         doubted: standard deviations of the numbers ``(13,)`` with a prior that is :func:`doubted`.
         of_prior: the same in the prior, or in the usual one where that is narrower ``(13,)``.
     """
-    return np.asarray((SURE * doubted <= WITHIN * sizes(parameters)) & (doubted <= of_prior))
+    return np.asarray((STDS_OF_95 * doubted <= WITHIN * sizes(parameters)) & (doubted <= of_prior))
 
 
 def sizes(parameters: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.uncertain_inertia import SURE
+from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.excitation.knowledge import Belief
 from geomid_ros.excitation.limits import MotionLimits
 from geomid_ros.excitation.motion import ExcitingMotion
@@ -106,7 +106,7 @@ class Margins:
     Attributes:
         position: least distance of each joint from its limits ``(J,)`` [rad, m].
         velocity, acceleration, jerk, effort: largest share of each joint's limit that is used ``(J,)``; that of the
-            effort includes :data:`SURE` standard deviations.
+            effort includes :data:`STDS_OF_95` standard deviations.
         distance: a lower bound of the distance of each pair ``(pairs,)`` [m].
     """
 
@@ -166,7 +166,7 @@ class Feasibility:
         rows = self.knowledge.rows_of_parameters(states)[:, : len(self.names)]
         efforts = rows @ self.knowledge.posterior.parameters
         deviations = self.knowledge.deviations_of(rows @ self.knowledge.posterior.jacobian)
-        return np.asarray((np.abs(efforts) + SURE * deviations) / self.limits.effort)
+        return np.asarray((np.abs(efforts) + STDS_OF_95 * deviations) / self.limits.effort)
 
     def largest_scale(self, motion: ExcitingMotion) -> FloatArray:
         """The factors ``(J,)`` that bring each joint of a motion to the first of its limits of position, speed,

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import minimize
 
-from geomid_ros.estimation.uncertain_inertia import SURE
+from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.excitation.feasibility import HALVINGS, Feasibility
 from geomid_ros.excitation.knowledge import covariance_of
 from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
@@ -197,7 +197,7 @@ class Search:
         """What efforts cost, and the derivatives ``(N, J)`` by them; their uncertainty counts as it is."""
         knowledge, limit = self.feasibility.knowledge, self.feasibility.limits.effort
         rows = rows[:, : len(limit)]
-        left = np.maximum(limit - SURE * knowledge.deviations_of(rows), 0.05 * limit)
+        left = np.maximum(limit - STDS_OF_95 * knowledge.deviations_of(rows), 0.05 * limit)
         return _hinge(rows @ self._whitened_parameters / left, 1.0 / left)
 
     def _of_distances(self, states: FloatArray) -> tuple[float, FloatArray]:

@@ -9,7 +9,7 @@ from typing import Any
 from geomid_ros.checks.verdict import USABLE
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.posterior import Posterior
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES, SURE, UncertainInertia
+from geomid_ros.estimation.uncertain_inertia import QUANTITIES, STDS_OF_95, UncertainInertia
 from geomid_ros.exports.formats import CONTROLLERS
 from geomid_ros.exports.payload import Export, Summand, total
 from geomid_ros.files.models.estimate_file import verdict_entry
@@ -51,7 +51,7 @@ class Payload:
         if not self.weighed.tells_moment_alone:
             return mass
         moments = zip("xyz", self.weighed.moment, self.weighed.moment_std, strict=True)
-        said = ", ".join(f"m {axis} {value:.4g} ± {SURE * std:.2g}" for axis, value, std in moments)
+        said = ", ".join(f"m {axis} {value:.4g} ± {STDS_OF_95 * std:.2g}" for axis, value, std in moments)
         return f"{said} kg m (95 %{gain}) in '{self.weighed.link}'; these motions do not identify the mass: {mass}"
 
     @property

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
-from geomid_ros.signals.settings import MOST_BYTES, MOST_WAITING
+from geomid_ros.signals.settings import MOST_WAITING, MOST_WAITING_BYTES
 
 MOST_AT_ONCE = 1000
 """Messages that are taken together, before anything else has its turn."""
@@ -45,7 +45,7 @@ class Inbox:
         """Put messages in. Returns those, the last ones, that have no room, as too many wait there."""
         taken: list[Received] = []
         for message in messages[: max(0, MOST_WAITING - self._put + self._got)]:
-            if self._put_bytes - self._got_bytes > MOST_BYTES:
+            if self._put_bytes - self._got_bytes > MOST_WAITING_BYTES:
                 break
             self._put_bytes += len(message.data)
             taken.append(message)

@@ -25,7 +25,8 @@ ACCELERATION_PER_SPEED = 4.0
 PIECE = 50
 """Samples: of so many the rows, and what else is computed of them, take little memory."""
 STILL = 0.01
-"""[rad/s or m/s] below this friction is no function of speed."""
+"""[rad/s or m/s] below this friction is no function of speed. (The node's ``still_speed`` is another one: below it all
+instants of a pose say the same.)"""
 # At a reversal friction depends on the past: within the filter's window a joint may stand still for so short a time,
 # and must move so much one way.
 _REST_SHARE = 0.3

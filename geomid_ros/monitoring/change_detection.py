@@ -24,12 +24,12 @@ import numpy as np
 
 from geomid_ros.estimation.channel_products import triangular, usable
 from geomid_ros.estimation.identifier import LONGEST_STEP
-from geomid_ros.estimation.uncertain_inertia import SURE
+from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.geometry import definite
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.monitoring.payload_watch import REMEMBERED, Noise, PayloadWatch
-from geomid_ros.signals.settings import MOST_BYTES
+from geomid_ros.signals.settings import MOST_WAITING_BYTES
 from geomid_ros.types import FloatArray, IntArray
 
 BLOCK = 40
@@ -87,7 +87,7 @@ class ChangeDetector:
         self._forgetting_time = forgetting_time
         self._channels = [_Cusum(channel, forgetting_time) for channel in channels]
         instant = 8 * len(channels) * max((int(np.max(c.columns, initial=0)) + 2 for c in channels), default=1)
-        most = max(BLOCK, MOST_BYTES // instant)
+        most = max(BLOCK, MOST_WAITING_BYTES // instant)
         self._waiting: deque[tuple[int, int, FloatArray, FloatArray]] = deque(maxlen=most)
         self._parts: list[_Block] = []  # of the next block, as a payload is to be known soon
         self._disturbed = False  # whether a payload came or went in it
@@ -311,7 +311,7 @@ class _Cusum:
         if level == 0.0:  # all that was measured is zero
             return
         self._ratios.append(energy / level)
-        highest = level * (1.0 + SURE / np.sqrt(shape * len(self._energies)))
+        highest = level * (1.0 + STDS_OF_95 / np.sqrt(shape * len(self._energies)))
         rise = shape * (energy / highest * (1.0 - 1.0 / _RISE**2) - 2.0 * np.log(_RISE))
         if not self._open and self._evidence == 0.0:
             self._first, self._since = first, stamp

@@ -14,22 +14,10 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.samples import Samples
+from geomid_ros.report.colours import FAINT, FRAME, GRID, IDENTIFIED, INK, URDF
 from geomid_ros.report.ellipsoids import BodyDrawing, Ellipsoid
 from geomid_ros.report.page import number
-from geomid_ros.report.pictures import (
-    CHANNELS,
-    FAINT,
-    IDENTIFIED,
-    INK,
-    ROBOT,
-    SIZE,
-    URDF,
-    add_axes,
-    add_text,
-    new_figure,
-    shortened,
-    text_width,
-)
+from geomid_ros.report.pictures import CHANNELS, ROBOT, SIZE, add_axes, add_text, new_figure, shortened, text_width
 from geomid_ros.report.robot_drawing import draw_bodies
 from geomid_ros.report.series import MOST_DRAWN, Clock, Series, limits, thinned
 from geomid_ros.session.session import Session
@@ -160,10 +148,10 @@ def _draw_channel(axes: Axes, channel: Series, clock: Clock, width: float, lowes
     axes.set_title(change, loc="right", size=9.0, pad=3.0)
     axes.tick_params(labelsize=8.5, color=FAINT, labelcolor=INK, length=2.5, labelbottom=lowest)
     axes.set_xlim(clock.seconds[0], clock.seconds[-1])
-    axes.grid(color="#eceeef", lw=0.7)
+    axes.grid(color=GRID, lw=0.7)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.spines[["left", "bottom"]].set_color("#c8cbce")
+    axes.spines[["left", "bottom"]].set_color(FRAME)
     axes.yaxis.set_major_locator(MaxNLocator(4))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}".replace("-", "\N{MINUS SIGN}")))
     if lowest:

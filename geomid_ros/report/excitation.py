@@ -18,8 +18,9 @@ from geomid_ros.files.trajectories import write_bag, write_csv, write_yaml
 from geomid_ros.model.collision import HalfSpace, Obstacle
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import samples_of
+from geomid_ros.report.colours import FAINT, IDENTIFIED, INK
 from geomid_ros.report.page import Script, write_page
-from geomid_ros.report.pictures import FAINT, IDENTIFIED, INK, new_figure, write_picture
+from geomid_ros.report.pictures import new_figure, write_picture
 from geomid_ros.session.excitation import Excitation
 from geomid_ros.types import FloatArray
 

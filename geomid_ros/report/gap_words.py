@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from geomid_ros.estimation.estimate import TOLD
-from geomid_ros.estimation.uncertain_inertia import SURE
+from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.gap.judgement.held_out import REACHED
 from geomid_ros.gap.result import Confidence, Finding, GapResult, LinkChange, Ranked, Rival, Unexplained
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
@@ -108,7 +108,7 @@ def interval(quantity: Quantity) -> str:
     """Where the true value lies with 95 % probability; nowhere else than it is, of a constant."""
     if not 0.0 < quantity.std < math.inf:
         return NONE
-    decimals, half = _decimals(quantity.std, quantity.value), SURE * quantity.std
+    decimals, half = _decimals(quantity.std, quantity.value), STDS_OF_95 * quantity.std
     return f"{quantity.value - half:.{decimals}f} to {quantity.value + half:.{decimals}f}"
 
 

@@ -24,6 +24,7 @@ from geomid_ros.errors import one_line
 from geomid_ros.files.disk import write_bytes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.shape_prior import LinkPrior
+from geomid_ros.report.colours import FRAME, GRID, IDENTIFIED, INK, URDF
 from geomid_ros.report.ellipsoids import outline
 from geomid_ros.types import FloatArray, IntArray
 
@@ -35,9 +36,6 @@ SIZE = (17.0, 10.0)  # [inch]
 ROBOT: Place = (0.25, 0.95, 9.25, 8.35)
 CHANNELS: Place = (10.15, 1.30, 6.60, 8.00)
 
-# Grey is the URDF and colour the identified, in the robot as over time. For the colour-blind: Okabe and Ito's
-# vermilion.
-INK, FAINT, URDF, IDENTIFIED = "#1a1a1a", "#6b7075", "#9a9fa5", "#d55e00"
 _COMPRESSION = 3  # of PNGs: with 6, writing takes half as long again, for files a tenth smaller
 
 
@@ -151,7 +149,7 @@ def prior_picture(path: Path, title: str, links: Sequence[PlacedLink]) -> None:
         panel.set_aspect("equal", adjustable="box")
         panel.set_xlabel("m")
     handles = [
-        Line2D([], [], color="#c9cdd1", lw=6, label="shapes"),
+        Line2D([], [], color=FRAME, lw=6, label="shapes"),
         Line2D([], [], color=IDENTIFIED, label="uniform ellipsoid of the same inertia, prior"),
         Line2D([], [], color=URDF, ls="--", label="the same for the URDF's inertial"),
     ]
@@ -211,7 +209,7 @@ def torque_picture(path: Path, title: str, names: Sequence[str], drawn: FloatArr
     axes.set_yticks(places, names, parse_math=False)
     axes.invert_yaxis()
     axes.set_xscale("log")
-    axes.grid(axis="x", color="#e6e8ea")
+    axes.grid(axis="x", color=GRID)
     axes.set_xlabel("width of the 95 % band of efforts in fast motion (RMS)")
     axes.spines[["top", "right"]].set_visible(False)
     figure.legend(loc="outside lower center", ncols=2, frameon=False)

@@ -12,11 +12,11 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from geomid_ros.report.page import AFTER, BEFORE, MEASURED, dots_path, ticks
+from geomid_ros.report.colours import BEFORE, FLOOR, FRAME, GRID, IDENTIFIED, INK
+from geomid_ros.report.page import dots_path, ticks
 from geomid_ros.report.series import BINS
 from geomid_ros.types import FloatArray
 
-_FLOOR, _GRID, _FRAME = "#e9edf0", "#eceeef", "#c8cbce"
 _WIDTH = 310  # [pt]
 _ROW = 58  # by which a picture is higher for each of its rows
 _LEFT, _RIGHT, _TOP, _BOTTOM = 53, 12, 22, 33  # margins [pt]
@@ -79,8 +79,8 @@ class _Panel:
         size = f"width='{self._width}' height='{self.height}' viewBox='0 0 {width} {height}'"
         parts = [
             f"<svg x='{_LEFT}' y='{self.top}' {size} fill='none'>{behind}",
-            f"<path d='{grid}' stroke='{_GRID}' stroke-width='7'/>{''.join(marks)}</svg>",
-            f"<path d='M{_LEFT} {self.top}V{bottom}H{_WIDTH - _RIGHT}' stroke='{_FRAME}' fill='none'/>",
+            f"<path d='{grid}' stroke='{GRID}' stroke-width='7'/>{''.join(marks)}</svg>",
+            f"<path d='M{_LEFT} {self.top}V{bottom}H{_WIDTH - _RIGHT}' stroke='{FRAME}' fill='none'/>",
             *(_text(_LEFT - 4, self.top + y / _FINE + 3, f"{v:g}", "end") for v, y in zip(up, down, strict=True)),
             f"<g transform='translate(11 {self.top + 0.5 * self.height}) rotate(-90)'>{_text(0, 0, label)}</g>",
         ]
@@ -102,14 +102,14 @@ class _Panel:
     def band(self, half: float) -> str:
         """Values of y up to ``half`` from zero."""
         _, (top, bottom) = self.places(np.zeros(2), np.array([half, -half]))
-        return f"<rect y='{top:.0f}' width='{_FINE * self._width}' height='{bottom - top:.0f}' fill='{_FLOOR}'/>"
+        return f"<rect y='{top:.0f}' width='{_FINE * self._width}' height='{bottom - top:.0f}' fill='{FLOOR}'/>"
 
 
 def residual_picture(residuals: Residuals) -> Picture:
     """What is missing with what was fitted to it, and below it what is left of it; only the latter where nothing was
     fitted."""
     values, fitted = residuals.values, residuals.fitted
-    rows = [("left", residuals.missing - fitted, MEASURED)]
+    rows = [("left", residuals.missing - fitted, INK)]
     left = "the remaining residual"
     if np.any(fitted):
         rows = [("missing", residuals.missing, BEFORE), *rows]
@@ -121,7 +121,7 @@ def residual_picture(residuals: Residuals) -> Picture:
     drawn = []
     for name, own, color in rows:
         is_last = name == "left"
-        marks = [panel.dots(values, own, color)] + ([] if is_last else [panel.dots(values, fitted, AFTER)])
+        marks = [panel.dots(values, own, color)] + ([] if is_last else [panel.dots(values, fitted, IDENTIFIED)])
         below = f"{residuals.variable} [{residuals.variable_unit}]" if is_last else None
         drawn.append(panel.drawn(marks, f"{name} [{residuals.unit}]", below, panel.band(2.0 * residuals.floor)))
         panel = replace(panel, top=panel.top + height + 8.0)
@@ -147,7 +147,7 @@ def _span(values: FloatArray) -> tuple[float, float]:
 
 
 def _text(x: float, y: float, text: str, anchor: str = "middle") -> str:
-    return f"<text x='{x:.1f}' y='{y:.1f}' text-anchor='{anchor}' fill='{MEASURED}'>{escape(text)}</text>"
+    return f"<text x='{x:.1f}' y='{y:.1f}' text-anchor='{anchor}' fill='{INK}'>{escape(text)}</text>"
 
 
 def _picture(title: str, description: str, height: float, drawn: Sequence[str]) -> Picture:

@@ -12,7 +12,7 @@ from pathlib import Path
 from geomid_ros.checks.verdict import USABLE
 from geomid_ros.estimation.comparison import Compared, Difference
 from geomid_ros.estimation.estimate import LinkEstimate
-from geomid_ros.estimation.uncertain_inertia import QUANTITIES, SURE
+from geomid_ros.estimation.uncertain_inertia import QUANTITIES, STDS_OF_95
 from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.model.effects import Quantity, effect_class
 from geomid_ros.report import gap_words
@@ -54,7 +54,7 @@ def write_comparison_page(path: Path, page: ComparisonPage) -> None:
     content = {
         "page": page,
         "verdict": verdict(page.compared),
-        "sure": SURE,
+        "sure": STDS_OF_95,
         "differing": [row(each) for each in page.compared.differing],
         "all": [row(each) for each in page.compared.differences],
         "errors": [(e.name, e.unit, error(e.first), error(e.second)) for e in page.errors],
@@ -82,7 +82,7 @@ def row(difference: Difference) -> tuple[str, str, str, str, str]:
 def _value(quantity: Quantity | None) -> str:
     if quantity is None:
         return "none"
-    return gap_words.measured(Quantity(quantity.value, SURE * quantity.std, quantity.unit))
+    return gap_words.measured(Quantity(quantity.value, STDS_OF_95 * quantity.std, quantity.unit))
 
 
 def error(value: float) -> str:
@@ -117,7 +117,7 @@ class RobotLine:
     @property
     def remarkable(self) -> tuple[bool, int, int, float]:
         """What robots are ordered by: without a usable result, unlike the others, changed."""
-        return self.verdict != "usable", len(self.unlike), len(self.changed), self.distance or 0.0
+        return self.verdict != USABLE, len(self.unlike), len(self.changed), self.distance or 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,7 +139,7 @@ def write_fleet_page(path: Path, page: FleetPage) -> None:
     counts = {
         "differ from the others": sum(bool(line.unlike) for line in page.lines),
         "changed": sum(bool(line.changed) for line in page.lines),
-        "not usable": sum(line.verdict != "usable" for line in page.lines),
+        "not usable": sum(line.verdict != USABLE for line in page.lines),
         "bags that could not be read": len(page.bad),
     }
     write_page(path, "fleet.html.j2", {"page": page, "counts": counts})

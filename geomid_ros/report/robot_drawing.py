@@ -15,6 +15,7 @@ from matplotlib.patches import Circle, Rectangle
 from matplotlib.ticker import PercentFormatter
 from matplotlib.transforms import Affine2D
 
+from geomid_ros.report.colours import FAINT, FRAME, GRID, INK, SHARES, STICKS, URDF
 from geomid_ros.report.ellipsoids import (
     BodyDrawing,
     View,
@@ -31,7 +32,7 @@ from geomid_ros.report.ellipsoids import (
 )
 from geomid_ros.report.page import NONE
 from geomid_ros.report.page import number as written
-from geomid_ros.report.pictures import FAINT, INK, ROBOT, URDF, Place, add_area, add_axes, add_text, shortened
+from geomid_ros.report.pictures import ROBOT, Place, add_area, add_axes, add_text, shortened
 from geomid_ros.types import FloatArray
 
 Color: TypeAlias = tuple[float, float, float]
@@ -42,7 +43,7 @@ _TABLE_WIDTH, _ROW, _KEY_HEIGHT = 3.9, 0.28, 1.15  # [inch]
 _THINNEST = 1e-3  # semi-axis that is drawn, as a share of the robot's size
 _BADGE = 0.1  # radius of a link's number in the picture [inch]
 # For the colour-blind: a scale that darkens steadily.
-_SHARES = LinearSegmentedColormap.from_list("share", ["#dcdcd8", "#9ad3c4", "#41b0c4", "#1d70b2", "#1f2a80"])
+_SHARES = LinearSegmentedColormap.from_list("share", SHARES)
 
 
 def draw_bodies(figure: Figure, bodies: Sequence[BodyDrawing]) -> None:
@@ -110,7 +111,7 @@ def _robot_axes(figure: Figure, place: Place, low: FloatArray, high: FloatArray)
 def _draw_floor(axes: Axes, view: View, floor: FloatArray) -> None:
     flat = view.flat(floor)
     for line in (*flat, *flat.transpose(1, 0, 2)):
-        axes.plot(*line.T, color="#e4e6e8", lw=0.8, zorder=0.0)
+        axes.plot(*line.T, color=GRID, lw=0.8, zorder=0.0)
 
 
 def _draw_compass(axes: Axes, view: View, inch: float, label: str) -> None:
@@ -127,8 +128,8 @@ def _draw_sticks(axes: Axes, view: View, bodies: Sequence[BodyDrawing]) -> None:
     for body in bodies:
         if body.parent_origin is not None:
             stick = view.flat(np.array([body.parent_origin, body.origin]))
-            axes.plot(*stick.T, color="#3c4043", lw=3.0, solid_capstyle="round", zorder=2.0)
-    axes.plot(*view.flat(stick_ends(bodies)).T, "o", ms=5.5, mfc="white", mec="#3c4043", mew=1.3, zorder=2.1)
+            axes.plot(*stick.T, color=STICKS, lw=3.0, solid_capstyle="round", zorder=2.0)
+    axes.plot(*view.flat(stick_ends(bodies)).T, "o", ms=5.5, mfc="white", mec=STICKS, mew=1.3, zorder=2.1)
 
 
 def _draw_identified(axes: Axes, view: View, body: BodyDrawing) -> None:
@@ -220,7 +221,7 @@ def _draw_table(area: Axes, bodies: Sequence[BodyDrawing]) -> None:
     hidden = len(bodies) - len(shown)
     for x, text, ha in ((0.0, "link", "left"), (2.74, "mass [kg]", "right"), (_TABLE_WIDTH, "from data", "right")):
         add_text(area, x, 0.06, text, 9.5, FAINT, ha=ha)
-    area.plot([0.0, _TABLE_WIDTH], [0.22, 0.22], color="#c8cbce", lw=0.8)
+    area.plot([0.0, _TABLE_WIDTH], [0.22, 0.22], color=FRAME, lw=0.8)
     row = (area.get_ylim()[0] - 0.32) / (len(shown) + (hidden > 0))
     for k, (number, body) in enumerate(shown):
         _draw_row(area, 0.32 + (k + 0.5) * row, number, body)
@@ -236,7 +237,7 @@ def _draw_row(area: Axes, y: float, number: int, body: BodyDrawing) -> None:
     add_text(area, 2.05, y, written(body.prior.mass), 9.5, FAINT, ha="right")
     add_text(area, 2.17, y, "→", 9.5, FAINT, ha="center")
     add_text(area, 2.74, y, written(body.identified.mass), 9.5, weight="bold", ha="right")
-    area.add_artist(Rectangle((2.92, y - 0.055), 0.5, 0.11, fc="#eceeef", lw=0.0))
+    area.add_artist(Rectangle((2.92, y - 0.055), 0.5, 0.11, fc=GRID, lw=0.0))
     area.add_artist(Rectangle((2.92, y - 0.055), 0.5 * share, 0.11, fc=color, lw=0.0))
     percent = f"{100.0 * body.from_data:.0f} %" if np.isfinite(body.from_data) else NONE
     add_text(area, _TABLE_WIDTH, y, percent, 9.5, ha="right")

@@ -14,7 +14,7 @@ from geomid_ros.model.measurement import Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import sensor_channels
 from geomid_ros.session.session import Session
-from geomid_ros.signals.settings import MOST_BYTES
+from geomid_ros.signals.settings import MOST_WAITING_BYTES
 
 
 class Training:
@@ -162,4 +162,4 @@ class WrenchGuard:
         forgets = np.isfinite(self._session.configuration.buffer.forgetting_time)
         instant = 8 * (model.dimension + 1) * len(model.channels)
         doubted = model.mounted and not (forgets and self._check.ended)
-        self._session.identifier.hold(MOST_BYTES // instant if doubted else 0)
+        self._session.identifier.hold(MOST_WAITING_BYTES // instant if doubted else 0)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from geomid_ros.signals.settings import BYTES_BESIDE_NUMBERS, MOST_BYTES
+from geomid_ros.signals.settings import BYTES_BESIDE_NUMBERS, MOST_WAITING_BYTES
 from geomid_ros.types import FloatArray, IntArray, frozen
 
 JOINT_STATES = "joint_states"
@@ -124,7 +124,7 @@ class Recent:
             self._last[topic] = newest
             self._entries.append(accepted)
             self._bytes += _size(accepted)
-            while self._entries and (self._bytes > MOST_BYTES or self._is_old(self._entries[0], newest)):
+            while self._entries and (self._bytes > MOST_WAITING_BYTES or self._is_old(self._entries[0], newest)):
                 self._bytes -= _size(self._entries.popleft())
 
     def _is_old(self, accepted: Accepted, newest: int) -> bool:

@@ -35,7 +35,7 @@ MOST_WAITING = 10_000  # messages that are kept until the period is known, or wh
 HORIZON = 60_000_000_000  # [ns] A topic this far behind the others is not waited for
 MOST_KINDS = 50  # layouts of messages that are remembered, and reasons of a topic
 LONGEST_REASON = 200  # [characters]
-MOST_BYTES = 100_000_000  # of messages or rows that wait or are remembered
+MOST_WAITING_BYTES = 100_000_000  # of messages or rows that wait or are remembered
 BYTES_BESIDE_NUMBERS = 400  # of a remembered block
 
 

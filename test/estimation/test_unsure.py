@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.estimation.estimator import _unsure
-from geomid_ros.estimation.uncertain_inertia import SURE
+from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.model.effects.effect import FRICTION_DRIFT
 
 from .arms import Truth, arm, efforts, solved
@@ -59,7 +59,7 @@ def test_friction_that_drifts_between_two_recordings_is_within_what_both_say() -
         for first, second in zip(*told, strict=True):
             if "friction" in first.name:
                 apart.append(abs(first.value - second.value) / np.hypot(first.std, second.std))
-    assert 0.88 < np.mean(np.array(apart) < SURE) < 0.99
+    assert 0.88 < np.mean(np.array(apart) < STDS_OF_95) < 0.99
 
 
 def test_what_does_not_drift_is_as_sure_as_its_recording() -> None:

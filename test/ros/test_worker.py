@@ -314,7 +314,7 @@ def test_what_waits_is_bounded_by_number_and_bytes(quiet: Watched, monkeypatch: 
         with standing_still(quiet):
             quiet.feed(0, 40)
         quiet.final()
-    monkeypatch.setattr(inbox, "MOST_BYTES", 19 * len(JOINTS[0][1]))
+    monkeypatch.setattr(inbox, "MOST_WAITING_BYTES", 19 * len(JOINTS[0][1]))
     for _ in range(2):
         with standing_still(quiet):
             quiet.feed(0, 40)

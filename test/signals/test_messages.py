@@ -152,7 +152,7 @@ def test_only_the_last_seconds_are_kept() -> None:
 
 
 def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "MOST_BYTES", 10_000)
+    monkeypatch.setattr(module, "MOST_WAITING_BYTES", 10_000)
     recent = Recent(60.0)
     feed(pipeline(recent), 0, 200)
     assert 0 < sum(entry.values.nbytes for entry in recent.entries()) < 10_000

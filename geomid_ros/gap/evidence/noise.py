@@ -10,7 +10,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from geomid_ros.estimation.uncertain_inertia import SURE
+from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
@@ -124,7 +124,7 @@ class Repeats:
         That measure has more data, so it stands unless the repeats say surely less: the smaller one of two that differ
         by chance is too small.
         """
-        sure = self.noise * (1.0 + SURE / np.sqrt(2.0 * np.maximum(self.counts, 1.0))) < remainder
+        sure = self.noise * (1.0 + STDS_OF_95 / np.sqrt(2.0 * np.maximum(self.counts, 1.0))) < remainder
         return np.where(sure | np.isnan(remainder), self.noise, remainder)
 
 

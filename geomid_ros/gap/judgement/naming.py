@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
-from geomid_ros.estimation.uncertain_inertia import SURE
+from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.estimation.uncertainty import physical_sensitivity
 from geomid_ros.gap.candidates import Candidate, NamesFit, NamesPrior
 from geomid_ros.gap.result import Confidence
@@ -121,7 +121,7 @@ def sentence(
 
 def _said(quantity: Quantity) -> str:
     unit = "" if quantity.unit == "-" else f" {quantity.unit}"
-    return f"{quantity.value:.4g} ± {SURE * quantity.std:.2g}{unit}"
+    return f"{quantity.value:.4g} ± {STDS_OF_95 * quantity.std:.2g}{unit}"
 
 
 def settled_by(effect: Effect, joint: str, rivals: Collection[tuple[Effect, str]]) -> str:
