@@ -1,6 +1,6 @@
 """The colours of pictures and pages; those of a page's own text, light and dark, are in ``page.html.j2``.
 
-Grey is the URDF and colour the identified, in the robot as over time. For the colour-blind: Okabe and Ito's vermilion
+Grey is the URDF and colour the identified: links by ``SHARES``, lines and dots by ``IDENTIFIED``. For the colour-blind: Okabe and Ito's vermilion
 and blue; lines differ in their dashes, too.
 """
 

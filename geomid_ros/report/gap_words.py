@@ -1,4 +1,5 @@
-"""What the gap workflow found, in words: the same in the terminal as on the page."""
+"""What the gap workflow found as a whole, in words: the same in the terminal as on the page. The sentence of each
+finding is in :mod:`geomid_ros.gap.judgement.sentences`."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.judgement.held_out import located, share, strongest
-from geomid_ros.gap.judgement.naming import sentence, settled_by
+from geomid_ros.gap.judgement.sentences import sentence, settled_by
 from geomid_ros.gap.judgement.written import _said_again
 from geomid_ros.gap.result import Finding, GapResult, Located
 from geomid_ros.gap.workflow import GapSettings, find_gap

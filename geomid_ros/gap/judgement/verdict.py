@@ -10,7 +10,7 @@ import numpy as np
 from geomid_ros.estimation.estimate import is_told
 from geomid_ros.gap.analysis import Analysis
 from geomid_ros.gap.candidates import Candidate, NamesFit
-from geomid_ros.gap.judgement import naming
+from geomid_ros.gap.judgement import sentences
 from geomid_ros.gap.judgement.held_out import HeldOut, strongest
 from geomid_ros.gap.result import Finding, Ranked, Rival, Unexplained, Verdict, confidence_of
 from geomid_ros.inference.fit import fit, scattered
@@ -34,12 +34,12 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     search, names, support = analysis.search, analysis.names, analysis.supports[candidate]
     without = search.without(names, candidate)
     rivals = [Rival(c.name, model.places.name(c.place), loss) for c, loss in support.rivals if loss < _NEAR]
-    joint, link = model.places.name(candidate.place), naming.link_name(model, candidate)
+    joint, link = model.places.name(candidate.place), sentences.link_name(model, candidate)
     load = analysis.problem.situation.usual_load(candidate.place) if candidate.effect.scanned else 0.0
-    parameters = naming.parameters(model, sized, candidate, _scanned_std(analysis, candidate), load)
-    was = naming.known_before(model, search.prior, candidate, load)
+    parameters = sentences.parameters(model, sized, candidate, _scanned_std(analysis, candidate), load)
+    was = sentences.known_before(model, search.prior, candidate, load)
     parameters = beside_remainder(analysis, candidate, parameters, was)
-    moment = naming.first_moment(sized, candidate)
+    moment = sentences.first_moment(sized, candidate)
     if not any(map(_is_told, moment.values())) or _is_told(parameters["mass"]):
         moment = {}
     confidence = confidence_of(support.probability)
@@ -55,8 +55,8 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
         loss=support.loss,
         share=_share(analysis, candidate),
         was=was,
-        sentence=naming.sentence(candidate.effect, joint, link, parameters, was, confidence, moment=moment),
-        settled_by=naming.settled_by(candidate.effect, joint, close) if confidence != "confident" else "",
+        sentence=sentences.sentence(candidate.effect, joint, link, parameters, was, confidence, moment=moment),
+        settled_by=sentences.settled_by(candidate.effect, joint, close) if confidence != "confident" else "",
         moment=moment,
     )
 

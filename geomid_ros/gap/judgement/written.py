@@ -15,7 +15,7 @@ from geomid_ros.gap.analysis import Analysis
 from geomid_ros.gap.candidates import CLEARLY, Candidate, EffectTerm, NamesFit, NamesPrior
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.evidence.record import Records, TotalModel
-from geomid_ros.gap.judgement import naming
+from geomid_ros.gap.judgement import sentences
 from geomid_ros.gap.judgement.changed_links import with_given_spreads
 from geomid_ros.gap.judgement.verdict import beside_remainder, probability_by_size
 from geomid_ros.gap.result import LIKELY, Finding, LinkChange
@@ -199,7 +199,7 @@ def _with_ordinary(
 
 def _known(model: MeasurementModel, found: NamesFit, candidate: Candidate) -> KnownEffect:
     """An effect as files have it."""
-    parameters = naming.parameters(model, found, candidate)
+    parameters = sentences.parameters(model, found, candidate)
     return KnownEffect(candidate.name, model.places.name(candidate.place), "", parameters)
 
 
@@ -224,11 +224,11 @@ def _findings_as_written(
             yield finding
         elif candidate in found.chosen:
             load = analysis.problem.situation.usual_load(candidate.place) if candidate.effect.scanned else 0.0
-            parameters = naming.parameters(model, found, candidate, usual_load=load)
+            parameters = sentences.parameters(model, found, candidate, usual_load=load)
             unsure_too = beside_remainder(analysis, candidate, parameters, finding.was)
             sized = {**finding.parameters, **candidate.effect.sizes(unsure_too)}
             told = analysis.search.prior.identified and finding.moment  # of a drawing the links' are as unsure
-            moment = naming.first_moment(found, candidate) if told else {}
+            moment = sentences.first_moment(found, candidate) if told else {}
             probability = min(finding.probability, probability_by_size(candidate, moment or parameters, finding.was))
             yield _said_again(replace(finding, parameters=sized, moment=moment, probability=probability))
         else:
@@ -238,7 +238,7 @@ def _findings_as_written(
 def _said_again(finding: Finding) -> Finding:
     effect = effect_class(finding.effect)()
     sizes = finding.parameters, finding.was, finding.confidence
-    said = naming.sentence(effect, finding.joint, finding.link, *sizes, moment=finding.moment)
+    said = sentences.sentence(effect, finding.joint, finding.link, *sizes, moment=finding.moment)
     return replace(finding, sentence=said)
 
 

@@ -1,4 +1,4 @@
-"""Friction of other shapes: levelling off with speed, quadratic, and before a joint slides."""
+"""Friction beside viscous and Coulomb friction: levelling off with speed, quadratic, and before a joint slides."""
 
 from __future__ import annotations
 
