@@ -1,7 +1,7 @@
 """The colours of pictures and pages; those of a page's own text, light and dark, are in ``page.html.j2``.
 
-Grey is the URDF and colour the identified: links by ``SHARES``, lines and dots by ``IDENTIFIED``. For the colour-blind: Okabe and Ito's vermilion
-and blue; lines differ in their dashes, too.
+Grey is the URDF and colour the identified: links by ``SHARES``, lines and dots by ``IDENTIFIED``. For the colour-blind:
+Okabe and Ito's vermilion and blue; lines differ in their dashes, too.
 """
 
 INK, FAINT = "#1a1a1a", "#6b7075"
