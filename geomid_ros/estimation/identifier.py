@@ -262,6 +262,11 @@ class Identifier:
         return self._summary.rows + self._recent.rows
 
     @property
+    def made(self) -> int:
+        """Rows made so far."""
+        return self._made
+
+    @property
     def counts(self) -> RowCounts:
         """What became of all rows so far."""
         with self._lock:
