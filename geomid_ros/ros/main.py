@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from geomid_ros.ros.node import GeomidNode
 
 _SWITCH_INTERVAL = 5e-4  # [s]
+_TAKES = 2  # of messages, for each time that the executor is asked, which costs as much as a hundred of them
 
 
 def main() -> None:
@@ -86,11 +88,13 @@ def _run_node(solving: SolvingProcess) -> None:
         node = GeomidNode(solving)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
+        gc.freeze()  # what was imported stays: to look through all of it takes a tenth of a second each time
         try:
             while ok() and not stopping.is_set():
-                _guarded(node, node.take_waiting)
                 _guarded(node, partial(executor.spin_once, timeout_sec=0.0))
-                _guarded(node, partial(node.wait, PAUSE))
+                for _ in range(_TAKES):
+                    _guarded(node, node.take_waiting)
+                    _guarded(node, partial(node.wait, PAUSE / _TAKES))
             _guarded(node, node.take_waiting)
         finally:
             node.close()
