@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from geomid_ros.ros.node import GeomidNode
 
 _SWITCH_INTERVAL = 5e-4  # [s]
-_TAKES = 2  # of messages, for each time that the executor is asked, which costs as much as a hundred of them
 
 
 def main() -> None:
@@ -91,10 +90,9 @@ def _run_node(solving: SolvingProcess) -> None:
         gc.freeze()  # what was imported stays: to look through all of it takes a tenth of a second each time
         try:
             while ok() and not stopping.is_set():
+                _guarded(node, node.take_waiting)
                 _guarded(node, partial(executor.spin_once, timeout_sec=0.0))
-                for _ in range(_TAKES):
-                    _guarded(node, node.take_waiting)
-                    _guarded(node, partial(node.wait, PAUSE / _TAKES))
+                _guarded(node, partial(node.wait, PAUSE))
             _guarded(node, node.take_waiting)
         finally:
             node.close()
