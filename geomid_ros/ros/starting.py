@@ -22,7 +22,7 @@ PATIENCE = 5.0
 
 # Everything is looked for: messages cost less when many come at once, and the filter holds rows back for four times as
 # long. To let the executor wait for anything else would wake it for every message.
-PAUSE = 0.12
+PAUSE = 0.11
 """[s] between looks for what is asked for, and for a signal."""
 
 
