@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import signal
 import sys
@@ -87,7 +86,6 @@ def _run_node(solving: SolvingProcess) -> None:
         node = GeomidNode(solving)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        gc.freeze()  # what was imported stays: to look through all of it takes a tenth of a second each time
         try:
             while ok() and not stopping.is_set():
                 _guarded(node, node.take_waiting)
