@@ -162,12 +162,18 @@ class Delay:
         self.usual = 0.0
         """The delay that the gain is set for."""
 
-    def take(self, delay: float, step: float) -> str:
-        """Note a delay, ``step`` seconds after the one before. Returns what is wrong with it, or nothing."""
-        if self.usual and delay > LATER * self.usual:
-            return f"joint states are {1e3 * delay:.0f} ms late, after {1e3 * self.usual:.0f} ms before"
-        self.usual = max(delay, self.usual * (1.0 - step / _MEMORY))
-        return ""
+    def faults(self, delay: float) -> list[str]:
+        """What is wrong with a delay, in a sentence, or nothing."""
+        if not self.usual or delay <= LATER * self.usual:
+            return []
+        return [f"joint states are {1e3 * delay:.0f} ms late, after {1e3 * self.usual:.0f} ms before"]
+
+    def take(self, delay: float, step: float) -> list[str]:
+        """Note a delay, ``step`` seconds after the one before. Returns what is wrong with it."""
+        faults = self.faults(delay)
+        if not faults:
+            self.usual = max(delay, self.usual * (1.0 - step / _MEMORY))
+        return faults
 
 
 def faults_of(
@@ -217,6 +223,7 @@ class Correction:
         self.delay = Delay()
         self.latch = Latch()
         self._before: Reading | None = None
+        self._faults: list[str] = []  # of the last reading
         self._heard = self._sent = -np.inf
         self._last = np.zeros(len(joints))
 
@@ -236,11 +243,11 @@ class Correction:
             return
         self._heard = now
         faults = faults_of(self._joints, self._limits, reading, before, commanded[1])
-        if late := self.delay.take(max(0.0, now - reading.time) + step, step):
-            faults.append(late)
+        faults += self.delay.take(max(0.0, now - reading.time) + step, step)
         rows, residuals = self._missing(np.array([reading.position, *commanded[1:]]), reading.effort)
         if not self.adaptation.explains(rows, residuals):
             faults.append("no payload explains the efforts; the robot may touch something")
+        self._faults = faults
         self.latch.take(now, faults)
         if not faults and not self.latch.reason:
             tangent = needed(self.adaptation.point, rows, residuals)
@@ -261,6 +268,8 @@ class Correction:
         """Efforts ``(joints,)`` to add to those of the identified model, at the motion ``commanded (3, joints)``."""
         if np.isfinite(self._heard) and now - self._heard > LASTING:
             self.latch.close(f"no joint states for {1e3 * (now - self._heard):.0f} ms")
+        if self._before is not None:  # what comes late is late before it comes
+            self.latch.take(now, [*self._faults, *self.delay.faults(now - self._before.time)])
         passed, self._sent = now - self._sent, now
         self._check_clock(passed)
         most, change = LARGEST_SHARE * self._limits, FASTEST * self._limits * max(0.0, min(passed, LASTING))

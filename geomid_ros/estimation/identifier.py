@@ -262,6 +262,11 @@ class Identifier:
         return self._summary.rows + self._recent.rows
 
     @property
+    def made(self) -> int:
+        """Rows made so far."""
+        return self._made
+
+    @property
     def counts(self) -> RowCounts:
         """What became of all rows so far."""
         with self._lock:
@@ -281,7 +286,9 @@ class Identifier:
         """A copy of all that was added so far and is not left out."""
         self._absorb()
         with self._lock:
-            settled, held = self._summary.snapshot(), self._recent.instants
+            held = self._recent.instants
+            self._summary.make_room(len(held))  # once, and not in every copy
+            settled = self._summary.snapshot()
         return _with(settled, held)
 
     def _absorb(self) -> None:

@@ -164,7 +164,12 @@ class RowSummary:
 
     def _fold(self) -> int:
         """The fold of the next instant, for which there is room."""
-        while self._instants >= self.folds * self._block:
+        self.make_room(1)
+        return self._instants // self._block
+
+    def make_room(self, instants: int) -> None:
+        """Let blocks be so long that there are folds for so many more instants."""
+        while self._instants + instants > self.folds * self._block:
             parts = self.parts()
             for index, own in enumerate(parts):
                 pairs = [own[first : first + 2] for first in range(0, self.folds, 2)]
@@ -173,7 +178,6 @@ class RowSummary:
                     self._summaries[fold][index] = part
             self._block *= 2
             self._complete = False
-        return self._instants // self._block
 
     def absorb_one(self) -> bool:
         """Absorb what waits of one channel; False if there was nothing."""

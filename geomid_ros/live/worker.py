@@ -18,12 +18,14 @@ from geomid_ros.live.status import Listener, Status
 from geomid_ros.live.threads import Activity, start_daemon
 from geomid_ros.model.measurement import Rows
 from geomid_ros.model.samples import Samples
+from geomid_ros.monitoring.change_detection import PART
 from geomid_ros.monitoring.payload_watch import carrying
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import WrenchGuard
 from geomid_ros.signals.decoding import Decoder
 from geomid_ros.signals.ledger import count_reason
-from geomid_ros.signals.messages import JOINT_STATES, Accepted, message_type
+from geomid_ros.signals.messages import JOINT_STATES, Accepted, Block, message_type
+from geomid_ros.types import FloatArray, IntArray
 
 PATIENCE = 0.7  # [s] for both threads to end; with the last checkpoint, and with all that takes, less than two
 _TRANSITION = 2_000_000_000  # [ns] from the beginning of a gap until all rows show it
@@ -52,6 +54,7 @@ class Worker:
         self._rows_lost: Counter[str] = Counter()  # replaced as a whole
         self._receipt_to_row: deque[float] = deque(maxlen=_LATENCIES)
         self._wrenches = WrenchGuard(session)
+        self._unchecked: list[Samples] = []
         self._inbox = Inbox()
         self._intake = start_daemon("intake", self._take_messages)
 
@@ -183,6 +186,7 @@ class Worker:
             with self.activity.doing(task[0].topic):
                 self._take(task)
         else:
+            self._check()
             task()
 
     def _take(self, messages: list[Received]) -> None:
@@ -199,22 +203,26 @@ class Worker:
             self._fail(f"a message on {' or '.join({block.topic for block in blocks})} could not be processed", error)
         samples = self.session.pipeline.collect()
         if samples is not None:
-            self._add(samples, messages[0].time)
+            lag = round(1e9 * self.session.pipeline.lag)
+            self._add(samples, _completed([message.time for message in messages], blocks, samples.stamps + lag))
 
-    def _add(self, samples: Samples, received: float) -> None:
+    def _add(self, samples: Samples, received: FloatArray) -> None:
+        """Add the rows of samples; the messages that completed them were ``received (N,)`` [s]."""
         estimate, carried, identifier = self.solver.estimate, self.solver.carried, self.session.identifier
-        before = identifier.counts.made
+        before = identifier.made
         load = None if carried is None else carried.added(np.zeros(self.session.model.dimension))
         try:
             stamps, new, unsettled = identifier.add(samples, carried=load)
         except Exception as error:  # noqa: BLE001 as above
-            lost = before + len(samples) * len(self.session.model.channels) - identifier.counts.made
+            lost = before + len(samples) * len(self.session.model.channels) - identifier.made
             self._rows_lost = self._rows_lost + Counter({type(error).__name__: lost})
             self._fail("rows could not be computed", error)
             return
         with self._lock:
-            self._receipt_to_row.append(time.perf_counter() - received)
-        self.session.review.check.add(samples)
+            self._receipt_to_row.extend((time.perf_counter() - received).tolist())
+        self._unchecked.append(samples)
+        if sum(map(len, self._unchecked)) >= PART:  # to check a few takes as long
+            self._check()
         if self._wrenches.take(new):
             self.solver.begin_anew()
         settled = Rows(new.coefficients, np.where(unsettled, np.nan, new.targets))
@@ -223,6 +231,12 @@ class Worker:
             self.solver.watch()
         if estimate is not None:
             self._report_prediction(samples, carrying(estimate, carried))
+
+    def _check(self) -> None:
+        """Let what was measured be checked as a whole."""
+        samples, self._unchecked = self._unchecked, []
+        if samples:
+            self.session.review.check.add(Samples.concatenate(samples))
 
     def _report_prediction(self, samples: Samples, estimate: Estimate) -> None:
         try:
@@ -240,3 +254,19 @@ class Worker:
         self.solver.reset()
         self._rows_lost = Counter()
         self._wrenches = WrenchGuard(self.session)
+
+
+def _completed(times: Sequence[float], blocks: Sequence[Block], stamps: IntArray) -> FloatArray:
+    """When the first messages came that have ``stamps (N,)`` [ns] or later ones, of the topic whose came last ``(N,)``.
+
+    Args:
+        times: at which messages came [s].
+        blocks: these messages, many at once. If they have none as late, one of before was: then the first one counts.
+        stamps: increasing.
+    """
+    found, came = np.full(len(stamps), times[0]), np.array(times)
+    for block in blocks:
+        places = np.searchsorted(np.maximum.accumulate(block.stamps), stamps)
+        there = places < len(block.stamps)
+        found[there] = np.maximum(found[there], came[block.order[places[there]]])
+    return found

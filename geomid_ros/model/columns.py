@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import groupby
+from operator import itemgetter
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -100,8 +102,9 @@ class Entries:
     def values(self, motion: Motion) -> FloatArray:
         """``(N, entries)`` for a motion, each ``(N, joints)``."""
         values = [column.values(motion)[:, joints] for column, joints in self._alone]
-        for effect, (first, second) in self._pairs:
-            values += effect.columns(motion.of(first), motion.of(second))
+        for effects, joints in self._pairs:
+            first, second = map(motion.of, joints)
+            values += [part for effect in effects for part in effect.columns(first, second)]
         return np.concatenate([motion.position[:, :0], *values], axis=1)
 
     @cached_property
@@ -144,12 +147,15 @@ class Entries:
         return sum(len(joints) for _, joints in self._places.values())
 
     @cached_property
-    def _pairs(self) -> list[tuple[PairEffect, IntArray]]:
-        """Each effect of two joints, and these ``(2, columns)``."""
-        return [
-            (effect, np.array([column.reached(self.joints) for column in several]).T)
+    def _pairs(self) -> list[tuple[list[PairEffect], IntArray]]:
+        """Effects of the same pairs of joints, and these ``(2, columns)``."""
+        found = [
+            (effect, [column.reached(self.joints) for column in several])
             for effect, several in self._together.items()
             if isinstance(effect, PairEffect)
+        ]
+        return [
+            ([effect for effect, _ in same], np.array(joints).T) for joints, same in groupby(found, key=itemgetter(1))
         ]
 
     @cached_property

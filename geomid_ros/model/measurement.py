@@ -29,7 +29,7 @@ from geomid_ros.model.channels import (
     wrench_channel,
 )
 from geomid_ros.model.coefficients import EffectPlaces, Mechanism
-from geomid_ros.model.columns import Column, Entries, column_of, reached_joints
+from geomid_ros.model.columns import Column, Entries, column_of, entries_of, reached_joints
 from geomid_ros.model.contacts import Contact, Legs
 from geomid_ros.model.effects import (
     AtSensor,
@@ -208,7 +208,7 @@ class MeasurementModel:
     def _replaced(self, **changes: Any) -> MeasurementModel:
         """A copy with these attributes, and anew what depends on them."""
         model = copy(self)
-        for cached in ("_of_motion", "_of_loads", "_of_sensors", "usual_shapes"):
+        for cached in ("columns", "_of_motion", "_of_loads", "_of_resistance", "_of_sensors", "usual_shapes"):
             vars(model).pop(cached, None)
         vars(model).update(changes)
         model._number()  # noqa: SLF001 its own
@@ -387,7 +387,8 @@ class MeasurementModel:
         """What the gears transmit ``(N, J)``, by what is known."""
         loads = np.einsum("njbk,bk->nj", bodies[:, self.layout.efforts], self.loading)
         if self.resisting and self.layout.efforts:
-            loads += samples.efforts_of(self.resisting)
+            entries, strengths = self._of_resistance
+            loads += samples.values_of(entries) @ strengths
         return self.with_ground(samples, loads)
 
     def with_ground(self, samples: Samples, loads: FloatArray) -> FloatArray:
@@ -411,6 +412,11 @@ class MeasurementModel:
         ]
         channels, parameters, places = np.array(found, dtype=np.int64).reshape(-1, 3).T
         return entries, channels, parameters, places
+
+    @cached_property
+    def _of_resistance(self) -> tuple[Entries, FloatArray]:
+        """The entries of what resists, and what these add to the efforts of all joints ``(entries, joints)``."""
+        return entries_of(self.resisting, len(self.layout.efforts))
 
     @cached_property
     def _of_loads(self) -> dict[LoadEffect, IntArray]:
@@ -456,7 +462,7 @@ class MeasurementModel:
         """What a unit of each of an effect's coefficients adds to each axis of a sensor ``(N, axes, coefficients)``."""
         return effect.columns(samples.motion, [self.channels[channel].axis for channel in self._reached(place)])
 
-    @property
+    @cached_property
     def columns(self) -> tuple[Column, ...]:
         """The columns of the effects, and of what tells how joints move, as samples carry them."""
         own = [column_of(c.effect, c.place) for c in self.coefficients if isinstance(c.effect, MotionEffect)]

@@ -129,8 +129,15 @@ class Samples:
 
     def select(self, index: AnyArray | slice) -> Samples:
         """The samples chosen by a mask, index array or slice."""
-        arrays: dict[str, Any] = {name: array[index] for name, array in self.arrays.items()}
-        return replace(self, **arrays)
+        return self._with({name: array[index] for name, array in self.arrays.items()})
+
+    def _with(self, arrays: dict[str, AnyArray], **others: Entries) -> Samples:
+        """A copy with other arrays; to make it anew would take longer than what is done with a few instants."""
+        for array in arrays.values():
+            array.setflags(write=False)
+        found = object.__new__(Samples)
+        vars(found).update(vars(self) | arrays | others)
+        return found
 
     def in_pieces(self) -> Iterator[Samples]:
         """The same, a few at a time: what is computed for each takes little memory. At least one piece, be it empty."""
@@ -141,7 +148,7 @@ class Samples:
         """The same with none of the effects' columns but those that are ``chosen``."""
         columns = tuple(column for column in self.entries.columns if column in chosen)
         entries = Entries(columns, self.entries.joints)
-        return replace(self, effects=self.values_of(entries), entries=entries)
+        return self._with({"effects": self.values_of(entries)}, entries=entries)
 
     def with_joints(self, order: IntArray) -> Samples:
         """The samples in which joint j does what joint ``order[j]`` did; ``order (joints,)``. Columns of effects that
@@ -162,6 +169,8 @@ class Samples:
     @staticmethod
     def concatenate(parts: list[Samples]) -> Samples:
         """All samples of ``parts`` (at least one), in order."""
+        if len(parts) == 1:
+            return parts[0]
         arrays: dict[str, Any] = {
             name: np.concatenate([part.arrays[name] for part in parts]) for name in parts[0].arrays
         }

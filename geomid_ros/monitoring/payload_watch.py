@@ -14,9 +14,8 @@ prediction and the body's columns B among A, tell of the body, with ``V = M + A'
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 from itertools import accumulate
 from typing import NamedTuple
 
@@ -269,17 +268,22 @@ class PayloadWatch:
             joints += max(inexact + _most(alone[:-1, :-1], alone[:-1, -1]) / vague - volume - self._surprise, 0.0)
         return _Told(total[:-1, :-1], total[:-1, -1], vagueness, max(unknown, joints - self._surprise))
 
-    def _tails(self) -> list[_Block]:
+    @property
+    def _last(self) -> list[_Block]:
+        """The blocks of the window, the latest first."""
+        return [block for block, _ in self._recent][: -REMEMBERED - 1 : -1]
+
+    def _tails(self) -> Iterator[_Block]:
         """Sums of the last block, the last two and so on, the whole window last."""
-        last = [block for block, _ in self._recent][: -REMEMBERED - 1 : -1]
-        return list(accumulate(last, lambda later, earlier: earlier + later))
+        return accumulate(self._last, lambda later, earlier: earlier + later)
 
     def _take(self) -> bool:
         """Take up a body where the last rows show one."""
-        tails = self._tails()
-        if not any(self._may_carry(tail) for tail in tails[_SOON - 1 :: REMEMBERED - _SOON]):
+        last = self._last
+        ends = [_sum(last[count - 1 :: -1]) for count in (_SOON, REMEMBERED) if len(last) >= count]
+        if not any(map(self._may_carry, ends)):
             return False
-        fits = [(fit.gain - told.unknown, tail, fit) for tail in tails for told, fit in [self._fitted(tail)]]
+        fits = [(fit.gain - told.unknown, tail, fit) for tail in self._tails() for told, fit in [self._fitted(tail)]]
         excess, tail, fit = max(fits, key=lambda each: each[0])
         if excess < self._surprise:
             return False
@@ -331,7 +335,14 @@ def _most(information: FloatArray, slope: FloatArray) -> float:
 
 
 def _sum(blocks: Sequence[_Block]) -> _Block:
-    return reduce(lambda earlier, later: earlier + later, blocks)
+    """All blocks, in the order of time."""
+    first, *later = blocks
+    products = tuple(product.copy() for product in first.products)
+    for block in later:
+        for total, more in zip(products, block.products, strict=True):
+            np.add(total, more, out=total)
+    rows, counts = (np.sum(own, axis=0) for own in zip(*((block.rows, block.blocks) for block in blocks), strict=True))
+    return replace(first, products=products, rows=rows, blocks=counts)
 
 
 def _body(told: _Told, prior: Point, precision: float, point: Point) -> _Fit:

@@ -205,12 +205,12 @@ class Inputs:
             self._ledger.drop(entry.name, "several publishers", len(taken))
             return []
         # Where it is not known when a message came, it has not waited.
-        waited = (wall_clock - 1e-9 * (info["received_timestamp"] or math.inf) for _, info in taken)
+        behind = now - wall_clock
+        came = (min(now, behind + 1e-9 * (info["received_timestamp"] or math.inf)) for _, info in taken)
         # In the order of the topic, though the wall clock is set.
-        latest = self._latest.get(entry.name, 0.0)
-        times = [*accumulate((max(latest, now - max(0.0, seconds)) for seconds in waited), max)]
+        _, *times = accumulate(came, max, initial=self._latest.get(entry.name, 0.0))
         self._latest[entry.name] = times[-1]
-        return [Received(entry.name, data, came) for (data, _), came in zip(taken, times, strict=True)]
+        return [Received(entry.name, data, at) for (data, _), at in zip(taken, times, strict=True)]
 
     def _subscribe(
         self, kind: type, name: str, callback: Callable[..., None], qos: QoSProfile, polled: _Polled | None = None

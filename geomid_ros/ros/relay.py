@@ -28,8 +28,9 @@ from geomid_ros.errors import GeomidError, InputError, one_line
 from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.files.trajectories import trajectory_of
 from geomid_ros.model.effects import EFFECTS
+from geomid_ros.ros.action_relay import NOT_SENT, ActionRelay, Filled
 from geomid_ros.ros.diagnostics import status_message
-from geomid_ros.ros.excite.controller import message_of
+from geomid_ros.ros.excite.controller import follow_joint_trajectory, message_of
 from geomid_ros.ros.outputs import inertia_message, ros_time
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
@@ -183,6 +184,9 @@ _CONTROLLER = "/joint_trajectory_controller"
 class FeedforwardRelay:
     """Sends on what it hears on ``~/joint_trajectory``, with efforts, to ``CONTROLLER/joint_trajectory``.
 
+    So it does with goals of ``~/follow_joint_trajectory`` (:class:`~geomid_ros.ros.action_relay.ActionRelay`) where
+    ``control_msgs`` is installed.
+
     Parameters of its node: ``model`` (an estimate.json, which is read again when it has changed), ``urdf``, ``config``,
     ``tolerance`` and ``force``, as of :func:`geomid_ros.feedforward`; ``controller``. What is refused is not sent on.
     With ``heaviest_payload`` [kg] a ``link`` adapts to one (:class:`~geomid_ros.ros.relay.Adapting`).
@@ -208,6 +212,8 @@ class FeedforwardRelay:
         self._session = self._read()
         self._publisher = node.create_publisher(JointTrajectory, f"{controller}/joint_trajectory", 10)
         node.create_subscription(JointTrajectory, _IN, self._relay, 10)
+        if (action := follow_joint_trajectory()) is not None:
+            ActionRelay(node, controller, action, self._fill, self._follow)
         link = str(node.declare_parameter("link", "").value)
         heaviest = float(node.declare_parameter("heaviest_payload", 0.0).value)
         if not 0.0 <= heaviest < math.inf:
@@ -225,28 +231,32 @@ class FeedforwardRelay:
         return robot_to_move(self._options, self._model or None)
 
     def _relay(self, message: JointTrajectory) -> None:
-        if not message.points:  # tells the controller to stop
-            self._publisher.publish(message)
-            self._follow(None, message)
-            return
         try:
-            if (changed_at := self._changed_at()) != self._read_at:
-                self._session = self._read()
-                self._read_at = changed_at
-                if self._adapting is not None:
-                    self._adapting.use(self._session)
-                self._log.info(f"{self._model} has changed and is read again")
-            found = filled(self._session, trajectory_of(message, "trajectory"), self._options.tolerance, "trajectory")
+            found = self._fill(message)
         except GeomidError as error:
-            self._log.error(f"a trajectory is not sent on: {error}")
+            self._log.error(f"{NOT_SENT}: {error}")
             return
+        self._publisher.publish(found.message)
+        self._follow(found)
+
+    def _fill(self, message: JointTrajectory) -> Filled:
+        """A trajectory with efforts. Raises GeomidError for one that is refused."""
+        if not message.points:  # tells the controller to stop
+            return Filled(message, None)
+        if (changed_at := self._changed_at()) != self._read_at:
+            self._session = self._read()
+            self._read_at = changed_at
+            if self._adapting is not None:
+                self._adapting.use(self._session)
+            self._log.info(f"{self._model} has changed and is read again")
+        found = filled(self._session, trajectory_of(message, "trajectory"), self._options.tolerance, "trajectory")
         filled_message = message_of(found.trajectory)
         filled_message.header = message.header
-        self._publisher.publish(filled_message)
-        self._follow(found.trajectory, message)
         self._log.info(f"{len(message.points)} points are sent on with efforts, as {len(filled_message.points)}")
+        return Filled(filled_message, found.trajectory)
 
-    def _follow(self, trajectory: Trajectory | None, message: JointTrajectory) -> None:
+    def _follow(self, found: Filled) -> None:
+        """Adapt while the controller follows this."""
         if self._adapting is not None:
-            stamp = message.header.stamp
-            self._adapting.follow(trajectory, stamp.sec + 1e-9 * stamp.nanosec)
+            stamp = found.message.header.stamp
+            self._adapting.follow(found.trajectory, stamp.sec + 1e-9 * stamp.nanosec)

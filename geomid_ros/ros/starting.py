@@ -20,10 +20,10 @@ MATCHING = 0.5
 PATIENCE = 5.0
 """What is there is heard or found within this time [s]."""
 
-# Everything is looked for: messages cost less when many come at once, and the filter holds rows back for five times as
-# long as this. To let the executor wait for anything else would wake it for every message.
-PAUSE = 0.1
-"""[s] between looks for messages, and for a signal."""
+# Everything is looked for: messages cost less when many come at once, and the filter holds rows back for four times as
+# long. To let the executor wait for anything else would wake it for every message.
+PAUSE = 0.11
+"""[s] between looks for what is asked for, and for a signal."""
 
 
 @contextmanager

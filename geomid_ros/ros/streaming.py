@@ -58,12 +58,17 @@ class Streaming:
         messages, self._early = [*self._early, *self._inputs.waiting()], []
         return sorted(messages, key=attrgetter("time"))
 
+    @property
+    def active(self) -> bool:
+        """True if anybody subscribes and there is an estimate to predict by."""
+        return self._stream.ready and bool(self._publisher.get_subscription_count())
+
     def wait(self, seconds: float) -> None:
         """Let time pass, and predict what comes meanwhile. Raises what a prediction raises; then there are no more."""
         end = time.monotonic() + seconds
         if self._publisher.get_subscription_count():
             self._say(self._stream.obstacle)
-        while self._stream.ready and self._publisher.get_subscription_count() and time.monotonic() < end:
+        while self.active and time.monotonic() < end:
             time.sleep(_PERIOD)
             self._predict()
         time.sleep(max(0.0, end - time.monotonic()))

@@ -104,22 +104,20 @@ def cubic_weights(nodes: FloatArray, times: FloatArray) -> FloatArray:
     Returns:
         ``(N, 4)`` weights of the nodes' values.
     """
-    weights = np.stack(_lagrange(nodes.T, times), axis=1)
+    weights = _lagrange(nodes.T, times).T
     noisy = np.sum(weights**2, axis=1) > LARGEST_NOISE_GAIN**2
     if np.any(noisy):
         weights[noisy] = np.stack(_line(nodes[noisy].T, times[noisy]), axis=1)
     return weights
 
 
-def _lagrange(nodes: FloatArray, time: FloatArray) -> tuple[FloatArray, ...]:
-    a, b, c, d = nodes
-    p, q, r, s = time - nodes
-    return (
-        q / (a - b) * (r / (a - c)) * (s / (a - d)),
-        p / (b - a) * (r / (b - c)) * (s / (b - d)),
-        p / (c - a) * (q / (c - b)) * (s / (c - d)),
-        p / (d - a) * (q / (d - b)) * (r / (d - c)),
-    )
+_OTHERS = ~np.eye(4, dtype=np.bool_)[:, :, None]
+
+
+def _lagrange(nodes: FloatArray, time: FloatArray) -> FloatArray:
+    shares = np.ones((4, *nodes.shape))
+    np.divide(time - nodes, nodes[:, None] - nodes, out=shares, where=_OTHERS)
+    return np.asarray(np.multiply.reduce(shares, axis=1))
 
 
 def _line(nodes: FloatArray, time: FloatArray) -> tuple[FloatArray, ...]:

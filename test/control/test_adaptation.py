@@ -209,7 +209,7 @@ def frozen_at(begin: float) -> Change:
 
 def late(time: float) -> float:
     """None comes until they are as late."""
-    return time if time < BEGIN else max(BEGIN - PERIOD, time - 0.07)
+    return time if time < BEGIN else max(BEGIN - PERIOD, time - 0.1)
 
 
 def is_now_and_then(time: float) -> bool:

@@ -14,6 +14,7 @@ from live.test_stream import identification, messages
 import geomid_ros
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live.inbox import Received
+from geomid_ros.ros.node import GeomidNode
 from geomid_ros.ros.streaming import Streaming
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
@@ -118,3 +119,13 @@ def test_a_robot_that_cannot_be_predicted_is_told_who_subscribes(
     assert not listened.streamed
     assert len(listened.logged) == subscribers
     assert all(why in text for text in listened.logged)
+
+
+@pytest.mark.parametrize("active", [False, True])
+def test_messages_are_taken_once_more_in_a_pause_unless_they_are_predicted(active: bool) -> None:
+    """Predicted ones are kept for the next pass, as many at once."""
+    done: list[Any] = []
+    streaming = SimpleNamespace(active=active, wait=done.append)
+    node: Any = SimpleNamespace(_streaming=streaming, take_waiting=lambda: done.append("taken"))
+    GeomidNode.wait(node, 1.0)
+    assert done == ([1.0] if active else [0.5, "taken", 0.5])

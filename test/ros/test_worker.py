@@ -25,6 +25,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import BLOCK
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
+from geomid_ros.signals.decoding import Decoder
 
 from .stage import NO_CHOICE, messages
 from .waiting import PATIENCE, final_estimate, wait_until
@@ -352,12 +353,12 @@ def test_what_is_asked_for_again_is_not_solved_again(quiet: Watched) -> None:
 
 
 def test_the_time_from_receipt_to_row_counts_from_the_callback_on(quiet: Watched) -> None:
-    """Once for every batch of instants that became rows, with the wait before the intake takes the message."""
+    """Once for every instant, with the wait before the intake takes the message."""
     begin = time.perf_counter()
     quiet.feed(0, 200)
     quiet.final()
     before = quiet.worker.status(active=True).receipt_to_row
-    assert 0 < len(before) <= quiet.session.identifier.rows / 3
+    assert len(before) == quiet.session.identifier.rows / 3
     assert 0.0 < max(before) < time.perf_counter() - begin
     with standing_still(quiet):
         quiet.feed(200, 250)
@@ -368,3 +369,22 @@ def test_the_time_from_receipt_to_row_counts_from_the_callback_on(quiet: Watched
     later = quiet.worker.status(active=True).receipt_to_row[len(before) :]
     assert len(later) > 0
     assert min(later) > 0.2
+
+
+def test_the_time_to_a_row_counts_from_the_message_that_completed_it(quiet: Watched) -> None:
+    """Of messages that came one after the other and are taken together later instants have waited less: by as much as
+    their stamps are later."""
+    blocks = Decoder().blocks([("joint_states", data) for _, data in JOINTS[:200]], pytest.fail)
+    pipeline = quiet.session.new_pipeline()
+    pipeline.push(blocks)
+    samples = pipeline.collect()
+    assert samples is not None
+    stamps = 1e-9 * (np.sort(np.concatenate([block.stamps for block in blocks])) - samples.stamps[0])
+    now = time.perf_counter()
+    quiet.worker.take([Received(*raw, now + at - stamps[-1]) for raw, at in zip(JOINTS[:200], stamps, strict=True)])
+    quiet.final()
+    waited = quiet.worker.status(active=True).receipt_to_row
+    apart = 1e-9 * np.diff(samples.stamps)
+    np.testing.assert_allclose(-np.diff(waited), apart, atol=1.01 * float(np.max(np.diff(stamps))))
+    assert waited[0] - waited[-1] > 0.9 * float(np.sum(apart))
+    assert min(waited) < stamps[-1]

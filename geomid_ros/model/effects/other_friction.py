@@ -117,10 +117,11 @@ class Presliding(JointEffect):
     def states(self, moved: FloatArray, before: FloatArray) -> FloatArray:
         """How far surfaces are bent, z."""
         left = np.exp(-np.abs(moved) / self.distance)
-        added, bent = (1.0 - left) * np.sign(moved), np.empty(moved.shape)
-        for step, (share, more) in enumerate(zip(left, added, strict=True)):
-            bent[step] = before = share * before + more
-        return bent
+        bent = (1.0 - left) * np.sign(moved)
+        for step, share in enumerate(left):
+            bent[step] += share * before
+            before = bent[step]
+        return np.asarray(bent)
 
     def column(self, motion: JointMotion) -> FloatArray:
         way = np.tanh(motion.velocity / SMOOTHINGS[0])

@@ -17,6 +17,8 @@ from geomid_ros.files.trajectories import points_of
 from geomid_ros.ros.starting import MATCHING, PATIENCE
 
 _KIND = "trajectory_msgs/msg/JointTrajectory"
+NOT_ACCEPTED = "not accepted; check that the controller is active and has these joints"
+"""Why a goal came back, as far as a rejection says."""
 
 
 class Controller(Protocol):
@@ -60,7 +62,7 @@ class ActionController:
 
     def __init__(self, node: Node, controller: str, action: Any, client: Callable[..., Any]) -> None:
         """``action``: control_msgs' FollowJointTrajectory; ``client``: makes an action client."""
-        self.name = f"{controller}/follow_joint_trajectory"
+        self.name = action_name(controller)
         self._action = action
         self._client = client(node, action, self.name)
         self._goals = 0
@@ -83,7 +85,7 @@ class ActionController:
 
     def _on_answer(self, number: int, handle: Any) -> None:
         if not handle.accepted:
-            self._refuse(number, "not accepted; check that the controller is active and has these joints")
+            self._refuse(number, NOT_ACCEPTED)
             return
         handle.get_result_async().add_done_callback(lambda future: self._on_result(number, future.result().result))
 
@@ -138,10 +140,21 @@ def find_controller(node: Node, controller: str, look: Callable[[], object]) -> 
     raise InputError(f"--controller {controller}: nothing subscribes to {ways[-1].name}; {there}")
 
 
-def _action(node: Node, controller: str) -> list[Controller]:
+def action_name(controller: str) -> str:
+    """The action of a controller."""
+    return f"{controller}/follow_joint_trajectory"
+
+
+def follow_joint_trajectory() -> Any:
+    """The action's type; None where ``control_msgs`` is not installed."""
     try:
-        action = import_module("control_msgs.action").FollowJointTrajectory
+        return import_module("control_msgs.action").FollowJointTrajectory
     except ImportError:
+        return None
+
+
+def _action(node: Node, controller: str) -> list[Controller]:
+    if (action := follow_joint_trajectory()) is None:
         return []
     from rclpy.action.client import ActionClient  # noqa: PLC0415 only with control_msgs
 

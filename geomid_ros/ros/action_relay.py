@@ -1,0 +1,143 @@
+"""The relay's action: goals of FollowJointTrajectory go on to the controller, with efforts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from action_msgs.msg import GoalStatus
+from rclpy.action.client import ActionClient
+from rclpy.action.server import ActionServer, CancelResponse
+from rclpy.node import Node
+from trajectory_msgs.msg import JointTrajectory
+
+from geomid_ros.errors import GeomidError
+from geomid_ros.excitation.motion import Trajectory
+from geomid_ros.ros.excite.controller import NOT_ACCEPTED, action_name
+
+_IN = "~/follow_joint_trajectory"
+
+NOT_SENT = "a trajectory is not sent on"
+
+
+class Filled(NamedTuple):
+    """A ``message`` with efforts, and the ``trajectory`` that it is; None if it has no points: the robot is to stop."""
+
+    message: JointTrajectory
+    trajectory: Trajectory | None
+
+
+_STOP = Filled(JointTrajectory(), None)
+
+
+@dataclass(eq=False)
+class _Goal:
+    """A goal: its ``handle`` here, what was ``sent`` on as soon as the controller has it, and how it ended."""
+
+    handle: Any
+    filled: Filled = _STOP
+    sent: Any = None
+    status: int = GoalStatus.STATUS_ABORTED
+    result: Any = None
+
+
+class ActionRelay:
+    """Serves ``~/follow_joint_trajectory`` for ``CONTROLLER/follow_joint_trajectory``. Feedback, results and orders to
+    cancel go through; tolerances stay what they are.
+
+    A goal that is refused is aborted, as a rejection could not say why: the result's ``error_string`` does.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        controller: str,
+        action: Any,
+        fill: Callable[[JointTrajectory], Filled],
+        follow: Callable[[Filled], None],
+        client: Callable[..., Any] = ActionClient,
+        server: Callable[..., Any] = ActionServer,
+    ) -> None:
+        """
+        Args:
+            node: serves, and reaches the controller.
+            controller: its name.
+            action: control_msgs' FollowJointTrajectory.
+            fill: adds efforts. Raises GeomidError for what must not go on.
+            follow: is told what the controller follows from now on.
+            client: makes an action client.
+            server: makes an action server.
+        """
+        self._action, self._fill, self._follow, self._log = action, fill, follow, node.get_logger()
+        self._name = action_name(controller)
+        self._client = client(node, action, self._name)
+        self._goals: dict[bytes, _Goal] = {}
+        self._latest: Any = None  # the controller's goal that replaced those before it
+        server(
+            node,
+            action,
+            _IN,
+            self._result,
+            handle_accepted_callback=self._on_goal,
+            cancel_callback=self._on_cancel,
+        )
+
+    def _on_goal(self, handle: Any) -> None:
+        """Send a goal on, or end it and say why."""
+        goal = self._goals[_id(handle)] = _Goal(handle)
+        request = handle.request
+        try:
+            goal.filled = self._fill(request.trajectory)
+        except GeomidError as error:
+            self._refuse(goal, f"{NOT_SENT}: {error}")
+            return
+        if not self._client.server_is_ready():
+            self._refuse(goal, f"nothing serves {self._name}; check that the controller is loaded and active")
+            return
+        request.trajectory = goal.filled.message
+        answer = self._client.send_goal_async(request, lambda message: handle.publish_feedback(message.feedback))
+        answer.add_done_callback(lambda future: self._on_answer(goal, future.result()))
+
+    def _on_answer(self, goal: _Goal, sent: Any) -> None:
+        if not sent.accepted:
+            self._refuse(goal, NOT_ACCEPTED)
+            return
+        goal.sent = self._latest = sent
+        self._follow(goal.filled)
+        sent.get_result_async().add_done_callback(lambda future: self._on_end(goal, future.result()))
+        if goal.handle.is_cancel_requested:  # meanwhile
+            sent.cancel_goal_async()
+
+    def _on_cancel(self, handle: Any) -> CancelResponse:
+        """Let the controller cancel a goal; its result says whether it did."""
+        goal = self._goals.get(_id(handle))
+        if goal is not None and goal.sent is not None:
+            goal.sent.cancel_goal_async()
+        return CancelResponse.ACCEPT
+
+    def _on_end(self, goal: _Goal, ended: Any) -> None:
+        goal.status, goal.result = ended.status, ended.result
+        if goal.sent is self._latest and goal.status != GoalStatus.STATUS_SUCCEEDED:
+            self._follow(_STOP)
+        goal.handle.execute()
+
+    def _refuse(self, goal: _Goal, why: str) -> None:
+        self._log.error(why)
+        goal.result = self._action.Result(error_code=self._action.Result.INVALID_GOAL, error_string=why)
+        goal.handle.execute()
+
+    def _result(self, handle: Any) -> Any:
+        """The result of a goal that has ended, which ends here as it did there."""
+        goal = self._goals.pop(_id(handle))
+        if goal.status == GoalStatus.STATUS_SUCCEEDED:
+            handle.succeed()
+        elif goal.status == GoalStatus.STATUS_CANCELED and handle.is_cancel_requested:
+            handle.canceled()
+        else:  # also what the controller cancels by itself
+            handle.abort()
+        return goal.result
+
+
+def _id(handle: Any) -> bytes:
+    return bytes(handle.goal_id.uuid)
