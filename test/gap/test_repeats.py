@@ -112,3 +112,10 @@ def test_what_hardly_overlaps_or_stands_still_is_no_repeat() -> None:
     assert repeated_after(still, still) is None
     short = whole.select(slice(0, 60))
     assert repeated_after(short, short) is None
+
+
+def test_a_motion_that_is_slower_than_the_shortest_period_is_not_repeated_by_that() -> None:
+    """A second later the robot is nearly where it was, and farther away the longer one waits."""
+    whole = recording(1, 24.0, 2)
+    slow = replace(whole, position=np.sin(0.002 * whole.seconds)[:, None] * np.ones(whole.position.shape[1]))
+    assert repeated_after(slow, slow) is None

@@ -162,14 +162,15 @@ def test_what_is_refused_does_not_depend_on_how_many_come_at_once(fault: str) ->
     assert sum(expected[1].values()) >= 12
 
 
-def test_a_position_that_leaps_begins_a_segment(recording: Recording) -> None:
+@pytest.mark.parametrize("leap", [1.5, 2.0 * np.pi - 0.8])
+def test_a_position_that_leaps_begins_a_segment(recording: Recording, leap: float) -> None:
     """As of a simulation that was reset: nothing is refused, what is far from the leap is as it was, and no sample
-    moves across it."""
+    moves across it. By nearly a turn is not by a turn."""
     expected, _, before = recording.read()
-    recording.position[700:, recording.joint] += 1.5
+    recording.position[700:, recording.joint] += leap
     samples, refused, noted = recording.read()
     assert (refused, [note for note in noted if note not in before]) == ({}, [LEAP])
-    shift = np.where(expected.stamps < recording.stamps[700], 0.0, 1.5)
+    shift = np.where(expected.stamps < recording.stamps[700], 0.0, leap)
     common, own, whole = np.intersect1d(samples.stamps, expected.stamps, return_indices=True)
     assert len(common) == len(samples) > 0.8 * len(expected)
     joint = recording.session.robot.joint_names.index(recording.names[recording.joint])
