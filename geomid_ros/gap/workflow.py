@@ -11,6 +11,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.fit import CERTAINTY
+from geomid_ros.estimation.starting_point import USUAL_SPREAD
 from geomid_ros.gap.analysis import analyse, standing_remainder
 from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesPrior, not_driving
 from geomid_ros.gap.evidence.features import StandingRemainder
@@ -46,7 +47,7 @@ class GapSettings:
     """
 
     cutoff: float = CUTOFF
-    spread: float = 0.2
+    spread: float = USUAL_SPREAD
     identified_spread: float = 0.05
 
 
