@@ -127,7 +127,7 @@ CATALOGUE = (
     Fault(74, "effort spikes, shorter than a contact", "R W; kept at rates below 30 Hz, W: they may be motion", (_both("74-effort-spikes"),)),
     Fault(75, "stamps too early by less than `filter.max_gap`", "R W; the next messages are used", (_both("75-stamps-ahead"),)),
     Fault(76, "clock set by less than `filter.max_gap` (NTP), detected from the motion", "S W", (_both("76-clock-set-ahead"),)),
-    Fault(77, "receipt stamps in bursts (wireless)", "E; used by their sequence if a period can be identified, else R E", (_both("77-bursts"), "../signals/test_periods.py::test_uneven_bursts_are_refused")),
+    Fault(77, "receipt stamps in bursts (wireless)", "E; used by their sequence if a period can be identified, else R E", (_both("77-bursts"), "../signals/test_clocks.py::test_uneven_bursts_are_refused")),
     Fault(78, "one joint's effort never changes, and is not zero", "E naming the joint", (_both("78-an-effort-is-constant"),)),
     Fault(82, "two joints with swapped names; left and right", "E naming the joints, if their loads differ", (_both("82-names-exchanged"), "../checks/test_efforts.py::test_two_joints_have_each_others_names", "../checks/test_efforts.py::test_left_and_right_are_exchanged")),
     Fault(83, "effort unit or sign that changes during the run at all joints", "E", (_both("83-unit-in-mid-run"),)),
