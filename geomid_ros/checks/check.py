@@ -10,12 +10,12 @@ from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.checks.base import carried_weight, gyroscope, on_all_feet, unnamed_feet
 from geomid_ros.checks.candidates import Decision, Tried, contradicted, decide
 from geomid_ros.checks.causes import MODEL, Cause, Finding
 from geomid_ros.checks.changes import changes, lags
 from geomid_ros.checks.evidence import FOLLOWS, HALF, LEAST_SIGMA
 from geomid_ros.checks.instants import FEWEST, Instants, Kept, Stretch
+from geomid_ros.checks.moving_base import carried_weight, gyroscope, on_all_feet, unnamed_feet
 from geomid_ros.checks.obvious import frozen_position, held_efforts, impossible_description, wrong_gains
 from geomid_ros.checks.subject import Subject
 from geomid_ros.checks.transforms import transforms

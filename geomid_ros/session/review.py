@@ -9,9 +9,9 @@ from functools import partial
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
-from geomid_ros.checks.base import displaced_imu, never_lifted, turned_imu
 from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.check import Judge, JudgementTask, RecordingCheck, efforts_alone
+from geomid_ros.checks.moving_base import displaced_imu, never_lifted, turned_imu
 from geomid_ros.checks.obvious import encoder_zeros
 from geomid_ros.checks.unexplained import unexplained, unexplained_base
 from geomid_ros.checks.verdict import (

@@ -32,12 +32,12 @@ from geomid_ros.signals.arrived import (
     without_refusal,
     wrenches,
 )
-from geomid_ros.signals.base import Stance
 from geomid_ros.signals.joint_gate import JointGate
 from geomid_ros.signals.joint_messages import JointReader, RejectedError
 from geomid_ros.signals.joint_parts import SILENT, JointParts, Part
 from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, Accepted, Block, Message
+from geomid_ros.signals.moving_base import Stance
 from geomid_ros.signals.sampler import Sampler
 from geomid_ros.signals.settings import MOST_WAITING, SignalSettings
 from geomid_ros.types import AnyArray, FloatArray
@@ -88,7 +88,7 @@ class SignalPipeline:
             joints_heard: the names of joints in messages are added to it.
             mount: of the IMU on a floating base, whose messages come on IMU.
             controller: of the joints: efforts are those of commands, which come on COMMANDS.
-            loads: of the feet, whose stance samples carry; see :class:`~geomid_ros.signals.base.Stance`.
+            loads: of the feet, whose stance samples carry; see :class:`~geomid_ros.signals.moving_base.Stance`.
 
         Raises:
             InputError: two topics have the same name, a gain is of an unknown joint, or the cutoff is too high.

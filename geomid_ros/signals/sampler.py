@@ -14,11 +14,11 @@ from geomid_ros.model.columns import Column, Entries, PlacedColumn
 from geomid_ros.model.controller import Controller
 from geomid_ros.model.imu import ImuMount
 from geomid_ros.model.samples import PIECE, Samples
-from geomid_ros.signals.base import ImuSegment
 from geomid_ros.signals.clocks import FEWEST, FEWEST_IN_BURSTS, RegularClock, VelocityCheck, in_bursts
 from geomid_ros.signals.joint_messages import FROZEN
 from geomid_ros.signals.ledger import Account, Ledger, driver_error
 from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM, Accepted
+from geomid_ros.signals.moving_base import ImuSegment
 from geomid_ros.signals.settings import HORIZON, MOST_WAITING, PERIOD_ROUNDING, SignalSettings
 from geomid_ros.signals.streams import Grid, HeldSegment, JointSegment, PoseSegment, Stream, VectorSegment
 from geomid_ros.types import BoolArray, IntArray

@@ -10,9 +10,9 @@ import pinocchio as pin
 import pytest
 
 from geomid_ros.model.imu import ImuMount
-from geomid_ros.signals.base import GRAVITY_REMOVED, IN_G, NO_SPECIFIC_FORCE
 from geomid_ros.signals.ledger import meaning_of
 from geomid_ros.signals.messages import IMU
+from geomid_ros.signals.moving_base import GRAVITY_REMOVED, IN_G, NO_SPECIFIC_FORCE
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray

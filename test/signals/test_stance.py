@@ -9,7 +9,7 @@ import pytest
 from model.robots import fixed_base
 
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.base import Stance
+from geomid_ros.signals.moving_base import Stance
 from geomid_ros.types import FloatArray, IntArray
 
 STEP = 10_000_000  # [ns]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from model.robots import random_samples, urdf, with_values
 
-from geomid_ros.checks.base import gyroscope, on_all_feet
 from geomid_ros.checks.check import Excerpt, Judgement, JudgementTask, RecordingCheck
+from geomid_ros.checks.moving_base import gyroscope, on_all_feet
 from geomid_ros.model.contacts import Contact, Legs
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot

@@ -22,7 +22,7 @@ from geomid_ros.model.effects import effect_class
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.base import LIFTED
+from geomid_ros.signals.moving_base import LIFTED
 from geomid_ros.types import BoolArray, FloatArray
 
 _USUAL = 0.5, 3.0  # shares of the URDF's weight: it may lack a payload
