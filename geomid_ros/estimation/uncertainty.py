@@ -16,6 +16,7 @@ from geomid_ros.model.dynamics import STEP
 from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.types import FloatArray, IntArray, frozen
 
+_LARGEST_SPREAD = 100.0  # times the usual: beyond it nothing is known, and rounding is all
 _ROUNDS = 10  # of the fixed point; a fixed number, so that rounding cannot change how many there are
 _FOLDS_OF_BLOCKS = (1, 2, 4)
 """Correlations that are longer than a block hide in it: of blocks of several lengths, those count that show most."""
@@ -249,7 +250,9 @@ def prior_spreads(rows: Fold, from_prior: FloatArray, groups: Sequence[Parameter
         determined = np.clip(1.0 - np.diag(left), 0.0, 1.0)
         # The usual spread counts as much as one direction of the tangent space that the data determine.
         squares = np.bincount(member, moved**2, len(groups)) + usual**2
-        found = np.sqrt(squares / (np.bincount(member, determined, len(groups)) + 1.0))
+        counts = np.bincount(member, determined, len(groups)) + 1.0
+        # Few rows of many parameters can be fitted at any distance.
+        found = np.minimum(np.sqrt(squares / counts), _LARGEST_SPREAD * usual)
         begun = extrapolation.next(begun, np.log(found))
     return np.asarray(found[member])
 

@@ -235,8 +235,12 @@ class Worker:
     def _check(self) -> None:
         """Let what was measured be checked as a whole."""
         samples, self._unchecked = self._unchecked, []
-        if samples:
+        if not samples:
+            return
+        try:
             self.session.review.check.add(Samples.concatenate(samples))
+        except Exception as error:  # noqa: BLE001 as above; whoever asks for something waits for it
+            self._fail("a check of the recording failed", error)
 
     def _report_prediction(self, samples: Samples, estimate: Estimate) -> None:
         try:

@@ -338,6 +338,16 @@ def test_the_intake_outlives_whatever_fails_behind_a_message(quiet: Watched, mon
     assert status.rows_made == status.rows + status.rows_rejected.total()
 
 
+def test_a_check_that_fails_costs_no_rows_and_nobody_who_asks(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of few instants a check waits for more, or for the next who asks for something: that must be done."""
+    monkeypatch.setattr(quiet.worker.session.review.check, "add", lambda *_: 1 / 0)
+    quiet.feed(0, 200)
+    assert quiet.final() is not None
+    status = quiet.worker.status(active=True)
+    assert {*status.failures} == {"a check of the recording failed: ZeroDivisionError: division by zero"}
+    assert status.rows_made == status.rows + status.rows_rejected.total()
+
+
 def test_what_is_asked_for_again_is_not_solved_again(quiet: Watched) -> None:
     """Who was told that it takes long asks again, and would wait for ever; new rows, or a reset, count."""
     quiet.feed(0, 200)
