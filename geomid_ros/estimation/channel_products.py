@@ -155,12 +155,12 @@ class ChannelProducts:
     def weighed_by_squares(
         self, vector: FloatArray, counts: FloatArray, least: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Squared norms ``(C,)`` at ``vector (size,)``, with the lower bound ``least (C,)``; and the sum of the Gram
-        matrices weighted by ``counts`` over these."""
+        """Squared norms ``(C,)`` at ``vector (size,)``; and the sum of the Gram matrices weighted by ``counts`` over
+        these, with the lower bound ``least (C,)``."""
         if (found := _weighed(self.packed, vector, counts, least)) is not None:
             return found
-        squares = np.maximum(self.squares(vector), least)
-        return squares, self.weighed(counts / squares)
+        squares = self.squares(vector)
+        return squares, self.weighed(counts / np.maximum(squares, least))
 
 
 @dataclass(frozen=True, eq=False)

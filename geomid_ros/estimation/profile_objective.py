@@ -58,13 +58,14 @@ class Profile:
 
     def weighed(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Sums of squares ``(C,)`` at the parameters and -1, ``vector (D + 1,)``, and the sum ``(D + 1, D + 1)`` of the
-        products, each with its channel's count over its sum of squares."""
+        products, each with its channel's count over its sum of squares, which is at least ``least (C,)``."""
         return self.products.weighed_by_squares(vector, self.counts, self.least)
 
 
 @dataclass(frozen=True, eq=False)
 class ProfileObjective:
-    """Half of ``sum_c N_c log S_c`` plus the prior's terms, with weights ``(D,)``, equal within a link, of the tangent
+    """Half of ``sum_c N_c log S_c``, of a channel whose noise is its floor ``N_c (log F_c + S_c / F_c - 1)``, plus the
+    prior's terms, with weights ``(D,)``, equal within a link, of the tangent
     coordinates to it, and with what is ``known`` beside it: products ``(D + 1, D + 1)`` of rows of standard deviation
     1 (:func:`~geomid_ros.estimation.objective.rows_at`)."""
 
@@ -91,7 +92,8 @@ class ProfileObjective:
         profile = self.profile
         vector = np.append(point.parameters, -1.0)
         squares, products = profile.weighed(vector)
-        value, slope = 0.5 * float(profile.counts @ np.log(squares)), (products @ vector)[:-1]
+        noise = np.maximum(squares, profile.least)
+        value, slope = 0.5 * float(profile.counts @ (np.log(noise) + squares / noise - 1.0)), (products @ vector)[:-1]
         return with_prior(self.manifold, point, profile.prior, self.weights, (value, slope, products), self.known)
 
 

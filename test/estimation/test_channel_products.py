@@ -42,8 +42,9 @@ def test_they_are_those_of_all_columns() -> None:
         np.testing.assert_allclose(products.squares(vector), squares)
         least = np.where(np.arange(CHANNELS) == 1, 2.0 * squares, 0.0)
         found, total = products.weighed_by_squares(vector, weights, least)
-        np.testing.assert_allclose(found, np.maximum(squares, least))
-        np.testing.assert_allclose(total, np.einsum("c,cni,cnj->ij", weights / found, left, left), atol=1e-12)
+        np.testing.assert_allclose(found, squares)
+        expected = weights / np.maximum(squares, least)
+        np.testing.assert_allclose(total, np.einsum("c,cni,cnj->ij", expected, left, left), atol=1e-12)
         np.testing.assert_allclose(products.targets, np.sum(left[:, :, -1] ** 2, axis=1))
     for channel, measured in enumerate(every):
         np.testing.assert_allclose(whole.dense(channel), measured.T @ measured, atol=1e-12)

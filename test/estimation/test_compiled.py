@@ -79,6 +79,26 @@ def test_an_objective_of_channels_is_the_same(manifold: ParameterManifold, monke
     np.testing.assert_allclose(squares, profile.squares(point), rtol=ROUNDING)
 
 
+@pytest.mark.usefixtures("either")
+def test_a_channel_below_its_floor_is_one_of_known_noise() -> None:
+    """Its value is that of a normal density with the floor as standard deviation, and the gradient is its slope."""
+    rng = np.random.default_rng(1)
+    manifold = StraightManifold(1, 0, np.array([0.1, 20.0]))
+    point = bodies.point(rng, manifold)
+    free = sparse(rng, manifold, point)
+    floors = np.where(np.arange(4) == 1, 2.0, 0.5) * np.sqrt(free.squares(point) / free.counts)
+    profile = replace(free, floors=floors)
+    objective = ProfileObjective(profile, weights(rng, manifold), np.zeros(2 * (manifold.dimension + 1,)))
+    unbound, bound = replace(objective, profile=free).evaluate(point), objective.evaluate(point)
+    (count, square), variance = (free.counts[1], free.squares(point)[1]), floors[1] ** 2
+    change = count * np.log(count * variance) + square / variance - count - count * np.log(square)
+    assert bound.value - unbound.value == pytest.approx(0.5 * change, rel=1e-9)
+    for direction in np.eye(manifold.dimension):
+        ahead, behind = (objective.evaluate(objective.step(point, size * direction)).value for size in (1e-5, -1e-5))
+        slope, largest = (ahead - behind) / 2e-5, float(np.max(np.abs(bound.gradient)))
+        assert bound.gradient @ direction == pytest.approx(slope, abs=1e-4 * largest)
+
+
 @MANIFOLDS
 def test_an_objective_of_products_is_the_same(manifold: ParameterManifold, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(1)

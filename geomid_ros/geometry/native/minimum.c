@@ -264,8 +264,11 @@ typedef struct {
 
 enum { TILE = 32 };
 
-/* The sums of squares at `vector` (size,), and the sum of the products with each channel's count over them, if that is
- * asked for. */
+/* The sum of squares that says how large a channel's noise is. */
+INLINE double noise(double square, double least) { return square < least ? least : square; /* not a number stays that */ }
+
+/* The sums of squares at `vector` (size,), and the sum of the products with each channel's count over them, of which each
+ * is at `least` so large, if that is asked for. */
 FOR_EACH_PROCESSOR static void weigh(
     const Packed *packed, const double *restrict vector, const double *counts, const double *least, int channels, int size,
     double *restrict own, double *squares, double *restrict total) {
@@ -291,9 +294,8 @@ FOR_EACH_PROCESSOR static void weigh(
             for (int lane = 0; lane < LANES; lane++) sum += moved[lane];
             square += own[k] * (row[from[k]] * own[k] + 2.0 * sum);
         }
-        square = square < least[channel] ? least[channel] : square; /* not a number stays that */
         squares[channel] = square;
-        const double weight = counts[channel] / square;
+        const double weight = counts[channel] / noise(square, least[channel]);
         for (long long k = 0; total && k < m; k++) {
             const double *row = products + from[k] * width;
             for (long long j = k; j < m;) {
@@ -359,8 +361,10 @@ FOR_EACH_PROCESSOR static void evaluate(const Profile *profile, State *at) {
     weigh(
         &profile->packed, vector, profile->counts, profile->least, profile->channels, stride, slope, profile->squares,
         total);
-    for (int channel = 0; channel < profile->channels; channel++)
-        value += 0.5 * profile->counts[channel] * log(profile->squares[channel]);
+    for (int channel = 0; channel < profile->channels; channel++) {
+        const double square = profile->squares[channel], expected = noise(square, profile->least[channel]);
+        value += 0.5 * profile->counts[channel] * (log(expected) + square / expected - 1.0);
+    }
     for (int k = 0; k < size; k++) slope[k] = dot(total + (long)k * stride, vector, stride);
     double *off = profile->off, *pull = profile->pull;
     parameters_of(&problem, known, problem.priors, problem.prior_rest, off);
