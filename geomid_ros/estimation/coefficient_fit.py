@@ -370,7 +370,7 @@ class CoefficientFit:
         steps = -sizes[:, None] * moved - shares[:, None] * away
         reached[:, self.columns] = point.parameters + manifold.by_blocks(steps, np.swapaxes(blocks, 1, 2), rest)
         reached[every, other], reached[:, -1] = sizes + pull / left * shares, -1.0
-        squares = np.array([self.rows.products.squares(vector) for vector in [*reached, self._vector]])
+        squares = self.rows.products.squares(np.vstack([reached, self._vector]))
         ratios = np.maximum(squares[:-1], self.fit.objective.profile.least) / self.left
         gains = left * sizes**2 - gone * shares + (squares[:-1] - squares[-1]) @ self.weights
         gains -= np.log(ratios) @ self.rows.counts
