@@ -358,7 +358,7 @@ class CoefficientFit:
         blocks, rest = manifold.jacobian(point)
         shared = manifold.by_blocks(products[:, self.columns], blocks, rest)
         moved, squares = shared @ root @ root.T, products[every, other]
-        left = np.maximum(squares - np.sum(shared * moved, axis=1), ROUNDING * squares)
+        left = np.maximum(squares - np.sum(shared * moved, axis=1), ROUNDING * squares + np.finfo(float).tiny)
         sizes = -products @ self._vector / left
         # The one that goes takes what is left of it beside the one that comes; one that is held at zero takes nothing.
         place = np.minimum(np.searchsorted(self.columns, own), len(self.columns) - 1)
@@ -375,11 +375,6 @@ class CoefficientFit:
         gains = left * sizes**2 - gone * shares + (squares[:-1] - squares[-1]) @ self.weights
         gains -= np.log(ratios) @ self.rows.counts
         return np.where((reached[every, other] > 0.0) | ~self._positive(other), gains, 0.0)
-
-    @cached_property
-    def _jacobian(self) -> FloatArray:
-        """Of its parameters by tangent coordinates, where it ended."""
-        return self.fit.objective.manifold.whiten(self.fit.point, np.eye(len(self.columns)))
 
     def _positive(self, columns: IntArray) -> BoolArray:
         """Whether coefficients cannot be negative."""

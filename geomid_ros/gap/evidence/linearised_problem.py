@@ -84,14 +84,13 @@ class LinearisedProblem:
     @cached_property
     def rows(self) -> Rows:
         """Rows of the inertias, with the targets changed."""
-        rows = self.model.rows(self.records.samples)
+        rows = self.records.rows(self.model)
         targets = rows.targets.copy()
         for effect, place, coefficients in self.total.absorbed:
             column = effect.columns(self.situation, place) @ coefficients
             targets += column if effect.scales_measurement else column * self._scales
-        coefficients = rows.coefficients
-        coefficients *= self._scales[:, None]
-        return Rows(coefficients, targets)
+        is_scaled = np.any(self._scales != 1.0)
+        return Rows(rows.coefficients * self._scales[:, None] if is_scaled else rows.coefficients, targets)
 
     @cached_property
     def valid(self) -> BoolArray:

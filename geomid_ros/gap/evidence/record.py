@@ -13,7 +13,7 @@ from geomid_ros.estimation.fit import INDEPENDENT
 from geomid_ros.model.dynamics import Dynamics
 from geomid_ros.model.effects import Effect, MotionEffect, Place, Situation, SituationEffect, joints_of
 from geomid_ros.model.effects.situation import Derivatives, OfLoad
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.model.samples import SIGN, SMOOTH_SIGN, STILL, Samples, moves_one_way
 from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import BoolArray, FloatArray, IntArray
@@ -67,6 +67,20 @@ class Records:
     def samples(self) -> Samples:
         """The chosen samples of all stretches."""
         return Samples.concatenate([part.select(index) for part, index in zip(self.dense, self.chosen, strict=True)])
+
+    def rows(self, model: MeasurementModel) -> Rows:
+        """The rows of the chosen samples, read-only, which are as large as all else together: kept for the model that
+        was asked for last."""
+        if model not in self._rows:
+            self._rows.clear()
+            found = self._rows[model] = model.rows(self.samples)
+            for array in (found.coefficients, found.targets):
+                array.setflags(write=False)
+        return self._rows[model]
+
+    @cached_property
+    def _rows(self) -> dict[MeasurementModel, Rows]:
+        return {}
 
     @cached_property
     def moving(self) -> BoolArray:

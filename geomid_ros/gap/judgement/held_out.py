@@ -77,7 +77,7 @@ class HeldOut:
     @cached_property
     def trace(self) -> Trace:
         """The measured values and the predictions."""
-        samples, measured = self._records.samples, self._model.rows(self._records.samples).targets
+        samples, measured = self._records.samples, self._records.rows(self._model).targets
         fits = (self._untouched, self._analysis.bare, self._analysis.names)
         before, middle, after = (measured - self._residual(found) for found in fits)
         return Trace(
