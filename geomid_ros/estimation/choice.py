@@ -77,9 +77,9 @@ def _grown(chosen: CoefficientFit) -> CoefficientFit:
 
 
 def _shaped(fit: CoefficientFit, joints: Collection[int]) -> CoefficientFit:
-    """The fit in which every effect of ``joints`` that is not optional has the shape of the highest likelihood: step by
-    step wherever another one promises more, or at the first place alone at which it keeps the promise. It leaves no
-    optional effect impossible."""
+    """The fit in which every effect of ``joints`` that is not optional has the shape of the highest likelihood, or one
+    that may as well have it: step by step wherever another one promises more, or at the first place alone at which it
+    keeps the promise. It leaves no optional effect impossible."""
     better: CoefficientFit | None = fit
     while better is not None:
         fit, pairs = better, better.exchanges(joints)

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.estimation.channel_products import ChannelProducts
+from geomid_ros.estimation.estimate import TAKEN
 from geomid_ros.estimation.fit import cost_of_spreads, likely_spreads
 from geomid_ros.estimation.objective import rows_at
 from geomid_ros.estimation.problem import Problem
@@ -334,14 +335,14 @@ class CoefficientFit:
         return gains
 
     def exchanges(self, joints: Collection[int]) -> IntArray:
-        """Pairs ``(k, 2)`` of a column and of the next shape of the same effect that is more likely in its place where
-        it leads, to first order, for effects of ``joints`` that are not optional; what gains most comes first."""
+        """Pairs ``(k, 2)`` of a column and of the shape that is most likely in its place, for effects of ``joints``
+        that are not optional and of which another shape is told; what gains most comes first."""
         pairs = self.rows.other_shapes(self.every, joints)
         gains = self._gains_of_exchange(*pairs.T)
         order = np.argsort(-gains)
         _, first = np.unique(pairs[order, 0], return_index=True)
         best = order[np.sort(first)]
-        return pairs[best[gains[best] > 0.0]]
+        return pairs[best[gains[best] > TAKEN**2]]
 
     def exchanged(self, pairs: IntArray) -> CoefficientFit:
         """The fit with the second column of each of the ``pairs (k, 2)`` in place of the first, links of the same

@@ -11,7 +11,7 @@ import pytest
 
 from geomid_ros.estimation import choice
 from geomid_ros.estimation.coefficient_fit import CoefficientFit, CoefficientRows
-from geomid_ros.estimation.estimate import EffectEstimate, Estimate
+from geomid_ros.estimation.estimate import TAKEN, EffectEstimate, Estimate
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.fit import CERTAINTY
 from geomid_ros.estimation.problem import Problem
@@ -322,7 +322,7 @@ def test_what_another_shape_promises_is_what_a_fit_with_it_finds(*, at_rest: boo
     gains = usual._gains_of_exchange(*pairs.T)
     np.testing.assert_allclose(gains[near], found[near], rtol=0.2, atol=1.0)
     best = gains.reshape(3, -1).max(axis=1)
-    assert sorted(usual.exchanges(range(3)).tolist()) == pairs[np.isin(gains, best[best > 0.0])].tolist()
+    assert sorted(usual.exchanges(range(3)).tolist()) == pairs[np.isin(gains, best[best > TAKEN**2])].tolist()
 
 
 def test_a_promise_that_is_not_kept_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
