@@ -15,9 +15,8 @@ from geomid_ros.gap.result import GapResult, Rival
 from geomid_ros.gap.workflow import GapSettings, find_gap, left_by_model
 from geomid_ros.inference.prior import OtherRecordings
 from geomid_ros.model.effects import AtJoint, KnownEffect, Quantity
-from geomid_ros.model.effects.dry_friction import CoulombFriction
-from geomid_ros.model.effects.effort_offset import EffortOffset
-from geomid_ros.model.effects.viscous_friction import ViscousFriction
+from geomid_ros.model.effects.friction import CoulombFriction, ViscousFriction
+from geomid_ros.model.effects.sensor_errors import EffortOffset
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
