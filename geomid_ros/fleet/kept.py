@@ -27,8 +27,8 @@ from geomid_ros.files.schema import structured
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.recording_facts import Recorded
 from geomid_ros.session.recordings import Bags, read_bags, read_with_locked
+from geomid_ros.session.review import Recorded
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import Training
 

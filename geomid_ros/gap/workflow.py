@@ -17,9 +17,8 @@ from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesPrior, not_dri
 from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, root_mean_square, total_model
 from geomid_ros.gap.evidence.record import FEWEST_ROWS, Records
-from geomid_ros.gap.judgement.changed_links import changed_links
 from geomid_ros.gap.judgement.held_out import HeldOut, located
-from geomid_ros.gap.judgement.verdict import findings, ranking, unexplained, verdict
+from geomid_ros.gap.judgement.verdict import changed_links, findings, ranking, unexplained, verdict
 from geomid_ros.gap.judgement.written import folded, written
 from geomid_ros.gap.result import GapResult
 from geomid_ros.inference.fit import unfitted

@@ -117,6 +117,6 @@ def _identify(bag: Path, at_once: bool) -> None:
     if not at_once:
         click.echo(f"Next: geomid identify {shlex.join(arguments)}")
         return
-    from geomid_ros.commands.identify import identify
+    from geomid_ros.commands.recordings import identify
 
     identify.main(arguments, prog_name="geomid identify", standalone_mode=False)

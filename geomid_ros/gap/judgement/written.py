@@ -16,8 +16,7 @@ from geomid_ros.gap.candidates import CLEARLY, Candidate, EffectTerm, NamesFit, 
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.evidence.record import Records, TotalModel
 from geomid_ros.gap.judgement import sentences
-from geomid_ros.gap.judgement.changed_links import with_given_spreads
-from geomid_ros.gap.judgement.verdict import beside_remainder, probability_by_size
+from geomid_ros.gap.judgement.verdict import beside_remainder, probability_by_size, with_given_spreads
 from geomid_ros.gap.result import LIKELY, Finding, LinkChange
 from geomid_ros.geometry.definite import Packed
 from geomid_ros.inference.design import Design
