@@ -13,7 +13,6 @@ import click
 import geomid_ros
 from geomid_ros.api.options import FleetOptions, GapOptions, IdentifyOptions
 from geomid_ros.commands.options import OUT, PATH, options_of, report_option
-from geomid_ros.commands.terminal import lines, plain_table, print_remarks, print_written, progress_bar, results_console
 from geomid_ros.errors import one_line
 
 
@@ -32,7 +31,8 @@ def identify(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **o
     doubtful, for example if it predicts a channel worse than the given description. Where only the written file
     does, as it cannot hold all effects, a warning says so.
     """
-    from geomid_ros.commands import identify_results
+    from geomid_ros.commands.recording_results import show_identification
+    from geomid_ros.commands.terminal import print_written, progress_bar
 
     with progress_bar() as progress:
         found = geomid_ros.identify(bags, progress=progress, **options)
@@ -40,7 +40,7 @@ def identify(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **o
     if as_json:
         click.echo(files[0].read_text(encoding="utf-8"), nl=False)
     else:
-        identify_results.show(found)
+        show_identification(found)
         print_written(files, out, report=report)
         if found.not_written:
             click.echo(one_line(found.not_written))
@@ -62,7 +62,8 @@ def gap(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **option
     description for --for. The exit status is 4 if the recording is doubtful, or if that description predicts a channel
     worse than the given one.
     """
-    from geomid_ros.commands import gap_results
+    from geomid_ros.commands.recording_results import show_gap
+    from geomid_ros.commands.terminal import print_written, progress_bar
     from geomid_ros.files.models.gap_file import is_open
 
     with progress_bar() as progress:
@@ -71,7 +72,7 @@ def gap(bags: tuple[Path, ...], out: Path, report: bool, as_json: bool, **option
     if as_json:
         click.echo(json.dumps(found.document, indent=2))
     else:
-        gap_results.show(found)
+        show_gap(found)
         print_written(files, out, report=report)
         if is_open(found.result):
             arguments = ("--urdf", options["urdf"] or "ROBOT.urdf", "--settle", out / "gap.json")
@@ -92,30 +93,10 @@ def fleet(bags: str, out: Path, **options: Any) -> None:
     identified.urdf and posterior.npz. fleet.html lists the robots that differ from the others or have changed, and the
     bad bags. 'geomid identify --prior' starts a new robot from population.json.
     """
+    from geomid_ros.commands.recording_results import show_fleet
+    from geomid_ros.commands.terminal import progress_bar
+
     with progress_bar() as progress:
         found = geomid_ros.identify_fleet(bags, out=out, progress=progress, **options)
-    _show(found)
+    show_fleet(found)
     sys.exit(found.status)
-
-
-def _show(found: geomid_ros.FleetIdentification) -> None:
-    """Print a table of the robots, and the bags that were bad."""
-    console = results_console()
-    table = plain_table(f"{len(found.lines)} robots", ["robot"], ["bags", "mass [kg]", "distance"])
-    for heading in ("verdict", "differs from the others", "changed"):
-        table.add_column(heading)
-    for line in found.lines:
-        numbers = ("" if number is None else f"{number:.2f}" for number in (line.mass, line.distance))
-        remarks = (line.verdict, lines(line.unlike), lines(line.changed))
-        table.add_row(line.name, f"{line.used} of {line.bags}", *numbers, *remarks)
-    console.print(table)
-    for line in found.lines:
-        print_remarks(console, {line.name: line.reasons})
-    print_remarks(
-        console,
-        {
-            "Bad bag": [why if bag in why else f"{bag}: {why}" for bag, why in found.bad],
-            "Doubtful bag": [f"{bag}: {what}" for bag, what in found.doubtful],
-        },
-    )
-    console.print(f"\nWritten: {', '.join(map(str, found.files))}")

@@ -191,8 +191,8 @@ class _LearningRounds:
         """What was learned in the end. Raises SystemExit with the verdict's status."""
         if self.found is None:
             return
-        from geomid_ros.commands import identify_results
+        from geomid_ros.commands.recording_results import show_identification
 
-        identify_results.show(self.found)
+        show_identification(self.found)
         click.echo(f"\nIdentified from {self.identified} rounds: {self.result / 'identified.urdf'}")
         sys.exit(self.found.verdict.status)
