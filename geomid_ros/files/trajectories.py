@@ -94,12 +94,7 @@ def _write(folder: Path, message: Any) -> None:
         raise GeomidError(f"{folder}: the bag cannot be written ({error})") from error
 
 
-_ONE_OF = {
-    "positions": "position",
-    "velocities": "velocity",
-    "accelerations": "acceleration",
-    "effort": "effort",
-}
+_ONE_OF = {"positions": "position", "velocities": "velocity", "accelerations": "acceleration", "effort": "effort"}
 
 
 def points_of(trajectory: Trajectory) -> Iterator[tuple[dict[str, list[float]], int, int]]:

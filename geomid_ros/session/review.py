@@ -16,15 +16,7 @@ from geomid_ros.checks.check import Judge, JudgementTask, RecordingCheck, effort
 from geomid_ros.checks.moving_base import displaced_imu, never_lifted, turned_imu
 from geomid_ros.checks.obvious import encoder_zeros
 from geomid_ros.checks.unexplained import unexplained, unexplained_base
-from geomid_ros.checks.verdict import (
-    HEAVIER,
-    Verdict,
-    unlike,
-    verdict,
-    worse_channels,
-    worse_in_folds,
-    worse_on_rows,
-)
+from geomid_ros.checks.verdict import HEAVIER, Verdict, unlike, verdict, worse_channels, worse_in_folds, worse_on_rows
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate, LinkEstimate
 from geomid_ros.estimation.summary import RowSummary

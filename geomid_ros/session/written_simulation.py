@@ -53,10 +53,7 @@ def write_found(folder: Path, session: Session, result: GapResult, reader: str =
 
 
 def _changed(
-    file: WrittenModel,
-    before: Mapping[str, FloatArray],
-    after: Mapping[str, FloatArray],
-    result: GapResult,
+    file: WrittenModel, before: Mapping[str, FloatArray], after: Mapping[str, FloatArray], result: GapResult
 ) -> WrittenModel:
     """The model of a file with what has changed in the whole one.
 
@@ -133,11 +130,7 @@ def simulate_again(
 
 
 def _write(
-    folder: Path,
-    session: Session,
-    inertias: FloatArray,
-    effects: Sequence[KnownEffect],
-    **judged: Any,
+    folder: Path, session: Session, inertias: FloatArray, effects: Sequence[KnownEffect], **judged: Any
 ) -> list[Path]:
     by_name = dict(zip(session.model.body_names, inertias, strict=True))
     gravity, findings = session.configuration.gravity, session.review.findings

@@ -210,10 +210,7 @@ def _as_given(prior: NamesPrior, sure: Sequence[Candidate]) -> NamesPrior:
 
 
 def _findings_as_written(
-    model: MeasurementModel,
-    analysis: Analysis,
-    found: NamesFit,
-    findings: Sequence[tuple[Candidate, Finding]],
+    model: MeasurementModel, analysis: Analysis, found: NamesFit, findings: Sequence[tuple[Candidate, Finding]]
 ) -> Iterator[Finding]:
     """A sure name that is impossible without the unsure ones is no surer than the likeliest of these, and none is sure
     of which the size that is written may be nothing."""

@@ -245,10 +245,7 @@ class SaturatingFriction(JointEffect):
     name = "saturating_friction"
     label = "friction that levels off with speed"
     meaning = "effort level tanh(v/speed)"
-    parameters = (
-        ParameterForm("level", EFFORT, above=0.0),
-        ParameterForm("speed", ("rad/s", "m/s"), above=0.0),
-    )
+    parameters = (ParameterForm("level", EFFORT, above=0.0), ParameterForm("speed", ("rad/s", "m/s"), above=0.0))
     settled_by = "this joint at several constant speeds, up to its fastest"
     drift = FRICTION_DRIFT
     constant = "speed"
@@ -305,10 +302,7 @@ class Presliding(JointEffect):
     name = "presliding"
     label = "presliding"
     meaning = "effort level (z - sign(v)), where z bends to sign(v): dz/dq = (1 - z sign(v))/distance"
-    parameters = (
-        ParameterForm("level", EFFORT, above=0.0),
-        ParameterForm("distance", ("rad", "m"), above=0.0),
-    )
+    parameters = (ParameterForm("level", EFFORT, above=0.0), ParameterForm("distance", ("rad", "m"), above=0.0))
     settled_by = "this joint back and forth, at several accelerations"
     drift = FRICTION_DRIFT
     constant = "distance"
