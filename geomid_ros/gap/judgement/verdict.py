@@ -183,7 +183,7 @@ def _changes(model: MeasurementModel, analysis: Analysis) -> Iterator[LinkChange
             if link != search.prior.changed_link:
                 continue
             if abs(told[0]) < np.max(np.abs(change / std)[1:4]):
-                told, moment = (change / std)[1:4], _first_moment(change, std)
+                told, moment = (change / std)[1:4], sentences.moment_of(change[1:4], std[1:4])
         if search.prior.identified and not moment:
             own = slice(10 * link, 10 * link + 4)
             centre = _centre(change, covariance[own, own])
@@ -208,12 +208,6 @@ def _changes(model: MeasurementModel, analysis: Analysis) -> Iterator[LinkChange
                 moment=moment,
                 centre=centre,
             )
-
-
-def _first_moment(change: FloatArray, std: FloatArray) -> dict[str, Quantity]:
-    """That of a change of parameters ``(10,)``, by axis."""
-    sizes = zip("xyz", change[1:4].tolist(), std[1:4].tolist(), strict=True)
-    return {f"m {axis}": Quantity(size, unsure, "kg m") for axis, size, unsure in sizes}
 
 
 def _centre(change: FloatArray, covariance: FloatArray) -> dict[str, Quantity]:
