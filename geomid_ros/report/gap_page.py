@@ -27,8 +27,7 @@ from geomid_ros.report import gap_words
 from geomid_ros.report.colours import BEFORE, FLOOR, FRAME, GRID, IDENTIFIED, INK
 from geomid_ros.report.page import Bars, Script, dots_path, ticks, write_page
 from geomid_ros.report.series import BINS, MOST_DRAWN, SCRIPT, ChannelTrace, Series, elapsed, traces
-from geomid_ros.resimulation.resimulate import Kind, Resimulated
-from geomid_ros.resimulation.windows import HORIZON
+from geomid_ros.resimulation.resimulate import HORIZON, Kind, Resimulated
 from geomid_ros.types import FloatArray
 
 _WIDTH = 310  # [pt]
@@ -44,22 +43,6 @@ class Picture:
 
     description: str
     address: str
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Residuals:
-    """A channel's residuals ``(N,)`` in ``unit``: ``missing`` without the named effects, and their part ``fitted`` by
-    these; ``floor`` is the noise's standard deviation. They are drawn against ``values (N,)`` of a ``variable`` in
-    ``variable_unit``."""
-
-    channel: str
-    unit: str
-    missing: FloatArray
-    fitted: FloatArray
-    floor: float
-    variable: str
-    variable_unit: str
-    values: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,27 +102,29 @@ class _Panel:
         return f"<rect y='{top:.0f}' width='{_FINE * self._width}' height='{bottom - top:.0f}' fill='{FLOOR}'/>"
 
 
-def residual_picture(residuals: Residuals) -> Picture:
-    """What is missing with what was fitted to it, and below it what is left of it; only the latter where nothing was
-    fitted."""
-    values, fitted = residuals.values, residuals.fitted
-    rows = [("left", residuals.missing - fitted, INK)]
+def residual_picture(page: GapPage, channel: int) -> Picture:
+    """A channel's residual without the named effects against what it depends on most, with what these explain of it,
+    and below it what is left of it; only the latter where nothing was named."""
+    result, trace, rigid = page.result, page.result.trace, page.rigid[:, channel]
+    missing, fitted = trace.measured[:, channel] - rigid, trace.after[:, channel] - rigid
+    floor, (variable, variable_unit, values) = float(result.floor[channel]), _variable(page, channel)
+    rows = [("left", missing - fitted, INK)]
     left = "the remaining residual"
     if np.any(fitted):
-        rows = [("missing", residuals.missing, BEFORE), *rows]
+        rows = [("missing", missing, BEFORE), *rows]
         left = f"above, the residual of the model with corrected inertias, and what the findings explain; {left}"
     whole = 144 + _ROW * len(rows)
     height = (whole - _TOP - _BOTTOM + 8.0) / len(rows) - 8.0
-    limits = _limits(np.concatenate([residuals.missing, fitted]), residuals.floor)
+    limits = _limits(np.concatenate([missing, fitted]), floor)
     panel = _Panel(top=_TOP, height=height, x=_span(values), y=limits)
     drawn = []
     for name, own, color in rows:
         is_last = name == "left"
         marks = [panel.dots(values, own, color)] + ([] if is_last else [panel.dots(values, fitted, IDENTIFIED)])
-        below = f"{residuals.variable} [{residuals.variable_unit}]" if is_last else None
-        drawn.append(panel.drawn(marks, f"{name} [{residuals.unit}]", below, panel.band(2.0 * residuals.floor)))
+        below = f"{variable} [{variable_unit}]" if is_last else None
+        drawn.append(panel.drawn(marks, f"{name} [{result.units[channel]}]", below, panel.band(2.0 * floor)))
         panel = replace(panel, top=panel.top + height + 8.0)
-    title = f"{residuals.channel} against {residuals.variable}"
+    title = f"{result.channels[channel]} against {variable}"
     return _picture(title, f"Residual of {title}: {left}.", whole, drawn)
 
 
@@ -225,7 +210,7 @@ def _content(page: GapPage) -> dict[str, Any]:
         "bars": _bars(result),
         "kinds": _KINDS,
         "seconds": float(elapsed(result.trace.stamps)[-1]) if len(result.trace.stamps) else page.file.judged_seconds,
-        "residuals": [residual_picture(_residuals(page, channel)) for channel in _telling_channels(result)],
+        "residuals": [residual_picture(page, channel) for channel in _telling_channels(result)],
         "traces": _traces(result),
         "simulations": [
             (*_SIMULATIONS[again.kind], _simulation_bars(again), traces(_worst_joints(page, again)))
@@ -272,23 +257,6 @@ def _located(result: GapResult) -> list[Located]:
     return [
         entry for entry in result.located if gaps.get(entry.channel, 0.0) > REACHED and math.isfinite(entry.velocity)
     ]
-
-
-def _residuals(page: GapPage, channel: int) -> Residuals:
-    """A channel's residuals against what they depend on most."""
-    result, trace = page.result, page.result.trace
-    rigid = page.rigid[:, channel]
-    variable, unit, values = _variable(page, channel)
-    return Residuals(
-        channel=result.channels[channel],
-        unit=result.units[channel],
-        missing=trace.measured[:, channel] - rigid,
-        fitted=trace.after[:, channel] - rigid,
-        floor=float(result.floor[channel]),
-        variable=variable,
-        variable_unit=unit,
-        values=values,
-    )
 
 
 def _variable(page: GapPage, channel: int) -> tuple[str, str, FloatArray]:

@@ -25,8 +25,7 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.closed_loop import Tracking, closed_loop, tracking
-from geomid_ros.resimulation.resimulate import NotSimulatedError, Resimulated, resimulate
-from geomid_ros.resimulation.windows import Noise
+from geomid_ros.resimulation.resimulate import Noise, NotSimulatedError, Resimulated, resimulate
 from geomid_ros.session.gap import GapReader
 from geomid_ros.session.recordings import Bags
 from geomid_ros.session.session import Session
