@@ -106,8 +106,7 @@ NO_ROOT_LOW = 1  # b lies above what the neighbourhood reaches: the multiplier s
 NO_ROOT_HIGH = 2  # b lies below it
 
 _MAX_STEPS = 100
-_NOISE = 1e-14  # eigenvalues smaller than this share of the largest are zeros that came through rounding
-_RELATIVE_TOLERANCE = 1e-14
+_ROUNDING = 1e-14  # of a root; eigenvalues smaller than this share of the largest are zeros that came through it
 _BRANCH_GAP = 1e-9  # 1 + W is not taken smaller: at the branch point slopes are infinite
 _CLOSE = -0.3659  # below it W is next to the branch point, under -0.9
 
@@ -203,7 +202,7 @@ class _Roots:
         values, self.vectors = np.linalg.eigh(bars)
         self.values = np.concatenate([values.reshape(count, 4 * manifold.links), normals[:, manifold.positive]], axis=1)
         largest, smallest = np.max(self.values, axis=1, initial=0.0), np.min(self.values, axis=1, initial=0.0)
-        noise = _NOISE * np.maximum(largest, -smallest)
+        noise = _ROUNDING * np.maximum(largest, -smallest)
         self.values[np.abs(self.values) <= noise[:, None]] = 0.0
         self.flat = np.sum(normals[:, manifold.real] ** 2, axis=1)
         self._offsets = offsets
@@ -258,7 +257,7 @@ class _Roots:
         rising = total > 0.0
         ends = np.where(rising, self._high, self._low)
         low, high = np.where(rising, 0.0, self._low), np.where(rising, self._high, 0.0)
-        searched = ~(self._without_root(total, slope) | (np.abs(total) <= _RELATIVE_TOLERANCE * size))
+        searched = ~(self._without_root(total, slope) | (np.abs(total) <= _ROUNDING * size))
         tried = ~np.isfinite(ends)
         for _ in range(_MAX_STEPS):
             rate = slope - 0.5 * total * bend / slope
@@ -282,7 +281,7 @@ class _Roots:
             above = total > 0.0
             low = np.where(searched & above, self.multiplier, low)
             high = np.where(searched & ~above, self.multiplier, high)
-            searched &= ~(np.abs(total) <= _RELATIVE_TOLERANCE * size)
+            searched &= ~(np.abs(total) <= _ROUNDING * size)
 
 
 def _project(manifold: ParameterManifold, normals: FloatArray, offsets: FloatArray, weights: FloatArray) -> Projection:

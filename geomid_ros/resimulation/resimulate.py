@@ -1,4 +1,4 @@
-"""What was recorded, simulated again in short windows from the files that were written, before the findings and after."""
+"""What was recorded, simulated again in short windows from the written files: before the findings and after."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from geomid_ros.files.models.written_model import ModelFiles
 from geomid_ros.gap.result import GapResult
+from geomid_ros.gap.workflow import CUTOFF as GAP_CUTOFF
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import Motion
 from geomid_ros.model.measurement import MeasurementModel
@@ -22,7 +23,6 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 # Long enough for the noise of efforts to average out, short enough for errors not to grow by themselves: an arm that
 # falls like a pendulum of half a metre makes 1.1 of an error of 1 in this time.
 HORIZON = 0.1  # [s]
-_GEAR_CUTOFF = 8.0  # [Hz] of what turns gears that give; faster is the noise of accelerations
 _MOST_STEPS = 30_000  # of all windows of a stretch together; of more, evenly spaced ones are simulated
 
 
@@ -93,7 +93,7 @@ class WindowSimulation:
         position[:, robot.dofs], velocity[:, robot.dofs] = samples.position, samples.velocity
         if robot.gears:
             gears = list(robot.gears)
-            deflection, rate, _ = filtered(robot.gear_deflections(stretch.samples), _GEAR_CUTOFF, stretch.period)
+            deflection, rate, _ = filtered(robot.gear_deflections(stretch.samples), GAP_CUTOFF, stretch.period)
             position[:, gears], velocity[:, gears] = deflection[starts], rate[starts]
         return position, velocity
 
