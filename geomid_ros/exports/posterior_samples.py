@@ -141,7 +141,8 @@ def descriptions_of(
         packages: Folders of ROS packages, by name.
     """
     if tool == JSON:
-        yield "robots.json", _json(robots)
+        entries = [_entries(robots, model) for model in robots]
+        yield "robots.json", json.dumps({"format": 1, "robots": entries}) + "\n"
         return
     write, digits = _writer(robots.model, tool, into, packages), len(str(robots.count))
     for number, model in enumerate(robots, 1):
@@ -175,12 +176,8 @@ def _with_absolute_folders(text: str, path: Path) -> str:
     return f"{text[:end]}  <compiler {attributes}/>\n{text[end:]}"
 
 
-def _json(robots: DrawnRobots) -> str:
-    """All robots with their links and effects as ``estimate.json`` has them."""
-    return json.dumps({"format": 1, "robots": [_entries(robots, model) for model in robots]}) + "\n"
-
-
 def _entries(robots: DrawnRobots, model: Model) -> dict[str, Any]:
+    """A robot's links and effects as ``estimate.json`` has them."""
     links = [
         link_entry(name, merged, model.bodies[name].parameters)
         for name, merged in zip(robots.posterior.links, robots.posterior.merged, strict=True)

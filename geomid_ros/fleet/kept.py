@@ -32,8 +32,6 @@ from geomid_ros.session.review import Recorded
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import Training
 
-_LOCAL = "file"
-
 
 def file_system(url: str) -> tuple[Any, str]:
     """The file system of a path or URL (fsspec), and the path there.
@@ -54,7 +52,7 @@ def file_system(url: str) -> tuple[Any, str]:
 
 def is_local(system: Any) -> bool:
     """Whether a file system is this machine's."""
-    return _LOCAL in (system.protocol if isinstance(system.protocol, tuple) else (system.protocol,))
+    return "file" in (system.protocol if isinstance(system.protocol, tuple) else (system.protocol,))
 
 
 @dataclass(frozen=True)

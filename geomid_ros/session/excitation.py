@@ -325,7 +325,7 @@ def _any(model: MeasurementModel, effect: str, joint: str, link: str = "") -> Na
     """An effect with any of its constants, at the place that files call ``joint``."""
     cls = effect_class(effect)
     variants = cls.variants()
-    places = {_link_of(model, place) or model.places.name(place): place for place in model.places.of(variants[0])}
+    places = {model.places.link(place) or model.places.name(place): place for place in model.places.of(variants[0])}
     place = places[link] if link in places else model.places.named(variants[0], joint)
     where = link or joint
     label = f"{cls.label} at {where}" if where else cls.label
@@ -336,11 +336,6 @@ def _penalty(effect: Effect, place: Place) -> float:
     """For how many parameters an effect counts: a body for those that are said first, without its inertia."""
     terms = Candidate.of(effect, place).terms
     return float(len(terms) + bool(effect.scanned)) if terms else float(effect.said_first or 0)
-
-
-def _link_of(model: MeasurementModel, place: Place) -> str:
-    """The link of a place on one; empty for others."""
-    return model.body_names[place.link] if isinstance(place, OnLink) else ""
 
 
 def _coefficients(finding: KnownEffect, found: Name) -> FloatArray:

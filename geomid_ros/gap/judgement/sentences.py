@@ -12,7 +12,7 @@ from geomid_ros.gap.candidates import Candidate, NamesFit, NamesPrior
 from geomid_ros.gap.result import Confidence
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.inference.prior import GAIN
-from geomid_ros.model.effects import AtSensor, Effect, OnLink, Quantity, Values
+from geomid_ros.model.effects import AtSensor, Effect, Quantity, Values
 from geomid_ros.model.effects.parameters import quantities
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
@@ -95,11 +95,6 @@ def _quantities(
     forms = {form.name: form for form in effect.own}
     measured = [forms[model.channels[channel].axis] for channel in place.channels]
     return quantities(measured, zip(values, np.sqrt(np.diag(covariance)), strict=True))
-
-
-def link_name(model: MeasurementModel, candidate: Candidate) -> str:
-    """The link that carries a payload, or empty."""
-    return model.body_names[candidate.place.link] if isinstance(candidate.place, OnLink) else ""
 
 
 def sentence(

@@ -36,7 +36,7 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     search, names, support = analysis.search, analysis.names, analysis.supports[candidate]
     without = search.without(names, candidate)
     rivals = [Rival(c.name, model.places.name(c.place), loss) for c, loss in support.rivals if loss < _NEAR]
-    joint, link = model.places.name(candidate.place), sentences.link_name(model, candidate)
+    joint, link = model.places.name(candidate.place), model.places.link(candidate.place)
     load = analysis.problem.situation.usual_load(candidate.place) if candidate.effect.scanned else 0.0
     parameters = sentences.parameters(model, sized, candidate, _scanned_std(analysis, candidate), load)
     was = sentences.known_before(model, search.prior, candidate, load)
