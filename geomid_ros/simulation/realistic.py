@@ -22,7 +22,7 @@ from geomid_ros.simulation.effects.physics import FRICTION, GEARS, TrueEffect, s
 from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.simulation.options import LINK_MASS, Hidden, RandomStream, SimulationOptions, generator
 from geomid_ros.simulation.plant import Plant
-from geomid_ros.simulation.robot import ControlLoop, JointController, TrueRobot
+from geomid_ros.simulation.robot import ControlLoop, JointController, TrueRobot, rounded
 from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import BoolArray, FloatArray
 
@@ -195,7 +195,7 @@ class Sensors:
 def published(trace: RunTrace, sensors: Sensors, rng: np.random.Generator) -> RunTrace:
     """What arrives of a ``trace`` of true positions, velocities and accelerations, and efforts before noise."""
     early = trace.position - sensors.window * (trace.velocity - 0.5 * sensors.window * trace.acceleration)
-    position, before = (_stepped(each, sensors.encoder) for each in (trace.position, early))
+    position, before = (rounded(each, sensors.encoder) for each in (trace.position, early))
     effort = trace.effort + sensors.effort_noise * rng.standard_normal(trace.effort.shape)
     wrench = trace.wrench + sensors.wrench_noise[: trace.wrench.shape[1]] * rng.standard_normal(trace.wrench.shape)
     late = _jitter(trace.time, sensors.jitter, rng)
@@ -205,7 +205,7 @@ def published(trace: RunTrace, sensors: Sensors, rng: np.random.Generator) -> Ru
         wrench_time=trace.wrench_time + late,
         position=position,
         velocity=(position - before) / sensors.window,
-        effort=_stepped(effort, sensors.effort_step),
+        effort=rounded(effort, sensors.effort_step),
         wrench=wrench,
     )
     return _arrived(seen, kept(len(trace.time), sensors.lost, sensors.burst, rng))
@@ -228,11 +228,6 @@ def _jitter(time: FloatArray, size: float, rng: np.random.Generator) -> FloatArr
     errors: FloatArray = np.clip(size * rng.standard_normal(len(time)), -most, most)
     errors[0] = abs(errors[0])
     return errors
-
-
-def _stepped(values: FloatArray, step: FloatArray) -> FloatArray:
-    stepped: FloatArray = np.round(values / step) * step
-    return stepped
 
 
 def _arrived(trace: RunTrace, arrives: BoolArray) -> RunTrace:
