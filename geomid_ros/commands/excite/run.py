@@ -7,6 +7,7 @@ from __future__ import annotations
 import shlex
 import sys
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -73,7 +74,8 @@ def run(
         if not execute:
             click.echo("\nNothing has moved. To run it, add --execute")
             return
-        bag = _free(out)
+        folders = (out / f"run{number}" for number in count(1))
+        bag = next(folder for folder in folders if not folder.exists())
         prepared.execute(bag, lambda said: click.echo(printable(said), err=True))
     click.echo(f"Recorded: {bag}")
     _identify(bag, identify)
@@ -109,14 +111,6 @@ def show_plan(order: Order, plan: Plan) -> None:
         f"It stops on Ctrl-C, if a joint is {order.options.tolerance:g} rad (m) off its trajectory, at the URDF's "
         f"limits of positions and efforts, and after {1e3 * plan.silence:.0f} ms without joint states."
     )
-
-
-def _free(out: Path) -> Path:
-    """The first folder run1, run2 ... that is not there yet."""
-    number = 1
-    while (out / f"run{number}").exists():
-        number += 1
-    return out / f"run{number}"
 
 
 def _identify(bag: Path, at_once: bool) -> None:
