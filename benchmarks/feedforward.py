@@ -30,7 +30,7 @@ from geomid_ros.excitation.motion import Trajectory
 from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.simulation.motion import exciting_motion
 from geomid_ros.simulation.options import RandomStream, generator
-from geomid_ros.simulation.realistic.robot import build_realistic
+from geomid_ros.simulation.realistic import build_realistic
 from geomid_ros.simulation.recording import closed_loop, sampling
 from geomid_ros.simulation.robot import ControlLoop, JointController, TrueRobot, build_robot, run
 from geomid_ros.simulation.robots import robot_description

@@ -23,8 +23,7 @@ from geomid_ros.geometry.pseudo_inertia import parameter_transform
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.recordings import Topics, read_samples
-from geomid_ros.simulation.gaits import WalkOptions
-from geomid_ros.simulation.walking import simulate_walk
+from geomid_ros.simulation.walking import WalkOptions, simulate_walk
 from geomid_ros.types import FloatArray
 
 FEET = {f"{leg}_foot": 0.022 for leg in ("FL", "FR", "RL", "RR")}

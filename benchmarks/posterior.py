@@ -24,11 +24,11 @@ from benchmarks.report import Report
 from geomid_ros import register
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.estimation.suggested_motions import instants
-from geomid_ros.exports.torque_spread import torque_bands, within_ranges
+from geomid_ros.exports.posterior_samples import torque_bands, within_ranges
 from geomid_ros.files.models.urdf import with_inertials
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import Effect
-from geomid_ros.model.effects.dry_friction import CoulombFriction
+from geomid_ros.model.effects.friction import CoulombFriction
 from geomid_ros.model.robot import Robot
 from geomid_ros.simulation import WRIST_FRAME, SimulationOptions, simulate
 from geomid_ros.simulation.robots import robot_description

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from geomid_ros.model.effects import _FILES, EFFECTS
+from geomid_ros.model.effects import EFFECTS
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "geomid_ros"
@@ -199,8 +199,9 @@ def test_only_an_effect_knows_itself() -> None:
     """Nobody asks for it by its name or by its class, but effects that have to do with it, and the list of all."""
     known = {(name, node.value) for name, path in OUTSIDERS.items() for node in texts(path) if node.value in EFFECTS}
     assert known == NAMESAKES
+    homes = {effect.__module__ for effect in EFFECTS.values()}
     for name in OUTSIDERS:
-        files = {other for other, _ in imports(name) if other in {f"{OF_EFFECTS}.{own}" for own in _FILES}}
+        files = {other for other, _ in imports(name)} & homes
         assert not files, f"{name} imports {files}"
     for template in PACKAGE.rglob("*.j2"):
         words = set(re.findall(r"\w+", template.read_text(encoding="utf-8")))

@@ -1,4 +1,4 @@
-"""A new effect of any kind is one file, and its name in the list: here in a copy of the package.
+"""A new effect of any kind is one file: here in a copy of the package.
 
 The file that CONTRIBUTING.md shows and those of ``test/new_effects`` are put into it. What they describe is added to
 the messages of a simulated robot, by formulas of this file.
@@ -133,7 +133,7 @@ def recipe() -> tuple[Path, str]:
 
 @pytest.fixture(scope="module")
 def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a copy of the package, with a file more for each effect, and a line for each."""
+    """The folder of a copy of the package, with a file more for each effect."""
     folder = tmp_path_factory.mktemp("package")
     shutil.copytree(ROOT / "geomid_ros", folder / "geomid_ros")
     path, text = recipe()
@@ -143,11 +143,6 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copy(file, folder / path.parent)
     names = [path.stem, *(file.stem for file in OTHERS.glob("*.py"))]
     assert sorted(names) == sorted(kind.name for kind in KINDS.values())
-    listed = folder / path.parent / "__init__.py"
-    before, end, after = listed.read_text(encoding="utf-8").partition('    "coupled_motor",\n)')
-    lines = "".join(f'    "{name}",\n' for name in names)
-    assert end
-    listed.write_text(before + end.replace("\n)", f"\n{lines})") + after, encoding="utf-8")
     return folder
 
 

@@ -32,8 +32,8 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.change_detection import BLOCK, ChangeDetector
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import Recordings, find, gap_cutoff, gap_pipeline, gap_session, rate
-from geomid_ros.session.recording_facts import faulty_streams
 from geomid_ros.session.recordings import HELD_OUT, Topics, divided, read_samples
+from geomid_ros.session.review import faulty_streams
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import Training
 from geomid_ros.simulation import SimulationOptions, simulate

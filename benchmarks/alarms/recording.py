@@ -19,7 +19,7 @@ from geomid_ros.simulation.description import UrdfLimits
 from geomid_ros.simulation.motion import FADE_IN, SetPoints, exciting_motion
 from geomid_ros.simulation.options import RandomStream, generator
 from geomid_ros.simulation.plant import Plant
-from geomid_ros.simulation.realistic.robot import RealisticLoop, RealisticRobot, build_realistic
+from geomid_ros.simulation.realistic import RealisticLoop, RealisticRobot, build_realistic
 from geomid_ros.simulation.recording import sampling
 from geomid_ros.simulation.robot import JointController, check_motion, run, tuned_controller
 from geomid_ros.types import FloatArray

@@ -23,8 +23,7 @@ from geomid_ros.excitation.search import random_feasible
 from geomid_ros.model.effects import OnLink, joints_of
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import samples_of
-from geomid_ros.session.excitation import DesignTask
-from geomid_ros.session.rival_effects import open_questions
+from geomid_ros.session.excitation import DesignTask, open_questions
 from geomid_ros.types import FloatArray
 
 ROBOTS = ("panda", "ur10")

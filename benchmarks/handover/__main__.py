@@ -38,7 +38,7 @@ from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.urdf import with_inertials
 from geomid_ros.files.models.written_model import written_model
 from geomid_ros.model.effects import AtJoint
-from geomid_ros.model.effects.dry_friction import CoulombFriction
+from geomid_ros.model.effects.friction import CoulombFriction
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray

@@ -26,8 +26,6 @@ from geomid_ros.model.urdf_tree import read_xml
 from geomid_ros.options import takes
 from geomid_ros.report.result_pages import ChannelErrors, ComparisonPage, write_comparison_page
 from geomid_ros.session.options import PathLike, paths
-from geomid_ros.session.session import Session
-from geomid_ros.types import FloatArray
 
 _OWN = "what each held out of its own recording"
 
@@ -99,7 +97,8 @@ def compare(options: CompareOptions) -> Comparison:
         InputError: a file cannot be used, or they are of different robots.
     """
     first, second = options.first, options.second
-    sides = [_read_side(Path(path)) for path in (first, second)]
+    files = [Path(path) for path in (first, second)]
+    sides = [EstimateFile.read(file) if file.suffix == ".json" else read_model(file) for file in files]
     results = [side for side in sides if isinstance(side, EstimateFile)]
     if not results:
         raise InputError(f"{first}, {second}: neither is an estimate.json, so that nothing says how sure a number is")
@@ -127,11 +126,6 @@ def compare(options: CompareOptions) -> Comparison:
 
 _Side: TypeAlias = EstimateFile | Model
 """What is compared: a result, or a URDF."""
-
-
-def _read_side(path: Path) -> _Side:
-    """A result, or a URDF. Raises InputError naming the file."""
-    return EstimateFile.read(path) if path.suffix == ".json" else read_model(path)
 
 
 def _robot(side: _Side) -> str:
@@ -224,12 +218,7 @@ def _judged_on(side: _Side, options: CompareOptions) -> tuple[dict[str, tuple[fl
     else:
         names = list(dict.fromkeys(effect.effect for effect in side.effects))
         session, samples = read_to_judge(replace(options, urdf=side.source), options.bag, effects=names)
-        parameters = _with_effects(session, side)
+        own = coefficients_of(session.model, side.effects)  # the friction that it says
+        parameters = np.concatenate([session.model.nominal_parameters[: -len(own) or None], own])
     errors = zip(session.model.channels, session.rms(samples, parameters).tolist(), strict=True)
     return {channel.name: (error, channel.unit) for channel, error in errors}, doubts_of(session)
-
-
-def _with_effects(session: Session, model: Model) -> FloatArray:
-    """The URDF's parameters ``(D,)``, with the friction that it says."""
-    own = coefficients_of(session.model, model.effects)
-    return np.concatenate([session.model.nominal_parameters[: -len(own) or None], own])

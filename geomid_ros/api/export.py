@@ -16,8 +16,14 @@ from geomid_ros.exports.formats import CONTROLLERS, JSON
 from geomid_ros.exports.model import Model, read_model
 from geomid_ros.exports.patch_mjcf import into_mjcf
 from geomid_ros.exports.payload import Export, attached, chosen, difference, each_link
-from geomid_ros.exports.posterior_samples import DrawnRobots, descriptions_of, draw_robots, ranges_text
-from geomid_ros.exports.torque_spread import TorqueSpread, torque_spread
+from geomid_ros.exports.posterior_samples import (
+    DrawnRobots,
+    TorqueSpread,
+    descriptions_of,
+    draw_robots,
+    ranges_text,
+    torque_spread,
+)
 from geomid_ros.files.disk import write_text
 from geomid_ros.files.models.readers import DESCRIBED_FOR, INTO
 from geomid_ros.options import Progress, silent, takes

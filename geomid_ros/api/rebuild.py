@@ -44,7 +44,8 @@ def rebuild_report(folder: PathLike, *, out: PathLike | None = None) -> list[Pat
         with _needed(source / _GAP, "geomid gap"):
             found = tables(document)
             file = GapFile.of(document, str(source / _GAP))
-            write_gap_page(page, _gap_page(file))
+            rigid = np.zeros((0, len(file.result.channels)))
+            write_gap_page(page, GapPage(file=file, result=file.result, rigid=rigid, simulated=_simulated(file)))
         return [page, *write_tables(target, found)]
     if not (source / _ESTIMATE).is_file():
         raise InputError(f"{source}: no result is in this folder, neither {_ESTIMATE} nor {_GAP}")
@@ -67,11 +68,6 @@ def _needed(path: Path, command: str) -> Iterator[None]:
             f"{path}: lacks what its page needs ({str(error).removeprefix(f'{path}: ')}): it was not written by "
             f"'{command}', or by an earlier version; run '{command}' again"
         ) from error
-
-
-def _gap_page(file: GapFile) -> GapPage:
-    result = file.result
-    return GapPage(file=file, result=result, rigid=np.zeros((0, len(result.channels))), simulated=_simulated(file))
 
 
 def _simulated(file: GapFile) -> list[Resimulated]:

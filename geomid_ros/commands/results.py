@@ -160,7 +160,7 @@ def sample(out: Path, **options: Any) -> None:
 
 def _show_spread(found: geomid_ros.SampledRobots) -> None:
     """Print how much torques differ among drawn robots, and among those of ranges."""
-    from geomid_ros.exports.torque_spread import RANGE
+    from geomid_ros.exports.posterior_samples import RANGE
 
     table = plain_table(
         "Width of the 95 % band of efforts in fast motion (RMS)",

@@ -38,9 +38,11 @@ COMMANDS = {
     "verify": "Check that a model predicts a recording.",
 }
 """The first sentence of each command's help, by its name."""
-_HOMES = dict.fromkeys(
-    ("compare", "export", "feedforward", "payload", "report", "sample", "verify"), "results"
-) | dict.fromkeys(("dashboard", "demo", "play"), "live")  # modules of commands that have none of their own name
+_HOMES = {  # modules of commands that have none of their own name
+    **dict.fromkeys(("compare", "export", "feedforward", "payload", "report", "sample", "verify"), "results"),
+    **dict.fromkeys(("dashboard", "demo", "play"), "live"),
+    **dict.fromkeys(("fleet", "gap", "identify"), "recordings"),
+}
 
 
 class _Failure(click.ClickException):

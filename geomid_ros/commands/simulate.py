@@ -89,8 +89,7 @@ def simulate(
 
 def _walked(out: Path, feet: list[str], imu: str, options: dict[str, Any]) -> str:
     """Record a robot with feet. Returns what was written."""
-    from geomid_ros.simulation.gaits import WalkOptions, parse_feet
-    from geomid_ros.simulation.walking import simulate_walk
+    from geomid_ros.simulation.walking import WalkOptions, parse_feet, simulate_walk
 
     if not (feet and imu and "robot" in options):
         raise InputError("a robot that walks needs --feet, --imu and --robot, its URDF file")

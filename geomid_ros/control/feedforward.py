@@ -36,12 +36,7 @@ class MotorEfforts:
     """
 
     def __init__(
-        self,
-        model: MeasurementModel,
-        parameters: FloatArray,
-        gains: FloatArray,
-        joints: Sequence[str],
-        source: str,
+        self, model: MeasurementModel, parameters: FloatArray, gains: FloatArray, joints: Sequence[str], source: str
     ) -> None:
         """
         Args:

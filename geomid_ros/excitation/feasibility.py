@@ -204,10 +204,9 @@ class Feasibility:
         times = _times(motion, _RATE)
         if np.max(self._effort_shares(motion.at(times)[:3])) > 1.0 - _RESERVE:
             return False
-        return self.collision is None or self._is_clear(motion, self.collision)
-
-    def _is_clear(self, motion: ExcitingMotion, collision: CollisionModel) -> bool:
-        return Distances(motion.at, motion.form.period, collision, self.clearances).settle()
+        if self.collision is None:
+            return True
+        return Distances(motion.at, motion.form.period, self.collision, self.clearances).settle()
 
     def margins(self, motion: ExcitingMotion) -> Margins:
         """How far a feasible motion stays from all limits."""

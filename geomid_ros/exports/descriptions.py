@@ -136,8 +136,7 @@ def _drake(robot: RobotToDescribe) -> Whole:
 
 def _mujoco(robot: RobotToDescribe) -> Whole:
     # What only an MJCF needs takes as long to import as all else.
-    from geomid_ros.files.models.mjcf import mjcf  # noqa: PLC0415
-    from geomid_ros.files.models.mjcf_shapes import mjcf_shapes  # noqa: PLC0415
+    from geomid_ros.files.models.mjcf import mjcf, mjcf_shapes  # noqa: PLC0415
     from geomid_ros.files.shapes import MeshFinder  # noqa: PLC0415
 
     shapes = mjcf_shapes(robot.urdf, str(robot.path), MeshFinder(robot.path, robot.packages).find)

@@ -23,14 +23,12 @@ from geomid_ros.files.models.estimate_file import EstimateFile
 from geomid_ros.files.models.posterior import SAME
 from geomid_ros.files.models.readers import URDF
 from geomid_ros.files.models.urdf import joint_frames, read_urdf, with_inertials
-from geomid_ros.files.models.written_model import written_for
+from geomid_ros.files.models.written_model import IDENTIFIED, written_for
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
 from geomid_ros.model.robot import GRAVITY
 from geomid_ros.model.urdf_tree import UrdfTree, parse, read_numbers, read_xml
 from geomid_ros.types import FloatArray
-
-_URDF = "identified.urdf"
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,11 +93,11 @@ def read_model(path: Path, reader: str = "") -> Model:
     """
     if path.suffix != ".json":
         return _of_urdf(path)
-    file, urdf = EstimateFile.read(path), path.parent / _URDF
+    file, urdf = EstimateFile.read(path), path.parent / IDENTIFIED
     if not urdf.exists():
         raise InputError(
-            f"{path}: there is no {_URDF} beside it, which says where the links are; keep the files that were written "
-            "together in one folder"
+            f"{path}: there is no {IDENTIFIED} beside it, which says where the links are; keep the files that were "
+            "written together in one folder"
         )
     text, source = read_urdf(urdf), str(path)
     tree = parse(text, str(urdf))
@@ -177,8 +175,8 @@ def _check_same_model(inertias: Mapping[str, FloatArray], tree: UrdfTree, source
         written = tree.inertials.get(name, np.zeros(10))[0]
         if abs(written - parameters[0]) > SAME * parameters[0]:
             raise InputError(
-                f"{source}: the {_URDF} beside it is not of this estimate: link '{name}' weighs {written:.6g} kg there "
-                f"and {parameters[0]:.6g} kg here"
+                f"{source}: the {IDENTIFIED} beside it is not of this estimate: link '{name}' weighs {written:.6g} kg "
+                f"there and {parameters[0]:.6g} kg here"
             )
 
 

@@ -1,4 +1,4 @@
-"""Robots drawn from an estimate's posterior, in the terms of other software."""
+"""Robots drawn from an estimate's posterior, in the terms of other software, and how much their torques differ."""
 
 from __future__ import annotations
 
@@ -16,16 +16,20 @@ import yaml
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
-from geomid_ros.exports.descriptions import DESCRIPTIONS, as_described
+from geomid_ros.estimation.suggested_motions import instants
+from geomid_ros.exports.descriptions import DESCRIPTIONS, as_described, described_robot
 from geomid_ros.exports.formats import JSON
 from geomid_ros.exports.model import Model, read_model
 from geomid_ros.exports.patch_mjcf import OwnMjcf, read_own_mjcf
 from geomid_ros.files.models.effects_file import QUANTITY_NAMES, by_parameter, effects_entries
 from geomid_ros.files.models.estimate_file import link_entry
-from geomid_ros.files.models.posterior import SAME, beside, check_of, read_posterior
+from geomid_ros.files.models.loaded_model import LoadedModel
+from geomid_ros.files.models.posterior import SAME, beside, check_of, places_in, read_posterior
 from geomid_ros.files.models.urdf import with_inertials
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
 BAND = (0.025, 0.975)
@@ -137,7 +141,8 @@ def descriptions_of(
         packages: Folders of ROS packages, by name.
     """
     if tool == JSON:
-        yield "robots.json", _json(robots)
+        entries = [_entries(robots, model) for model in robots]
+        yield "robots.json", json.dumps({"format": 1, "robots": entries}) + "\n"
         return
     write, digits = _writer(robots.model, tool, into, packages), len(str(robots.count))
     for number, model in enumerate(robots, 1):
@@ -171,12 +176,8 @@ def _with_absolute_folders(text: str, path: Path) -> str:
     return f"{text[:end]}  <compiler {attributes}/>\n{text[end:]}"
 
 
-def _json(robots: DrawnRobots) -> str:
-    """All robots with their links and effects as ``estimate.json`` has them."""
-    return json.dumps({"format": 1, "robots": [_entries(robots, model) for model in robots]}) + "\n"
-
-
 def _entries(robots: DrawnRobots, model: Model) -> dict[str, Any]:
+    """A robot's links and effects as ``estimate.json`` has them."""
     links = [
         link_entry(name, merged, model.bodies[name].parameters)
         for name, merged in zip(robots.posterior.links, robots.posterior.merged, strict=True)
@@ -265,3 +266,70 @@ def _joint_ranges(robots: DrawnRobots) -> dict[str, dict[str, list[float]]]:
         if (key := _ISAAC_JOINT.get(forms.get(c.parameter, ""))) is not None:
             found.setdefault(c.place, {})[key] = _band(values)
     return found
+
+
+RANGE = 0.2
+"""Half of the width of the ranges that drawn robots are compared with, as a share of each number."""
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueSpread:
+    """Widths of 95 % bands of efforts, root mean square over many instants of fast motion.
+
+    Attributes:
+        joints: Their names.
+        units: Of their efforts.
+        drawn: Of the drawn robots ``(joints,)``.
+        ranges: Of robots whose links, and whose effects, are each within 20 % of the estimate, independently
+            ``(joints,)``.
+    """
+
+    joints: tuple[str, ...]
+    units: tuple[str, ...]
+    drawn: FloatArray
+    ranges: FloatArray
+
+    @property
+    def ratio(self) -> float:
+        """How wide drawn robots are spread beside ranges, mean over the joints."""
+        return float(np.mean(self.drawn / self.ranges))
+
+
+def torque_spread(robots: DrawnRobots) -> TorqueSpread:
+    """The spread of joint torques of drawn robots."""
+    model = MeasurementModel(
+        described_robot(robots.model), [], local_effects=LoadedModel.read(robots.model.source).local_effects(())
+    )
+    motion = instants(model, moving=True)
+    estimate = _in_order(model, robots, robots.posterior.parameters[None])[0]
+    drawn = _in_order(model, robots, robots.parameters[:ENOUGH])
+    bands = [torque_bands(model, motion, each) for each in (drawn, within_ranges(model, estimate))]
+    joints = model.robot.joints
+    return TorqueSpread(
+        tuple(joint.name for joint in joints),
+        tuple(joint.unit for joint in joints),
+        *(np.sqrt(np.mean((high - low) ** 2, axis=0)) for low, high in bands),
+    )
+
+
+def torque_bands(model: MeasurementModel, motion: Samples, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Lower and upper ends ``(N, channels)`` of the 95 % bands of what robots with ``parameters (robots, D)`` feel at N
+    instants."""
+    _, efforts = model.predict(motion, parameters.T)
+    low, high = np.quantile(efforts, BAND, axis=2)
+    return low, high
+
+
+def _in_order(model: MeasurementModel, robots: DrawnRobots, parameters: FloatArray) -> FloatArray:
+    """Drawn ``parameters (N, D)`` in the order of a measurement model; links that were not drawn are the URDF's."""
+    order = places_in(robots.posterior, model)
+    return np.where(order >= 0, parameters[:, order], model.nominal_parameters)
+
+
+def within_ranges(model: MeasurementModel, estimate: FloatArray) -> FloatArray:
+    """Robots ``(N, D)`` within 20 % of the ``estimate (D,)``: a factor for each link, and one for each effect."""
+    links = len(model.body_names)
+    factors = np.random.default_rng(1).uniform(1.0 - RANGE, 1.0 + RANGE, (ENOUGH, links + len(model.coefficients)))
+    return np.asarray(
+        estimate * np.concatenate([np.repeat(factors[:, :links], 10, axis=1), factors[:, links:]], axis=1)
+    )

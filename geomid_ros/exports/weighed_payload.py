@@ -57,28 +57,24 @@ class Payload:
     @property
     def document(self) -> dict[str, Any]:
         """All of it, for JSON."""
+        weighed = self.weighed
         quantities, std = self.inertial.quantities.tolist(), self.inertial.std.tolist()
         return {
             "frame": self.frame,
             "interval": list(self.interval),
-            "gain": self.weighed.gain,
+            "gain": weighed.gain,
             "quantities": dict(zip(QUANTITIES, quantities, strict=True)),
             "std": dict(zip(QUANTITIES, std, strict=True)),
-            "moment": self._moment,
-            "cannot_tell": list(self.weighed.cannot_tell),
-            "rms": self.weighed.rms,
-            "warnings": list(self.weighed.warnings),
-            "verdict": verdict_entry(self.weighed.verdict, self.weighed.findings),
-        }
-
-    @property
-    def _moment(self) -> dict[str, Any]:
-        weighed = self.weighed
-        return {
-            "link": weighed.link,
-            "value": weighed.moment.tolist(),
-            "std": weighed.moment_std.tolist(),
-            "identified": list(weighed.identified_moments),
+            "moment": {
+                "link": weighed.link,
+                "value": weighed.moment.tolist(),
+                "std": weighed.moment_std.tolist(),
+                "identified": list(weighed.identified_moments),
+            },
+            "cannot_tell": list(weighed.cannot_tell),
+            "rms": weighed.rms,
+            "warnings": list(weighed.warnings),
+            "verdict": verdict_entry(weighed.verdict, weighed.findings),
         }
 
     def commands(self, controller: str) -> str:

@@ -124,9 +124,13 @@ def read_bytes(path: Path, what: str, most_bytes: int = MOST_BYTES) -> bytes:
     try:
         if path.exists() and not path.is_file():
             raise InputError(f"{path}: not a regular file; expected a {what}")
-        return _bounded(path, what, most_bytes)
+        with path.open("rb") as file:
+            data = file.read(most_bytes + 1)
     except OSError as error:
         raise InputError(f"{path}: the {what} cannot be read ({error.strerror or error})") from error
+    if len(data) > most_bytes:
+        raise InputError(f"{path}: larger than {most_bytes / 1e6:g} MB, not a {what}")
+    return data
 
 
 def read_text(path: Path, what: str, most_bytes: int = MOST_BYTES) -> str:
@@ -135,12 +139,3 @@ def read_text(path: Path, what: str, most_bytes: int = MOST_BYTES) -> str:
         return read_bytes(path, what, most_bytes).decode()
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: the {what} cannot be read ({error})") from error
-
-
-def _bounded(path: Path, what: str, most_bytes: int) -> bytes:
-    """The content of a file. Raises OSError, or InputError if it is larger."""
-    with path.open("rb") as file:
-        data = file.read(most_bytes + 1)
-    if len(data) > most_bytes:
-        raise InputError(f"{path}: larger than {most_bytes / 1e6:g} MB, not a {what}")
-    return data

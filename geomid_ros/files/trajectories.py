@@ -94,12 +94,7 @@ def _write(folder: Path, message: Any) -> None:
         raise GeomidError(f"{folder}: the bag cannot be written ({error})") from error
 
 
-_ONE_OF = {
-    "positions": "position",
-    "velocities": "velocity",
-    "accelerations": "acceleration",
-    "effort": "effort",
-}
+_ONE_OF = {"positions": "position", "velocities": "velocity", "accelerations": "acceleration", "effort": "effort"}
 
 
 def points_of(trajectory: Trajectory) -> Iterator[tuple[dict[str, list[float]], int, int]]:
@@ -115,7 +110,6 @@ def _quoted(name: str) -> str:
     return f'"{escaped}"'
 
 
-_WHAT = "trajectory"
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast, where there is libyaml
 
 
@@ -199,19 +193,21 @@ def _trajectory(source: str, joints: tuple[str, ...], rows: Sequence[_Row]) -> T
 
 
 def _document(path: Path) -> Mapping[str, Any]:
-    text = read_text(path, _WHAT)
+    text = read_text(path, "trajectory")
     try:
         if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text, _Loader)):
-            raise InputError(f"{path}: the {_WHAT} has aliases, which are not allowed")
+            raise InputError(f"{path}: the trajectory has aliases, which are not allowed")
         document: Any = next(iter(yaml.load_all(text, _Loader)), None)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: the {_WHAT} cannot be read ({' '.join(str(error).split())})") from error
+        raise InputError(f"{path}: the trajectory cannot be read ({' '.join(str(error).split())})") from error
     for name in _AROUND:
         inner = document.get(name) if isinstance(document, dict) else None
         document = inner[0] if isinstance(inner, list) and len(inner) == 1 else inner or document
     lists = isinstance(document, dict) and all(isinstance(document.get(key), list) for key in ("joint_names", "points"))
     if not lists:
-        raise InputError(f"{path}: not a {_WHAT}: expected the lists joint_names and points, as 'geomid excite' writes")
+        raise InputError(
+            f"{path}: not a trajectory: expected the lists joint_names and points, as 'geomid excite' writes"
+        )
     return dict(document)
 
 

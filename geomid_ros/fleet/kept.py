@@ -27,12 +27,10 @@ from geomid_ros.files.schema import structured
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.recording_facts import Recorded
 from geomid_ros.session.recordings import Bags, read_bags, read_with_locked
+from geomid_ros.session.review import Recorded
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import Training
-
-_LOCAL = "file"
 
 
 def file_system(url: str) -> tuple[Any, str]:
@@ -54,7 +52,7 @@ def file_system(url: str) -> tuple[Any, str]:
 
 def is_local(system: Any) -> bool:
     """Whether a file system is this machine's."""
-    return _LOCAL in (system.protocol if isinstance(system.protocol, tuple) else (system.protocol,))
+    return "file" in (system.protocol if isinstance(system.protocol, tuple) else (system.protocol,))
 
 
 @dataclass(frozen=True)

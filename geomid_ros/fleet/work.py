@@ -105,8 +105,7 @@ def summarise_bag(store: Store, plan_name: str, bag: FleetBag) -> BagOutcome:
     else:
         store.put(f"{name}{SUFFIX}", content)
         outcome = BagOutcome(
-            doubts=tuple(finding.sentence for finding in summary.recorded.findings),
-            locked=summary.locked,
+            doubts=tuple(finding.sentence for finding in summary.recorded.findings), locked=summary.locked
         )
     store.put(f"{name}.json", json.dumps(plain(outcome)).encode())
     return outcome

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 from time import perf_counter
 
@@ -17,9 +17,8 @@ from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesPrior, not_dri
 from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, root_mean_square, total_model
 from geomid_ros.gap.evidence.record import FEWEST_ROWS, Records
-from geomid_ros.gap.judgement.changed_links import changed_links
 from geomid_ros.gap.judgement.held_out import HeldOut, located
-from geomid_ros.gap.judgement.verdict import findings, ranking, unexplained, verdict
+from geomid_ros.gap.judgement.verdict import changed_links, findings, ranking, unexplained, verdict
 from geomid_ros.gap.judgement.written import folded, written
 from geomid_ros.gap.result import GapResult
 from geomid_ros.inference.fit import unfitted
@@ -35,23 +34,7 @@ CUTOFF = 8.0
 """Low-pass of the samples that the workflow is given [Hz], where the recording's rate allows it."""
 
 
-@dataclass(frozen=True)
-class GapSettings:
-    """What a user may decide about the gap workflow.
-
-    Attributes:
-        cutoff: of the pipeline that made the samples [Hz].
-        spread: usual size of the errors of link inertias, a geodesic distance (about the relative standard deviation of
-            a mass).
-        identified_spread: the same of a model that was identified before.
-    """
-
-    cutoff: float = CUTOFF
-    spread: float = USUAL_SPREAD
-    identified_spread: float = 0.05
-
-
-_DEFAULT = GapSettings()
+_SPREAD_OF_IDENTIFIED = 0.05  # of a link's inertia: in place of USUAL_SPREAD, which is that of a drawing
 _SPREAD_OF_EFFECTS = 0.02  # of the coefficients that the model already has, relative
 _LEAST_SHARE = 0.01  # of what is measured: what was found so small was found no better than this
 _CERTAINTY_OF_IDENTIFIED = 100.0  # what was identified is hardly ever as wrong as a drawing
@@ -62,7 +45,7 @@ def find_gap(
     model: MeasurementModel,
     train: Sequence[Samples],
     held_out: Sequence[Samples],
-    settings: GapSettings = _DEFAULT,
+    cutoff: float = CUTOFF,
     *,
     alike: Sequence[AlikeParts] = (),
     nominal: FloatArray | None = None,
@@ -79,7 +62,7 @@ def find_gap(
 
         SignalPipeline(
             robot.joint_names, ..., effect_columns=geomid_ros.gap.candidates.library_columns(model),
-            settings=replace(signals, cutoff=settings.cutoff),
+            settings=replace(signals, cutoff=cutoff),
         )
 
     Args:
@@ -88,7 +71,7 @@ def find_gap(
             samples of a stretch in ONE :class:`Samples`, not batches. Several motions alike (repeats in one bag or in
             several) give the noise floor without a model.
         held_out: what is judged on, in the same form: the last 30 % of a bag, or other bags.
-        settings: the cutoff of the samples, and how wrong inertias usually are.
+        cutoff: of that pipeline [Hz].
         alike: links whose errors in the URDF are mostly the same ones, if the model has the URDF's inertias.
         nominal: the model's parameters ``(D,)``, NaN where they are not known: those of an ``estimate.json``. The
             URDF's inertias and no effects unless given.
@@ -111,15 +94,15 @@ def find_gap(
     started = perf_counter()
     report = progress or _silent
     bare = model.without_effects()
-    records = Records.make(train, settings.cutoff)
-    held = Records.make(held_out or train, settings.cutoff)
+    records = Records.make(train, cutoff)
+    held = Records.make(held_out or train, cutoff)
     _check(bare, records)
     _check_held_out(bare, held)
-    prior = replace(_prior(model, nominal, deviations, known, settings), alike=alike)
+    prior = replace(_prior(model, nominal, deviations, known), alike=alike)
     prior, own = _with_beside(bare, records, prior, beside)
     prior = _with_least_spreads(bare, records, prior)
     if simulated:
-        prior, standing = _as_simulated(bare, Records.make(simulated, settings.cutoff), prior, report), None
+        prior, standing = _as_simulated(bare, Records.make(simulated, cutoff), prior, report), None
     analysis = analyse(bare, records, prior, report, standing)
     report("judging", 0.0)
     links = changed_links(bare, analysis)
@@ -146,7 +129,7 @@ def find_gap(
         channels=tuple(channel.name for channel in bare.channels),
         units=tuple(channel.unit for channel in bare.channels),
         floor=analysis.floor,
-        cutoff=settings.cutoff,
+        cutoff=cutoff,
         gap=files.on_all,
         moving=files.gap.after,
         located=located(bare, records, first, np.abs(_measured(bare, records) - first)),
@@ -187,7 +170,7 @@ def lacking(
         _check(bare, records)
     except InputError:
         return None
-    prior, _ = _with_beside(bare, records, _prior(model, nominal, None, None, GapSettings(cutoff=cutoff)), beside)
+    prior, _ = _with_beside(bare, records, _prior(model, nominal), beside)
     found = standing_remainder(bare, records, prior)
     return found if any(map(len, found.means)) else None
 
@@ -209,7 +192,7 @@ def left_by_model(
         beside: the effects that it has beside these, which depend on what it says of a motion: elastic gears, play.
     """
     bare, records = model.without_effects(), Records.make(samples, cutoff)
-    prior = _prior(model, nominal, None, None, GapSettings(cutoff=cutoff))
+    prior = _prior(model, nominal)
     prior, _ = _with_beside(bare, records, prior, beside)
     untouched = unfitted(prior)
     problem = LinearisedProblem(bare, records, total_model(bare, untouched))
@@ -251,9 +234,8 @@ def _check_held_out(model: MeasurementModel, held: Records) -> None:
 def _prior(
     model: MeasurementModel,
     nominal: FloatArray | None,
-    deviations: FloatArray | None,
-    known: OtherRecordings | None,
-    settings: GapSettings,
+    deviations: FloatArray | None = None,
+    known: OtherRecordings | None = None,
 ) -> NamesPrior:
     size, unknown = len(model.nominal_inertias), np.full(model.dimension, np.nan)
     values = unknown if nominal is None else nominal
@@ -269,7 +251,7 @@ def _prior(
     identified = bool(np.any(np.isfinite(values[:size])))
     return Prior(
         inertias=inertias,
-        spread=settings.identified_spread if identified else settings.spread,
+        spread=_SPREAD_OF_IDENTIFIED if identified else USUAL_SPREAD,
         terms=terms,
         values=strengths,
         spreads=np.maximum(changes, unsure[own]),

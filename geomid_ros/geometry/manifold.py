@@ -23,7 +23,6 @@ from geomid_ros.geometry import compiled, pseudo_inertia, spd, symmetric
 from geomid_ros.types import FloatArray, IntArray, frozen
 
 _UNITS = symmetric.to_matrix(np.eye(symmetric.SIZE))
-_IDENTITY = np.eye(4)
 _STRAIGHT = 0.5  # a number or an eigenvalue that shrinks by less does so along the straight line
 _SMALLEST_FACTOR = 0.05  # by which one straight step shrinks a positive number or an inertia at most
 
@@ -169,7 +168,7 @@ class ParameterManifold:
             compiled.native.straight_lines(base.pseudo_inertias, steps, ends)
             return ends
         matrices = symmetric.to_matrix(steps)
-        whitened = _IDENTITY + matrices
+        whitened = np.eye(4) + matrices
         long = np.flatnonzero(np.sum(steps**2, axis=1) > _STRAIGHT**2)  # of others no eigenvalue can be below
         if len(long):
             values, vectors = np.linalg.eigh(matrices[long])
@@ -228,7 +227,7 @@ class ParameterManifold:
         In these a link's errors are of one size in all directions, however thin it is. In its parameters they are not,
         and products of rows that hold them square the ratio: rounding leaves nothing of the shortest.
         """
-        links = spd.congruence(base.inverse_root, point.pseudo_inertias) - _IDENTITY
+        links = spd.congruence(base.inverse_root, point.pseudo_inertias) - np.eye(4)
         return np.concatenate(
             [symmetric.to_vector(links).ravel(), point.positives - base.positives, point.reals - base.reals]
         )

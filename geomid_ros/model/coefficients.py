@@ -116,6 +116,10 @@ class EffectPlaces:
                 return pair_name(self.robot.joint_names[first], self.robot.joint_names[second])
         return "".join(self.robot.joint_names[joint] for joint in joints_of(place))
 
+    def link(self, place: Place) -> str:
+        """The link of a place on one; empty for others."""
+        return self.links[place.link] if isinstance(place, OnLink) else ""
+
     def named(self, effect: Effect, name: str) -> Place:
         """The place of an effect that is called ``name``. Raises InputError with the valid names."""
         places = {self.name(place): place for place in self.of(effect)}

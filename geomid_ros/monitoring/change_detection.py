@@ -39,15 +39,13 @@ PART = BLOCK // 4
 LATE = 2 * BLOCK
 """Rows before a suspect block that may be bad, too: a change in the last rows of a block does not show there, and
 hardly in the next where an offset may explain it."""
-FALSE_ALARMS = 1e-7
-"""The largest share of all blocks that open a gap of a channel whose noise is what it was."""
+ALARM = -float(np.log(1e-7))
+"""The evidence that opens or closes a gap: of all blocks of a channel whose noise is what it was, no larger share than
+exp(-ALARM) opens one."""
 _FEWEST = 10  # rows for each parameter, which are not independent, and then blocks, before there is a floor
 _MOST_BLOCKS = 60  # of a stretch: a minute or so
 _RISE = 2.25  # times the floor: the gap that the test looks for; and times the usual leverage: another motion
 _FEWEST_BAD = 3  # blocks that an alarm takes, and its end: a push or a bump is no gap
-ALARM = -float(np.log(FALSE_ALARMS))
-"""The evidence that opens or closes a gap."""
-_SUSPICION = ALARM / _FEWEST_BAD  # the most evidence of one block
 _LEAST = 1e-4  # of what is measured, or of what a motion shows: below, rounding and the filter's ripple count
 
 
@@ -192,7 +190,7 @@ class _Cusum:
 
     A block's energy per row is taken to be Gamma-distributed, with the mean of the blocks before and a shape by their
     variance, which allows for noise that is correlated or differs between parts of the motion. Where that holds, the
-    mean time between false alarms is at least ``1 / FALSE_ALARMS`` blocks (Lorden 1971). A block counts for no more
+    mean time between false alarms is at least ``exp(ALARM)`` blocks (Lorden 1971). A block counts for no more
     than a share of the alarm, which makes them rarer. An alarm ends as it began: by as much evidence for the contrary.
     """
 
@@ -315,7 +313,7 @@ class _Cusum:
         rise = shape * (energy / highest * (1.0 - 1.0 / _RISE**2) - 2.0 * np.log(_RISE))
         if not self._open and self._evidence == 0.0:
             self._first, self._since = first, stamp
-        self._evidence = max(0.0, self._evidence + min(-rise if self._open else rise, _SUSPICION))
+        self._evidence = max(0.0, self._evidence + min(-rise if self._open else rise, ALARM / _FEWEST_BAD))
         if self._evidence >= ALARM:
             self._open, self._evidence = not self._open, 0.0
 

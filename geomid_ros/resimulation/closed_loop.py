@@ -10,12 +10,15 @@ import numpy as np
 from geomid_ros.files.models.written_model import ModelFiles
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
-from geomid_ros.resimulation.resimulate import NotSimulatedError, Resimulated, SimulatedEfforts, in_units
-from geomid_ros.resimulation.windows import (
+from geomid_ros.resimulation.resimulate import (
     Noise,
+    NotSimulatedError,
+    Resimulated,
+    SimulatedEfforts,
     Stretch,
     Windows,
     WindowSimulation,
+    in_units,
     interpolated,
     motion_at,
     root_mean_square,

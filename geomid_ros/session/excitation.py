@@ -1,16 +1,18 @@
-"""From a robot description and what a user asks for to a motion that is feasible and tells much."""
+"""From a robot description and what a user asks for to a motion that is feasible and tells much, or decides between
+the names that a gap report leaves open.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from geomid_ros.errors import InputError
+from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.excitation.feasibility import Feasibility, Margins
 from geomid_ros.excitation.knowledge import (
     PREDICTION,
@@ -24,18 +26,30 @@ from geomid_ros.excitation.knowledge import (
 )
 from geomid_ros.excitation.limits import MotionLimits, motion_limits, starts
 from geomid_ros.excitation.motion import ExcitingMotion, MotionForm, Trajectory
-from geomid_ros.excitation.rivals import DECIDED, DiscriminationCriterion, deciding_motion
+from geomid_ros.excitation.rivals import (
+    DECIDED,
+    Ambiguity,
+    DiscriminationCriterion,
+    Name,
+    coefficients_of,
+    deciding_motion,
+)
 from geomid_ros.excitation.search import Search, expected_error, other_motions, random_feasible
+from geomid_ros.files.models.effects_file import payload_parameters
 from geomid_ros.files.models.estimate_file import EstimateFile
+from geomid_ros.files.models.gap_file import OpenFinding, read_open_findings
 from geomid_ros.files.models.posterior import beside, read_posterior
 from geomid_ros.files.parameter_file import read_joint_limits
+from geomid_ros.gap.candidates import Candidate
+from geomid_ros.model.channels import is_wrench_channel
 from geomid_ros.model.collision import CollisionModel, Pair
+from geomid_ros.model.effects import Effect, KnownEffect, OnLink, Place, effect_class, values_of
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.session.collision_scene import NOT_LOOKED, collision_model, not_watched, without_touching
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.options import MotionOptions
-from geomid_ros.session.rival_effects import open_questions
 from geomid_ros.session.session import Session
+from geomid_ros.types import FloatArray, frozen
 
 RATE = 100.0
 """[Hz] of the points of a trajectory."""
@@ -264,3 +278,68 @@ def _decisions(
     for place, (found, rivals) in enumerate(labels):
         for index, rival in enumerate(rivals):
             yield Decision(found, rival, own[place][index], float(np.median([o[place][index] for o in others])))
+
+
+def open_questions(feasibility: Feasibility, path: Path) -> tuple[DiscriminationCriterion, list[tuple[str, list[str]]]]:
+    """Who says what a motion would decide, and of each finding its label and those of its rivals.
+
+    Raises InputError naming the ``path`` of the gap.json, and what does not fit the robot.
+    """
+    findings, floor = read_open_findings(path)
+    before = feasibility.knowledge
+    model = before.model.without_effects()
+    _refuse_others(model, floor, path)
+    knowledge = prior_knowledge(model, feasibility.limits)
+    names = [channel.name for channel in model.channels]
+    sigmas = [floor.get(name) or own for name, own in zip(names, knowledge.sigmas.tolist(), strict=True)]
+    knowledge = replace(knowledge, sigmas=frozen(sigmas))
+    disputes = [_dispute(model, finding) for finding in findings]
+    labels = [(dispute.found.label, [rival.label for rival in dispute.rivals]) for dispute in disputes]
+    return DiscriminationCriterion(knowledge, disputes), labels
+
+
+def _refuse_others(model: MeasurementModel, floor: Mapping[str, float], path: Path) -> None:
+    """Raise InputError where a gap report says something of joints that the robot does not have."""
+    joints = [joint.name for joint in model.robot.tree.joints if joint.type != "fixed"]
+    for name in floor:
+        if name not in joints and not is_wrench_channel(name):
+            raise InputError(f"{path}: was written for another robot: {unknown_name('joint', name, joints)}")
+
+
+def _dispute(model: MeasurementModel, entry: OpenFinding) -> Ambiguity:
+    found = _name_of_finding(model, entry)
+    rivals = [_any(model, rival.effect, rival.joint) for rival in entry.rivals]
+    return Ambiguity(found, _coefficients(entry, found), tuple(rivals))
+
+
+def _name_of_finding(model: MeasurementModel, finding: KnownEffect) -> Name:
+    """The found effect with its constants first."""
+    any_of = _any(model, finding.effect, finding.joint, finding.link)
+    if isinstance(any_of.place, OnLink):
+        return any_of
+    own = effect_class(finding.effect).from_values(values_of(finding))
+    return replace(any_of, variants=(own, *(variant for variant in any_of.variants if variant != own)))
+
+
+def _any(model: MeasurementModel, effect: str, joint: str, link: str = "") -> Name:
+    """An effect with any of its constants, at the place that files call ``joint``."""
+    cls = effect_class(effect)
+    variants = cls.variants()
+    places = {model.places.link(place) or model.places.name(place): place for place in model.places.of(variants[0])}
+    place = places[link] if link in places else model.places.named(variants[0], joint)
+    where = link or joint
+    label = f"{cls.label} at {where}" if where else cls.label
+    return Name(variants, place, label, _penalty(variants[0], place))
+
+
+def _penalty(effect: Effect, place: Place) -> float:
+    """For how many parameters an effect counts: a body for those that are said first, without its inertia."""
+    terms = Candidate.of(effect, place).terms
+    return float(len(terms) + bool(effect.scanned)) if terms else float(effect.said_first or 0)
+
+
+def _coefficients(finding: KnownEffect, found: Name) -> FloatArray:
+    values = values_of(finding)
+    if isinstance(found.place, OnLink):
+        return payload_parameters(values)
+    return coefficients_of(effect_class(finding.effect), values, found.variants[0].parts)

@@ -19,7 +19,7 @@ from geomid_ros.files.models.posterior import POSTERIOR, check_of, places_in, re
 from geomid_ros.gap.candidates import library_columns
 from geomid_ros.gap.evidence.features import StandingRemainder
 from geomid_ros.gap.result import GapResult
-from geomid_ros.gap.workflow import CUTOFF, GapSettings, find_gap, lacking, left_by_model
+from geomid_ros.gap.workflow import CUTOFF, find_gap, lacking, left_by_model
 from geomid_ros.inference.prior import OtherRecordings
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
@@ -129,7 +129,7 @@ def find(session: Session, recordings: Recordings, standing: StandingRemainder |
         session.model,
         recordings.train,
         recordings.held_out,
-        GapSettings(cutoff=recordings.cutoff),
+        recordings.cutoff,
         alike=session.alike,
         nominal=session.prior,
         deviations=deviations,

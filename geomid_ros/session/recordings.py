@@ -15,7 +15,7 @@ from geomid_ros.files.bags.bag import Bag
 from geomid_ros.model.samples import Samples
 from geomid_ros.options import Progress, silent
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.recording_facts import faulty_streams
+from geomid_ros.session.review import faulty_streams
 from geomid_ros.session.session import Session
 from geomid_ros.session.training import TrainingData
 from geomid_ros.signals.decoding import Decoder

@@ -120,10 +120,7 @@ class Session(Setup):
         return [*self.review.notes, *said_alike(self.alike)]
 
     def rms(
-        self,
-        batches: Iterable[Samples],
-        parameters: FloatArray,
-        added: Callable[[Samples], FloatArray] | None = None,
+        self, batches: Iterable[Samples], parameters: FloatArray, added: Callable[[Samples], FloatArray] | None = None
     ) -> FloatArray:
         """RMS residual of each channel over samples at parameters ``(D,)``, ``(channels,)``, or at several ``(D, K)``,
         ``(channels, K)``; NaN where nothing was measured. Efforts ``(N, joints, K)`` of N samples may be ``added``."""

@@ -25,8 +25,7 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.closed_loop import Tracking, closed_loop, tracking
-from geomid_ros.resimulation.resimulate import NotSimulatedError, Resimulated, resimulate
-from geomid_ros.resimulation.windows import Noise
+from geomid_ros.resimulation.resimulate import Noise, NotSimulatedError, Resimulated, resimulate
 from geomid_ros.session.gap import GapReader
 from geomid_ros.session.recordings import Bags
 from geomid_ros.session.session import Session
@@ -53,10 +52,7 @@ def write_found(folder: Path, session: Session, result: GapResult, reader: str =
 
 
 def _changed(
-    file: WrittenModel,
-    before: Mapping[str, FloatArray],
-    after: Mapping[str, FloatArray],
-    result: GapResult,
+    file: WrittenModel, before: Mapping[str, FloatArray], after: Mapping[str, FloatArray], result: GapResult
 ) -> WrittenModel:
     """The model of a file with what has changed in the whole one.
 
@@ -133,11 +129,7 @@ def simulate_again(
 
 
 def _write(
-    folder: Path,
-    session: Session,
-    inertias: FloatArray,
-    effects: Sequence[KnownEffect],
-    **judged: Any,
+    folder: Path, session: Session, inertias: FloatArray, effects: Sequence[KnownEffect], **judged: Any
 ) -> list[Path]:
     by_name = dict(zip(session.model.body_names, inertias, strict=True))
     gravity, findings = session.configuration.gravity, session.review.findings

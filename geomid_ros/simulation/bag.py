@@ -37,7 +37,7 @@ _DESCRIPTION = "robot_description"
 _TYPES = get_typestore(Stores.ROS2_JAZZY)
 
 # Of the mcap format.
-_MAGIC_LENGTH = 8
+_MAGIC = b"\x89MCAP0\r\n"
 _FOOTER, _CHUNK, _DATA_END = 0x02, 0x06, 0x0F
 _RECORD = struct.Struct("<BQ")  # kind, length
 _CHUNK_HEAD = struct.Struct("<QQQII4sQ")  # first and last time, size, checksum, "zstd", packed size
@@ -195,7 +195,7 @@ def _wrench(wrench: FloatArray, stamp: int, frame: str | None) -> Any:
 def _add_checksums(path: Path) -> None:
     """Write the checksums of chunks, data section and summary into a file with zstd chunks."""
     data = bytearray(path.read_bytes())
-    begin, data_end, kind = _MAGIC_LENGTH, 0, 0
+    begin, data_end, kind = len(_MAGIC), 0, 0
     while kind != _FOOTER:
         kind, length = _RECORD.unpack_from(data, begin)
         content = begin + _RECORD.size

@@ -55,7 +55,7 @@ class SimulationOptions(Options):
 
     Robot:
         robot: a shipped robot's name, or the path of a ``.urdf`` file (the nominal model; it goes into the bag).
-        Options that describe what a ``realistic`` robot draws from its seed are refused, see ``simulation/realistic``.
+        Options that describe what a ``realistic`` robot draws from its seed are refused, see ``realistic.py``.
         wrench_frame: link whose connection to its parent carries a wrench sensor (``wrist_ft`` on the shipped robots);
             None records no ``/wrench``.
         inertia_error: about the relative standard deviation of a link's mass. The bodies stay physically possible

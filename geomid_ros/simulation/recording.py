@@ -20,7 +20,7 @@ from geomid_ros.simulation.effects.physics import sensed
 from geomid_ros.simulation.motion import RunTrace, exciting_motion
 from geomid_ros.simulation.options import RandomStream, SimulationOptions, generator
 from geomid_ros.simulation.plant import GRAVITY, Plant
-from geomid_ros.simulation.realistic.robot import build_realistic
+from geomid_ros.simulation.realistic import build_realistic
 from geomid_ros.simulation.robot import (
     Builder,
     ControlLoop,

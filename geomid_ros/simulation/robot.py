@@ -215,9 +215,9 @@ class TrueRobot:
         effort = _noisy(seen.effort, levels["effort"], memory, numbers)
         return replace(
             seen,
-            position=_rounded(position, options.position_step * np.ones(len(self.joints))),
+            position=rounded(position, options.position_step * np.ones(len(self.joints))),
             velocity=velocity,
-            effort=_rounded(effort, options.effort_step * np.array([joint.effort for joint in self.joints])),
+            effort=rounded(effort, options.effort_step * np.array([joint.effort for joint in self.joints])),
             wrench=_noisy(seen.wrench, levels["wrench"][: seen.wrench.shape[1]], memory, numbers),
         )
 
@@ -260,5 +260,6 @@ def _noisy(values: FloatArray, level: FloatArray, memory: float, numbers: np.ran
     return values + level * noise
 
 
-def _rounded(values: FloatArray, step: FloatArray) -> FloatArray:
+def rounded(values: FloatArray, step: FloatArray) -> FloatArray:
+    """In steps; as they are where there are none."""
     return np.round(values / step) * step if step.all() else values

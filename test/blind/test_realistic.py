@@ -17,7 +17,7 @@ from benchmarks.blind.realistic.judging import judge
 from benchmarks.blind.realistic.sizing import LEAST, MOST, sized
 from geomid_ros.simulation import Hidden, SimulationOptions
 from geomid_ros.simulation.effects.physics import sensed
-from geomid_ros.simulation.realistic.robot import build_realistic
+from geomid_ros.simulation.realistic import build_realistic
 from geomid_ros.simulation.recording import closed_loop, record
 from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import FloatArray

@@ -78,7 +78,7 @@ def test_what_computes_nothing_loads_nothing_that_computes() -> None:
 def test_completion_loads_nothing_that_computes(line: str) -> None:
     modules = loaded(completing=line)
     assert not modules & HEAVY
-    assert ("geomid_ros.commands.identify" in modules) is ("--u" in line)
+    assert ("geomid_ros.commands.recordings" in modules) is ("--u" in line)
 
 
 def test_help_of_a_command_loads_no_library_that_the_command_needs() -> None:

@@ -29,8 +29,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Topics, read_samples
 from geomid_ros.session.session import Session
-from geomid_ros.simulation.gaits import WalkOptions
-from geomid_ros.simulation.walking import simulate_walk
+from geomid_ros.simulation.walking import WalkOptions, simulate_walk
 
 from .running import NO_CHOICE, done, geomid, read, refused
 

@@ -16,7 +16,7 @@ from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.fit import CERTAINTY
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, identifiable
-from geomid_ros.model.effects.dry_friction import SMOOTHINGS, CoulombFriction
+from geomid_ros.model.effects.friction import SMOOTHINGS, CoulombFriction
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.weighed_masses import weighed_rows
 from geomid_ros.session.configuration import Configuration

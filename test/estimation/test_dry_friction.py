@@ -10,10 +10,8 @@ import pytest
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.gap.candidates import EffectTerm, not_driving
 from geomid_ros.model.effects import AtJoint
-from geomid_ros.model.effects.dry_friction import CoulombFriction, StribeckFriction
-from geomid_ros.model.effects.other_friction import SaturatingFriction
-from geomid_ros.model.effects.spring import Spring
-from geomid_ros.model.effects.viscous_friction import ViscousFriction
+from geomid_ros.model.effects.drive import Spring
+from geomid_ros.model.effects.friction import CoulombFriction, SaturatingFriction, StribeckFriction, ViscousFriction
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.session.configuration import Configuration
 

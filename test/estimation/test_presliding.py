@@ -11,8 +11,7 @@ import pytest
 from geomid_ros.model.columns import Entries, JointColumn
 from geomid_ros.model.effects import JointMotion
 from geomid_ros.model.effects import Motion as WithPast
-from geomid_ros.model.effects.dry_friction import SMOOTHINGS, CoulombFriction, StribeckFriction
-from geomid_ros.model.effects.other_friction import DISTANCES, Presliding
+from geomid_ros.model.effects.friction import DISTANCES, SMOOTHINGS, CoulombFriction, Presliding, StribeckFriction
 from geomid_ros.model.effects.situation import AtJoint
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples

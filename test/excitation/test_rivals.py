@@ -16,8 +16,8 @@ from geomid_ros.excitation.rivals import deciding_motion, responses
 from geomid_ros.excitation.search import Search, random_motion
 from geomid_ros.model.effects import AtJoint, OnRobot, effect_class
 from geomid_ros.model.samples import samples_of
+from geomid_ros.session.excitation import open_questions
 from geomid_ros.session.options import MotionOptions
-from geomid_ros.session.rival_effects import open_questions
 
 from .arm import small_task
 from .test_knowledge import WALLS

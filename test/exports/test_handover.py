@@ -14,9 +14,8 @@ from files.recordings import BAGS, QUICK
 
 import geomid_ros
 from geomid_ros.api.identify import Identification
-from geomid_ros.exports.handover import HandedOver, JudgedFile
+from geomid_ros.exports.handover import HandedOver, JudgedFile, ReadBack, read_mjcf_back, read_urdf_back
 from geomid_ros.exports.model import read_model
-from geomid_ros.exports.read_back import ReadBack, read_mjcf_back, read_urdf_back
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.readers import READERS
 from geomid_ros.files.models.urdf import for_drake, with_inertials

@@ -24,8 +24,8 @@ from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.models.written_model import write_model
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import KnownEffect, Quantity
-from geomid_ros.model.effects.dry_friction import CoulombFriction
 from geomid_ros.model.effects.effect import FRICTION_DRIFT
+from geomid_ros.model.effects.friction import CoulombFriction
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import GRAVITY, Robot
 from geomid_ros.session.configuration import Configuration

@@ -10,7 +10,7 @@ from geomid_ros.gap.candidates import Candidate, EffectTerm
 from geomid_ros.inference.design import ChannelRows, Design
 from geomid_ros.inference.prior import Prior
 from geomid_ros.model.effects import EFFECTS, AtJoint, Effect, OnLink
-from geomid_ros.model.effects.payload import CarriedBody
+from geomid_ros.model.effects.mounting import CarriedBody
 from geomid_ros.types import FloatArray
 
 ROWS, CHANNELS = 400, 2

@@ -17,8 +17,8 @@ from geomid_ros.gap.evidence.record import TotalModel
 from geomid_ros.inference.prior import OtherRecordings
 from geomid_ros.inference.selection import Selection
 from geomid_ros.model.effects import AtJoint, AtJoints, OnLink, OnRobot, Place
-from geomid_ros.model.effects.gravity_tilt import GravityTilt
-from geomid_ros.model.effects.viscous_friction import ViscousFriction
+from geomid_ros.model.effects.friction import ViscousFriction
+from geomid_ros.model.effects.mounting import GravityTilt
 from geomid_ros.types import BoolArray
 
 from . import planted

@@ -23,10 +23,8 @@ from geomid_ros.model.effects import (
     SituationEffect,
     effect_class,
 )
-from geomid_ros.model.effects.dry_friction import SMOOTHINGS, SPEEDS
-from geomid_ros.model.effects.other_friction import DISTANCES
-from geomid_ros.model.effects.other_friction import SPEEDS as SETTING_IN
-from geomid_ros.model.effects.soft_gears import CROSSINGS
+from geomid_ros.model.effects.drive import CROSSINGS
+from geomid_ros.model.effects.friction import DISTANCES, SETTING_IN, SMOOTHINGS, SPEEDS
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN

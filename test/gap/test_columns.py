@@ -8,10 +8,10 @@ from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.inference.fit import unfitted
 from geomid_ros.model.effects import AtJoint
-from geomid_ros.model.effects.dry_friction import LoadFriction
-from geomid_ros.model.effects.effort_gain import EffortGain
-from geomid_ros.model.effects.gravity_tilt import GravityTilt
-from geomid_ros.model.effects.soft_gears import JointElasticity
+from geomid_ros.model.effects.drive import JointElasticity
+from geomid_ros.model.effects.friction import LoadFriction
+from geomid_ros.model.effects.mounting import GravityTilt
+from geomid_ros.model.effects.sensor_errors import EffortGain
 from geomid_ros.types import FloatArray
 
 from . import planted

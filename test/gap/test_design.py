@@ -13,10 +13,9 @@ from geomid_ros.gap.evidence.linearised_problem import design_of, term_columns
 from geomid_ros.gap.evidence.noise import Autoregression
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import AtJoint, AtSensor, OnLink, OnRobot, Situation
-from geomid_ros.model.effects.gravity_tilt import GravityTilt
-from geomid_ros.model.effects.payload import CarriedBody
+from geomid_ros.model.effects.friction import ViscousFriction
+from geomid_ros.model.effects.mounting import CarriedBody, GravityTilt
 from geomid_ros.model.effects.sensor_errors import WrenchOffset
-from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray

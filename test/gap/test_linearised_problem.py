@@ -18,12 +18,9 @@ from geomid_ros.geometry.manifold import Point
 from geomid_ros.inference.fit import JointFit, fit, unfitted
 from geomid_ros.inference.prior import Prior
 from geomid_ros.model.effects import AtJoint, Effect, OnRobot
-from geomid_ros.model.effects.dry_friction import LoadFriction
-from geomid_ros.model.effects.effort_delay import EffortDelay
-from geomid_ros.model.effects.effort_gain import EffortGain
-from geomid_ros.model.effects.effort_offset import EffortOffset
-from geomid_ros.model.effects.gravity_tilt import GravityTilt
-from geomid_ros.model.effects.viscous_friction import ViscousFriction
+from geomid_ros.model.effects.friction import LoadFriction, ViscousFriction
+from geomid_ros.model.effects.mounting import GravityTilt
+from geomid_ros.model.effects.sensor_errors import EffortDelay, EffortGain, EffortOffset
 from geomid_ros.model.samples import Samples
 
 from . import planted

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from geomid_ros.model.effects.soft_gears import CROSSINGS, sides
+from geomid_ros.model.effects.drive import CROSSINGS, sides
 
 
 def square(period: float, seconds: float, size: float) -> np.ndarray:

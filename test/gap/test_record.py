@@ -12,14 +12,12 @@ from model.robots import fixed_base
 from geomid_ros.gap.evidence.record import Records, TotalModel
 from geomid_ros.model.columns import Entries, JointColumn
 from geomid_ros.model.effects import AtJoint, AtJoints, Effect, OnRobot
-from geomid_ros.model.effects.dry_friction import CoulombFriction
+from geomid_ros.model.effects.drive import RotorInertia
 from geomid_ros.model.effects.effect import JointMotion, PairEffect
-from geomid_ros.model.effects.effort_delay import EffortDelay
-from geomid_ros.model.effects.effort_gain import EffortGain
-from geomid_ros.model.effects.gravity_tilt import GravityTilt
-from geomid_ros.model.effects.rotor_inertia import RotorInertia
+from geomid_ros.model.effects.friction import CoulombFriction, ViscousFriction
+from geomid_ros.model.effects.mounting import GravityTilt
+from geomid_ros.model.effects.sensor_errors import EffortDelay, EffortGain
 from geomid_ros.model.effects.situation import Place
-from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.model.samples import REST, SIGN, SMOOTH_SIGN, Samples
 from geomid_ros.types import FloatArray
 

@@ -12,12 +12,11 @@ from geomid_ros.gap import workflow
 from geomid_ros.gap.candidates import EffectTerm
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.result import GapResult, Rival
-from geomid_ros.gap.workflow import GapSettings, find_gap, left_by_model
+from geomid_ros.gap.workflow import CUTOFF, find_gap, left_by_model
 from geomid_ros.inference.prior import OtherRecordings
 from geomid_ros.model.effects import AtJoint, KnownEffect, Quantity
-from geomid_ros.model.effects.dry_friction import CoulombFriction
-from geomid_ros.model.effects.effort_offset import EffortOffset
-from geomid_ros.model.effects.viscous_friction import ViscousFriction
+from geomid_ros.model.effects.friction import CoulombFriction, ViscousFriction
+from geomid_ros.model.effects.sensor_errors import EffortOffset
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
@@ -91,9 +90,9 @@ def test_a_name_is_likely_if_it_or_a_rival_is_rather_than_nothing(
 
 def test_a_model_with_effects_beside_its_coefficients_is_judged_as_the_search_begins(result: GapResult) -> None:
     known = nominal(**{JOINTS[0]: KNOWN})
-    left = left_by_model(MODEL, [UNSEEN], GapSettings().cutoff, known, [BESIDE])
+    left = left_by_model(MODEL, [UNSEEN], CUTOFF, known, [BESIDE])
     np.testing.assert_allclose(left, result.gap.before * result.floor, rtol=1e-9)
-    without = left_by_model(MODEL, [UNSEEN], GapSettings().cutoff, known, [])
+    without = left_by_model(MODEL, [UNSEEN], CUTOFF, known, [])
     assert without[2] > 1.5 * left[2]
     np.testing.assert_allclose(without[:2], left[:2], rtol=1e-9)
 
@@ -167,12 +166,12 @@ class TestPrior:
 
     def prior(self, values: FloatArray | None = None, deviations: FloatArray | None = None) -> workflow.Prior:
         information = OtherRecordings(np.eye(30), np.zeros(30))
-        return workflow._prior(MODEL, values, deviations, information, GapSettings(spread=0.3, identified_spread=0.04))
+        return workflow._prior(MODEL, values, deviations, information)
 
     def test_of_a_bare_urdf_everything_is_a_guess(self) -> None:
         prior = self.prior()
         np.testing.assert_array_equal(prior.inertias, MODEL.nominal_inertias)
-        assert (prior.spread, prior.certainty, prior.terms, prior.known) == (0.3, 20.0, (), None)
+        assert (prior.spread, prior.certainty, prior.terms, prior.known) == (0.2, 20.0, (), None)
 
     def test_what_was_identified_is_hardly_wrong(self) -> None:
         values = nominal()
@@ -180,7 +179,7 @@ class TestPrior:
         prior = self.prior(values)
         np.testing.assert_array_equal(prior.inertias[:10], values[:10])
         np.testing.assert_array_equal(prior.inertias[10:], MODEL.nominal_inertias[10:])
-        assert (prior.spread, prior.certainty) == (0.04, 100.0)
+        assert (prior.spread, prior.certainty) == (0.05, 100.0)
         assert prior.known is not None
 
     def test_effects_are_a_fiftieth_unsure_or_as_they_say_where_that_is_more(self) -> None:
@@ -221,7 +220,7 @@ def test_what_a_simulator_shows_stands_in_the_place_of_the_model(monkeypatch: py
     """Its payloads on their links, its effects nearly certain, and nothing of other recordings."""
     records = Records.make([TRAIN], planted.CUTOFF)
     information = OtherRecordings(np.eye(30), np.zeros(30))
-    given = workflow._prior(BARE, INERTIAS.ravel(), None, information, GapSettings())
+    given = workflow._prior(BARE, INERTIAS.ravel(), None, information)
     assert given.known is not None
     terms = (EffectTerm(ViscousFriction(), AtJoint(1)), EffectTerm(CoulombFriction(), AtJoint(2)))
     shown = replace(given, terms=terms, values=np.array([2.0, 0.001]), spreads=np.ones(2), known=None)

@@ -9,7 +9,7 @@ import pytest
 
 from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesFit
 from geomid_ros.inference.selection import KEPT_PROMISE, Selection
-from geomid_ros.model.effects.dry_friction import SPEEDS, CoulombFriction, StribeckFriction
+from geomid_ros.model.effects.friction import SPEEDS, CoulombFriction, StribeckFriction
 
 from .small import LINK, PAYLOAD, PRIOR, Recording, at
 

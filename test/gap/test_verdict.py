@@ -15,7 +15,7 @@ from geomid_ros.gap.judgement.held_out import located, share, strongest
 from geomid_ros.gap.judgement.sentences import sentence, settled_by
 from geomid_ros.gap.judgement.written import _said_again
 from geomid_ros.gap.result import Finding, GapResult, Located
-from geomid_ros.gap.workflow import GapSettings, find_gap
+from geomid_ros.gap.workflow import find_gap
 from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.effects import EFFECTS, Quantity
 from geomid_ros.model.measurement import MeasurementModel
@@ -146,7 +146,6 @@ def test_what_settles_payloads_at_two_links_is_a_motion_that_turns_both() -> Non
     assert settled_by(payload, "wrist", []) == payload.settled_by
 
 
-SETTINGS = GapSettings(cutoff=planted.CUTOFF)
 CREEP = 0.02  # [N m/s]
 
 
@@ -156,7 +155,7 @@ def test_uncertainty_of_the_fit_explains_what_noise_does_not() -> None:
     for seed in range(5):
         dynamics = planted.rigid(planted.true_inertias(seed, 0.1))
         train, unseen = planted.recording(dynamics, seed, 7.0), planted.recording(dynamics, 100 + seed, 20.0, pace=2.0)
-        gap = find_gap(planted.model(), [train], [unseen], SETTINGS).gap
+        gap = find_gap(planted.model(), [train], [unseen], planted.CUTOFF).gap
         squares.append(gap.after**2)
         expected.append(gap.expected**2)
     assert np.mean(expected) > 1.1, "else this says nothing"
@@ -171,7 +170,7 @@ def drifting() -> GapResult:
     creeping = unseen.effort.copy()
     creeping[:, 1] += CREEP * ((unseen.stamps - unseen.stamps[0]) * 1e-9 - 15.0)
     unseen = replace(unseen, effort=creeping)
-    return find_gap(planted.model(), [planted.recording(dynamics, 3)], [unseen], SETTINGS)
+    return find_gap(planted.model(), [planted.recording(dynamics, 3)], [unseen], planted.CUTOFF)
 
 
 def test_a_gap_that_stays_open_is_told_with_what_it_depends_on(drifting: GapResult) -> None:
@@ -234,7 +233,7 @@ def test_a_joint_that_moves_and_cannot_be_judged_is_not_without_a_gap() -> None:
     effects[:, entries.at(SMOOTH_SIGN, JOINT)] = 0.0
 
     def judged(unseen: Samples) -> GapResult:
-        return find_gap(model, [TRAIN], [unseen], SETTINGS, nominal=known)
+        return find_gap(model, [TRAIN], [unseen], planted.CUTOFF, nominal=known)
 
     whole, blind = judged(UNSEEN), judged(replace(UNSEEN, effects=effects))
     assert (whole.verdict, whole.unjudged) == ("no gap", ())

@@ -14,12 +14,11 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.gap import analysis, workflow
-from geomid_ros.gap.judgement import changed_links
+from geomid_ros.gap.judgement import verdict
 from geomid_ros.gap.result import GapResult, LinkChange
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.inference.prior import GAIN, OtherRecordings
-from geomid_ros.model.effects.dry_friction import LoadFriction, StribeckFriction
-from geomid_ros.model.effects.viscous_friction import ViscousFriction
+from geomid_ros.model.effects.friction import LoadFriction, StribeckFriction, ViscousFriction
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.report.gap_words import in_short
@@ -199,7 +198,7 @@ def test_a_link_that_has_become_lighter_is_told_as_that(link: int, monkeypatch: 
     assert (contested.link, contested.confidence) == (change.link, "tentative")
 
     def unsure(*given: Any) -> tuple[LinkChange, ...]:
-        links = changed_links.changed_links(*given)
+        links = verdict.changed_links(*given)
         return tuple(
             replace(each, mass=replace(each.mass, std=0.5 * abs(each.mass.value)), moment={}) for each in links
         )
@@ -217,7 +216,7 @@ def test_the_centre_of_a_difference_is_as_unsure_as_mass_and_first_moment_togeth
     change = np.concatenate([[mass], mass * centre, np.zeros(6)])
     along = np.concatenate([[0.02], 0.02 * centre])
     covariance = np.outer(along, along) + np.diag([1e-8, 1e-4, 4e-4, 9e-4]) * mass**2
-    found = changed_links._centre(change, covariance)
+    found = verdict._centre(change, covariance)
     draws = np.random.default_rng(0).multivariate_normal(change[:4], covariance, 20_000)
     for place, axis in enumerate("xyz"):
         assert found[axis].value == pytest.approx(centre[place])

@@ -19,8 +19,7 @@ from geomid_ros.gap.workflow import find_gap
 from geomid_ros.geometry.definite import Packed
 from geomid_ros.inference.design import Design
 from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, Quantity
-from geomid_ros.model.effects.dry_friction import CoulombFriction
-from geomid_ros.model.effects.viscous_friction import ViscousFriction
+from geomid_ros.model.effects.friction import CoulombFriction, ViscousFriction
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.geometry import compiled
-from geomid_ros.geometry.lambert import lambert_w
+from geomid_ros.geometry.projection import lambert_w
 from geomid_ros.types import FloatArray
 
 from . import bodies

@@ -13,11 +13,16 @@ from new_effects.supply_sag import SupplySag
 
 from geomid_ros.model.columns import Column, Entries, JointColumn, PlacedColumn
 from geomid_ros.model.effects import EFFECTS, AtJoint, AtJoints, Effect, Motion, OnRobot, identifiable
-from geomid_ros.model.effects.coupled_motor import CoupledRotorInertia, CoupledViscousFriction
-from geomid_ros.model.effects.dry_friction import CoulombFriction, LoadFriction, StribeckFriction
-from geomid_ros.model.effects.effort_gain import EffortGain
-from geomid_ros.model.effects.soft_gears import CROSSINGS, Backlash, JointElasticity
-from geomid_ros.model.effects.spring import Spring
+from geomid_ros.model.effects.drive import (
+    CROSSINGS,
+    Backlash,
+    CoupledRotorInertia,
+    CoupledViscousFriction,
+    JointElasticity,
+    Spring,
+)
+from geomid_ros.model.effects.friction import CoulombFriction, LoadFriction, StribeckFriction
+from geomid_ros.model.effects.sensor_errors import EffortGain
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples

@@ -28,7 +28,7 @@ from geomid_ros.model.effects import (
     register,
     values_of,
 )
-from geomid_ros.model.effects.viscous_friction import ViscousFriction
+from geomid_ros.model.effects.friction import ViscousFriction
 
 OF_JOINTS = {name: cls for name, cls in EFFECTS.items() if issubclass(cls, JointEffect)}
 # What files/urdf.py and files/mjcf.py write: attributes of a joint by themselves, elements by code of their own.

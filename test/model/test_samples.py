@@ -10,9 +10,8 @@ from estimation.arms import arm
 
 from geomid_ros.model.columns import Entries, JointColumn, PlacedColumn
 from geomid_ros.model.effects import AtJoints
-from geomid_ros.model.effects.coupled_motor import CoupledViscousFriction
-from geomid_ros.model.effects.dry_friction import CoulombFriction
-from geomid_ros.model.effects.viscous_friction import ViscousFriction
+from geomid_ros.model.effects.drive import CoupledViscousFriction
+from geomid_ros.model.effects.friction import CoulombFriction, ViscousFriction
 from geomid_ros.model.samples import REGIMES, Samples, moves_one_way, regimes
 from geomid_ros.types import FloatArray
 

@@ -17,7 +17,7 @@ from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.resimulation.windows import Noise
+from geomid_ros.resimulation.resimulate import Noise
 from geomid_ros.types import FloatArray
 
 ARM = read_urdf(Path(__file__).parents[2] / "bags/arm3.urdf")

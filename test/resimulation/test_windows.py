@@ -20,8 +20,7 @@ from geomid_ros.model.channels import WrenchSensor
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.resimulation.resimulate import NotSimulatedError, Resimulated, resimulate
-from geomid_ros.resimulation.windows import Noise, stretches
+from geomid_ros.resimulation.resimulate import Noise, NotSimulatedError, Resimulated, resimulate, stretches
 from geomid_ros.types import FloatArray
 
 from .recordings import ARM, FLOOR, JOINTS, MODEL, PERIOD, Added, files, noise_example, recording

@@ -12,12 +12,9 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.model.columns import JointColumn
-from geomid_ros.model.effects.dry_friction import CoulombFriction
-from geomid_ros.model.effects.effort_offset import EffortOffset
-from geomid_ros.model.effects.other_friction import DISTANCES, Presliding
-from geomid_ros.model.effects.rotor_inertia import RotorInertia
-from geomid_ros.model.effects.spring import Spring
-from geomid_ros.model.effects.viscous_friction import ViscousFriction
+from geomid_ros.model.effects.drive import RotorInertia, Spring
+from geomid_ros.model.effects.friction import DISTANCES, CoulombFriction, Presliding, ViscousFriction
+from geomid_ros.model.effects.sensor_errors import EffortOffset
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings

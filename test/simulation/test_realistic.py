@@ -15,8 +15,7 @@ import pytest
 from geomid_ros.errors import InputError
 from geomid_ros.simulation import Hidden, SimulationOptions, simulate
 from geomid_ros.simulation.options import LINK_MASS
-from geomid_ros.simulation.realistic.parts import LuGre, kept
-from geomid_ros.simulation.realistic.robot import RealisticRobot, build_realistic
+from geomid_ros.simulation.realistic import LuGre, RealisticRobot, build_realistic, kept
 from geomid_ros.simulation.recording import closed_loop
 from geomid_ros.types import FloatArray
 

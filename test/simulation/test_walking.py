@@ -15,9 +15,8 @@ from model.robots import urdf
 
 from geomid_ros.errors import InputError
 from geomid_ros.simulation.description import read_description
-from geomid_ros.simulation.gaits import WalkOptions, parse_feet
 from geomid_ros.simulation.motion import WalkTrace
-from geomid_ros.simulation.walking import simulate_walk, true_bodies, walk
+from geomid_ros.simulation.walking import WalkOptions, parse_feet, simulate_walk, true_bodies, walk
 
 FEET = {f"{leg}_foot": 0.022 for leg in ("FL", "FR", "RL", "RR")}
 OPTIONS = WalkOptions(robot="", feet=FEET, imu="imu", duration=24.0, rate=250.0)

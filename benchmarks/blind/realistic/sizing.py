@@ -15,8 +15,7 @@ from geomid_ros.simulation.description import body_of, pseudo_inertia
 from geomid_ros.simulation.effects.physics import sensed
 from geomid_ros.simulation.motion import RunTrace
 from geomid_ros.simulation.plant import Plant
-from geomid_ros.simulation.realistic.parts import published
-from geomid_ros.simulation.realistic.robot import RealisticRobot, build_realistic
+from geomid_ros.simulation.realistic import RealisticRobot, build_realistic, published
 from geomid_ros.simulation.recording import closed_loop, record
 from geomid_ros.types import FloatArray
 

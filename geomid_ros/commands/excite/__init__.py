@@ -9,8 +9,7 @@ import click
 from rich.table import Table
 
 import geomid_ros
-from geomid_ros.commands.excite.learn import learn
-from geomid_ros.commands.excite.run import run
+from geomid_ros.commands.excite.run import learn, run
 from geomid_ros.commands.options import UNTRIED_OUT, options_of, share
 from geomid_ros.commands.terminal import plain_table, progress_bar, results_console, say
 from geomid_ros.session.options import MotionOptions

@@ -1,21 +1,30 @@
-"""``geomid excite run``: a motion on a robot, watched over and recorded."""
+"""``geomid excite run`` and ``learn``: a motion on a robot, watched over and recorded; and from a URDF to an identified
+robot, round by round.
+"""
 
 from __future__ import annotations
 
 import shlex
+import sys
+from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomid_ros.commands.options import PATH, UNTRIED_OUT, options_of
-from geomid_ros.commands.terminal import plain_table, results_console, say
-from geomid_ros.errors import needing_ros, printable
-from geomid_ros.session.options import DescriptionOptions, RunOptions
+import geomid_ros
+from geomid_ros.commands.options import OUT, PATH, UNTRIED_OUT, options_of, share
+from geomid_ros.commands.terminal import plain_table, progress_bar, results_console, say
+from geomid_ros.errors import GeomidError, InputError, needing_ros, printable
+from geomid_ros.session.options import DescriptionOptions, MotionOptions, RunOptions
 
 if TYPE_CHECKING:
+    from geomid_ros.api.robot import DescribedRobot
     from geomid_ros.ros.excite.run import Order, Plan
+    from geomid_ros.session.configuration import Configuration
+    from geomid_ros.session.excitation import Excitation
 
 
 execute_option = click.option("--execute", is_flag=True, help="Move the robot; without it nothing moves.")
@@ -65,7 +74,8 @@ def run(
         if not execute:
             click.echo("\nNothing has moved. To run it, add --execute")
             return
-        bag = _free(out)
+        folders = (out / f"run{number}" for number in count(1))
+        bag = next(folder for folder in folders if not folder.exists())
         prepared.execute(bag, lambda said: click.echo(printable(said), err=True))
     click.echo(f"Recorded: {bag}")
     _identify(bag, identify)
@@ -103,20 +113,188 @@ def show_plan(order: Order, plan: Plan) -> None:
     )
 
 
-def _free(out: Path) -> Path:
-    """The first folder run1, run2 ... that is not there yet."""
-    number = 1
-    while (out / f"run{number}").exists():
-        number += 1
-    return out / f"run{number}"
-
-
 def _identify(bag: Path, at_once: bool) -> None:
     """Identify from a recording, or say how."""
     arguments = [str(bag), "--out", str(bag.with_name(f"{bag.name}_identified"))]
     if not at_once:
         click.echo(f"Next: geomid identify {shlex.join(arguments)}")
         return
-    from geomid_ros.commands.identify import identify
+    from geomid_ros.commands.recordings import identify
 
     identify.main(arguments, prog_name="geomid identify", standalone_mode=False)
+
+
+_FIRST = 0.2  # of the speed
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnOptions(MotionOptions, RunOptions):
+    """What all motions are asked for, and how they are run."""
+
+
+@click.command()
+@options_of(LearnOptions, without=("settle",))
+@click.option(
+    "--until",
+    default="5%",
+    show_default=True,
+    metavar="SHARE",
+    callback=share,
+    help="Stop when another round would lower the expected error by less than this.",
+)
+@click.option("--rounds", default=10, show_default=True, type=click.IntRange(1), help="Largest number of rounds.")
+@click.option("--yes", is_flag=True, help="Do not ask before each round.")
+@execute_option
+@click.option("--out", default=Path("geomid_out/learn"), **OUT)
+def learn(*, until: float, rounds: int, yes: bool, execute: bool, out: Path, **options: Any) -> None:
+    """Identify a robot in rounds: design, run, identify.
+
+    Each round designs a trajectory for what is still uncertain, runs it, and identifies from all recordings so far.
+    Stops when another round is not worth it (--until). Without --execute it only designs the first motion and prints
+    the plan. The first motion is designed for a fifth of the speed. Asks before each round, and writes its motion,
+    recording and result into a folder. Any stop of 'geomid excite run' ends the command, which then says how to
+    continue. Needs ROS 2.
+    """
+    from geomid_ros.api.excite import robot_to_excite
+
+    asked = LearnOptions(**options)
+    robot, chosen = robot_to_excite(asked)
+    if (out / "round1").exists():
+        raise InputError(f"{out / 'round1'} exists already; name another folder with --out")
+    learning = _LearningRounds(robot, chosen, asked, out)
+    for _ in range(rounds):
+        designed = learning.design()
+        if learning.found and designed.learning.gain < until:
+            click.echo(f"Stopped: {designed.not_worth(until)}")
+            break
+        learning.show(designed)
+        question = f"Run this motion ({learning.folder / 'motion.html'} plays it)?"
+        if execute and not yes and not click.confirm(question):
+            click.echo(f"Round {learning.number} was not run")
+            break
+        learning.run(designed, execute=execute)
+        if not execute:
+            click.echo("\nNothing has moved. To run it, add --execute")
+            return
+        learning.identify()
+    else:
+        click.echo(f"Stopped after {rounds} rounds (--rounds)")
+    learning.tell()
+
+
+@dataclass
+class _LearningRounds:
+    """What is known so far of a ``robot``.
+
+    Attributes:
+        chosen: the configuration at the beginning.
+        asked: what all motions are asked for, and how they are run.
+        out: folder of all rounds.
+        number: of the last round that was begun.
+        identified: of the last round whose recording counts.
+        found: after that round.
+    """
+
+    robot: DescribedRobot
+    chosen: Configuration
+    asked: LearnOptions
+    out: Path
+    number: int = 0
+    identified: int = 0
+    found: geomid_ros.Identification | None = None
+
+    @property
+    def folder(self) -> Path:
+        """Of the last round that was begun."""
+        return self.out / f"round{self.number}"
+
+    @property
+    def result(self) -> Path:
+        """Folder of what was identified last."""
+        return self.out / f"round{self.identified}"
+
+    def design(self) -> Excitation:
+        """The motion of the next round, from what is known so far."""
+        from geomid_ros.api.excite import designed_motion
+
+        speed, known = self.asked.speed, self.chosen
+        if self.found is None:
+            speed *= _FIRST
+        else:
+            known = known.with_values({"model": str(self.result / "estimate.json")})
+        with progress_bar() as progress:
+            asked = replace(self.asked, speed=speed, progress=progress)
+            return designed_motion(self.robot, known, asked).excitation
+
+    def show(self, designed: Excitation) -> None:
+        """Begin a round: write its motion, and say what to expect of it."""
+        from geomid_ros.report.excitation import save
+
+        self.number += 1
+        save(designed, self.folder)
+        form = designed.motion.form
+        click.echo(f"\nRound {self.number}: {form.repeats} x {form.period:g} s, in {self.folder}")
+        for sentence in designed.task.notes if self.number == 1 else ():
+            click.echo(printable(f"Note: {sentence}"))
+        click.echo(f"Expected error {designed.error}: {designed.learning.sentences[0]}")
+
+    def run(self, designed: Excitation, *, execute: bool) -> None:
+        """Say what will be done; to ``execute`` it, move and record.
+
+        Raises GeomidError, which says how to go on: what stops a motion was not expected, and somebody should look at
+        the robot before it moves again.
+        """
+        ros = ros_runs()
+        order = ros.Order(
+            motion=designed.trajectory,
+            source=str(self.folder / "trajectory.yaml"),
+            speed=1.0,
+            urdf=(self.robot.text, self.robot.source),
+            options=self.asked,
+        )
+        try:
+            with ros.prepared_run(order) as prepared:
+                show_plan(order, prepared.plan)
+                if execute:
+                    prepared.execute(self.folder / "recording", lambda said: click.echo(printable(said), err=True))
+        except GeomidError as error:
+            raise GeomidError(f"round {self.number}: {error}. {self._to_go_on}") from error
+
+    @property
+    def _to_go_on(self) -> str:
+        """What there is after a round that was stopped, and how to go on."""
+        if self.found is None:
+            return "Nothing is identified yet. To start again, repeat the command with another --out"
+        estimate = self.result / "estimate.json"
+        return (
+            f"The result so far is in {self.result}. To continue, repeat the command with --from {estimate} and "
+            "another --out"
+        )
+
+    def identify(self) -> None:
+        """Identify from all recordings."""
+        bags = [self.out / f"round{number}" / "recording" for number in range(1, self.number + 1)]
+        with progress_bar() as progress:
+            self.found = geomid_ros.identify(
+                bags,
+                self.robot.text,
+                config=self.chosen,
+                joint_topic=self.asked.joint_topic,
+                hold_out=0.0,
+                progress=progress,
+            )
+            command = shlex.join(["geomid", *sys.argv[1:]])
+            self.found.save(self.folder, progress=progress, command=command)
+        self.identified = self.number
+        masses = ", ".join(f"{link.name} {link.mass:.3f} ± {link.std_mass:.3f}" for link in self.found.links)
+        click.echo(printable(f"Masses after round {self.number} [kg]: {masses}"))
+
+    def tell(self) -> None:
+        """What was learned in the end. Raises SystemExit with the verdict's status."""
+        if self.found is None:
+            return
+        from geomid_ros.commands.recording_results import show_identification
+
+        show_identification(self.found)
+        click.echo(f"\nIdentified from {self.identified} rounds: {self.result / 'identified.urdf'}")
+        sys.exit(self.found.verdict.status)

@@ -28,12 +28,7 @@ from geomid_ros.files.models.effects_file import (
     payload_parameters,
     write_sidecar,
 )
-from geomid_ros.files.models.estimate_file import (
-    EstimateFile,
-    inertias_of,
-    link_entry,
-    verdict_entry,
-)
+from geomid_ros.files.models.estimate_file import EstimateFile, inertias_of, link_entry, verdict_entry
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.readers import ELEMENTS, READERS, URDF
 from geomid_ros.files.models.urdf import with_effects, with_inertials

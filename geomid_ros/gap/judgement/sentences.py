@@ -12,7 +12,7 @@ from geomid_ros.gap.candidates import Candidate, NamesFit, NamesPrior
 from geomid_ros.gap.result import Confidence
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.inference.prior import GAIN
-from geomid_ros.model.effects import AtSensor, Effect, OnLink, Quantity, Values
+from geomid_ros.model.effects import AtSensor, Effect, Quantity, Values
 from geomid_ros.model.effects.parameters import quantities
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
@@ -31,10 +31,7 @@ def parameters(
     values = np.array([found.value(term) for term in candidate.terms])
     places = [found.place(term) for term in candidate.terms]
     covariance = found.covariance[np.ix_(places, places)]
-    if isinstance(candidate.place, AtSensor):
-        return _of_sensor(model, candidate.effect, candidate.place, values, covariance)
-    sliding = model.places.slides(candidate.place)
-    return candidate.effect.quantities(values, covariance, sliding=sliding, unsure=unsure, usual_load=usual_load)
+    return _quantities(model, candidate, values, covariance, unsure, usual_load)
 
 
 def known_before(model: MeasurementModel, prior: NamesPrior, candidate: Candidate, usual_load: float = 0.0) -> Values:
@@ -42,11 +39,7 @@ def known_before(model: MeasurementModel, prior: NamesPrior, candidate: Candidat
     if not candidate.terms or not set(candidate.terms) <= set(prior.terms):
         return {}
     values = np.array([prior.value(term) for term in candidate.terms])
-    if isinstance(candidate.place, AtSensor):
-        found = _of_sensor(model, candidate.effect, candidate.place, values, np.diag(np.zeros(len(values))))
-    else:
-        sliding, exact = model.places.slides(candidate.place), np.diag(np.zeros(len(values)))
-        found = candidate.effect.quantities(values, exact, sliding=sliding, unsure=0.0, usual_load=usual_load)
+    found = _quantities(model, candidate, values, np.diag(np.zeros(len(values))), 0.0, usual_load)
     return {name: quantity.value for name, quantity in found.items()}
 
 
@@ -77,22 +70,31 @@ def first_moment(found: NamesFit, candidate: Candidate) -> dict[str, Quantity]:
     values, covariance = _payload(found, candidate.payload)
     derivative = np.column_stack([values[1:4], values[0] * np.eye(3)])
     stds = np.sqrt(np.diag(derivative @ covariance[:4, :4] @ derivative.T))
-    moment = zip("xyz", values[0] * values[1:4], stds, strict=True)
-    return {f"m {axis}": Quantity(float(value), float(std), "kg m") for axis, value, std in moment}
+    return moment_of(values[0] * values[1:4], stds)
 
 
-def _of_sensor(
-    model: MeasurementModel, effect: Effect, place: AtSensor, values: FloatArray, covariance: FloatArray
+def moment_of(values: FloatArray, stds: FloatArray) -> dict[str, Quantity]:
+    """A first moment ``(3,)`` [kg m] with its standard deviations, by axis."""
+    sizes = zip("xyz", values.tolist(), stds.tolist(), strict=True)
+    return {f"m {axis}": Quantity(value, std, "kg m") for axis, value, std in sizes}
+
+
+def _quantities(
+    model: MeasurementModel,
+    candidate: Candidate,
+    values: FloatArray,
+    covariance: FloatArray,
+    unsure: float,
+    usual_load: float,
 ) -> dict[str, Quantity]:
-    """One parameter for each axis that the sensor measures."""
+    """Those of coefficients with these values; of a sensor one parameter for each axis that it measures."""
+    effect, place = candidate.effect, candidate.place
+    if not isinstance(place, AtSensor):
+        sliding = model.places.slides(place)
+        return effect.quantities(values, covariance, sliding=sliding, unsure=unsure, usual_load=usual_load)
     forms = {form.name: form for form in effect.own}
     measured = [forms[model.channels[channel].axis] for channel in place.channels]
     return quantities(measured, zip(values, np.sqrt(np.diag(covariance)), strict=True))
-
-
-def link_name(model: MeasurementModel, candidate: Candidate) -> str:
-    """The link that carries a payload, or empty."""
-    return model.body_names[candidate.place.link] if isinstance(candidate.place, OnLink) else ""
 
 
 def sentence(

@@ -1,23 +1,25 @@
-"""What may be said of an analysis: its findings, and whether anything is left without a name."""
+"""What may be said of an analysis: its findings, the links that changed, and what is left without a name."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from geomid_ros.estimation.estimate import is_told
 from geomid_ros.gap.analysis import Analysis
-from geomid_ros.gap.candidates import Candidate, NamesFit
+from geomid_ros.gap.candidates import ODDS, Candidate, NamesFit, NamesPrior
 from geomid_ros.gap.judgement import sentences
 from geomid_ros.gap.judgement.held_out import HeldOut, strongest
-from geomid_ros.gap.result import Finding, Ranked, Rival, Unexplained, Verdict, confidence_of
+from geomid_ros.gap.result import LIKELY, Finding, LinkChange, Ranked, Rival, Unexplained, Verdict, confidence_of
 from geomid_ros.inference.fit import fit, scattered
-from geomid_ros.inference.probability import probability_of_square
+from geomid_ros.inference.probability import probability_of_square, relative_doubt
 from geomid_ros.inference.rao_score import score_test
 from geomid_ros.model.effects import EFFECTS, Quantity, Values
+from geomid_ros.model.effects.situation import OnLink
 from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.types import FloatArray
 
 _NEAR = 20.0  # in minus twice a logarithm: rivals that are less likely than one in ten thousand are not worth a word
 _MOST_OF_IT = 0.5  # of a channel's squares
@@ -34,7 +36,7 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     search, names, support = analysis.search, analysis.names, analysis.supports[candidate]
     without = search.without(names, candidate)
     rivals = [Rival(c.name, model.places.name(c.place), loss) for c, loss in support.rivals if loss < _NEAR]
-    joint, link = model.places.name(candidate.place), sentences.link_name(model, candidate)
+    joint, link = model.places.name(candidate.place), model.places.link(candidate.place)
     load = analysis.problem.situation.usual_load(candidate.place) if candidate.effect.scanned else 0.0
     parameters = sentences.parameters(model, sized, candidate, _scanned_std(analysis, candidate), load)
     was = sentences.known_before(model, search.prior, candidate, load)
@@ -151,3 +153,73 @@ def ranking(
         if np.isfinite(t.gain)
     ]
     return (*chosen, *others[:20])
+
+
+_LEAST = 0.05  # of the mass
+_HELD = 0.1  # of the usual spread: so little a link may change to be as it was
+
+
+def changed_links(model: MeasurementModel, analysis: Analysis) -> tuple[LinkChange, ...]:
+    """The links whose mass has changed, without payloads, the one that matters most first; and the one that explains
+    best what contradicts other recordings, if its first moment has.
+
+    A change that another link can take over, as that of a link which hardly moves alone, is none.
+    """
+    return tuple(sorted(_changes(model, analysis), key=lambda change: -change.loss))
+
+
+def _changes(model: MeasurementModel, analysis: Analysis) -> Iterator[LinkChange]:
+    names, search = analysis.names, analysis.search
+    covariance = scattered(search.design, names).covariance
+    nominal, stds = search.prior.inertias.reshape(-1, 10), np.sqrt(np.diag(covariance))
+    prior = with_given_spreads(search.prior, names.inflation)
+    free = fit(search.design, prior, names.chosen, names, names.spreads).score
+    for link, was in enumerate(nominal):
+        change = names.inertias[link] - was
+        doubt = relative_doubt(search.design, names, link, change)
+        std = np.hypot(stds[10 * link : 10 * link + 10], doubt * change)
+        told, moment, centre = (change / std)[:1], {}, {}
+        if abs(change[0]) < _LEAST * was[0] or link == search.prior.changed_link:
+            if link != search.prior.changed_link:
+                continue
+            if abs(told[0]) < np.max(np.abs(change / std)[1:4]):
+                told, moment = (change / std)[1:4], sentences.moment_of(change[1:4], std[1:4])
+        if search.prior.identified and not moment:
+            own = slice(10 * link, 10 * link + 4)
+            centre = _centre(change, covariance[own, own])
+        if names.inertias[link, 0] > np.sum(nominal[:, 0]):  # as no payload outweighs the robot, no link does
+            continue
+        spreads = names.spreads.copy()
+        spreads[link] = _HELD * search.prior.spread
+        loss = fit(search.design, prior, names.chosen, names, spreads).score - free
+        # The link may have changed, and not its mass.
+        against = np.exp(-0.5 * min(loss, float(np.max(told**2)), 1e3)) / ODDS
+        against += analysis.contested if link == search.prior.changed_link else 0.0
+        probability = float(1.0 / (1.0 + against))
+        if probability >= LIKELY:
+            body = model.robot.bodies[model.identified[link]]
+            yield LinkChange(
+                link=body.name,
+                joint=model.places.name(OnLink(link, model.places.mover(body.name))),
+                mass=Quantity(float(change[0]), float(std[0]), "kg"),
+                was=float(was[0]),
+                loss=loss,
+                probability=probability,
+                moment=moment,
+                centre=centre,
+            )
+
+
+def _centre(change: FloatArray, covariance: FloatArray) -> dict[str, Quantity]:
+    """That of the mass by which a link's parameters have a ``change (10,)``; of mass and first moment the
+    ``covariance (4, 4)``."""
+    centre = change[1:4] / change[0]
+    derivative = np.column_stack([-centre, np.eye(3)]) / change[0]
+    stds = np.sqrt(np.diag(derivative @ covariance @ derivative.T))
+    return {axis: Quantity(float(value), float(std), "m") for axis, value, std in zip("xyz", centre, stds, strict=True)}
+
+
+def with_given_spreads(prior: NamesPrior, inflation: float) -> NamesPrior:
+    """A prior under which scores of fits with given spreads can be compared: nothing is said of the spreads, and other
+    recordings are trusted as far as they were found to be right."""
+    return replace(prior, certainty=0.0, known=prior.known and prior.known.trusted(inflation))

@@ -16,8 +16,7 @@ from geomid_ros.gap.candidates import CLEARLY, Candidate, EffectTerm, NamesFit, 
 from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.evidence.record import Records, TotalModel
 from geomid_ros.gap.judgement import sentences
-from geomid_ros.gap.judgement.changed_links import with_given_spreads
-from geomid_ros.gap.judgement.verdict import beside_remainder, probability_by_size
+from geomid_ros.gap.judgement.verdict import beside_remainder, probability_by_size, with_given_spreads
 from geomid_ros.gap.result import LIKELY, Finding, LinkChange
 from geomid_ros.geometry.definite import Packed
 from geomid_ros.inference.design import Design
@@ -211,10 +210,7 @@ def _as_given(prior: NamesPrior, sure: Sequence[Candidate]) -> NamesPrior:
 
 
 def _findings_as_written(
-    model: MeasurementModel,
-    analysis: Analysis,
-    found: NamesFit,
-    findings: Sequence[tuple[Candidate, Finding]],
+    model: MeasurementModel, analysis: Analysis, found: NamesFit, findings: Sequence[tuple[Candidate, Finding]]
 ) -> Iterator[Finding]:
     """A sure name that is impossible without the unsure ones is no surer than the likeliest of these, and none is sure
     of which the size that is written may be nothing."""

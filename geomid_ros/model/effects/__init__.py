@@ -1,8 +1,10 @@
-"""Physical effects, one class each: what is in the files of :data:`_FILES` is known everywhere."""
+"""Physical effects, one class each: what the files of this folder define is known everywhere."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from importlib import import_module
+from pkgutil import iter_modules
 
 from geomid_ros.errors import unknown_name
 from geomid_ros.model.effects.effect import Effect as Effect
@@ -55,22 +57,15 @@ DEFAULT_CANDIDATES = (
 )
 """Names of the effects that are identified where the data ask for them, unless the user says otherwise."""
 
-_FILES = (
-    "viscous_friction",
-    "rotor_inertia",
-    "effort_offset",
-    "spring",
-    "dry_friction",
-    "effort_gain",
-    "soft_gears",
-    "effort_delay",
-    "gravity_tilt",
-    "payload",
-    "sensor_errors",
-    "other_friction",
-    "coupled_motor",
+_FIRST = (
+    *("viscous_friction", "rotor_inertia", "effort_offset", "spring"),
+    *("coulomb_friction", "stribeck_friction", "load_friction", "effort_gain"),
+    *("joint_elasticity", "backlash", "effort_delay", "gravity_tilt"),
+    *("payload", "wrench_offset", "imu_offset", "command_delay"),
+    *("saturating_friction", "quadratic_friction", "presliding", "coupled_viscous_friction"),
+    *("coupled_coulomb_friction", "coupled_rotor_inertia"),
 )
-"""The files of effects, in the order in which they are tried; those of a family are in one."""
+"""The order in which effects are tried: these, then those of other files."""
 
 EFFECTS: dict[str, type[Effect]] = {}
 """All effects, by name, in the order in which they are tried."""
@@ -90,12 +85,17 @@ def register(effect: type[Effect]) -> type[Effect]:
     return effect
 
 
-for _file in _FILES:
-    _module = import_module(f"geomid_ros.model.effects.{_file}")
-    for _class in vars(_module).values():
-        own = isinstance(_class, type) and _class.__module__ == _module.__name__
-        if own and issubclass(_class, Effect) and hasattr(_class, "name"):
-            register(_class)
+def _defined() -> Iterator[type[Effect]]:
+    """The effects that the files of this folder define."""
+    for file in sorted(own.name for own in iter_modules(__path__)):
+        module = import_module(f"geomid_ros.model.effects.{file}")
+        for cls in vars(module).values():
+            if isinstance(cls, type) and cls.__module__ == module.__name__ and issubclass(cls, Effect):
+                yield from [cls] if hasattr(cls, "name") else []
+
+
+for _effect in sorted(_defined(), key=lambda cls: _FIRST.index(cls.name) if cls.name in _FIRST else len(_FIRST)):
+    register(_effect)
 
 
 def effect_class(name: str) -> type[Effect]:

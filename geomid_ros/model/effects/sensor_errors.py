@@ -1,4 +1,4 @@
-"""Constant errors of wrench sensors and IMUs, and commands that act late."""
+"""Errors of effort sensors, wrench sensors and IMUs, and commands that act late."""
 
 from __future__ import annotations
 
@@ -6,10 +6,113 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from geomid_ros.model.effects.effect import MotionEffect, SensorEffect
-from geomid_ros.model.effects.parameters import ParameterForm, Values
-from geomid_ros.model.effects.situation import Motion, Place
+from geomid_ros.model.effects.effect import Effect, JointEffect, MotionEffect, SensorEffect, SituationEffect
+from geomid_ros.model.effects.parameters import EFFORT, ParameterForm, Quantities, Values
+from geomid_ros.model.effects.situation import JointMotion, Motion, Place, Situation, joint_of
 from geomid_ros.types import FloatArray
+
+
+class EffortOffset(JointEffect):
+    """A constant error of the effort measurement."""
+
+    name = "effort_offset"
+    label = "an offset of the measured effort"
+    meaning = "measured effort = true + offset; with a gain, gain (true + offset)"
+    parameters = (ParameterForm("offset", EFFORT),)
+    like_a_payload = True
+    of_sensor = True
+    # Gravity is of the same form where a joint turns little: a wider prior lets an offset stand in for a mass.
+    expected_share = 0.05
+    settled_by = "a recording in which gravity loads the joint in both directions"
+
+    def column(self, motion: JointMotion) -> FloatArray:
+        return np.ones_like(motion.velocity)
+
+    @classmethod
+    def effort_shift(cls, values: Values) -> float:
+        """The offset."""
+        return values["offset"]
+
+    def unsaid_efforts(self, values: Values, motion: Motion, place: Place) -> float:  # noqa: ARG002
+        """It is an error of the sensor, no effort."""
+        return 0.0
+
+
+_USED = (-0.7, 2.0)  # errors of scale at which a model may be built
+
+
+class EffortGain(SituationEffect):
+    """An effort sensor's error of scale: measured ``(1 + c)`` times the true effort."""
+
+    name = "effort_gain"
+    label = "a wrong gain of the measured effort"
+    meaning = "measured effort = gain (true + offset)"
+    parameters = (ParameterForm("gain", ("-", "-"), above=0.0),)
+    settled_by = "the same motion with a known payload"
+    adds_up = False
+    like_a_payload = True
+    absorbed = True
+    usual = (0.1,)
+    scales_measurement = True
+    corrected_in_samples = True
+
+    def is_absurd(self, coefficients: FloatArray) -> bool:
+        """Whether a model may not be built there."""
+        return bool(np.any(coefficients != self.linearised_at(coefficients)))
+
+    def linearised_at(self, coefficients: FloatArray) -> FloatArray:
+        return np.clip(coefficients, *_USED)
+
+    def columns(self, situation: Situation, place: Place) -> FloatArray:
+        joint = joint_of(place)
+        return situation.column_of(joint, situation.predicted[:, joint])
+
+    def transformed(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The gain."""
+        return 1.0 + coefficients, np.eye(1)
+
+    @classmethod
+    def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:  # noqa: ARG003
+        """The gain's distance from 1."""
+        return {cls(): (values["gain"] - 1.0,)}
+
+    @classmethod
+    def together(cls, first: Quantities, second: Quantities) -> Quantities:
+        """Gains are multiplied."""
+        return {"gain": second["gain"].scaled(first["gain"].value)}
+
+    @classmethod
+    def effort_scale(cls, values: Values) -> float:
+        """The gain."""
+        return values["gain"]
+
+
+class EffortDelay(SituationEffect):
+    """All efforts are measured too late by c [s]: measured(t) = true(t - c).
+
+    It is told from what the rigid bodies need. Dry friction follows a reversal later than any function of the speed
+    says (pre-sliding), and by its large steps passes for a delay of some milliseconds.
+    """
+
+    name = "effort_delay"
+    label = "a delay between efforts and motion"
+    meaning = "measured effort(t) = true(t - delay), at all joints"
+    parameters = (ParameterForm("delay", ("s", "s"), above=-1.0, below=1.0),)
+    settled_by = "faster motions"
+    place = "robot"
+    far = (2e-3,)
+    absorbed = True
+    largest = 0.2  # [s]
+    corrected_in_samples = True
+
+    def columns(self, situation: Situation, place: Place) -> FloatArray:  # noqa: ARG002  # all joints alike
+        joints = slice(situation.load.shape[1])
+        return situation.column_of(joints, -situation.load_rate)
+
+    @classmethod
+    def effort_lag(cls, values: Values) -> float:
+        """The delay."""
+        return values["delay"]
 
 
 class WrenchOffset(SensorEffect):

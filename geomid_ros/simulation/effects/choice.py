@@ -197,7 +197,7 @@ def chosen_effects(options: SimulationOptions, robot: Description) -> tuple[True
 
 def _everyday(options: SimulationOptions, joint: UrdfLimits, rng: np.random.Generator) -> Iterable[TrueEffect]:
     viscous, dry, rotor, offset = rng.uniform(0.5, 1.5, 4).tolist()
-    sign = -1.0 if rng.uniform() < 0.5 else 1.0
+    sign = _sign(rng)
     slowness = joint.effort / joint.velocity
     for name, parameter, value in (
         ("viscous_friction", "coefficient", viscous * options.viscous_friction * slowness),

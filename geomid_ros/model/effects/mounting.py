@@ -1,16 +1,19 @@
+"""How the robot is mounted, and what its links carry."""
+
 from __future__ import annotations
 
 import math
 
 import numpy as np
 
-from geomid_ros.model.effects.effect import SituationEffect
-from geomid_ros.model.effects.parameters import ParameterForm, Values
+from geomid_ros.geometry.pseudo_inertia import INERTIA_NAMES
+from geomid_ros.model.effects.effect import Effect, SituationEffect
+from geomid_ros.model.effects.parameters import COM_ENTRIES, ParameterForm, Values
 from geomid_ros.model.effects.situation import Place, Situation
 from geomid_ros.types import FloatArray
 
 _NAMES = ("tilt_x", "tilt_y")
-_STEP = 1e-6  # [rad]
+_TILT_STEP = 1e-6  # [rad]
 
 
 class GravityTilt(SituationEffect):
@@ -34,8 +37,8 @@ class GravityTilt(SituationEffect):
 
     def columns(self, situation: Situation, place: Place) -> FloatArray:
         tilt = situation.coefficients.get((self.name, place), np.zeros(2))
-        ends = [[_turned(situation.gravity, tilt + sign * step) for sign in (1, -1)] for step in _STEP * np.eye(2)]
-        slopes = np.array([(ahead - behind) / (2.0 * _STEP) for ahead, behind in ends])
+        ends = [[_turned(situation.gravity, tilt + sign * step) for sign in (1, -1)] for step in _TILT_STEP * np.eye(2)]
+        slopes = np.array([(ahead - behind) / (2.0 * _TILT_STEP) for ahead, behind in ends])
         return np.asarray(situation.by_gravity @ slopes.T)
 
     @classmethod
@@ -55,3 +58,29 @@ def _turned(gravity: FloatArray, tilt: FloatArray) -> FloatArray:
         - np.sin(angle) * np.cross(axis, gravity)
         + (1.0 - np.cos(angle)) * (axis @ gravity) * axis
     )
+
+
+_URDF, _MJCF = "link/inertial", "body/inertial"
+
+
+class CarriedBody(Effect):
+    """A body that a link carries; it is fitted as the bodies are, on its own pseudo-inertia."""
+
+    name = "payload"
+    label = "a payload"
+    meaning = "a rigid body fixed to the link, in its frame; its inertia is about its centre of mass"
+    parameters = (
+        ParameterForm("mass", ("kg", "kg"), above=0.0, urdf=_URDF, mjcf=_MJCF),
+        *(ParameterForm(name, ("m", "m"), urdf=_URDF, mjcf=_MJCF) for name in COM_ENTRIES),
+        *(ParameterForm(name, ("kg m^2", "kg m^2"), optional=True, urdf=_URDF, mjcf=_MJCF) for name in INERTIA_NAMES),
+    )
+    said_first = 4
+    settled_by = "the same motion with and without the payload, or a wrench sensor that carries the link"
+    place = "link"
+    like_a_payload = True
+    adds_up = False
+
+    @property
+    def parts(self) -> tuple[Effect, ...]:
+        """None: its body has no coefficients."""
+        return ()

@@ -1,0 +1,293 @@
+"""What was found in recordings, as tables: an identification, a gap, a fleet."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.table import Table
+
+import geomid_ros
+from geomid_ros.checks.verdict import USABLE, recording_verdict
+from geomid_ros.commands.terminal import (
+    lines,
+    number_columns,
+    plain_table,
+    print_remarks,
+    print_verdict,
+    results_console,
+    say,
+)
+from geomid_ros.estimation.estimate import EffectEstimate, LinkEstimate, WeighedEstimate
+from geomid_ros.estimation.uncertain_inertia import QUANTITIES
+from geomid_ros.exports.handover import JudgedFile
+from geomid_ros.files.models.effects_file import is_coefficient
+from geomid_ros.files.models.estimate_file import EstimateFile
+from geomid_ros.gap.result import GapResult
+from geomid_ros.model.effects import EFFECTS, KnownEffect
+from geomid_ros.report import gap_words, result_pages
+from geomid_ros.resimulation.resimulate import Resimulated
+from geomid_ros.signals.ledger import Account
+
+if TYPE_CHECKING:
+    from geomid_ros.resimulation.closed_loop import Tracking
+
+
+_MOST_REASONS = 5
+
+
+def _print_messages(console: Console, topics: Mapping[str, Account]) -> None:
+    """Print of each topic how many messages were used, and why others were not."""
+    for topic, account in topics.items():
+        refused = account.rejected + account.dropped
+        reasons = "".join(f"; {count} {reason}" for reason, count in refused.most_common(_MOST_REASONS))
+        noted = "".join(f"; noted: {remark} ({count})" for remark, count in account.noted.most_common(_MOST_REASONS))
+        say(console, "", f"{topic}: {account.accepted} of {account.received} messages used{reasons}{noted}")
+
+
+def show_identification(found: geomid_ros.Identification) -> None:
+    """Print links, effects and how well each channel is predicted, as estimate.json has them."""
+    console, file = results_console(), EstimateFile.of(found.document, "estimate.json")
+    links = file.link_estimates
+    state = "converged" if file.converged else f"NOT converged ({file.reason})"
+    print_verdict(console, file.judgement, file.warnings, file.notes)
+    _print_messages(console, file.messages)
+    console.print(f"{file.rows.accepted} rows, {state} in {file.seconds:.1f} s, prior weight {file.gamma:.1e}")
+    console.print("In the tables ± is one standard deviation.")
+    console.print(_links_table(file, links))
+    if file.judgement.word == USABLE:
+        say(console, "", " ".join(result_pages.identified(links)))
+    if file.known:
+        console.print(_known_table(file.known))
+    of_joints = _at_every_joint(file.effect_estimates)
+    if of_joints:
+        console.print(_joint_effects_table(of_joints))
+    said = {(effect.name, effect.joint) for effect in of_joints}
+    others = [e for e in file.known_effects if (e.effect, e.joint) not in said or not is_coefficient(e)]
+    if others:
+        console.print(_other_effects_table(others))
+    console.print(_errors_table(file))
+    if found.tracking is not None:
+        say(console, "Closed loop:", f" {_tracking(found.tracking, file.description)}")
+
+
+def _tracking(tracking: Tracking, name: str) -> str:
+    if tracking.skipped:
+        return f"not simulated: {tracking.skipped}"
+    worst = max(tracking.rms, key=lambda joint: tracking.rms[joint])
+    return (
+        f"simulated under the recorded commands, {name} deviates from the measured positions by {tracking.total:.4f} "
+        f"rad (m), RMS of {len(tracking.rms)} joints; the largest is '{worst}', {tracking.rms[worst]:.4f}"
+    )
+
+
+def _links_table(file: EstimateFile, links: Sequence[LinkEstimate]) -> Table:
+    """Mass, centre of mass, their standard deviations and where they came from."""
+    table = plain_table("Links")
+    table.add_column("\nlink", overflow="fold", min_width=14)
+    headings = ("mass [kg]\nURDF", "\nidentified", "centre of\nmass [m]", "from\ndata", "dist. to\nprior")
+    number_columns(table, headings)
+    table.add_column("not\nidentified", min_width=10)
+    for link in links:
+        names = lines([link.name, *(f"+ {name}" for name in link.merged)])
+        masses = f"{file.urdf_masses[link.name]:.3f}", f"{link.mass:.3f} ± {link.std_mass:.3f}"
+        com = lines(f"{c:+.3f} ± {s:.3f}" for c, s in zip(link.com, link.std_com, strict=True))
+        shares = f"{100 * link.from_data:.0f} %", f"{link.distance_from_prior:.2f}"
+        untold = [name for name in QUANTITIES if name not in link.identified]
+        table.add_row(names, *masses, com, *shares, result_pages.cannot_tell(untold))
+    return table
+
+
+def _known_table(weighed: Sequence[WeighedEstimate]) -> Table:
+    table = plain_table("Weighed masses", ["what"], ["weighed [kg]", "identified [kg]", "difference [std weighed]"])
+    for known in weighed:
+        table.add_row(
+            known.name,
+            f"{known.given:.3f} ± {known.given_std:.3f}",
+            f"{known.mass:.3f} ± {known.std:.3f}",
+            f"{(known.mass - known.given) / known.given_std:+.1f}",
+        )
+    return table
+
+
+def _at_every_joint(effects: Sequence[EffectEstimate]) -> list[EffectEstimate]:
+    """The effects of one number that most joints have, for a table with a row for each joint."""
+    kinds = {name: EFFECTS[name] for name in {effect.name for effect in effects}}
+    of_joints = [e for e in effects if kinds[e.name].place == "joint" and kinds[e.name].is_one_number()]
+    joints, counts = {effect.joint for effect in of_joints}, Counter(effect.name for effect in of_joints)
+    return [effect for effect in of_joints if 2 * counts[effect.name] > len(joints)]
+
+
+def _other_effects_table(effects: Sequence[KnownEffect]) -> Table:
+    """Those of several parameters, those at other places, and those that hold as the model says them."""
+    table = plain_table("Other effects", ["effect", "where", "parameter"], ["value"])
+    for effect in effects:
+        names = lines(name.replace("_", " ") for name in effect.parameters)
+        values = lines(map(gap_words.measured, effect.parameters.values()))
+        table.add_row(gap_words.headline(effect.effect), gap_words.place(effect.joint), names, values)
+    return table
+
+
+def _joint_effects_table(effects: Sequence[EffectEstimate]) -> Table:
+    """An empty cell where a joint does not have an effect that others have, or has it with the usual constant."""
+    joints = list(dict.fromkeys(effect.joint for effect in effects))
+    columns: dict[str, dict[str, str]] = {}
+    for effect in effects:
+        (_, own), *constants = effect.parameters.items()
+        first, _, second = effect.name.partition("_")
+        columns.setdefault(f"{first}\n{second}\n[{own.unit}]", {})[effect.joint] = f"{own.value:.3g} ± {own.std:.1g}"
+        for name, constant in constants:
+            columns.setdefault(f"{first}\n{name}\n[{constant.unit}]", {})[effect.joint] = f"{constant.value:g}"
+    table = plain_table("Joint effects", ["joint"], list(columns))
+    for joint in joints:
+        table.add_row(joint, *(cells.get(joint, "") for cells in columns.values()))
+    return table
+
+
+def _errors_table(file: EstimateFile) -> Table:
+    """RMS per channel of the URDF, of the estimate, and of the written file alone and with the offsets beside it."""
+    headings = ["unit", "URDF", "identified", "explained", f"{file.description}\nalone", "with sensor\noffsets"]
+    table = plain_table(f"RMS of the residual on {file.judged_on}", ["channel"], headings)
+    for row in file.channels:
+        share = f"{100.0 * (1.0 - row.ratio):.0f} %" if math.isfinite(row.ratio) else ""
+        errors = [f"{error:.3g}" for error in (row.urdf, row.identified, row.file, row.file_with_offsets)]
+        table.add_row(row.channel, row.unit, *errors[:2], share, *errors[2:])
+    return table
+
+
+_BAR = 24  # characters
+_AFTER, _INERTIAS, _BEFORE = "█", "▓", "░"
+
+
+def show_gap(found: geomid_ros.Gap) -> None:
+    """Print the verdict, what was found, the gap of every channel, candidates, and what to record next."""
+    console = results_console()
+    result, review = found.result, found.session.review
+    print_verdict(console, recording_verdict(review.findings), review.warnings(), found.session.notes)
+    say(console, result.verdict.upper(), f"  {gap_words.verdict_sentence(result)}")
+    for sentence in gap_words.in_short(result):
+        say(console, "", sentence)
+    if result.findings:
+        console.print(_findings_table(result))
+    for sentence in (*gap_words.of_every_joint(result), *_sentences(result)):
+        say(console, "", sentence)
+    console.print(_gaps_table(result))
+    _print_file(console, found.handover)
+    for simulation in found.simulated:
+        console.print(_simulated_table(simulation))
+    if found.not_simulated:
+        say(console, "No resimulation", f"  {found.not_simulated}")
+    if result.ranking and result.verdict != "no gap":
+        console.print(_candidates_table(result))
+    record = gap_words.to_record(result)
+    if record:
+        say(console, "Next recording", "")
+        for what in record:
+            say(console, "", f"- {what}")
+
+
+def _print_file(console: Console, judged: JudgedFile | None) -> None:
+    """Print how well the written description predicts, and where it does worse than the given one."""
+    if judged is None:
+        return
+    say(console, "", judged.sentence)
+    for sentence in judged.worse:
+        say(console, "DOUBTFUL", f"  {sentence}")
+    for sentence in judged.limited:
+        say(console, "Warning", f"  {sentence}")
+
+
+def _findings_table(result: GapResult) -> Table:
+    table = plain_table("Findings (confident ones are in the written model)", ["effect", "where"])
+    table.add_column("parameter", no_wrap=True)
+    number_columns(table, ["value"])
+    table.add_column("probability", no_wrap=True)
+    number_columns(table, ["closes"])
+    for finding in result.findings:
+        names = lines(name.replace("_", " ") for name in finding.parameters)
+        values = lines(map(gap_words.measured, finding.parameters.values()))
+        where = gap_words.place(finding.joint, finding.link)
+        probability = f"{gap_words.percent(finding.probability):>5}, {finding.confidence}"
+        closes = gap_words.percent(finding.share)
+        table.add_row(gap_words.headline(finding.effect), where, names, values, probability, closes)
+    return table
+
+
+def _sentences(result: GapResult) -> Iterator[str]:
+    """One of each finding, with its rivals where there are any to choose from; of many findings only of these."""
+    few = len(result.findings) <= gap_words.MOST_LISTED
+    for finding in result.findings:
+        rivals = [gap_words.compared(rival) for rival in finding.rivals[: gap_words.MOST_LISTED]]
+        ambiguous = finding.confidence == "ambiguous" and rivals
+        if few or ambiguous:
+            yield f"{finding.sentence}{' Rivals: ' + ', '.join(rivals) + '.' if ambiguous else ''}"
+
+
+def _gaps_table(result: GapResult) -> Table:
+    headings = ["\nfloor", "\nnominal", "inertias\nonly", "written\nmodel", "moving\nalone", "moving,\nexpected"]
+    title = "Gap on all held-out samples, in units of the noise floor (no model can do better than 1)"
+    table = plain_table(title, ["\nchannel"], headings)
+    table.add_column(f"gap above the floor, logarithmic\n{_AFTER} after {_INERTIAS} inertias only {_BEFORE} nominal")
+    gaps = (result.gap.before, result.gap.inertias_only, result.gap.after)
+    end = max(2.0, *(gap_words.worst(values) for values in gaps))
+    for k, (name, unit, floor) in enumerate(zip(result.channels, result.units, result.corrected_floor, strict=True)):
+        before, inertias, after = (float(values[k]) for values in gaps)
+        if math.isfinite(before):
+            moving = float(result.moving[k]), float(result.gap.expected[k])
+            numbers = (gap_words.ratio(value) for value in (before, inertias, after, *moving))
+            table.add_row(name, f"{floor:.2g} {unit}", *numbers, _bar(before, inertias, after, end))
+    return table
+
+
+def _bar(before: float, inertias: float, after: float, end: float) -> str:
+    """Three bars in one line, the shortest in front."""
+    bars = ((after, _AFTER), (inertias, _INERTIAS), (before, _BEFORE))
+    lengths = sorted((_length(value, end), mark) for value, mark in bars)
+    return "".join(mark * (length - shorter) for (shorter, _), (length, mark) in pairwise([(0, ""), *lengths]))
+
+
+def _length(value: float, end: float) -> int:
+    return round(_BAR * math.log(max(value, 1.0)) / math.log(end)) if math.isfinite(value) else 0
+
+
+def _simulated_table(simulation: Resimulated) -> Table:
+    how = {"windows": "in short windows", "closed_loop": "in closed loop"}[simulation.kind]
+    table = plain_table(f"Resimulation {how}\n(error in units of the noise)", ["channel"], ["before", "after"])
+    for name, before in simulation.before.items():
+        table.add_row(name, gap_words.ratio(before), gap_words.ratio(simulation.after[name]))
+    return table
+
+
+def _candidates_table(result: GapResult) -> Table:
+    table = plain_table("Candidates, best first", ["candidate"], ["score gain", "separable", "chosen"])
+    for entry in result.ranking[: gap_words.MOST_CANDIDATES]:
+        chosen = "yes" if entry.chosen else ""
+        table.add_row(gap_words.title(entry), f"{entry.gain:.1f}", gap_words.percent(entry.separability), chosen)
+    return table
+
+
+def show_fleet(found: geomid_ros.FleetIdentification) -> None:
+    """Print a table of the robots, and the bags that were bad."""
+    console = results_console()
+    table = plain_table(f"{len(found.lines)} robots", ["robot"], ["bags", "mass [kg]", "distance"])
+    for heading in ("verdict", "differs from the others", "changed"):
+        table.add_column(heading)
+    for line in found.lines:
+        numbers = ("" if number is None else f"{number:.2f}" for number in (line.mass, line.distance))
+        remarks = (line.verdict, lines(line.unlike), lines(line.changed))
+        table.add_row(line.name, f"{line.used} of {line.bags}", *numbers, *remarks)
+    console.print(table)
+    for line in found.lines:
+        print_remarks(console, {line.name: line.reasons})
+    print_remarks(
+        console,
+        {
+            "Bad bag": [why if bag in why else f"{bag}: {why}" for bag, why in found.bad],
+            "Doubtful bag": [f"{bag}: {what}" for bag, what in found.doubtful],
+        },
+    )
+    console.print(f"\nWritten: {', '.join(map(str, found.files))}")

@@ -1,1 +1,0 @@
-"""A robot as robots are."""
