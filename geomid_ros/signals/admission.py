@@ -16,6 +16,7 @@ from typing import TypeAlias
 import numpy as np
 
 from geomid_ros.signals.arrived import NOTHING, Arrived
+from geomid_ros.signals.clocks import steps
 from geomid_ros.signals.ledger import Reason
 from geomid_ros.signals.messages import JOINT_STATES
 from geomid_ros.signals.settings import PATIENCE
@@ -148,11 +149,6 @@ class Gate:
             if count == (_TO_CONFIRM_A_RESET if back else FEW):
                 return real
         return None if not whole else wrong if back and count == 1 else real
-
-
-def steps(stamps: IntArray, before: int) -> IntArray:
-    """The steps to stamps ``(N,)``, the first one from the stamp ``before``."""
-    return np.diff(stamps, prepend=before)
 
 
 class Admission:

@@ -8,6 +8,8 @@ on a line through the last ones.
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 
 from geomid_ros.model.samples import STILL
@@ -15,6 +17,7 @@ from geomid_ros.signals.ledger import Reason, driver_error
 from geomid_ros.signals.settings import CLEAR
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
+A = TypeVar("A", FloatArray, IntArray)
 FEWEST = 32
 """Messages that the period is inferred from."""
 FEWEST_IN_BURSTS = 320
@@ -24,6 +27,14 @@ MISSED = 2.5
 """Periods between two messages, or between bursts: more is a pause."""
 _LOST = 1.5  # periods that a burst is late by, if messages are missing
 _FOLLOWS = 0.05  # of the time that a burst is late by, which the times are moved by
+
+
+def steps(values: A, before: A | int) -> A:
+    """The steps to values ``(N, ...)``, the first one from the value ``before``."""
+    found = values.copy()
+    found[1:] -= values[:-1]
+    found[:1] -= before
+    return found
 
 
 def in_bursts(stamps: IntArray, max_gap: int) -> bool:

@@ -17,6 +17,7 @@ import numpy as np
 from geomid_ros.model import se3
 from geomid_ros.model.columns import Entries
 from geomid_ros.model.effects import JointEffect, Motion
+from geomid_ros.signals.clocks import steps
 from geomid_ros.signals.kernels import GridValues, cubic_weights, derivative_kernels, highest_cutoff
 from geomid_ros.signals.settings import MEAN_STEPS, MEAN_TOLERANCE
 from geomid_ros.types import FloatArray, IntArray
@@ -78,7 +79,7 @@ class Stream(Generic[S]):
     def push(self, stamps: IntArray, values: FloatArray) -> None:
         """Take the values ``(N, values)`` of messages with increasing ``stamps (N,)`` [ns], later than before."""
         first = stamps[0] if self._last is None else self._last
-        pauses = np.flatnonzero(np.diff(stamps, prepend=first) > self._max_gap)
+        pauses = np.flatnonzero(steps(stamps, first) > self._max_gap)
         for begin, end in pairwise(sorted({0, *pauses.tolist(), len(stamps)})):
             if begin in pauses:
                 self._segments.append(self._new_segment())
@@ -228,8 +229,7 @@ class JointSegment(VectorSegment):
 
     def _remembered(self, position: FloatArray) -> dict[JointEffect, FloatArray]:
         """What effects remember at the next instants, at which joints are at a ``position (N, J)``."""
-        from_before = np.concatenate([self._position, position])
-        moved = np.diff(from_before, axis=0, prepend=from_before[:1])[len(self._position) :]
+        moved = steps(position, self._position if len(self._position) else position[:1])
         nothing = np.zeros(position.shape[1])
         found = {e: e.states(moved, self._past.get(e, nothing)) for e in self._entries.remembering}
         self._past, self._position = {e: states[-1] for e, states in found.items()}, position[-1:]
