@@ -108,7 +108,7 @@ class VelocityCheck:
         self._sums = np.zeros((4, joints))  # as of _moments
         self._told = False
 
-    def add(self, given: FloatArray, derived: FloatArray) -> BoolArray:
+    def add(self, given: FloatArray, derived: FloatArray) -> FloatArray:
         """Take velocities of samples, filtered.
 
         Args:
@@ -116,13 +116,17 @@ class VelocityCheck:
             derived: the positions' derivatives ``(N, joints)``.
 
         Returns:
-            Where a message's velocity is the derivative, but for noise, by the samples until then ``(N, joints)``.
+            What the samples until each say ``(4, N, joints)``, for :meth:`are_derivatives`.
         """
         sums = np.cumsum(np.concatenate([self._sums[:, None], _moments(given, derived)], axis=1), axis=1)
         self._sums = sums[:, -1]
-        _, _, both, square = later = sums[:, 1:]
+        return np.asarray(sums[:, 1:])
+
+    def are_derivatives(self, given: FloatArray, sums: FloatArray) -> BoolArray:
+        """Where a message's velocity is the derivative, but for noise ``(N, joints)``, by what :meth:`add` returned."""
+        _, _, both, square = sums
         alike = (both > square / self._WRONG_CLOCK) & (both < square * self._WRONG_CLOCK)
-        return np.asarray(np.isfinite(given) & alike & ~self._scaled(later))
+        return np.asarray(np.isfinite(given) & alike & ~self._scaled(sums))
 
     def _telling(self, sums: FloatArray) -> BoolArray:
         """At which joints sums ``(4, ...)`` say what velocities are; where a joint stands still the filter's tails are
@@ -170,7 +174,7 @@ def _moments(given: FloatArray, derived: FloatArray) -> FloatArray:
     given: all ``(4, N, joints)``."""
     known = np.isfinite(given)
     own = np.where(known, given, 0.0)
-    return np.stack([known, own**2, own * derived, known * derived**2])
+    return np.array([known, own**2, own * derived, known * derived**2])
 
 
 def _wrong_clock(rate: float) -> Reason:

@@ -233,7 +233,7 @@ class Sampler:
         value, first, second = (part.reshape(count, 3, joints) for part in parts)
         position, velocity, acceleration = value[:, 0], first[:, 0], second[:, 0]
         position[:, self._continuous] = np.remainder(position[:, self._continuous] + np.pi, 2.0 * np.pi) - np.pi
-        is_derivative = self._velocities.add(value[:, 1], velocity)
+        told = self._velocities.add(value[:, 1], velocity)
         if remark := self._velocities.remark():
             self._ledger.note(JOINT_STATES, remark)
         effort = self._streams[_EFFORTS].segment.filtered(instants)[0] if self._effort_delay else value[:, 2]
@@ -242,7 +242,7 @@ class Sampler:
             own, rates, _ = (part.reshape(count, 3, -1) for part in self._streams[COMMANDS].segment.filtered(instants))
             commands = np.concatenate([own, effort[:, None]], axis=1)
             # A controller acts on the velocity that its driver sends.
-            sent = np.where(is_derivative, value[:, 1], velocity)
+            sent = np.where(self._velocities.are_derivatives(value[:, 1], told), value[:, 1], velocity)
             effort = self._controller.efforts(own, value[:, 0], sent)
             for column in self._entries.columns:
                 if isinstance(column, PlacedColumn) and column.effect.place == "commands":

@@ -148,14 +148,10 @@ class VectorSegment(Segment):
 
     def _between(self, stamps: IntArray, values: FloatArray, times: IntArray) -> FloatArray:
         """Values at ``times`` [ns] among ``stamps (N,)`` of ``values (N, ...)``."""
-        left = np.clip(np.searchsorted(stamps, times) - 2, 0, len(stamps) - 4)
-        origins = stamps[left]
-        nodes = (stamps[left[:, None] + np.arange(4)] - origins[:, None]).astype(float)
-        weights = cubic_weights(nodes, (times - origins).astype(float))
-        on_grid = weights[:, :1] * values[left]
-        for node in range(1, 4):
-            on_grid += weights[:, node, None] * values[left + node]
-        return np.asarray(on_grid)
+        left = np.minimum(np.maximum(np.searchsorted(stamps, times) - 2, 0), len(stamps) - 4)
+        nodes, origins = left[:, None] + np.arange(4), stamps[left]
+        weights = cubic_weights((stamps[nodes] - origins[:, None]).astype(float), (times - origins).astype(float))
+        return np.asarray(np.einsum("ni,nij->nj", weights, values[nodes]))
 
     def ready(self) -> range:
         reached, half = self._reached, self._grid.half
@@ -206,7 +202,7 @@ class JointSegment(VectorSegment):
         self._entries = entries
         self._sharp_half = grid.sharp_kernels.shape[1] // 2
         self._entries_on_grid = GridValues()
-        self._past: dict[JointEffect, FloatArray] = {}
+        self._past: dict[type[JointEffect], FloatArray] = {}
         self._position = np.zeros((0, entries.joints))  # at the last instant that effects remember
 
     def ready(self) -> range:
@@ -230,9 +226,12 @@ class JointSegment(VectorSegment):
     def _remembered(self, position: FloatArray) -> dict[JointEffect, FloatArray]:
         """What effects remember at the next instants, at which joints are at a ``position (N, J)``."""
         moved = steps(position, self._position if len(self._position) else position[:1])
-        nothing = np.zeros(position.shape[1])
-        found = {e: e.states(moved, self._past.get(e, nothing)) for e in self._entries.remembering}
-        self._past, self._position = {e: states[-1] for e, states in found.items()}, position[-1:]
+        self._position = position[-1:]
+        found: dict[JointEffect, FloatArray] = {}
+        for kind, effects in self._entries.remembering.items():
+            states = kind.states(effects, moved, self._past.get(kind, np.zeros((len(effects), moved.shape[1]))))
+            self._past[kind] = states[-1]
+            found |= zip(effects, np.moveaxis(states, 1, 0), strict=True)
         return found
 
     def drop_before(self, instant: int) -> None:
