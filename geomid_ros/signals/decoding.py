@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -16,8 +16,8 @@ from geomid_ros.types import AnyArray, BoolArray, IntArray
 
 _STAMP = slice(4, 12)  # seconds and nanoseconds, 4 bytes each
 LITTLE_ENDIAN = b"\0\1"
-Raw: TypeAlias = tuple[str, bytes]
-"""A message as it came: the topic, as the pipeline calls it, and its bytes (CDR)."""
+Raw: TypeAlias = tuple[str, bytes, *tuple[Any, ...]]
+"""A message as it came: the topic, as the pipeline calls it, its bytes (CDR), and whatever else is known of it."""
 
 
 _without_rosbags: list[Any] = []
@@ -87,9 +87,9 @@ class Decoder:
             messages: in the order in which they came.
             refuse: ``refuse(place, why)`` is told of messages that are not of their topic's type.
         """
-        groups: dict[tuple[str, int], list[int]] = {}
-        for place, (topic, data) in enumerate(messages):
-            groups.setdefault((topic, len(data)), []).append(place)
+        groups: defaultdict[tuple[str, int], list[int]] = defaultdict(list)
+        for place, (topic, data, *_) in enumerate(messages):
+            groups[topic, len(data)].append(place)
         return [block for group, places in groups.items() for block in self._decoded(group, places, messages, refuse)]
 
     def _decoded(
@@ -135,7 +135,7 @@ class Decoder:
 
 def _parsed(raw: Raw, place: int) -> tuple[Block, _Layout | None]:
     """A message, and its layout, if that is understood. Raises ValueError saying why there is none."""
-    topic, data = raw
+    topic, data, *_ = raw
     types = message_types()
     try:
         message = types.deserialize_cdr(data, message_type(topic))
