@@ -137,8 +137,10 @@ class VelocityCheck:
     def _scaled(self, sums: FloatArray) -> BoolArray:
         """At which joints velocities are the derivatives but for a factor, by sums ``(4, ...)``."""
         _, given, both, derived = sums
-        told = self._telling(sums) & (both**2 > self._IN_PROPORTION * given * derived)
-        return np.asarray(told & (np.abs(both - derived) > self._OFF * derived))
+        off: BoolArray = np.abs(both - derived) > self._OFF * derived
+        if off.any():
+            off &= self._telling(sums) & (both**2 > self._IN_PROPORTION * given * derived)
+        return off
 
     @property
     def scaled(self) -> BoolArray:

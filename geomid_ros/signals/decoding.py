@@ -84,8 +84,8 @@ class Decoder:
             refuse: ``refuse(place, why)`` is told of messages that are not of their topic's type.
         """
         groups: defaultdict[tuple[str, int], list[int]] = defaultdict(list)
-        for place, (topic, data, *_) in enumerate(messages):
-            groups[topic, len(data)].append(place)
+        for place, message in enumerate(messages):
+            groups[message[0], len(message[1])].append(place)
         return [block for group, places in groups.items() for block in self._decoded(group, places, messages, refuse)]
 
     def _decoded(

@@ -232,7 +232,8 @@ class Sampler:
         parts = self._joint_stream.segment.filtered(instants)
         value, first, second = (part.reshape(count, 3, joints) for part in parts)
         position, velocity, acceleration = value[:, 0], first[:, 0], second[:, 0]
-        position[:, self._continuous] = np.remainder(position[:, self._continuous] + np.pi, 2.0 * np.pi) - np.pi
+        if self._continuous.any():
+            position[:, self._continuous] = np.remainder(position[:, self._continuous] + np.pi, 2.0 * np.pi) - np.pi
         told = self._velocities.add(value[:, 1], velocity)
         if remark := self._velocities.remark():
             self._ledger.note(JOINT_STATES, remark)
@@ -254,7 +255,7 @@ class Sampler:
         for index, topic in enumerate(self._wrenches):
             wrenches[:, index] = self._streams[topic].segment.filtered(instants)[0]
         samples = Samples(
-            stamps=np.array([instant * grid.period for instant in instants], dtype=np.int64),
+            stamps=np.array(instants) * grid.period,
             position=position,
             velocity=velocity,
             acceleration=acceleration,
