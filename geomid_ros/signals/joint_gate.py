@@ -87,13 +87,14 @@ class JointGate(Gate):
 
     def _suspicious(self, stamps: IntArray, numbers: FloatArray) -> BoolArray:
         """Which messages do not go on from the one before ``(N,)``; as if all passed."""
-        passed = self._stamps
-        every = np.concatenate([passed, stamps])
-        ends = np.arange(len(passed) - 1, len(every) - 1)  # of the spans before each message
+        every, passed = np.concatenate([self._stamps, stamps]), len(self._stamps)
+        before = every[passed - 1 : -1]
+        ends = np.arange(passed - 1, len(every) - 1)  # of the spans before each message
         begins = np.maximum(ends - 2 * FEWEST, 0)
-        periods = 1e-9 * (every[ends] - every[begins]) / np.maximum(ends - begins, 1)
-        periods[ends - begins < FEWEST] = self._period_before
-        ahead = stamps - every[ends]
+        counts = ends - begins
+        periods = 1e-9 * (before - every[begins]) / np.maximum(counts, 1)
+        periods[counts < FEWEST] = self._period_before
+        ahead = stamps - before
         seconds = 1e-9 * ahead
         reach = np.maximum(seconds, periods)[:, None] * self._speed
         found: BoolArray = (seconds > np.maximum(_USUAL_STEP * periods, self._usual_step)) | (ahead <= 0)

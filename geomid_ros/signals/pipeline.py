@@ -235,18 +235,18 @@ class SignalPipeline:
     def _use(self, source: Source, arrived: Arrived) -> None:
         """Use the messages that are not refused, by their gate or their reader."""
         topic, part = source
-        good, refused = arrived.good, Counter[str]()
+        good, refused = arrived.good, list[str]()
         if not good.all():
-            refused.update(arrived.refusals[~good].tolist())
+            refused += arrived.refusals[~good].tolist()
             arrived = arrived.select(good)
         stamps, values, order = arrived.stamps, arrived.numbers, arrived.order
         if topic == JOINT_STATES and len(stamps):
             values, refusals = self._parts.readers[part].read(stamps, values)
             taken = without_refusal(refusals)
             if not taken.all():
-                refused.update(refusals[~taken].tolist())
+                refused += refusals[~taken].tolist()
                 stamps, values, order = stamps[taken], values[taken], order[taken]
-        for reason, count in refused.items():
+        for reason, count in Counter(refused).items():
             self._refused(topic, reason, count)
         if len(stamps):
             if topic == JOINT_STATES and self._parts.merges:
