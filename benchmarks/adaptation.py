@@ -9,7 +9,7 @@ Each robot is recorded for half a minute and identified. Then it follows another
 stiff as that of ``benchmarks.feedforward``, and picks up 1.5 kg after three seconds. Errors are those of the hand, root
 mean square in mm: before, in the first second with the payload, and after it. ``--worst`` compares with PD alone in the
 same mishap, which begins after five seconds: two with the payload. A payload that is too heavy shows once more effort
-is asked for than a joint has: times count from when it is picked up, and from then on. ``--endurance`` feeds random
+is asked for than a joint has: times [s] count from when it is picked up, and from then on. ``--endurance`` feeds random
 tracking errors, absurd ones too, to the adaptation at 500 Hz, and looks at every instant whether the body is possible.
 """
 
@@ -346,7 +346,7 @@ MISHAPS = {
 def worst(names: list[str], seeds: list[int], folder: Path) -> Table:
     """Errors in mishaps, and the largest since the payload is there, against PD alone in the same."""
     table = Table("robot", "seed", "mishap", "PD alone", "adapting", "largest: PD alone", "adapting", "largest share")
-    for heading in ("off after [s]", "after saturation [s]", "saturated [s]: PD alone", "adapting", "reason"):
+    for heading in ("off after", "after the first saturation", "saturated: PD alone", "adapting", "reason"):
         table.add_column(heading)
     for name in names:
         for seed in seeds:
