@@ -3,11 +3,14 @@
     python -m benchmarks.adaptation [--robots panda.urdf ur5_robot.urdf] [--seeds 1 2 3] [--lacking 0.2]
     python -m benchmarks.adaptation --stability 20
     python -m benchmarks.adaptation --worst
+    python -m benchmarks.adaptation --endurance 3600
 
 Each robot is recorded for half a minute and identified. Then it follows another motion under PD at 1 kHz, a third as
 stiff as that of ``benchmarks.feedforward``, and picks up 1.5 kg after three seconds. Errors are those of the hand, root
 mean square in mm: before, in the first second with the payload, and after it. ``--worst`` compares with PD alone in the
-same mishap, which begins after five seconds: two with the payload.
+same mishap, which begins after five seconds: two with the payload. A payload that is too heavy shows once more effort
+is asked for than a joint has: times [s] count from when it is picked up, and from then on. ``--endurance`` feeds random
+tracking errors, absurd ones too, to the adaptation at 500 Hz, and looks at every instant whether the body is possible.
 """
 
 from __future__ import annotations
@@ -31,7 +34,8 @@ from rich.console import Console
 from rich.table import Table
 
 import geomid_ros
-from benchmarks.feedforward import described, hand_error
+from benchmarks.endurance import endure
+from benchmarks.feedforward import described, hand_distances, hand_error
 from geomid_ros.api.feedforward import robot_to_move
 from geomid_ros.api.options import FillOptions
 from geomid_ros.control.correction import Correction, Reading
@@ -45,7 +49,7 @@ from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.recording import closed_loop
 from geomid_ros.simulation.robot import build_robot
 from geomid_ros.simulation.robots import robot_description
-from geomid_ros.types import FloatArray
+from geomid_ros.types import BoolArray, FloatArray
 
 CYCLE = 1e-3  # [s] of the controller
 _DURATION, _PICKED, _MISHAP = 8.0, 3.0, 5.0  # [s]
@@ -125,11 +129,20 @@ class Adapting:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """The hand's errors [mm] before, in the first second with the payload, and after it; and after a mishap."""
+    """The hand's errors [mm] before, in the first second with the payload, and after it; after a mishap, and the
+    largest one since the payload is there. When efforts were ``saturated (cycles,)``, more was asked for than a joint
+    has."""
 
     errors: tuple[float, float, float]
     mishap: float
+    largest: float
+    saturated: BoolArray
     adapting: Adapting | None
+
+    def saturated_since(self, begin: float) -> tuple[float, float]:
+        """When [s] efforts saturated first from ``begin`` [s] on, infinite if never, and for how long [s] in all."""
+        cycles = np.flatnonzero(self.saturated[round(begin / CYCLE) :])
+        return begin + CYCLE * float(cycles[0]) if len(cycles) else np.inf, CYCLE * len(cycles)
 
 
 class Robot:
@@ -194,30 +207,32 @@ class Robot:
         plants = [self.robot.plant, self._carrying(mass)]
         position, velocity = plants[0].at_rest(self.commanded[0, 0])
         jacobian, force = self._hand(), _direction(self.seed) * push
-        positions = []
+        positions, saturated = [], np.zeros(self.cycles, dtype=np.bool_)
         for cycle in range(self.cycles):
             loaded, mishap = (cycle * CYCLE >= begin for begin in (_PICKED, _MISHAP))
             wanted, speed = self.commanded[:2, cycle]
             effort = self.stiffness * (wanted - position) + self.damping * (speed - velocity)
             effort += forward[cycle] if forward is not None else 0.0
             effort += adapting.efforts(cycle) if adapting else 0.0
+            saturated[cycle] = np.any(np.abs(effort) > self.limits)
             effort = np.clip(effort, -self.limits, self.limits)
             if adapting:
                 adapting.see(cycle, position, velocity, effort)
             positions.append(position)
             pushed = effort + jacobian(position).T @ force if push and mishap else effort
             position, velocity = _advanced(plants[int(loaded)], position, velocity, pushed)
-        return self._judged(np.array(positions), adapting)
+        return self._judged(np.array(positions), saturated, adapting)
 
-    def _judged(self, positions: FloatArray, adapting: Adapting | None) -> Run:
-        def error(begin: float, end: float) -> float:
+    def _judged(self, positions: FloatArray, saturated: BoolArray, adapting: Adapting | None) -> Run:
+        def pair(begin: float, end: float) -> FloatArray:
             part = slice(round(begin / CYCLE), round(end / CYCLE), 5)
-            pair = np.array([positions[part], self.commanded[0, : self.cycles][part]])
-            return hand_error(self.urdf, self.joints, pair)
+            return np.array([positions[part], self.commanded[0, : self.cycles][part]])
 
         ends = (0.0, _PICKED, _PICKED + 1.0, _DURATION)
-        parts = tuple(error(begin, end) for begin, end in pairwise(ends))
-        return Run(parts, error(_MISHAP, _DURATION), adapting)  # type: ignore[arg-type]
+        before, first, carrying = (hand_error(self.urdf, self.joints, pair(*part)) for part in pairwise(ends))
+        mishap = hand_error(self.urdf, self.joints, pair(_MISHAP, _DURATION))
+        largest = float(np.max(hand_distances(self.urdf, self.joints, pair(_PICKED, _DURATION))))
+        return Run((before, first, carrying), mishap, largest, saturated, adapting)
 
     def _carrying(self, mass: float) -> Plant:
         load = _payload(self.body, mass, self.seed)
@@ -329,8 +344,10 @@ MISHAPS = {
 
 
 def worst(names: list[str], seeds: list[int], folder: Path) -> Table:
-    """Errors in mishaps, against PD alone in the same."""
-    table = Table("robot", "seed", "mishap", "PD alone", "adapting", "largest share", "off after [s]", "reason")
+    """Errors in mishaps, and the largest since the payload is there, against PD alone in the same."""
+    table = Table("robot", "seed", "mishap", "PD alone", "adapting", "largest: PD alone", "adapting", "largest share")
+    for heading in ("off after", "after the first saturation", "saturated: PD alone", "adapting", "reason"):
+        table.add_column(heading)
     for name in names:
         for seed in seeds:
             robot = Robot(name, seed, folder)
@@ -341,17 +358,28 @@ def worst(names: list[str], seeds: list[int], folder: Path) -> Table:
                 run = robot.run(forward, adapting, mishap.mass, mishap.push)
                 share = np.max(np.abs(adapting.added) / robot.limits)
                 begin = _PICKED if mishap.mass > HEAVIEST else _MISHAP
-                reason, off = adapting.correction.latch.reason, f"{adapting.latched - begin:.2f}"
+                shown, lasted = run.saturated_since(begin)
                 table.add_row(
                     robot.name,
                     str(seed),
                     label,
-                    f"{alone.mishap:.3g}",
-                    f"{run.mishap:.3g}",
+                    *(f"{each:.3g}" for each in (alone.mishap, run.mishap, alone.largest, run.largest)),
                     f"{share:.2f}",
-                    off,
-                    reason,
+                    f"{adapting.latched - begin:.2f}",
+                    f"{adapting.latched - shown:.2f}" if np.isfinite(shown) else "not saturated",
+                    *(f"{each:.2f}" for each in (alone.saturated_since(begin)[1], lasted)),
+                    adapting.correction.latch.reason,
                 )
+    return table
+
+
+def endurance(names: list[str], seconds: float, folder: Path) -> Table:
+    """Whether a body stays possible for so long, whatever the errors are."""
+    table = Table("robot", "steps", "that moved the body", "after which it is impossible", "least eigenvalue ratio")
+    for name in names:
+        found = endure(name, seconds, HEAVIEST, folder)
+        counts = found.steps, found.moved, found.impossible
+        table.add_row(Path(name).stem, *map(str, counts), f"{found.least:.2g}")
     return table
 
 
@@ -363,16 +391,19 @@ def main() -> None:
     parser.add_argument("--lacking", type=float, default=0.0, help="share of the friction that the model has not")
     parser.add_argument("--stability", type=int, metavar="SEEDS", help="the worst of so many seeds")
     parser.add_argument("--worst", action="store_true", help="mishaps")
+    parser.add_argument("--endurance", type=float, metavar="SECONDS", help="random errors at 500 Hz for so long")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        if arguments.stability:
+        if arguments.endurance:
+            table = endurance(arguments.robots, arguments.endurance, folder)
+        elif arguments.stability:
             table = stability(arguments.robots, arguments.stability, folder)
         elif arguments.worst:
             table = worst(arguments.robots, arguments.seeds, folder)
         else:
             table = accuracy(arguments.robots, arguments.seeds, folder, arguments.lacking)
-    Console(width=150).print(table)
+    Console(width=200).print(table)
 
 
 if __name__ == "__main__":

@@ -74,7 +74,12 @@ def tracked(robot: TrueRobot, loop: ControlLoop, options: SimulationOptions, tra
 
 
 def hand_error(urdf: str, joints: tuple[str, ...], positions: FloatArray) -> float:
-    """Root mean square distance [mm], between two motions ``(2, N, joints)``, of a point .1 m from the last joint."""
+    """Root mean square of :func:`hand_distances` [mm]."""
+    return float(np.sqrt(np.mean(hand_distances(urdf, joints, positions) ** 2)))
+
+
+def hand_distances(urdf: str, joints: tuple[str, ...], positions: FloatArray) -> FloatArray:
+    """Distances ``(N,)`` [mm], between two motions ``(2, N, joints)``, of a point .1 m from the last joint."""
     model = pin.buildModelFromXML(urdf)
     data, last = model.createData(), model.njoints - 1
     places = [model.joints[model.getJointId(name)].idx_q for name in joints]
@@ -88,7 +93,7 @@ def hand_error(urdf: str, joints: tuple[str, ...], positions: FloatArray) -> flo
             frame = data.oMi[last]
             points.append(frame.act(np.array([0.0, 0.0, 0.1])))
         hands.append(points)
-    return float(1e3 * np.sqrt(np.mean(np.sum(np.diff(hands, axis=0)[0] ** 2, axis=1))))
+    return np.asarray(1e3 * np.linalg.norm(np.diff(hands, axis=0)[0], axis=1))
 
 
 def described(robot: str, folder: Path) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -80,7 +81,7 @@ def messages(options: SimulationOptions, parts: Sequence[Part], change: Change |
         write_bag(bag, seen, robot.plant.joints, robot.nominal.text, options)
         with Bag(bag) as recorded:
             for _, stamp, data in recorded.raw_messages(["/" + JOINT_STATES]):
-                yield (stamp - START * _NANO) / _NANO, Received(JOINT_STATES, data)
+                yield (stamp - START * _NANO) / _NANO, Received(JOINT_STATES, data, time.perf_counter())
 
 
 def _loop(robot: RealisticRobot, options: SimulationOptions, parts: Sequence[Part]) -> _ChangingLoop:

@@ -171,9 +171,10 @@ class Identifier:
                     self._rejected[STANDING_STILL] += int(counts[index])
                 else:
                     moving[index] = True
-            taken = rows if np.all(moving) else Rows(rows.coefficients[moving], rows.targets[moving])
-            self._take(taken.coefficients, targets[moving], elapsed[moving], of_motion[moving], samples.states[moving])
-        return samples.stamps[moving], taken, of_motion[moving] == REGIMES - 1
+            own = slice(None) if moving.all() else moving  # a slice copies nothing
+            taken, of_motion = Rows(rows.coefficients[own], rows.targets[own]), of_motion[own]
+            self._take(taken.coefficients, targets[own], elapsed[own], of_motion, samples.states[own])
+        return samples.stamps[own], taken, of_motion == REGIMES - 1
 
     def _take(
         self,

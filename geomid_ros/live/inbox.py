@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import queue
-import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from geomid_ros.signals.settings import MOST_WAITING, MOST_WAITING_BYTES
 
@@ -14,13 +12,12 @@ MOST_AT_ONCE = 1000
 """Messages that are taken together, before anything else has its turn."""
 
 
-@dataclass(frozen=True)
-class Received:
+class Received(NamedTuple):
     """A message: its topic, its bytes, and when [s] it came, on the clock of ``time.perf_counter``."""
 
     topic: str
     data: bytes
-    time: float = field(default_factory=time.perf_counter)
+    time: float
 
 
 Request: TypeAlias = Callable[[], None]

@@ -84,10 +84,12 @@ class Stream:
         for block in self._decoder.blocks([(JOINT_STATES, data) for data in messages], ignore):
             numbers, refusals = model.reader.numbers(block)
             good = (refusals == None) & (block.stamps > 0)  # noqa: E711 by element
-            for reason in refusals[~good].tolist():
+            stamps = block.stamps
+            if not good.all():
                 part = model.merges and not {*model.joints} <= {*block.names}
-                count_reason(self.refused, _PART if part else reason or NO_STAMP)
-            stamps, numbers = block.stamps[good], numbers[good]
+                for reason in refusals[~good].tolist():
+                    count_reason(self.refused, _PART if part else reason or NO_STAMP)
+                stamps, numbers = stamps[good], numbers[good]
             if len(stamps):
                 motion = self._motion(model, stamps, numbers)
                 yield Predicted(model.joints, stamps, motion, model.dynamics(motion) / model.gains)

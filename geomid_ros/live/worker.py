@@ -196,7 +196,7 @@ class Worker:
             topic = messages[place].topic
             self.ledger.reject(topic, f"not a valid {message_type(topic)}")
 
-        blocks = self._decoder.blocks([(message.topic, message.data) for message in messages], refuse)
+        blocks = self._decoder.blocks(messages, refuse)
         try:
             self.session.pipeline.push(blocks)
         except Exception as error:  # noqa: BLE001 as above; the pipeline has counted the messages

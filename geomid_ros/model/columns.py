@@ -108,10 +108,13 @@ class Entries:
         return np.concatenate([motion.position[:, :0], *values], axis=1)
 
     @cached_property
-    def remembering(self) -> tuple[JointEffect, ...]:
-        """The effects whose columns depend on the motion before, too."""
-        own = (column.function for column in self.columns if isinstance(column, JointColumn))
-        return tuple(effect for effect in own if isinstance(effect, JointEffect) and effect.remembers)
+    def remembering(self) -> Mapping[type[JointEffect], list[JointEffect]]:
+        """The effects whose columns depend on the motion before, too, by their class."""
+        found: dict[type[JointEffect], list[JointEffect]] = {}
+        for function in (column.function for column in self.columns if isinstance(column, JointColumn)):
+            if isinstance(function, JointEffect) and function.remembers:
+                found.setdefault(type(function), []).append(function)
+        return found
 
     @property
     def of_own_motion(self) -> Entries:

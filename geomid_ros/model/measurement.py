@@ -312,11 +312,10 @@ class MeasurementModel:
             bodies[:, by_efforts] = self.robot.joint_effort_rows(*motion, base=bool(base))
             targets[:, :joints] = samples.effort
             targets[:, base] = 0.0
-        sensed = slice(joints, len(self.channels) - len(base))
         for index, (q, v, a) in enumerate(zip(*motion, strict=True) if self.sensors else ()):
             self.robot.update_motion(q, v, a)
             targets[index, :joints] += self._external_efforts(q, wrenches[index], joints)
-            bodies[index, sensed], targets[index, sensed] = self._wrench_rows(wrenches[index])
+            self._put_wrench_rows(wrenches[index], bodies[index], targets[index])
         coefficients, targets = self._assemble(samples, bodies, targets)
         if self.legs is not None:
             self.legs.eliminate(samples, np.array(base), coefficients, targets)
@@ -329,15 +328,17 @@ class MeasurementModel:
             wrenches[:, index, sensor.axis_indices] = sensor.sign * samples.wrenches[:, index, sensor.axis_indices]
         return wrenches
 
-    def _wrench_rows(self, wrenches: FloatArray) -> tuple[FloatArray, FloatArray]:
-        rows = [np.zeros((0, len(self.robot.bodies), 10))]
-        targets = [np.zeros(0)]
-        for sensor in self._row_sensors:
-            regressor = self.robot.wrench_rows(self._loaded_bodies(sensor), sensor.frame)
+    def _put_wrench_rows(self, wrenches: FloatArray, bodies: FloatArray, targets: FloatArray) -> None:
+        """Put the rows ``(channels, bodies, 10)`` and targets ``(channels,)`` of the sensors' channels in place."""
+        for sensor, loaded in self._loaded:
+            channels, axes = self.layout.wrenches[sensor.topic], sensor.axis_indices
             measured = self._total_external(wrenches) if sensor.role == "external" else self._of(sensor, wrenches)
-            rows.append(regressor[sensor.axis_indices])
-            targets.append(measured[sensor.axis_indices])
-        return np.concatenate(rows), np.concatenate(targets)
+            bodies[channels], targets[channels] = self.robot.wrench_rows(loaded, sensor.frame)[axes], measured[axes]
+
+    @cached_property
+    def _loaded(self) -> list[tuple[WrenchSensor, list[int]]]:
+        """The sensors that make rows, and the bodies that each one feels."""
+        return [(sensor, self._loaded_bodies(sensor)) for sensor in self._row_sensors]
 
     def _of(self, sensor: WrenchSensor, wrenches: FloatArray) -> FloatArray:
         return np.asarray(wrenches[self.sensors.index(sensor)])

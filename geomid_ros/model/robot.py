@@ -14,7 +14,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model import urdf_tree
 from geomid_ros.model.samples import Samples
-from geomid_ros.types import BoolArray, FloatArray, frozen
+from geomid_ros.types import AnyArray, BoolArray, FloatArray, frozen
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 STANDARD_GRAVITY = float(np.linalg.norm(GRAVITY))
@@ -357,11 +357,18 @@ class Robot:
             rows[:] = pin.computeJointTorqueRegressor(self._model, self._data, *state).reshape(rows.shape)
         rows = np.concatenate([self._of_joints(full), full[:, :6]], axis=1) if base else self._of_joints(full)
         found = np.zeros((len(q), rows.shape[1], len(self.bodies), 10))
-        felt = np.concatenate([self.carries, np.tile(self._moved_by >= 0, (rows.shape[1] - len(self.joints), 1))])
-        joints, bodies = np.nonzero(felt)
-        pairs = rows.reshape(len(q), rows.shape[1], -1, 10)[:, joints, self._moved_by[bodies]].transpose(1, 0, 2)
-        found[:, joints, bodies] = (pairs @ self._to_joints[bodies]).transpose(1, 0, 2)
+        chosen = slice(None if base else np.count_nonzero(self.carries))
+        joints, bodies, moved_by, to_joints = (of_pairs[chosen] for of_pairs in self._felt)
+        pairs = rows.reshape(len(q), rows.shape[1], -1, 10)[:, joints, moved_by].transpose(1, 0, 2)
+        found[:, joints, bodies] = (pairs @ to_joints).transpose(1, 0, 2)
         return found
+
+    @cached_property
+    def _felt(self) -> tuple[AnyArray, ...]:
+        """Of all pairs of a row and a body that it feels, the joints' rows before those of the base: the row, the body,
+        pinocchio's joint that moves it, and the transform to that joint's frame."""
+        rows, bodies = np.nonzero(np.concatenate([self.carries, np.tile(self._moved_by >= 0, (6, 1))]))
+        return rows, bodies, self._moved_by[bodies], self._to_joints[bodies]
 
     @cached_property
     def carries(self) -> BoolArray:

@@ -123,6 +123,8 @@ class Samples:
         if column not in self.entries:
             return column.values(self.motion)
         places, joints = self.entries.of(column)
+        if len(joints) == self.position.shape[1]:
+            return np.asarray(self.effects[:, places])
         values = np.zeros(self.position.shape)
         values[:, joints] = self.effects[:, places]
         return values

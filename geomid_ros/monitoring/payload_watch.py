@@ -138,12 +138,11 @@ class _Baseline:
         self.mean = np.zeros(len(self.columns))
         self.information = np.zeros((len(self.columns), len(self.columns)))
 
-    def products(self, coefficients: FloatArray, targets: FloatArray) -> tuple[FloatArray, int]:
-        """Sums of products of rows ``(N, D)``, and the number of those that are measured."""
-        good = usable(coefficients, targets)
-        rows = coefficients[np.ix_(good, self.columns)]
-        joined = np.column_stack([rows, targets[good] - rows @ self.mean])
-        return joined.T @ joined, len(rows)
+    def products(self, coefficients: FloatArray, targets: FloatArray) -> FloatArray:
+        """Sums of products of rows ``(N, D)``."""
+        rows = coefficients[:, self.columns]
+        joined = np.concatenate([rows, (targets - rows @ self.mean)[:, None]], axis=1)
+        return np.asarray(joined.T @ joined)
 
     def whole(self, more: FloatArray) -> FloatArray:
         """The information with that of further rows, and a little where there is none."""
@@ -222,12 +221,13 @@ class PayloadWatch:
         if self.carried is None:
             self._noise = noise
             self._share *= share
-        pairs = [
-            baseline.products(rows.coefficients[:, index], rows.targets[:, index])
-            for index, baseline in enumerate(self._baselines)
-        ]
-        counts = np.array([float(count) for _, count in pairs])
-        block = _Block(tuple(p for p, _ in pairs), counts, counts / len(stamps), first, int(stamps[0]))
+        measured = usable(rows.coefficients, rows.targets)
+        products = tuple(
+            baseline.products(rows.coefficients[own, index], rows.targets[own, index])
+            for index, (baseline, own) in enumerate(zip(self._baselines, measured.T, strict=True))
+        )
+        counts = np.count_nonzero(measured, axis=0).astype(np.float64)
+        block = _Block(products, counts, counts / len(stamps), first, int(stamps[0]))
         self._recent.append((block, None if self.carried is None else self.carried.parameters))
         changed = self._take() if self._loaded is None else self._drop()
         if self._loaded is not None and self.carried is not None and not changed:
@@ -265,7 +265,9 @@ class PayloadWatch:
             vagueness += inexact
             total += weighted / vague
             volume = 0.5 * (len(alone) - 1) * float(np.log1p(rows * noise.independent))
-            joints += max(inexact + _most(alone[:-1, :-1], alone[:-1, -1]) / vague - volume - self._surprise, 0.0)
+            needed = vague * (volume + self._surprise - inexact)
+            if 0.5 * squares > needed:  # nothing explains more than all of it
+                joints += max(_most(alone[:-1, :-1], alone[:-1, -1]) - needed, 0.0) / vague
         return _Told(total[:-1, :-1], total[:-1, -1], vagueness, max(unknown, joints - self._surprise))
 
     @property

@@ -16,6 +16,7 @@ from typing import TypeAlias
 import numpy as np
 
 from geomid_ros.signals.arrived import NOTHING, Arrived
+from geomid_ros.signals.clocks import steps
 from geomid_ros.signals.ledger import Reason
 from geomid_ros.signals.messages import JOINT_STATES
 from geomid_ros.signals.settings import PATIENCE
@@ -79,7 +80,8 @@ class Gate:
         again = steps(arrived.stamps[good], self._decided) == 0
         arrived.refusals[good[again]] = NOT_LATER
         places = good[~again]
-        stamps, numbers, order = arrived.stamps[places], arrived.numbers[places], arrived.order[places]
+        plain = arrived if len(places) == len(arrived) else arrived.select(places)
+        stamps, numbers, order = plain.stamps, plain.numbers, plain.order
         place = self._pass_plain(stamps, numbers)
         while place < len(places):
             last = order[place] + PATIENCE
@@ -100,8 +102,8 @@ class Gate:
         end = int(places[place]) if place < len(places) else len(arrived)
         decided = good[good < end]
         self._decided = int(arrived.stamps[decided[-1]]) if len(decided) else self._decided
-        self.waiting = arrived.select(slice(end, None))
-        return arrived.select(slice(end)), notes
+        found, self.waiting = arrived.divided(end)
+        return found, notes
 
     def begin_anew(self, decided: Arrived) -> Arrived:
         """Forget the time before. Returns the messages that were decided on since then, and those that wait, as they
@@ -148,11 +150,6 @@ class Gate:
             if count == (_TO_CONFIRM_A_RESET if back else FEW):
                 return real
         return None if not whole else wrong if back and count == 1 else real
-
-
-def steps(stamps: IntArray, before: int) -> IntArray:
-    """The steps to stamps ``(N,)``, the first one from the stamp ``before``."""
-    return np.diff(stamps, prepend=before)
 
 
 class Admission:

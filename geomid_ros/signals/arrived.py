@@ -49,7 +49,12 @@ class Arrived:
 
     def split(self, place: int) -> tuple[Arrived, Arrived]:
         """Those that came before a place, and the others; in the order in which they came."""
-        count = int(np.searchsorted(self.order, place))
+        return self.divided(int(np.searchsorted(self.order, place)))
+
+    def divided(self, count: int) -> tuple[Arrived, Arrived]:
+        """The first ``count``, and the others."""
+        if count >= len(self):
+            return self, NOTHING
         return self.select(slice(count)), self.select(slice(count, None))
 
     @staticmethod

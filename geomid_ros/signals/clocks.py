@@ -8,6 +8,8 @@ on a line through the last ones.
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 
 from geomid_ros.model.samples import STILL
@@ -15,6 +17,7 @@ from geomid_ros.signals.ledger import Reason, driver_error
 from geomid_ros.signals.settings import CLEAR
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
+A = TypeVar("A", FloatArray, IntArray)
 FEWEST = 32
 """Messages that the period is inferred from."""
 FEWEST_IN_BURSTS = 320
@@ -24,6 +27,14 @@ MISSED = 2.5
 """Periods between two messages, or between bursts: more is a pause."""
 _LOST = 1.5  # periods that a burst is late by, if messages are missing
 _FOLLOWS = 0.05  # of the time that a burst is late by, which the times are moved by
+
+
+def steps(values: A, before: A | int) -> A:
+    """The steps to values ``(N, ...)``, the first one from the value ``before``."""
+    found = values.copy()
+    found[1:] -= values[:-1]
+    found[:1] -= before
+    return found
 
 
 def in_bursts(stamps: IntArray, max_gap: int) -> bool:
@@ -97,7 +108,7 @@ class VelocityCheck:
         self._sums = np.zeros((4, joints))  # as of _moments
         self._told = False
 
-    def add(self, given: FloatArray, derived: FloatArray) -> BoolArray:
+    def add(self, given: FloatArray, derived: FloatArray) -> FloatArray:
         """Take velocities of samples, filtered.
 
         Args:
@@ -105,13 +116,17 @@ class VelocityCheck:
             derived: the positions' derivatives ``(N, joints)``.
 
         Returns:
-            Where a message's velocity is the derivative, but for noise, by the samples until then ``(N, joints)``.
+            What the samples until each say ``(4, N, joints)``, for :meth:`are_derivatives`.
         """
         sums = np.cumsum(np.concatenate([self._sums[:, None], _moments(given, derived)], axis=1), axis=1)
         self._sums = sums[:, -1]
-        _, _, both, square = later = sums[:, 1:]
+        return np.asarray(sums[:, 1:])
+
+    def are_derivatives(self, given: FloatArray, sums: FloatArray) -> BoolArray:
+        """Where a message's velocity is the derivative, but for noise ``(N, joints)``, by what :meth:`add` returned."""
+        _, _, both, square = sums
         alike = (both > square / self._WRONG_CLOCK) & (both < square * self._WRONG_CLOCK)
-        return np.asarray(np.isfinite(given) & alike & ~self._scaled(later))
+        return np.asarray(np.isfinite(given) & alike & ~self._scaled(sums))
 
     def _telling(self, sums: FloatArray) -> BoolArray:
         """At which joints sums ``(4, ...)`` say what velocities are; where a joint stands still the filter's tails are
@@ -122,8 +137,10 @@ class VelocityCheck:
     def _scaled(self, sums: FloatArray) -> BoolArray:
         """At which joints velocities are the derivatives but for a factor, by sums ``(4, ...)``."""
         _, given, both, derived = sums
-        told = self._telling(sums) & (both**2 > self._IN_PROPORTION * given * derived)
-        return np.asarray(told & (np.abs(both - derived) > self._OFF * derived))
+        off: BoolArray = np.abs(both - derived) > self._OFF * derived
+        if off.any():
+            off &= self._telling(sums) & (both**2 > self._IN_PROPORTION * given * derived)
+        return off
 
     @property
     def scaled(self) -> BoolArray:
@@ -159,7 +176,7 @@ def _moments(given: FloatArray, derived: FloatArray) -> FloatArray:
     given: all ``(4, N, joints)``."""
     known = np.isfinite(given)
     own = np.where(known, given, 0.0)
-    return np.stack([known, own**2, own * derived, known * derived**2])
+    return np.array([known, own**2, own * derived, known * derived**2])
 
 
 def _wrong_clock(rate: float) -> Reason:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -14,10 +14,9 @@ from geomid_ros.signals.messages import COMMANDS, JOINT_STATES, ODOM, Block, mes
 from geomid_ros.signals.settings import MOST_KINDS
 from geomid_ros.types import AnyArray, BoolArray, IntArray
 
-_STAMP = slice(4, 12)  # seconds and nanoseconds, 4 bytes each
 LITTLE_ENDIAN = b"\0\1"
-Raw: TypeAlias = tuple[str, bytes]
-"""A message as it came: the topic, as the pipeline calls it, and its bytes (CDR)."""
+Raw: TypeAlias = tuple[str, bytes, *tuple[Any, ...]]
+"""A message as it came: the topic, as the pipeline calls it, its bytes (CDR), and whatever else is known of it."""
 
 
 _without_rosbags: list[Any] = []
@@ -46,16 +45,16 @@ def message_types() -> Any:
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where the numbers stand in messages of one ``size`` and the same texts and lengths.
+    """Where the numbers stand in messages of one size and the same texts and lengths.
 
-    ``fixed`` are the places of the bytes in which all of them are ``like`` each other, ``fields`` the place and length
-    of each array.
+    ``fixed`` are the places of the bytes in which all of them are ``like`` each other, and ``text`` these bytes;
+    ``form`` has the stamp in its first two fields, and then the arrays.
     """
 
     like: Block
     fixed: IntArray
     text: AnyArray
-    fields: tuple[tuple[int, int], ...]
+    form: np.dtype[np.void]
 
     def matches(self, data: AnyArray) -> BoolArray:
         """Which messages ``(N, size)`` have this layout ``(N,)``."""
@@ -64,14 +63,11 @@ class _Layout:
 
     def block(self, data: AnyArray, order: IntArray) -> Block:
         """The numbers of messages ``(N, size)``."""
-        seconds, nanoseconds = np.frombuffer(data[:, _STAMP].tobytes(), "<u4").astype(np.int64).reshape(-1, 2).T
-        valid = (seconds < 1 << 31) & (nanoseconds < 1_000_000_000)
-        stamps = np.where(valid, seconds * 1_000_000_000 + nanoseconds, -1)
-        arrays = tuple(
-            np.frombuffer(data[:, begin : begin + 8 * count].tobytes(), "<f8").reshape(len(data), count)
-            for begin, count in self.fields
-        )
-        return Block(self.like.topic, order, stamps, self.like.names, arrays)
+        records = data.view(self.form)[:, 0]
+        seconds, nanoseconds, *arrays = (records[field] for field in self.form.names or ())
+        stamps = seconds.astype(np.int64) * 1_000_000_000 + nanoseconds
+        stamps[(seconds >= 1 << 31) | (nanoseconds >= 1_000_000_000)] = -1
+        return Block(self.like.topic, order, stamps, self.like.names, tuple(arrays))
 
 
 class Decoder:
@@ -87,9 +83,9 @@ class Decoder:
             messages: in the order in which they came.
             refuse: ``refuse(place, why)`` is told of messages that are not of their topic's type.
         """
-        groups: dict[tuple[str, int], list[int]] = {}
-        for place, (topic, data) in enumerate(messages):
-            groups.setdefault((topic, len(data)), []).append(place)
+        groups: defaultdict[tuple[str, int], list[int]] = defaultdict(list)
+        for place, message in enumerate(messages):
+            groups[message[0], len(message[1])].append(place)
         return [block for group, places in groups.items() for block in self._decoded(group, places, messages, refuse)]
 
     def _decoded(
@@ -135,7 +131,7 @@ class Decoder:
 
 def _parsed(raw: Raw, place: int) -> tuple[Block, _Layout | None]:
     """A message, and its layout, if that is understood. Raises ValueError saying why there is none."""
-    topic, data = raw
+    topic, data, *_ = raw
     types = message_types()
     try:
         message = types.deserialize_cdr(data, message_type(topic))
@@ -157,19 +153,23 @@ def _layout(topic: str, data: bytes, message: Any, block: Block) -> _Layout | No
         place = _after_count(place, fixed)
         for text in message.name:
             place = _after_text(place, text, fixed)
-    fields = []
+    formats: list[Any] = ["<u4", "<u4"]  # seconds and nanoseconds
+    offsets = [4, 8]
     for array in block.arrays:
         if topic in (JOINT_STATES, COMMANDS):
             place = _after_count(place, fixed)
         count = array.shape[1]
         begin = _aligned(place, 8) if count else place
-        fields.append((begin, count))
+        formats.append(("<f8", (count,)))
+        offsets.append(begin)
         place = begin + 8 * count
     places = np.concatenate([np.arange(part.start, part.stop) for part in fixed])
     if place > len(data):
         return None
     whole = np.frombuffer(data, np.uint8)[None]
-    layout = _Layout(block, places, whole[0, places], tuple(fields))
+    names = [*map(str, range(len(formats)))]
+    form = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": len(data)})
+    layout = _Layout(block, places, whole[0, places], form)
     again = layout.block(whole, block.order)
     same = all(a.tobytes() == b.tobytes() for a, b in zip(again.arrays, block.arrays, strict=True))
     return layout if same and again.stamps[0] == block.stamps[0] else None

@@ -101,29 +101,56 @@ class SaturationDetector:
         Returns:
             ``(N, joints)`` which efforts are saturated.
         """
-        size, last = np.abs(effort), np.vstack([self._last, effort[:-1]])
-        numbers = np.broadcast_to(self._messages + 1 + np.arange(len(stamps))[:, None], size.shape)
-        sizes = np.vstack([self._largest, size])
+        size, last = np.abs(effort), np.concatenate([self._last[None], effort[:-1]])
+        numbers = np.arange(self._messages + 1, self._messages + 1 + len(stamps))[:, None]
+        sizes = np.concatenate([self._largest[None], size])
         if not self._stamp:  # the first one is not learned from
             sizes[1] = np.nan
         records = np.fmax.accumulate(sizes)
         record, grown = records[1:], records[1:] > records[:-1]
+        held = self._learn_held(numbers, effort != last, grown | (np.abs(last) < record), moving[:, None])
         largest: BoolArray = size == record
+        if largest.any():
+            found = moving[:, None] & self._stays(stamps, numbers, largest, grown, np.abs(velocity) < STILL, held)
+        else:
+            found = largest
+            self._last_below, self._largest_since = (np.full(self._joints, last[-1]) for last in (numbers, stamps))
+            self._moved = np.zeros(self._joints, dtype=np.bool_)
+        self._stamp, self._last = int(stamps[-1]), effort[-1].copy()
+        self._messages += len(stamps)
+        self._largest = record[-1]
+        return found
+
+    def _stays(
+        self,
+        stamps: IntArray,
+        numbers: IntArray,
+        largest: BoolArray,
+        grown: BoolArray,
+        still: BoolArray,
+        held: IntArray,
+    ) -> BoolArray:
+        """Which efforts stay at their largest for longer than rounding explains, while their joint moves; all
+        ``(N, joints)``.
+
+        Args:
+            stamps: ``(N,)`` [ns].
+            numbers: of the messages ``(N, 1)``.
+            largest: which efforts are the largest so far, and where these have ``grown``.
+            still: which joints do not move.
+            held: the most messages in which smaller efforts stayed the same.
+        """
         below = ~largest
         last_below = _latest(np.where(below, numbers, np.where(grown, numbers - 1, -1)), self._last_below)
         ended = np.logical_or.accumulate(below | grown)  # what was the largest before these messages
         since = np.concatenate([[self._stamp], stamps])[np.maximum(last_below - self._messages, 0)]
         since = np.where(ended, since, self._largest_since)
-        moves = np.where(largest & ~(np.abs(velocity) < STILL), numbers, -1)
+        moves = np.where(largest & ~still, numbers, -1)
         moved = (_latest(moves, np.full(self._joints, -1)) > last_below) | (self._moved & ~ended)
         count = self._at_largest + np.cumsum(largest, axis=0)
-        held = self._learn_held(numbers, effort != last, grown | (np.abs(last) < record), moving[:, None])
         longest = _LONG * np.maximum(1, held)  # that rounding could explain
-        found: BoolArray = (held > 0) & (numbers - last_below >= longest) & moved & moving[:, None]
+        found: BoolArray = (held > 0) & (numbers - last_below >= longest) & moved
         found &= (count < _MOSTLY * numbers) & (1e-9 * (stamps[:, None] - since) >= LONGEST_SAME)
-        self._stamp, self._last = int(stamps[-1]), effort[-1].copy()
-        self._messages += len(stamps)
-        self._largest = record[-1]
         self._last_below, self._largest_since = last_below[-1], since[-1]
         self._moved, self._at_largest = moved[-1], count[-1]
         return found
@@ -133,7 +160,7 @@ class SaturationDetector:
         renews them seldom do.
 
         Args:
-            numbers: of the messages ``(N, joints)``.
+            numbers: of the messages ``(N, 1)``.
             new: whether efforts are others than those before ``(N, joints)``.
             smaller: whether those before were not the largest ``(N, joints)``.
             moving: ``(N, 1)`` whether the robot moves.
@@ -142,7 +169,7 @@ class SaturationDetector:
             ``(N, joints)`` the most messages so far.
         """
         begun = _latest(np.where(new | ~moving, numbers, -1), self._begun)
-        begun_before = np.vstack([self._begun, begun[:-1]])
+        begun_before = np.concatenate([self._begun[None], begun[:-1]])
         counts = np.where(new & moving & smaller, numbers - begun_before, 0)
         held = _latest(counts, self._held)
         self._begun, self._held = begun[-1], held[-1]

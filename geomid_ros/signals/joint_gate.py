@@ -11,7 +11,7 @@ from math import tau
 import numpy as np
 
 from geomid_ros.signals.admission import FEW, Answer, Gate
-from geomid_ros.signals.clocks import FEWEST
+from geomid_ros.signals.clocks import FEWEST, steps
 from geomid_ros.signals.effort_quality import SpikeHeights
 from geomid_ros.signals.ledger import Reason, driver_error
 from geomid_ros.signals.settings import CLEAR, FASTEST, FINEST, SHORTEST_CONTACT
@@ -87,25 +87,28 @@ class JointGate(Gate):
 
     def _suspicious(self, stamps: IntArray, numbers: FloatArray) -> BoolArray:
         """Which messages do not go on from the one before ``(N,)``; as if all passed."""
-        passed = self._stamps
-        before = np.concatenate([self._last[-1:], numbers[:-1]])
-        every = np.concatenate([passed, stamps])
-        ends = np.arange(len(passed) - 1, len(every) - 1)  # of the spans before each message
+        every, passed = np.concatenate([self._stamps, stamps]), len(self._stamps)
+        before = every[passed - 1 : -1]
+        ends = np.arange(passed - 1, len(every) - 1)  # of the spans before each message
         begins = np.maximum(ends - 2 * FEWEST, 0)
-        periods = 1e-9 * (every[ends] - every[begins]) / np.maximum(ends - begins, 1)
-        periods[ends - begins < FEWEST] = self._period_before
-        steps = stamps - every[ends]
-        seconds = 1e-9 * steps
+        counts = ends - begins
+        periods = 1e-9 * (before - every[begins]) / np.maximum(counts, 1)
+        periods[counts < FEWEST] = self._period_before
+        ahead = stamps - before
+        seconds = 1e-9 * ahead
         reach = np.maximum(seconds, periods)[:, None] * self._speed
-        found: BoolArray = (seconds > np.maximum(_USUAL_STEP * periods, self._usual_step)) | (steps <= 0)
-        found |= steps > self._max_gap
-        found |= (self._distance(numbers[:, 0], before[:, 0]) > reach).any(axis=1)
-        found |= (np.abs(numbers[:, 2] - before[:, 2]) > self._efforts.least).any(axis=1)
+        found: BoolArray = (seconds > np.maximum(_USUAL_STEP * periods, self._usual_step)) | (ahead <= 0)
+        found |= ahead > self._max_gap
+        found |= (self._size(steps(numbers[:, 0], self._last[-1, 0])) > reach).any(axis=1)
+        found |= (np.abs(steps(numbers[:, 2], self._last[-1, 2])) > self._efforts.least).any(axis=1)
         return found
 
     def _distance(self, first: FloatArray, second: FloatArray) -> FloatArray:
         """How far positions ``(..., joints)`` are apart, but for whole turns."""
-        apart = np.abs(first - second)
+        return self._size(first - second)
+
+    def _size(self, apart: FloatArray) -> FloatArray:
+        """The sizes of steps between positions ``(..., joints)``, but for whole turns."""
         return np.asarray(np.abs(apart - self._turn * np.rint(apart / tau)))
 
     def _pass(self, stamps: IntArray, numbers: FloatArray) -> None:
@@ -115,7 +118,7 @@ class JointGate(Gate):
             self._compare_anew()
             self._last = self._last[:0]
         self._stamps = np.concatenate([self._stamps, stamps])[-2 * FEWEST - 1 :]
-        self._last = np.concatenate([self._last, numbers])[-AHEAD - 1 :]
+        self._last = np.concatenate([self._last, numbers[-AHEAD - 1 :]])[-AHEAD - 1 :]
         super()._pass(stamps, numbers)
         self._late = self._stamp
         if self._efforts.add(numbers[:, 2]) and len(self._stamps) > 2 * FEWEST:
@@ -201,18 +204,18 @@ class JointGate(Gate):
 
     def _largest_step(self, numbers: FloatArray) -> FloatArray:
         """Between positions of messages in a row ``(joints,)``: what moves fast anyway may be faster than thought."""
-        steps = self._distance(numbers[1:, 0], numbers[:-1, 0])
-        return np.asarray(np.max(steps, axis=0, initial=0.0))
+        moved = self._distance(numbers[1:, 0], numbers[:-1, 0])
+        return np.asarray(np.max(moved, axis=0, initial=0.0))
 
     def _clock_was_set(self, stamps: IntArray, numbers: FloatArray) -> bool:
         """Whether by the motion only a period has passed between the last good message and the first of these, from
         which the stamps go on as before."""
         period, count = self._period, AHEAD + 1
-        steps = 1e-9 * np.diff(stamps)
+        periods = 1e-9 * np.diff(stamps)
         step = 1e-9 * float(stamps[0] - self._stamp)
         if not _LEAST_SET < abs(step - period) < np.inf or min(len(self._stamps), len(self._last), len(stamps)) < count:
             return False
-        if np.any((steps < period / CLEAR) | (steps > _USUAL_STEP * period)):
+        if np.any((periods < period / CLEAR) | (periods > _USUAL_STEP * period)):
             return False
         left, right = self._without_turns(self._last[-count:, 0], numbers[:, 0])
         ends = _end(self._stamps[-count:] - self._stamps[-1], left), _end(stamps - stamps[0], right)

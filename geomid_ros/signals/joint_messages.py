@@ -9,6 +9,7 @@ import numpy as np
 
 from geomid_ros.model.samples import STILL
 from geomid_ros.signals.arrived import missing_joint, plausible, without_refusal
+from geomid_ros.signals.clocks import steps
 from geomid_ros.signals.effort_quality import EffortQuality, SaturationDetector
 from geomid_ros.signals.ledger import Reason, driver_error
 from geomid_ros.signals.messages import Block
@@ -171,37 +172,43 @@ class JointReader:
 
     def _unwind(self, positions: FloatArray) -> None:
         """Add whole turns to positions that jump by them: those of continuous joints, and of drivers that wrap."""
-        raw = positions.copy()
-        steps = np.diff(raw, axis=0, prepend=raw[:1] if self._raw is None else self._raw[None])
-        turns = np.round(steps / tau)
-        wraps = self._turning & (turns != 0.0) & (np.abs(steps - tau * turns) < _UNLIKE_A_TURN)
+        moved = steps(positions, positions[0] if self._raw is None else self._raw)
+        self._raw = positions[-1].copy()
+        turns = np.rint(moved / tau)
+        if not turns.any():
+            positions += tau * self._turns
+            return
+        wraps = self._turning & (turns != 0.0) & (np.abs(moved - tau * turns) < _UNLIKE_A_TURN)
         for joint in np.flatnonzero(wraps.any(axis=0)):
             self._note_once(Reason(f"positions of '{self._joints[joint]}' {UNWRAPPED}", "told"))
         added = self._turns - np.cumsum(np.where(self._continuous | wraps, turns, 0.0), axis=0)
         positions += tau * added
-        self._raw, self._turns = raw[-1], added[-1]
+        self._turns = added[-1]
 
     def _frozen(self, stamps: IntArray, numbers: FloatArray) -> tuple[BoolArray, FloatArray]:
         """In which messages no number has changed, though by velocities, or else by the positions before, the robot
         moves; and the speed in each, both ``(N,)``."""
-        before = np.concatenate([self._last[None], numbers[:-1]])
         # Positions first, as hardly ever all of them are the same. Zeros as efforts are looked at elsewhere.
-        same = (numbers[:, 0] == before[:, 0]).all(axis=1)
+        moved = steps(numbers[:, 0], self._last[0])
+        same: BoolArray = ~moved.any(axis=1)
         if same.any():
-            now, then = numbers[same], before[same]
+            now, then = numbers[same], np.concatenate([self._last[None], numbers[:-1]])[same]
             same[same] = ((now == then) | (np.isnan(now) & np.isnan(then))).all(axis=(1, 2)) & now[:, 2].any(axis=1)
-        speeds = self._speeds(stamps, numbers, before, same)
+        speeds = self._speeds(stamps, numbers[:, 1], moved, same)
         self._came, self._speed = int(stamps[-1]), float(speeds[-1])
         return same & (speeds > STILL), speeds
 
-    def _speeds(self, stamps: IntArray, numbers: FloatArray, before: FloatArray, same: BoolArray) -> FloatArray:
-        """The largest speed of a joint in each message ``(N,)``; where none is measured by its position and that
-        ``before``, and where both are the ``same`` that of the message before."""
-        steps = np.max(np.abs(numbers[:, 0] - before[:, 0]), axis=1, initial=0.0)
-        steps[:1] = steps[:1] if self._came else 0.0
-        derived = np.where(same, np.nan, steps / (1e-9 * np.diff(stamps, prepend=self._came)))
-        speeds = np.fmax.reduce(np.abs(numbers[:, 1]), axis=1, initial=np.nan)
-        speeds = np.append(self._speed, np.where(np.isnan(speeds), derived, speeds))
+    def _speeds(self, stamps: IntArray, velocities: FloatArray, moved: FloatArray, same: BoolArray) -> FloatArray:
+        """The largest speed of a joint in each message ``(N,)``; where none is measured by how far joints have
+        ``moved (N, J)``, and where all numbers are the ``same`` that of the message before."""
+        speeds: FloatArray = np.fmax.reduce(np.abs(velocities), axis=1, initial=np.nan)
+        unknown = np.isnan(speeds)
+        if not unknown.any():
+            return speeds
+        farthest = np.max(np.abs(moved), axis=1, initial=0.0)
+        farthest[:1] = farthest[:1] if self._came else 0.0
+        derived = np.where(same, np.nan, farthest / (1e-9 * steps(stamps, self._came)))
+        speeds = np.append(self._speed, np.where(unknown, derived, speeds))
         latest = np.maximum.accumulate(np.where(np.isnan(speeds), 0, np.arange(len(speeds))))
         return np.asarray(speeds[latest][1:])
 
@@ -213,12 +220,14 @@ class JointReader:
         effort[zeros] = np.nan
         saturated = self._saturation.saturated(stamps, effort, numbers[:, 1], moving)
         effort[saturated | ~self._measuring(effort)] = np.nan
-        measured = np.isfinite(effort)
+        measured, refusals = np.isfinite(effort), np.full(len(stamps), None)
+        if measured.all():
+            self._effort_stamps = np.full(len(self._joints), stamps[-1])
+            return refusals
         latest = np.concatenate([self._effort_stamps[None], np.where(measured, stamps[:, None], 0)])
         latest = np.maximum.accumulate(latest)
         self._effort_stamps = latest[-1]
         lost = ~measured & (latest[:-1] > 0) & (stamps[:, None] - latest[:-1] <= self._max_gap)
-        refusals = np.full(len(stamps), None)
         for row in np.flatnonzero(lost.any(axis=1)):
             name = self._joints[int(np.argmax(lost[row]))]
             if saturated[row].any():
@@ -234,7 +243,7 @@ class JointReader:
     def _measuring(self, effort: FloatArray) -> BoolArray:
         """The joints ``(N, J)`` whose driver has shown an effort other than exactly zero so far: of one that has not,
         as of a gripper without a sensor, zero is no measurement."""
-        shown = np.logical_or.accumulate(np.nan_to_num(effort) != 0.0, axis=0) | self._seen
+        shown = np.logical_or.accumulate(np.abs(effort) > 0.0, axis=0) | self._seen
         self._seen = shown[-1]
         return np.asarray(shown)
 

@@ -235,15 +235,18 @@ class SignalPipeline:
     def _use(self, source: Source, arrived: Arrived) -> None:
         """Use the messages that are not refused, by their gate or their reader."""
         topic, part = source
-        good = arrived.good
-        stamps, values, order = arrived.stamps[good], arrived.numbers[good], arrived.order[good]
-        refused = Counter(arrived.refusals[~good].tolist())
+        good, refused = arrived.good, list[str]()
+        if not good.all():
+            refused += arrived.refusals[~good].tolist()
+            arrived = arrived.select(good)
+        stamps, values, order = arrived.stamps, arrived.numbers, arrived.order
         if topic == JOINT_STATES and len(stamps):
             values, refusals = self._parts.readers[part].read(stamps, values)
             taken = without_refusal(refusals)
-            refused.update(refusals[~taken].tolist())
-            stamps, values, order = stamps[taken], values[taken], order[taken]
-        for reason, count in refused.items():
+            if not taken.all():
+                refused += refusals[~taken].tolist()
+                stamps, values, order = stamps[taken], values[taken], order[taken]
+        for reason, count in Counter(refused).items():
             self._refused(topic, reason, count)
         if len(stamps):
             if topic == JOINT_STATES and self._parts.merges:

@@ -232,8 +232,9 @@ class Sampler:
         parts = self._joint_stream.segment.filtered(instants)
         value, first, second = (part.reshape(count, 3, joints) for part in parts)
         position, velocity, acceleration = value[:, 0], first[:, 0], second[:, 0]
-        position[:, self._continuous] = np.remainder(position[:, self._continuous] + np.pi, 2.0 * np.pi) - np.pi
-        is_derivative = self._velocities.add(value[:, 1], velocity)
+        if self._continuous.any():
+            position[:, self._continuous] = np.remainder(position[:, self._continuous] + np.pi, 2.0 * np.pi) - np.pi
+        told = self._velocities.add(value[:, 1], velocity)
         if remark := self._velocities.remark():
             self._ledger.note(JOINT_STATES, remark)
         effort = self._streams[_EFFORTS].segment.filtered(instants)[0] if self._effort_delay else value[:, 2]
@@ -242,7 +243,7 @@ class Sampler:
             own, rates, _ = (part.reshape(count, 3, -1) for part in self._streams[COMMANDS].segment.filtered(instants))
             commands = np.concatenate([own, effort[:, None]], axis=1)
             # A controller acts on the velocity that its driver sends.
-            sent = np.where(is_derivative, value[:, 1], velocity)
+            sent = np.where(self._velocities.are_derivatives(value[:, 1], told), value[:, 1], velocity)
             effort = self._controller.efforts(own, value[:, 0], sent)
             for column in self._entries.columns:
                 if isinstance(column, PlacedColumn) and column.effect.place == "commands":
@@ -254,7 +255,7 @@ class Sampler:
         for index, topic in enumerate(self._wrenches):
             wrenches[:, index] = self._streams[topic].segment.filtered(instants)[0]
         samples = Samples(
-            stamps=np.array([instant * grid.period for instant in instants], dtype=np.int64),
+            stamps=np.array(instants) * grid.period,
             position=position,
             velocity=velocity,
             acceleration=acceleration,

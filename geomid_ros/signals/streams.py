@@ -17,6 +17,7 @@ import numpy as np
 from geomid_ros.model import se3
 from geomid_ros.model.columns import Entries
 from geomid_ros.model.effects import JointEffect, Motion
+from geomid_ros.signals.clocks import steps
 from geomid_ros.signals.kernels import GridValues, cubic_weights, derivative_kernels, highest_cutoff
 from geomid_ros.signals.settings import MEAN_STEPS, MEAN_TOLERANCE
 from geomid_ros.types import FloatArray, IntArray
@@ -77,9 +78,9 @@ class Stream(Generic[S]):
 
     def push(self, stamps: IntArray, values: FloatArray) -> None:
         """Take the values ``(N, values)`` of messages with increasing ``stamps (N,)`` [ns], later than before."""
-        first = stamps[0] if self._last is None else self._last
-        pauses = np.flatnonzero(np.diff(stamps, prepend=first) > self._max_gap)
-        for begin, end in pairwise(sorted({0, *pauses.tolist(), len(stamps)})):
+        late = steps(stamps, stamps[0] if self._last is None else self._last) > self._max_gap
+        pauses = np.flatnonzero(late).tolist() if late.any() else []
+        for begin, end in pairwise(sorted({0, *pauses, len(stamps)})):
             if begin in pauses:
                 self._segments.append(self._new_segment())
             self._segments[-1].push(stamps[begin:end], values[begin:end])
@@ -147,14 +148,10 @@ class VectorSegment(Segment):
 
     def _between(self, stamps: IntArray, values: FloatArray, times: IntArray) -> FloatArray:
         """Values at ``times`` [ns] among ``stamps (N,)`` of ``values (N, ...)``."""
-        left = np.clip(np.searchsorted(stamps, times) - 2, 0, len(stamps) - 4)
-        origins = stamps[left]
-        nodes = (stamps[left[:, None] + np.arange(4)] - origins[:, None]).astype(float)
-        weights = cubic_weights(nodes, (times - origins).astype(float))
-        on_grid = weights[:, :1] * values[left]
-        for node in range(1, 4):
-            on_grid += weights[:, node, None] * values[left + node]
-        return np.asarray(on_grid)
+        left = np.minimum(np.maximum(np.searchsorted(stamps, times) - 2, 0), len(stamps) - 4)
+        nodes, origins = left[:, None] + np.arange(4), stamps[left]
+        weights = cubic_weights((stamps[nodes] - origins[:, None]).astype(float), (times - origins).astype(float))
+        return np.asarray(np.einsum("ni,nij->nj", weights, values[nodes]))
 
     def ready(self) -> range:
         reached, half = self._reached, self._grid.half
@@ -205,7 +202,7 @@ class JointSegment(VectorSegment):
         self._entries = entries
         self._sharp_half = grid.sharp_kernels.shape[1] // 2
         self._entries_on_grid = GridValues()
-        self._past: dict[JointEffect, FloatArray] = {}
+        self._past: dict[type[JointEffect], FloatArray] = {}
         self._position = np.zeros((0, entries.joints))  # at the last instant that effects remember
 
     def ready(self) -> range:
@@ -228,11 +225,13 @@ class JointSegment(VectorSegment):
 
     def _remembered(self, position: FloatArray) -> dict[JointEffect, FloatArray]:
         """What effects remember at the next instants, at which joints are at a ``position (N, J)``."""
-        from_before = np.concatenate([self._position, position])
-        moved = np.diff(from_before, axis=0, prepend=from_before[:1])[len(self._position) :]
-        nothing = np.zeros(position.shape[1])
-        found = {e: e.states(moved, self._past.get(e, nothing)) for e in self._entries.remembering}
-        self._past, self._position = {e: states[-1] for e, states in found.items()}, position[-1:]
+        moved = steps(position, self._position if len(self._position) else position[:1])
+        self._position = position[-1:]
+        found: dict[JointEffect, FloatArray] = {}
+        for kind, effects in self._entries.remembering.items():
+            states = kind.states(effects, moved, self._past.get(kind, np.zeros((len(effects), moved.shape[1]))))
+            self._past[kind] = states[-1]
+            found |= zip(effects, np.moveaxis(states, 1, 0), strict=True)
         return found
 
     def drop_before(self, instant: int) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import time
 
 from files.recordings import BAGS, recorded
 
@@ -27,7 +28,7 @@ def fed(worker: Worker) -> None:
     """Let a worker take a recording."""
     for item in recorded(BAGS / "arm3"):
         if item.topic == "/joint_states":
-            worker.take([Received(*item.raw)])
+            worker.take([Received(*item.raw, time.perf_counter())])
 
 
 def solved(worker: Worker) -> Estimate | GeomidError:

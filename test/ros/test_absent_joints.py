@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import suppress
 from threading import Event
@@ -78,7 +79,7 @@ def feed(supervisor: Supervisor, finger: bool = False) -> int:
         message = item.message
         fields = {key: np.append(getattr(message, key), 0.01) for key in ("position", "velocity", "effort")}
         taken = item.changed(name=[*message.name, FINGER], **fields) if finger else item
-        worker.take([Received(*taken.raw)])
+        worker.take([Received(*taken.raw, time.perf_counter())])
     all_taken = Event()
     worker.final_estimate(lambda _: all_taken.set())
     assert all_taken.wait(PATIENCE)

@@ -64,7 +64,7 @@ class Listened:
 
     def hear(self, sent: list[bytes]) -> None:
         """Let messages come."""
-        self.waiting = [Received(JOINT_STATES, data) for data in sent]
+        self.waiting = [Received(JOINT_STATES, data, 0.0) for data in sent]
         self.streaming.wait(0.02)
         while self.waiting and self.streaming._stream.ready:  # the machine is busy
             self.streaming.wait(0.02)

@@ -62,7 +62,7 @@ class Watched(Listener):
 
     def feed(self, begin: int = 0, end: int = len(JOINTS)) -> None:
         for message in JOINTS[begin:end]:
-            self.worker.take([Received(*message)])
+            self.worker.take([Received(*message, time.perf_counter())])
 
     def final(self) -> Estimate | GeomidError:
         """The answer to a request for a final estimate."""

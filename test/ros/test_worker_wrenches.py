@@ -113,7 +113,7 @@ class Working:
         """Take messages. At any time, all rows are accounted for."""
         for begin in range(0, len(items), AT_ONCE):
             for item in items[begin : begin + AT_ONCE]:
-                self.worker.take([Received(*item.raw)])
+                self.worker.take([Received(*item.raw, time.perf_counter())])
             self.status()
             while self.worker._inbox.unfinished:  # what has no room is dropped
                 time.sleep(2e-3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
@@ -103,7 +104,7 @@ def from_node(messages: list[Recorded]) -> tuple[Session, Estimate, Any]:
     found = session()
     with closing(Worker(found, 3600.0, Listener())) as worker:
         for item in messages:
-            worker.take([Received(*item.raw)])
+            worker.take([Received(*item.raw, time.perf_counter())])
         estimate = final_estimate(worker)
         assert isinstance(estimate, Estimate), estimate
         status = worker.status(active=True)

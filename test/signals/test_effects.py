@@ -59,11 +59,11 @@ def test_what_an_effect_remembers_does_not_depend_on_the_blocks_in_which_message
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Every joint reverses several times; what is remembered begins with nothing."""
-    column = JointColumn(Presliding(DISTANCES[-1]))
-    stamps, motion = regular(0.008, 8.0), Motion()
+    effect = Presliding(DISTANCES[-1])
+    column, stamps, motion = JointColumn(effect), regular(0.008, 8.0), Motion()
     position = motion.derivative(stamps, 0)
-    bent = column.function.states(np.diff(position, axis=0, prepend=position[:1]), np.zeros(3))
-    truth = bent - np.tanh(motion.derivative(stamps, 1) / 0.003)
+    moved = np.diff(position, axis=0, prepend=position[:1])
+    truth = Presliding.states([effect], moved, np.zeros((1, 3)))[:, 0] - np.tanh(motion.derivative(stamps, 1) / 0.003)
     found = []
     for count in (feeding.AT_ONCE, 7):
         monkeypatch.setattr(feeding, "AT_ONCE", count)

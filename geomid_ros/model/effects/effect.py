@@ -352,10 +352,11 @@ class JointEffect(MotionEffect):
     def column(self, motion: JointMotion) -> FloatArray:
         """Effort ``(...)`` at the joint per unit of the coefficient, at each instant by itself."""
 
-    def states(self, moved: FloatArray, before: FloatArray) -> FloatArray:  # noqa: ARG002
-        """What it remembers ``(N, J)`` after each of the steps by which joints have ``moved (N, J)``, from what it did
-        ``before`` them ``(J,)``."""
-        return np.zeros(moved.shape)
+    @classmethod
+    def states(cls, effects: Sequence[Self], moved: FloatArray, before: FloatArray) -> FloatArray:  # noqa: ARG003
+        """What each of n ``effects`` of this class remembers ``(N, n, J)`` after each of the steps by which joints have
+        ``moved (N, J)``, from what it did ``before`` them ``(n, J)``."""
+        return np.zeros((len(moved), *before.shape))
 
     def efforts(self, motion: Motion, place: Place) -> FloatArray:
         """Those of the one joint."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -323,13 +324,13 @@ class Presliding(JointEffect):
         """Whether the joint has as much dry friction as keeps its sign, but for the drift of both."""
         return bool(beside[self] <= (1.0 + self.drift) * np.max(dry_friction(beside)))
 
-    def states(self, moved: FloatArray, before: FloatArray) -> FloatArray:
+    @classmethod
+    def states(cls, effects: Sequence[Self], moved: FloatArray, before: FloatArray) -> FloatArray:
         """How far surfaces are bent, z."""
-        left = np.exp(-np.abs(moved) / self.distance)
-        bent = (1.0 - left) * np.sign(moved)
-        for step, share in enumerate(left):
-            bent[step] += share * before
-            before = bent[step]
+        left = np.exp(-np.abs(moved)[:, None] / np.array([[effect.distance] for effect in effects]))
+        bent = (1.0 - left) * np.sign(moved)[:, None]
+        for own, share in zip(bent, left, strict=True):
+            own[:] = before = own + share * before
         return np.asarray(bent)
 
     def column(self, motion: JointMotion) -> FloatArray:
