@@ -51,7 +51,7 @@ def test_what_it_remembers_is_dahls_law_also_at_rest(distance: float) -> None:
     position = np.where(time < 2.0, np.sin(2.0 * time), np.sin(4.0))[:, None] + 1e-3 * np.arange(3)
     moved, own, states = np.diff(position, axis=0, prepend=position[:1]), Presliding(distance), [np.zeros((1, 3))]
     for begin, end in ((0, 1), (1, 100), (100, 301)):
-        states.append(own.states(moved[begin:end], states[-1][-1]))
+        states.append(own.states([own], moved[begin:end], states[-1][-1:])[:, 0])
     remembered = np.concatenate(states[1:])
     np.testing.assert_allclose(remembered[:, 0], dahl(position[:, 0], distance), atol=1e-12)
     still = WithPast(np.zeros((3, 1, 2)), past={own: np.array([[0.5, remembered[-1, 0]]])})
@@ -89,7 +89,7 @@ def remembered(case: Case, moving: Motion, distance: float) -> Samples:
     others = {name: sizes for name, sizes in case.true.effects.items() if name != "coulomb_friction"}
     felt = efforts(case.model.robot, replace(case.true, effects=others), moving) + level * dry
     moved = np.diff(moving.position, axis=0, prepend=moving.position[:1])
-    past = {effect: effect.states(moved, np.zeros(moved.shape[1])) for effect in own}
+    past = {effect: effect.states([effect], moved, np.zeros((1, moved.shape[1])))[:, 0] for effect in own}
     entries = Entries(tuple(JointColumn(effect) for effect in own), moved.shape[1])
     states = WithPast(np.array([moving.position, moving.velocity, moving.acceleration]), past)
     noise = NOISE * np.random.default_rng(1).normal(size=felt.shape)
