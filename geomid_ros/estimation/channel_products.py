@@ -119,13 +119,12 @@ class ChannelProducts:
         return found
 
     def squares(self, vector: FloatArray) -> FloatArray:
-        """Squared norm per channel ``(C,)`` of the columns times ``vector (size,)``; of several ``(k, C)``."""
+        """Squared norm per channel ``(C,)`` of the columns times ``vector (size,)``."""
         nothing = np.zeros(len(self))
-        found = _weighed(self.packed, vector, nothing, nothing, alone=True) if vector.ndim == 1 else None
-        if found is not None:
+        if (found := _weighed(self.packed, vector, nothing, nothing, alone=True)) is not None:
             return found[0]
-        parts = ((vector[..., own], block) for own, block in zip(self.places, self.blocks, strict=True))
-        return np.stack([np.sum(part @ block * part, axis=-1) for part, block in parts], axis=-1)
+        pairs = zip(self.places, self.blocks, strict=True)
+        return np.array([float(vector[own] @ block @ vector[own]) for own, block in pairs])
 
     def weighed(self, weights: Sequence[float] | FloatArray) -> FloatArray:
         """Weighted sum of the Gram matrices ``(size, size)``, for ``weights (C,)``."""

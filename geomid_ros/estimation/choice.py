@@ -14,7 +14,7 @@ link that has swallowed an effect hides it. No effect is negative that cannot be
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,15 +77,31 @@ def _grown(chosen: CoefficientFit) -> CoefficientFit:
 
 
 def _shaped(fit: CoefficientFit, joints: Collection[int]) -> CoefficientFit:
-    """The fit in which every effect of ``joints`` that is not optional has the shape of the highest likelihood, or one
-    that may as well have it: step by step wherever another one promises more, or at the first place alone at which it
-    keeps the promise. It leaves no optional effect impossible."""
-    better: CoefficientFit | None = fit
-    while better is not None:
-        fit, pairs = better, better.exchanges(joints)
-        tried = [*pairs[:, None]] if len(pairs) < 2 else [pairs, *pairs[:, None]]
-        better = next((x for x in map(fit.exchanged, tried) if x.score < fit.score and np.all(x.possible)), None)
-    return fit.rows.fit(fit.every, fit)
+    """The fit in which every effect of ``joints`` that is not optional has the shape of the highest likelihood, one
+    after the other."""
+    rows = fit.rows
+    for mechanism in rows.always:
+        if not set(joints).intersection(joints_of(mechanism[1])):
+            continue
+        fit = _best_shape(fit, rows.shapes[mechanism])
+    return rows.fit(fit.every, fit)
+
+
+def _best_shape(fit: CoefficientFit, shapes: Sequence[int]) -> CoefficientFit:
+    """The fit in which the one effect of the columns ``shapes``, in the order of its constant, has the most likely one:
+    to either side of the one that it has, as far as each is more likely than the one before."""
+    own = next(place for place, shape in enumerate(shapes) if shape in fit.every)
+    best = fit
+    for side in (range(own + 1, len(shapes)), range(own - 1, -1, -1)):
+        before = fit
+        for place in side:
+            columns = np.sort(np.append(np.setdiff1d(fit.every, shapes), shapes[place]))
+            shaped = fit.rows.fit(columns, before, spreads=fit.fit.scales)
+            if shaped.score >= before.score:
+                break
+            before = shaped
+        best = min(best, before, key=lambda found: found.score)
+    return best
 
 
 def _without_unbelieved(fit: CoefficientFit) -> CoefficientFit:

@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.estimation.channel_products import ChannelProducts
-from geomid_ros.estimation.estimate import TAKEN
 from geomid_ros.estimation.fit import cost_of_spreads, likely_spreads
 from geomid_ros.estimation.objective import rows_at
 from geomid_ros.estimation.problem import Problem
@@ -24,7 +23,7 @@ from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.coefficients import Coefficient, Mechanism
-from geomid_ros.model.effects import Effect, Place, joints_of
+from geomid_ros.model.effects import Effect, Place
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 
@@ -87,16 +86,6 @@ class CoefficientRows:
         for own in found.values():
             own.sort(key=lambda column: [*vars(self.coefficient(column).effect).values()])
         return found
-
-    def other_shapes(self, columns: IntArray, joints: Collection[int]) -> IntArray:
-        """Pairs ``(k, 2)`` of a column of the effects of ``joints`` that are never left out, of those that are among
-        ``columns``, and of the column of another shape of the same effect."""
-        own = (
-            self.shapes[mechanism] for mechanism in self.always if not set(joints).isdisjoint(joints_of(mechanism[1]))
-        )
-        there = set(columns.tolist())
-        pairs = [(one, other) for shapes in own for one in shapes if one in there for other in shapes if other != one]
-        return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
     @cached_property
     def optional(self) -> list[int]:
@@ -291,11 +280,6 @@ class CoefficientFit:
         """All parameters and minus one ``(n + 1,)``: the residual is what the columns with the target leave of it."""
         return np.append(self.parameters, -1.0)
 
-    @cached_property
-    def _logarithm(self) -> FloatArray:
-        """The tangent coordinates of where it ended, at the prior."""
-        return self.fit.objective.manifold.log(self.fit.objective.profile.prior, self.fit.point)
-
     @property
     def _slopes(self) -> FloatArray:
         """Half the derivative of the squares of each fold that has rows by each of its coefficients ``(folds, k)``."""
@@ -315,7 +299,7 @@ class CoefficientFit:
         real = self.columns >= self.rows.first
         variances = np.diag(inverse)[real]
         inflation = self._inflation(self.columns[real], (slopes @ inverse)[:, real], variances)
-        values = self._logarithm[real]
+        values = manifold.log(self.fit.objective.profile.prior, self.fit.point)[real]
         squares = np.zeros(self.rows.size)
         squares[self.columns[real]] = values**2 / (inflation * variances)
         return np.asarray(squares[columns])
@@ -333,49 +317,6 @@ class CoefficientFit:
             possible = left > ROUNDING * squares
             gains[able] = np.where(possible, values[able] ** 2 / np.where(possible, left, 1.0), 0.0)
         return gains
-
-    def exchanges(self, joints: Collection[int]) -> IntArray:
-        """Pairs ``(k, 2)`` of a column and of the shape that is most likely in its place, for effects of ``joints``
-        that are not optional and of which another shape is told; what gains most comes first."""
-        pairs = self.rows.other_shapes(self.every, joints)
-        gains = self._gains_of_exchange(*pairs.T)
-        order = np.argsort(-gains)
-        _, first = np.unique(pairs[order, 0], return_index=True)
-        best = order[np.sort(first)]
-        return pairs[best[gains[best] > TAKEN**2]]
-
-    def exchanged(self, pairs: IntArray) -> CoefficientFit:
-        """The fit with the second column of each of the ``pairs (k, 2)`` in place of the first, links of the same
-        spreads."""
-        columns = np.union1d(np.setdiff1d(self.every, pairs[:, 0]), pairs[:, 1])
-        return self.rows.fit(columns, self, spreads=self.fit.scales)
-
-    def _gains_of_exchange(self, own: IntArray, other: IntArray) -> FloatArray:
-        """By how much twice the log likelihood would be larger with each ``other (k,)`` column in place of its ``own``,
-        at the step to the minimum for these weights; zero for a coefficient that would be negative and cannot be."""
-        manifold, point, every = self.fit.objective.manifold, self.fit.point, np.arange(len(own))
-        products = self.rows.products.some(other, self.weights)
-        root = definite.roots(self.fit.hessian, len(self.columns))
-        blocks, rest = manifold.jacobian(point)
-        shared = manifold.by_blocks(products[:, self.columns], blocks, rest)
-        moved, squares = shared @ root @ root.T, products[every, other]
-        left = np.maximum(squares - np.sum(shared * moved, axis=1), ROUNDING * squares + np.finfo(float).tiny)
-        sizes = -products @ self._vector / left
-        # The one that goes takes what is left of it beside the one that comes; one that is held at zero takes nothing.
-        place = np.minimum(np.searchsorted(self.columns, own), len(self.columns) - 1)
-        pull = moved[every, place]
-        away = root[place] @ root.T + (pull / left)[:, None] * moved
-        gone = np.where(self.columns[place] == own, self._logarithm[place] - pull * sizes, 0.0)
-        shares = gone / away[every, place]
-        reached = np.zeros((len(own), self.rows.size + 1))
-        steps = -sizes[:, None] * moved - shares[:, None] * away
-        reached[:, self.columns] = point.parameters + manifold.by_blocks(steps, np.swapaxes(blocks, 1, 2), rest)
-        reached[every, other], reached[:, -1] = sizes + pull / left * shares, -1.0
-        squares = self.rows.products.squares(np.vstack([reached, self._vector]))
-        ratios = np.maximum(squares[:-1], self.fit.objective.profile.least) / self.left
-        gains = left * sizes**2 - gone * shares + (squares[:-1] - squares[-1]) @ self.weights
-        gains -= np.log(ratios) @ self.rows.counts
-        return np.where((reached[every, other] > 0.0) | ~self._positive(other), gains, 0.0)
 
     def _positive(self, columns: IntArray) -> BoolArray:
         """Whether coefficients cannot be negative."""

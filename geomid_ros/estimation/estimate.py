@@ -16,9 +16,6 @@ from geomid_ros.types import FloatArray
 
 TOLD = 3.0
 """Standard deviations from nothing at which a quantity, or an effect, is told."""
-TAKEN = 2.0
-"""Of its own standard deviations: an effect that is smaller may as well be nothing, another shape as well be the one at
-hand."""
 FINEST = 1e7
 """Inverse of the smallest relative error of an inertia that data are believed to resolve."""
 

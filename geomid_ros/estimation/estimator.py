@@ -14,7 +14,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation import estimate_parts, uncertainty
 from geomid_ros.estimation.choice import Choice, choose
 from geomid_ros.estimation.coupled_prior import CoupledPrior, fit_beside
-from geomid_ros.estimation.estimate import TAKEN, Estimate
+from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.file_fits import fit_files
 from geomid_ros.estimation.fit import INDEPENDENT, Fit, fit, likelier
 from geomid_ros.estimation.link_priors import AlikePrior, PopulationPrior
@@ -35,6 +35,7 @@ from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_ro
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
 _FAR = 2.0  # times the usual distance
+_TAKEN = 2.0  # of its own standard deviations: an effect that is smaller may as well be nothing
 _SPENT = (
     "the solver's budget of steps was spent before the spreads of the links had settled: masses are those of the last "
     "step; is the URDF this robot's, in SI units, and do efforts have the signs of its joints?"
@@ -221,7 +222,7 @@ def _unsure(model: MeasurementModel, result: Estimate, columns: IntArray) -> Int
     sizes = _sizes(result)
     sizes[[model.coefficients[column - first].mechanism in always for column in own]] = np.inf
     least = float(np.min(sizes, initial=np.inf))
-    return np.asarray(own[(sizes < TAKEN) & (sizes <= least)])
+    return np.asarray(own[(sizes < _TAKEN) & (sizes <= least)])
 
 
 def _untold_errors(model: MeasurementModel, result: Estimate, columns: IntArray) -> IntArray:
@@ -229,7 +230,7 @@ def _untold_errors(model: MeasurementModel, result: Estimate, columns: IntArray)
     first = model.dimension - len(model.coefficients)
     own = columns[columns >= first]
     of_sensor = np.array([model.coefficients[column - first].effect.of_sensor for column in own], dtype=bool)
-    return np.asarray(own[of_sensor & (_sizes(result) < TAKEN)])
+    return np.asarray(own[of_sensor & (_sizes(result) < _TAKEN)])
 
 
 def _sizes(result: Estimate) -> FloatArray:

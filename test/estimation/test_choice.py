@@ -11,7 +11,7 @@ import pytest
 
 from geomid_ros.estimation import choice
 from geomid_ros.estimation.coefficient_fit import CoefficientFit, CoefficientRows
-from geomid_ros.estimation.estimate import TAKEN, EffectEstimate, Estimate
+from geomid_ros.estimation.estimate import EffectEstimate, Estimate
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.fit import CERTAINTY
 from geomid_ros.estimation.problem import Problem
@@ -304,45 +304,3 @@ def test_what_a_column_promises_is_what_a_fit_with_it_finds() -> None:
     larger = rows.fit(columns(small, (effect, 1)), without)
     (gain,) = without.gains(np.array([column]))
     assert gain == pytest.approx(without.score - larger.score, rel=0.3)
-
-
-@pytest.mark.parametrize("at_rest", [False, True])
-def test_what_another_shape_promises_is_what_a_fit_with_it_finds(*, at_rest: bool) -> None:
-    """To first order, all shapes of all joints, those that are better and those that are worse."""
-    case = planted("arm3", 1, "")
-    change = np.tanh(case.samples.velocity / 0.05) - np.tanh(case.samples.velocity / 0.02)
-    sharp = case.with_efforts(case.samples.effort + 0.5 * case.true.effects["coulomb_friction"] * change)
-    begun = CoefficientRows(problem(sharp), at_rest=at_rest).fit(columns(sharp))
-    usual = begun.rows.fit(begun.every, begun, spreads=begun.fit.scales)
-    pairs = usual.rows.other_shapes(usual.every, range(3))
-    assert len(pairs) == 3 * (len(SMOOTHINGS) - 1)
-    found = np.array([usual.score - usual.exchanged(pair[None]).score for pair in pairs])
-    near = np.abs(found) < 0.5 * np.max(np.abs(found))
-    assert np.max(found) > 10.0
-    gains = usual._gains_of_exchange(*pairs.T)
-    np.testing.assert_allclose(gains[near], found[near], rtol=0.2, atol=1.0)
-    best = gains.reshape(3, -1).max(axis=1)
-    assert sorted(usual.exchanges(range(3)).tolist()) == pairs[np.isin(gains, best[best > TAKEN**2])].tolist()
-
-
-def test_a_promise_that_is_not_kept_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    case = planted("arm3", 1, "")
-    begun = CoefficientRows(problem(case)).fit(columns(case))
-    worst = begun.rows.other_shapes(begun.every, range(3))[-1:]
-    monkeypatch.setattr(CoefficientFit, "exchanges", lambda *_: worst)
-    assert choice._shaped(begun, range(3)).every.tolist() == begun.every.tolist()
-
-
-def test_no_shape_makes_an_optional_effect_impossible(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An effect that is impossible would keep all others out."""
-    case = planted("arm3", 1, "")
-    change = np.tanh(case.samples.velocity / 0.1) - np.tanh(case.samples.velocity / 0.02)
-    begun = CoefficientRows(problem(case.with_efforts(case.samples.effort + 2.0 * change))).fit(columns(case))
-    promised = begun.exchanges(range(3))
-    assert len(promised) == 3
-    refused = {int(promised[0, 1])}
-    possible = property(lambda fit: np.array([not refused.intersection(fit.every.tolist())]))
-    monkeypatch.setattr(CoefficientFit, "possible", possible)
-    shaped = choice._shaped(begun, range(3))
-    assert refused.isdisjoint(shaped.every.tolist())
-    assert {*promised[1:, 1].tolist()} <= {*shaped.every.tolist()}
