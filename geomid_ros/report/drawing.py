@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.samples import Samples
-from geomid_ros.report.colours import FAINT, FRAME, GRID, IDENTIFIED, INK, URDF
+from geomid_ros.report.colours import FAINT, FRAME, GRID, IDENTIFIED, INK, MEASURED, URDF
 from geomid_ros.report.ellipsoids import BodyDrawing, Ellipsoid
 from geomid_ros.report.page import number
 from geomid_ros.report.pictures import CHANNELS, ROBOT, SIZE, add_axes, add_text, new_figure, shortened, text_width
@@ -125,7 +125,7 @@ def _draw_series_header(figure: Figure, series: Sequence[Series], shown: int) ->
         text += f"; the {shown} with the largest improvement are shown"
     add_text(figure, CHANNELS[0], 0.72, text, 9.5, FAINT)
     handles = [
-        Line2D([], [], color=INK, lw=1.8, label="measured"),
+        Line2D([], [], color=MEASURED, lw=1.8, label="measured"),
         Line2D([], [], color=URDF, lw=1.2, ls="--", label="URDF"),
         Line2D([], [], color=IDENTIFIED, lw=1.2, label="identified"),
     ]
@@ -137,7 +137,7 @@ def _draw_series_header(figure: Figure, series: Sequence[Series], shown: int) ->
 
 def _draw_channel(axes: Axes, channel: Series, clock: Clock, width: float, lowest: bool) -> None:
     """In a panel ``width`` inches wide; the ``lowest`` of a column names the times."""
-    axes.plot(*thinned(channel.times, channel.measured, clock), color=INK, lw=1.5)
+    axes.plot(*thinned(channel.times, channel.measured, clock), color=MEASURED, lw=1.5)
     axes.plot(*thinned(channel.times, channel.nominal, clock), color=URDF, lw=1.1, ls="--")
     axes.plot(*thinned(channel.times, channel.predicted, clock), color=IDENTIFIED, lw=0.9)
     axes.set_ylim(*limits(channel))

@@ -18,7 +18,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from geomid_ros.files.models.gap_file import GapFile
-from geomid_ros.gap.judgement.held_out import REACHED
+from geomid_ros.gap.judgement.held_out import GAP_ABOVE
 from geomid_ros.gap.result import Finding, GapResult, Located
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.channels import is_of
@@ -255,7 +255,7 @@ def _located(result: GapResult) -> list[Located]:
     """Where the gap lives, for channels in which inertias leave one."""
     gaps = dict(zip(result.channels, result.gap.inertias_only, strict=True))
     return [
-        entry for entry in result.located if gaps.get(entry.channel, 0.0) > REACHED and math.isfinite(entry.velocity)
+        entry for entry in result.located if gaps.get(entry.channel, 0.0) > GAP_ABOVE and math.isfinite(entry.velocity)
     ]
 
 

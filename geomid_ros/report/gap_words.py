@@ -10,7 +10,7 @@ import numpy as np
 
 from geomid_ros.estimation.estimate import TOLD
 from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
-from geomid_ros.gap.judgement.held_out import REACHED
+from geomid_ros.gap.judgement.held_out import GAP_ABOVE
 from geomid_ros.gap.result import Confidence, Finding, GapResult, LinkChange, Ranked, Rival, Unexplained
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
 from geomid_ros.types import FloatArray
@@ -134,7 +134,7 @@ def _verdict(result: GapResult) -> str:
     named = _named(result)
     missing = _missing(not_explained(result))
     if result.verdict == "no gap":
-        if worst(gap.before) <= REACHED * worst(gap.after):
+        if worst(gap.before) <= GAP_ABOVE * worst(gap.after):
             return f"No gap found: {_left(result)}."
         return f"No effect is missing. Corrected link inertias close the gap: {_fall(result)}."
     if result.verdict == "named":
@@ -153,7 +153,7 @@ def _left(result: GapResult) -> str:
     """What is left where there is no gap: at the instants that are judged, and at all."""
     moving, whole = ratio(worst(result.moving)), ratio(worst(result.gap.after))
     when = f" while joints move ({whole} with rest and reversals)" if moving != whole else ""
-    if worst(result.moving) <= REACHED:
+    if worst(result.moving) <= GAP_ABOVE:
         return f"the model explains the measurement to within {moving} times the noise floor{when}"
     reason = "which the uncertainty of the model, or what it is known to lack, explains"
     return f"up to {moving} times the noise floor is left{when}, {reason}"

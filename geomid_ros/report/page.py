@@ -15,7 +15,7 @@ import numpy as np
 
 from geomid_ros.files.disk import write_text
 from geomid_ros.report import gap_words
-from geomid_ros.report.colours import BEFORE, IDENTIFIED, INERTIAS_ONLY, INK
+from geomid_ros.report.colours import BEFORE, IDENTIFIED, INERTIAS_ONLY, MEASURED
 from geomid_ros.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 NONE = "—"
 _FOLDER = Path(__file__).parent
 _FILTERS = ("compared", "headline", "place", "title", "ratio", "percent", "measured", "measured_angle", "interval")
-_COLORS = {"measured": INK, "before": BEFORE, "inertias_only": INERTIAS_ONLY, "after": IDENTIFIED}
+_COLORS = {"measured": MEASURED, "before": BEFORE, "inertias_only": INERTIAS_ONLY, "after": IDENTIFIED}
 _FINE_TICKS, _TICKS = (1.0, 2.0, 5.0, 10.0, 20.0), (1.0, 10.0, 100.0, 1000.0, 10_000.0)
 
 

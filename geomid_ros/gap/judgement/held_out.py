@@ -18,8 +18,8 @@ from geomid_ros.inference.remainder import USUAL
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray
 
-REACHED = 1.15
-"""A channel whose remainder is below this times the floor has reached it."""
+GAP_ABOVE = 1.15
+"""Noise floors: a remainder that is larger is a gap, what is smaller has reached the floor."""
 _KNOTS = 12  # of the curves that explain a remainder
 
 
@@ -63,7 +63,7 @@ class HeldOut:
         """The channels ``(C,)`` whose gap is larger than noise and the uncertainty of all that was fitted explain, be
         it with what the model is known to lack or without: another motion may not tell of it here."""
         # A standard deviation from n values is itself uncertain by 1 / sqrt(2 n), relative.
-        reached = REACHED * (1.0 + 2.0 / np.sqrt(2.0 * np.maximum(self.counts, 1.0))) * self.gap.expected
+        reached = GAP_ABOVE * (1.0 + 2.0 / np.sqrt(2.0 * np.maximum(self.counts, 1.0))) * self.gap.expected
         beside = self._times_floor(self._residual(self._analysis.names) - self._last.expected)
         after = np.minimum(self.gap.after, beside)
         return np.asarray(np.nan_to_num(after) >= np.nan_to_num(reached, nan=np.inf))
