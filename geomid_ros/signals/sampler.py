@@ -224,7 +224,7 @@ class Sampler:
                 break
         for name, newest in self._newest.items():
             if grid is not None:
-                oldest = (newest - HORIZON - abs(self._effort_delay)) // grid.period - grid.lag
+                oldest = (newest - HORIZON) // grid.period - grid.lag
                 self._streams[name].forget(oldest)
 
     def _samples(self, grid: Grid, instants: range) -> Samples:

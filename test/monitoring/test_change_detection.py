@@ -103,8 +103,10 @@ def test_the_gap_says_how_wide_it_is_and_since_when() -> None:
     for seed in range(8):
         robot = Robot(seed)
         robot.change()
-        *_, (gap,) = robot.judged(new_detector())
+        detector = new_detector()
+        *_, (gap,) = robot.judged(detector)
         assert gap.since is not None
+        assert detector.changes == [(gap.since, gap.first)]
         begins.append(gap.since / PERIOD)
         widths.append(gap.times_floor)
     assert abs(np.median(begins) - HALF) <= BLOCK

@@ -62,6 +62,16 @@ def test_lost_messages_delay_those_after_them_at_once(lost: int) -> None:
     assert np.max(np.abs(error[420:] - np.mean(error[:400]))) < 0.5
 
 
+def test_a_burst_that_comes_early_is_no_step_back() -> None:
+    """Times of a burst before its turn follow those before at half a period at least."""
+    _, stamps = received(np.full(60, 10), np.zeros(60, dtype=np.int64))
+    clock = RegularClock(stamps[:320])
+    stamps[400:] -= 60 * MS
+    steps = np.diff(clock.times(stamps))
+    assert np.min(steps) == pytest.approx(0.5 * clock.period, abs=1.0)
+    assert np.median(steps) == pytest.approx(PERIOD, rel=1e-3)
+
+
 def test_uneven_bursts_are_refused() -> None:
     """Nothing says when their messages were measured: they are refused, and counted, whatever the blocks."""
     rng = np.random.default_rng(3)

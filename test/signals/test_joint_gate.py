@@ -17,7 +17,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.signals.decoding import Decoder
-from geomid_ros.signals.joint_gate import CLOCK_SET, EARLY, LEAP, SPIKE_OR_CONTACT
+from geomid_ros.signals.joint_gate import CLOCK_SET, EARLY, LEAP, SPIKE_OR_CONTACT, _end
 from geomid_ros.signals.messages import JOINT_STATES, Block
 from geomid_ros.signals.pipeline import UNDECIDED
 from geomid_ros.signals.sampler import IN_BURSTS
@@ -338,3 +338,13 @@ def test_at_the_end_what_waited_behind_others_is_used() -> None:
     assert target.held == 0
     assert target.ledger.topics["/wrench"].dropped == {UNDECIDED: 1}
     assert target.ledger.topics[JOINT_STATES].accepted == len(joints)
+
+
+def test_where_a_motion_ends_is_as_sure_as_it_scatters() -> None:
+    """Place and speed at the end of noisy parabolas, and what is said of their variances."""
+    rng, stamps, sigma = np.random.default_rng(0), 10_000_000 * np.arange(-19, 1), 1e-3
+    time = 1e-9 * stamps[:, None]
+    true = rng.normal(size=(3, 2000))
+    found, variances = _end(stamps, true[0] + true[1] * time + true[2] * time**2 + sigma * rng.normal(size=(20, 2000)))
+    np.testing.assert_allclose(np.var(found - true[:2], axis=1), np.mean(variances, axis=1), rtol=0.1)
+    assert np.mean(variances[0]) < sigma**2
