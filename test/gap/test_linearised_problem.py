@@ -98,6 +98,16 @@ def test_a_gain_that_is_built_in_scales_all_columns_but_its_own() -> None:
     np.testing.assert_allclose(columns[GAIN][1], problem.situation.predicted[:, 1])
 
 
+def test_rows_are_made_once_for_a_model_and_kept_for_one() -> None:
+    """They are as large as all else together."""
+    records, tilted = Records.make([exact()], planted.CUTOFF), MODEL.with_gravity(np.array([0.0, 1.0, -9.7]))
+    rows = records.rows(MODEL)
+    assert records.rows(MODEL) is rows
+    assert not rows.coefficients.flags.writeable
+    assert records.rows(tilted) is not rows
+    assert records.rows(MODEL) is not rows
+
+
 @pytest.mark.parametrize(("at", "share"), [(0.03, 1e-4), (0.027, 3e-3), (0.0, 0.1)])
 def test_a_tilt_is_the_whole_tilt_up_to_second_order(at: float, share: float) -> None:
     gravity = pin.exp3(np.array([0.03, 0.0, 0.0])).T @ MODEL.robot.gravity
