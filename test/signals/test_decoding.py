@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from files.recordings import BAGS, TYPES, recorded
 
+from geomid_ros.signals import decoding
 from geomid_ros.signals.arrived import inertial
 from geomid_ros.signals.decoding import Decoder, Raw
 from geomid_ros.signals.messages import IMU, JOINT_STATES, ODOM, Block, message_type, parse
@@ -175,3 +177,13 @@ def test_as_many_layouts_are_remembered_as_are_needed_and_no_more() -> None:
         other = replace(message, header=replace(message.header, frame_id="x" * length))
         assert_read(decoder.blocks([serialised(topic, other)], fail), [(topic, other)])
     assert 0 < sum(map(len, decoder._layouts.values())) <= 64
+
+
+def test_messages_are_read_by_what_there_is_where_rosbags_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
+    monkeypatch.setattr(decoding, "_without_rosbags", [])
+    own = object()
+    with pytest.raises(ModuleNotFoundError):
+        decoding.message_types.__wrapped__()
+    decoding.read_without_rosbags(own)
+    assert decoding.message_types.__wrapped__() is own
