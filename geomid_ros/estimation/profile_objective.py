@@ -64,10 +64,10 @@ class Profile:
 
 @dataclass(frozen=True, eq=False)
 class ProfileObjective:
-    """Half of ``sum_c N_c log S_c``, of a channel whose noise is its floor ``N_c (log F_c + S_c / F_c - 1)``, plus the
-    prior's terms, with weights ``(D,)``, equal within a link, of the tangent
-    coordinates to it, and with what is ``known`` beside it: products ``(D + 1, D + 1)`` of rows of standard deviation
-    1 (:func:`~geomid_ros.estimation.objective.rows_at`)."""
+    """Half of ``sum_c N_c log S_c``, for a channel below its floor ``N_c (log F_c + S_c / F_c - 1)`` as of known noise;
+    plus the prior's terms, with weights ``(D,)``, equal within a link, of the tangent coordinates to it, and with what
+    is ``known`` beside it: products ``(D + 1, D + 1)`` of rows of standard deviation 1
+    (:func:`~geomid_ros.estimation.objective.rows_at`)."""
 
     profile: Profile
     weights: FloatArray

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import signal
 import sys
@@ -85,7 +84,6 @@ def _run_node(solving: SolvingProcess) -> None:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = GeomidNode(solving)
-        gc.freeze()  # else all that was imported would be looked through again and again, and messages wait
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         try:

@@ -17,7 +17,7 @@ from geomid_ros.signals.ledger import Reason, driver_error
 from geomid_ros.signals.settings import CLEAR
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
-A = TypeVar("A", FloatArray, IntArray)
+_Numbers = TypeVar("_Numbers", FloatArray, IntArray)
 FEWEST = 32
 """Messages that the period is inferred from."""
 FEWEST_IN_BURSTS = 320
@@ -29,7 +29,7 @@ _LOST = 1.5  # periods that a burst is late by, if messages are missing
 _FOLLOWS = 0.05  # of the time that a burst is late by, which the times are moved by
 
 
-def steps(values: A, before: A | int) -> A:
+def steps(values: _Numbers, before: _Numbers | int) -> _Numbers:
     """The steps to values ``(N, ...)``, the first one from the value ``before``."""
     found = values.copy()
     found[1:] -= values[:-1]
