@@ -1,4 +1,4 @@
-"""From the summarised rows to an estimate: starting point, prior's weight, solve, uncertainty."""
+"""Compute an estimate from summarised rows: starting point, prior weight, solve, uncertainty."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ from geomid_ros.model.samples import REGIMES
 from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_rows
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
-_FAR = 2.0  # times the usual distance
-_TAKEN = 2.0  # of its own standard deviations: an effect that is smaller may as well be nothing
+_FAR = 2.0  # default prior std: a link with a larger fitted prior std is an outlier
+_TAKEN = 2.0  # standard deviations: a smaller effect is not significant
 _SPENT = (
     "the solver's budget of steps was spent before the spreads of the links had settled: masses are those of the last "
     "step; is the URDF this robot's, in SI units, and do efforts have the signs of its joints?"
@@ -46,22 +46,22 @@ _OF_WHITE_NOISE = 1.79  # independent rows per period of the filter's cutoff: tw
 
 @dataclass(frozen=True)
 class EstimatorSettings:
-    """How to solve. Raises InputError for values that cannot be.
+    """Settings of :func:`estimate`. Raises InputError for invalid values.
 
     Attributes:
-        gamma: Weight of the prior as a share of the rows' (the paper's is 0.01), the same for all links; None to find
-            that of each link from the data.
-        sigma: Standard deviations by channel name where they are known; others are estimated from the residuals.
+        gamma: Weight of the prior as a fraction of the rows' weight (the paper's is 0.01), the same for all links; None
+            to estimate it for each link from the data.
+        sigma: Known standard deviations by channel name; the others are estimated from the residuals.
         objective: ``residual`` (Remark 3) or ``geodesic`` (19).
-        solver: Of the geodesic objective: ``trust_region`` or ``cyclic``.
+        solver: Solver of the geodesic objective: ``trust_region`` or ``cyclic``.
         tolerance: Largest geodesic distance of the result from the minimum.
-        max_steps: Of the solver.
+        max_steps: Largest number of solver steps.
         known: Weighed masses.
-        cutoff: Of the filter that made the rows [Hz], which says how many of them are independent.
-        population: Of the robot's type, in place of the URDF as the prior.
-        alike: Links whose errors in the URDF are mostly the same ones.
-        files: By who reads it, the file's elements (:meth:`~geomid_ros.model.effects.ParameterForm.said_by`): the
-            parameters are also fitted as far as such a file can hold them.
+        cutoff: Cutoff of the low-pass filter that made the rows [Hz]; it determines how many rows are independent.
+        population: Population of the robot's type; the prior instead of the URDF.
+        alike: Links whose URDF errors are mostly common to them.
+        files: Elements of a file, by its reader (:meth:`~geomid_ros.model.effects.ParameterForm.said_by`). For each
+            file the parameters are also fitted with only the effects that it can hold.
     """
 
     gamma: float | None = None
@@ -91,12 +91,12 @@ class EstimatorSettings:
 
 @dataclass(frozen=True, eq=False)
 class WarmStart:
-    """Where the last solve ended: the next one begins at these ``parameters (D,)``, in which the coefficients are zero
-    that were left out, and leaves out the same. They were chosen for so many ``rows``. ``spreads (links,)``: those of
-    the priors that it found; the usual ones unless given.
+    """Start of a solve from the end ``parameters (D,)`` of the last one; coefficients that are zero stay left out. They
+    were chosen for so many ``rows``. ``spreads (links,)``: the prior std that it found; the default ones unless given.
 
-    ``effects_alone``: the next one begins with nothing but the same effects, and chooses anew: it looks for more beside
-    them, if all of them are asked for still."""
+    ``effects_alone``: take over only its effects, and choose anew from these: drop those that the rows no longer
+    support, and add others.
+    """
 
     parameters: FloatArray
     rows: int = 0
@@ -113,19 +113,20 @@ def estimate(
     spreads: FloatArray | None = None,
     known: WeighedRows | None = None,
 ) -> Estimate:
-    """Choose which optional effects there are, and solve for all parameters from the summarised rows.
+    """Choose the optional effects, and solve for all parameters from the summarised rows.
 
-    Minimises :class:`ResidualObjective` on the compressed rows, at most D of them, with the noise and the prior's
-    weight as :func:`fit` finds them, and from there, if that is asked for, (19) with the same.
+    Minimises :class:`ResidualObjective` on the compressed rows (at most D), with the noise and the prior weight that
+    :func:`fit` finds. If requested, minimises (19) from there, with the same noise and prior weight.
 
     Args:
-        model: What the rows mean.
+        model: Measurement model of the rows.
         summary: The rows.
         settings: How to solve.
-        prior: ``(D,)``, instead of the URDF's inertias and the fitted start of the effects; NaN for not known.
+        prior: Prior parameters ``(D,)`` instead of the URDF's inertias and the fitted start of the effects; NaN if
+            unknown.
         warm: Where to start; without it the result depends on nothing but the rows.
-        spreads: Usual spreads ``(links,)`` of the links' priors, geodesic distances; those of a CAD file unless given.
-        known: Rows beside those of the weighed masses: what other data said.
+        spreads: Default prior std ``(links,)`` of the links, geodesic distances; that of a CAD file unless given.
+        known: Rows in addition to those of the weighed masses: results of other data.
 
     Raises:
         InputError: Nothing was measured, or settings or prior do not fit the model.
@@ -133,142 +134,143 @@ def estimate(
     begin = time.perf_counter()
     if summary.rows == 0:
         raise InputError("no usable rows: nothing was measured, or the robot never moved")
-    whole = Problem(
+    full_problem = Problem(
         model,
         _pooled(model, summary),
         given=prior,
         known=weighed_rows(model, settings.known).plus(known),
         sigmas=_configured_sigmas(model, settings),
         gamma=settings.gamma,
-        independent=_filtered(summary, settings.cutoff),
+        independent=_filter_fraction(summary, settings.cutoff),
         given_spreads=spreads,
     )
-    # Effects are chosen by what repeats; how sure all parameters are is another question.
-    independent = whole.independent * subproblem(whole, _standing(model)).distinct
+    # Repeats of a motion count when effects are chosen; for the uncertainty of the parameters they hardly do.
+    independent = full_problem.independent * subproblem(full_problem, _required_columns(model)).distinct
 
     def fitted(
         columns: IntArray,
-        begun: WarmStart | None = None,
-        other: Choice | None = None,
+        start: WarmStart | None = None,
+        alternative: Choice | None = None,
         weights: Mapping[str, float] | None = None,
     ) -> _Solved:
-        problem = replace(subproblem(whole, columns), independent=independent)
+        problem = replace(subproblem(full_problem, columns), independent=independent)
         solve: Callable[..., Fit] = partial(fit, tolerance=settings.tolerance, max_steps=settings.max_steps)
-        if begun is not None:
-            solve = partial(solve, start=problem.manifold.point(begun.parameters[columns]), spreads=begun.spreads)
-        elif other is not None and other.parameters is not None:
-            solve = likelier(solve, problem.place(other.parameters[columns]), other.spreads)
-        return _beside(_coupled(settings, problem), problem, solve, weights)
+        if start is not None:
+            solve = partial(solve, start=problem.manifold.point(start.parameters[columns]), spreads=start.spreads)
+        elif alternative is not None and alternative.parameters is not None:
+            solve = likelier(solve, problem.place(alternative.parameters[columns]), alternative.spreads)
+        return _solve_with_prior(_coupled_prior(settings, problem), problem, solve, weights)
 
-    kept = None if warm is None else _kept(model, warm)
-    if warm is None or kept is None or warm.effects_alone:
-        choice = choose(whole, kept, partial(_at_prior, settings))
+    kept_columns = None if warm is None else _kept_columns(model, warm)
+    if warm is None or kept_columns is None or warm.effects_alone:
+        choice = choose(full_problem, kept_columns, partial(_at_prior, settings))
         columns = choice.columns
-        result = _estimate(columns, model, solved := fitted(columns, other=choice), settings)
-        while len(unsure := _unsure(model, result, columns)):
-            columns = np.setdiff1d(columns, unsure)
-            # What goes leaves no trace: there may be another minimum where it led.
-            result = _estimate(columns, model, solved := fitted(columns, other=choice), settings)
+        result = _estimate(columns, model, solved := fitted(columns, alternative=choice), settings)
+        while len(insignificant := _least_significant(model, result, columns)):
+            columns = np.setdiff1d(columns, insignificant)
+            # Solve anew, not from the last result: the dropped effect may have led it to another minimum.
+            result = _estimate(columns, model, solved := fitted(columns, alternative=choice), settings)
     else:
-        columns = kept
+        columns = kept_columns
         result = _estimate(columns, model, solved := fitted(columns, warm), settings)
 
-    def chosen(held: IntArray, begun: IntArray) -> IntArray:
-        choice = choose(subproblem(whole, held), np.searchsorted(held, begun), partial(_at_prior, settings))
+    def among(held: IntArray, start: IntArray) -> IntArray:
+        choice = choose(subproblem(full_problem, held), np.searchsorted(held, start), partial(_at_prior, settings))
         return np.asarray(held[choice.columns])
 
-    untold, (_, weights, _) = _untold_errors(model, result, columns), solved
-    within = fit_files(model, columns, settings.files, untold, chosen, lambda held: fitted(held, weights=weights)[0])
+    errors, (_, weights, _) = _insignificant_errors(model, result, columns), solved
+    within = fit_files(model, columns, settings.files, errors, among, lambda held: fitted(held, weights=weights)[0])
     return replace(result, within=within, seconds=time.perf_counter() - begin)
 
 
-def _coupled(settings: EstimatorSettings, problem: Problem) -> CoupledPrior | None:
-    """What couples parameters of the prior: the robot's population; else parts of a URDF that are alike, if any are."""
+def _coupled_prior(settings: EstimatorSettings, problem: Problem) -> CoupledPrior | None:
+    """Prior that couples parameters: the population's if given, else that of parts that are alike in the URDF, else
+    None."""
     if settings.population is not None:
         return PopulationPrior.of(settings.population, problem)
     return AlikePrior.of(settings.alike, problem) if settings.alike and problem.given is None else None
 
 
 def _at_prior(settings: EstimatorSettings, problem: Problem) -> Problem:
-    """The problem beside what couples its prior, there."""
-    coupled = _coupled(settings, problem)
+    """Return the problem with the rows of its coupled prior, if any, linearised at that prior."""
+    coupled = _coupled_prior(settings, problem)
     return problem if coupled is None else coupled.problem_at(coupled.problem.prior_point, coupled.trusted)
 
 
-def _beside(
-    prior: CoupledPrior | None, problem: Problem, solve: Callable[..., Fit], weights: Mapping[str, float] | None
+def _solve_with_prior(
+    prior: CoupledPrior | None, problem: Problem, solve: Callable[..., Fit], block_weights: Mapping[str, float] | None
 ) -> _Solved:
-    """A fit, beside a coupled prior if there is one, the weights of its blocks, and warnings in sentences."""
+    """Return the fit with the coupled prior if there is one, the weights of its blocks, and warning sentences."""
     if prior is None:
         return solve(problem), {}, ()
-    found, weights = fit_beside(prior, solve, weights)
-    return found, weights, prior.unlike(weights)
+    fit_with_prior, block_weights = fit_beside(prior, solve, block_weights)
+    return fit_with_prior, block_weights, prior.unlike(block_weights)
 
 
-def _kept(model: MeasurementModel, warm: WarmStart) -> IntArray:
-    """The parameters that are not left out, by their columns."""
+def _kept_columns(model: MeasurementModel, warm: WarmStart) -> IntArray:
+    """Columns of the parameters that are not left out."""
     first = model.dimension - len(model.coefficients)
-    there = [(c, value != 0.0) for c, value in zip(model.coefficients, warm.parameters[first:], strict=True)]
-    present = {c.mechanism for c, is_there in there if is_there}
-    kept = [is_there or not (c.optional or c.mechanism in present) for c, is_there in there]
-    return np.flatnonzero(np.append(np.full(first, True), np.array(kept, dtype=bool)))
+    has_value = [(c, value != 0.0) for c, value in zip(model.coefficients, warm.parameters[first:], strict=True)]
+    present = {c.mechanism for c, nonzero in has_value if nonzero}
+    is_kept = [nonzero or not (c.optional or c.mechanism in present) for c, nonzero in has_value]
+    return np.flatnonzero(np.append(np.full(first, True), np.array(is_kept, dtype=bool)))
 
 
-def _unsure(model: MeasurementModel, result: Estimate, columns: IntArray) -> IntArray:
-    """The column of the optional effect that may as well be nothing, the least one: others are surer without it."""
+def _least_significant(model: MeasurementModel, result: Estimate, columns: IntArray) -> IntArray:
+    """Column of the least significant optional effect; none if all are significant. Without it the others may be."""
     first = model.dimension - len(model.coefficients)
-    own = columns[columns >= first]
-    always = {c.mechanism for c in model.coefficients if not c.optional}
-    sizes = _sizes(result)
-    sizes[[model.coefficients[column - first].mechanism in always for column in own]] = np.inf
-    least = float(np.min(sizes, initial=np.inf))
-    return np.asarray(own[(sizes < _TAKEN) & (sizes <= least)])
+    effect_columns = columns[columns >= first]
+    required = {c.mechanism for c in model.coefficients if not c.optional}
+    significance = _sizes(result)
+    significance[[model.coefficients[column - first].mechanism in required for column in effect_columns]] = np.inf
+    least = float(np.min(significance, initial=np.inf))
+    return np.asarray(effect_columns[(significance < _TAKEN) & (significance <= least)])
 
 
-def _untold_errors(model: MeasurementModel, result: Estimate, columns: IntArray) -> IntArray:
-    """The columns of the errors of sensors that may as well be nothing."""
+def _insignificant_errors(model: MeasurementModel, result: Estimate, columns: IntArray) -> IntArray:
+    """Columns of the sensor errors that are not significant."""
     first = model.dimension - len(model.coefficients)
-    own = columns[columns >= first]
-    of_sensor = np.array([model.coefficients[column - first].effect.of_sensor for column in own], dtype=bool)
-    return np.asarray(own[of_sensor & (_sizes(result) < _TAKEN)])
+    effect_columns = columns[columns >= first]
+    is_error = np.array([model.coefficients[column - first].effect.of_sensor for column in effect_columns], dtype=bool)
+    return np.asarray(effect_columns[is_error & (_sizes(result) < _TAKEN)])
 
 
 def _sizes(result: Estimate) -> FloatArray:
-    """How many of its own standard deviations each effect is."""
+    """Size of each effect in units of its standard deviation."""
     return np.array([abs(e.value) / max(e.std, np.finfo(float).tiny) for e in result.effects])
 
 
-def _filtered(summary: RowSummary, cutoff: float) -> float:
-    """The share of the rows that a filter leaves independent; all of rows that have no times, or that none made."""
+def _filter_fraction(summary: RowSummary, cutoff: float) -> float:
+    """Fraction of the rows that are independent after the filter; 1 for rows without times or without a filter."""
     if not (np.isfinite(cutoff) and summary.period > 0.0):
         return 1.0
     return min(INDEPENDENT * cutoff * summary.period, 1.0)
 
 
-def _standing(model: MeasurementModel) -> IntArray:
-    """The columns of the parameters that are not optional."""
+def _required_columns(model: MeasurementModel) -> IntArray:
+    """Columns of the parameters that are not optional."""
     first = model.dimension - len(model.coefficients)
     return np.array([k for k in range(model.dimension) if k < first or not model.coefficients[k - first].optional])
 
 
 def _pooled(model: MeasurementModel, summary: RowSummary) -> RowSummary:
-    """The rows, those of slow motion among those of fast motion where these are fewer, or no more than unknowns."""
-    standing = _standing(model)
-    unknowns = [np.count_nonzero(np.isin(channel.columns, standing)) for channel in model.channels]
+    """Pool slow and fast rows of each channel that has no more fast rows than slow ones, or than unknowns."""
+    required = _required_columns(model)
+    unknowns = [np.count_nonzero(np.isin(channel.columns, required)) for channel in model.channels]
     fast, slow, _ = summary.counts().reshape(REGIMES, -1)
     return summary.pooled(fast <= np.maximum(slow, unknowns))
 
 
 def least_inflation(summary: RowSummary, cutoff: float) -> float:
-    """How many rows there are for each that white noise leaves independent, seen by what moves slowly."""
+    """Number of rows per independent row (at least 1) if the noise is white; holds for columns that vary slowly."""
     if not (np.isfinite(cutoff) and summary.period > 0.0):
         return 1.0
     return max(1.0 / (_OF_WHITE_NOISE * cutoff * summary.period), 1.0)
 
 
 def _estimate(columns: IntArray, whole: MeasurementModel, solved: _Solved, settings: EstimatorSettings) -> Estimate:
-    """All that is said of a fit."""
-    fitted, _, unlike = solved
+    """Assemble the estimate from a fit."""
+    fitted, _, notes = solved
     problem = fitted.problem
     model, manifold, summary, known = problem.model, problem.manifold, problem.summary, problem.known
     objective, solution = fitted.objective, fitted.solution
@@ -280,10 +282,10 @@ def _estimate(columns: IntArray, whole: MeasurementModel, solved: _Solved, setti
         prior_weights = geodesic.prior_weights
         tolerance = max(settings.tolerance * float(np.min(prior_weights)) / geodesic.scale, np.finfo(float).eps)
         solution = SOLVERS[settings.solver](geodesic, solution.point, tolerance, settings.max_steps)
-    contents = summary.products(fitted.sigmas, manifold.dimension)
-    least = least_inflation(summary, settings.cutoff) * _filtered(summary, settings.cutoff) / problem.independent
-    found = uncertainty.estimate_uncertainty(
-        [_fold_at(manifold, solution.point, products) for products in contents],
+    by_fold = summary.products(fitted.sigmas, manifold.dimension)
+    least = least_inflation(summary, settings.cutoff) * _filter_fraction(summary, settings.cutoff) / problem.independent
+    errors = uncertainty.estimate_uncertainty(
+        [_fold_at(manifold, solution.point, products) for products in by_fold],
         _known_at(manifold, solution.point, known),
         1.0 / problem.independent,
         prior_weights,
@@ -295,7 +297,7 @@ def _estimate(columns: IntArray, whole: MeasurementModel, solved: _Solved, setti
     )
     parameters = np.zeros(whole.dimension)
     parameters[columns] = solution.point.parameters
-    independent = np.sqrt(min(found.share, problem.independent))
+    factor = np.sqrt(min(errors.share, problem.independent))
     return Estimate(
         converged=solution.converged,
         reason=solution.reason,
@@ -303,8 +305,8 @@ def _estimate(columns: IntArray, whole: MeasurementModel, solved: _Solved, setti
         gamma=fitted.gamma,
         rows_accepted=summary.rows,
         rows_set_aside=set_aside,
-        links=estimate_parts.links(problem, solution.point, found, _outliers(fitted)),
-        effects=estimate_parts.effects(problem, solution.point, found),
+        links=estimate_parts.links(problem, solution.point, errors, _outliers(fitted)),
+        effects=estimate_parts.effects(problem, solution.point, errors),
         parameters=frozen(parameters),
         channels=tuple(channel.name for channel in model.channels),
         sigmas=frozen(fitted.sigmas[: len(model.channels)]),
@@ -312,32 +314,32 @@ def _estimate(columns: IntArray, whole: MeasurementModel, solved: _Solved, setti
         rms_nominal=frozen(summary.rms(model.nominal_parameters)),
         rms=frozen(summary.rms(solution.point.parameters)),
         information=uncertainty.links_information(
-            manifold, prior_point, solution.point, fitted.rows, known.weighed, found
+            manifold, prior_point, solution.point, fitted.rows, known.weighed, errors
         ),
-        posterior=estimate_parts.posterior(problem, solution.point, found),
-        rows=frozen(independent * fitted.rows[0]),
-        targets=frozen(independent * fitted.rows[1]),
-        known=estimate_parts.weighed(problem, solution.point, found),
-        warnings=(*_run_away(model, fitted, solution.point), *([_SPENT] if fitted.spent else []), *unlike),
+        posterior=estimate_parts.posterior(problem, solution.point, errors),
+        rows=frozen(factor * fitted.rows[0]),
+        targets=frozen(factor * fitted.rows[1]),
+        known=estimate_parts.weighed(problem, solution.point, errors),
+        warnings=(*_outlier_warnings(model, fitted, solution.point), *([_SPENT] if fitted.spent else []), *notes),
     )
 
 
 def _outliers(fitted: Fit) -> BoolArray:
-    """Whether each link left its prior by far more than links usually do ``(links,)``."""
+    """True for each link whose fitted prior std is far above the default ``(links,)``."""
     return np.asarray(fitted.spreads > _FAR * fitted.problem.usual)
 
 
-def _run_away(model: MeasurementModel, fitted: Fit, point: Point) -> Iterator[str]:
-    """A sentence for each link that left its prior."""
+def _outlier_warnings(model: MeasurementModel, fitted: Fit, point: Point) -> Iterator[str]:
+    """Yield a warning for each link that left its prior."""
     pairs = zip(fitted.problem.prior_point.pseudo_inertias, point.pseudo_inertias, strict=True)
-    times = fitted.spreads / fitted.problem.usual
-    for name, outlier, far, (prior, found) in zip(model.body_names, _outliers(fitted), times, pairs, strict=True):
+    ratios = fitted.spreads / fitted.problem.usual
+    for name, outlier, ratio, (before, after) in zip(model.body_names, _outliers(fitted), ratios, pairs, strict=True):
         if outlier:
-            what = f"moved from {prior[3, 3]:.3g} to {found[3, 3]:.3g} kg"
-            if abs(np.log(found[3, 3] / prior[3, 3])) < WITHIN:
-                what = "changed its centre of mass or its inertia"
+            change = f"moved from {before[3, 3]:.3g} to {after[3, 3]:.3g} kg"
+            if abs(np.log(after[3, 3] / before[3, 3])) < WITHIN:
+                change = "changed its centre of mass or its inertia"
             yield (
-                f"link '{name}' {what} ({far:.1f} default prior std); it probably absorbs an unmodelled "
+                f"link '{name}' {change} ({ratio:.1f} default prior std); it probably absorbs an unmodelled "
                 "effect, such as a spring, a payload or other friction; run 'geomid gap'"
             )
 
@@ -351,20 +353,21 @@ def _configured_sigmas(model: MeasurementModel, settings: EstimatorSettings) -> 
 
 
 def _geodesic_objective(objective: ResidualObjective) -> GeodesicObjective:
-    """(19) for the same rows, combined orthogonally so that each carries a like share of their information.
+    """Build (19) for the same rows, combined orthogonally so that each has a similar fraction of their information.
 
-    Least squares does not care how rows are combined, distances to hyperplanes do: a row with little information and as
-    much noise as the others has no projection. The combination starts from the principal directions at the prior, in
-    the metric there, and fixes their signs by the residuals, so that it depends on no choice of frames or units.
+    Least squares does not depend on how rows are combined, but distances to hyperplanes do. A row with little
+    information and as much noise as the others has no projection. The combination starts from the principal directions
+    at the prior, in the metric there. The residuals fix their signs, so that it depends on no choice of frames or
+    units.
     """
     from scipy.fft import dct  # noqa: PLC0415 of this objective alone
 
     manifold, prior = objective.manifold, objective.prior
-    left, values, _ = np.linalg.svd(manifold.whiten(prior, objective.rows), full_matrices=False)
-    left = left.T[values >= ROUNDING * values[0]]  # what no parameters can change has no directions of its own
-    residuals = left @ (objective.rows @ prior.parameters - objective.targets)
-    signs = np.where(residuals < 0.0, -1.0, 1.0) * np.random.default_rng(0).choice((-1.0, 1.0), len(left))
-    mixing = dct(signs[:, None] * left, axis=0, norm="ortho")
+    directions, values, _ = np.linalg.svd(manifold.whiten(prior, objective.rows), full_matrices=False)
+    directions = directions.T[values >= ROUNDING * values[0]]  # others are parts that no parameters change
+    residuals = directions @ (objective.rows @ prior.parameters - objective.targets)
+    signs = np.where(residuals < 0.0, -1.0, 1.0) * np.random.default_rng(0).choice((-1.0, 1.0), len(directions))
+    mixing = dct(signs[:, None] * directions, axis=0, norm="ortho")
     rows, targets = mixing @ objective.rows, mixing @ objective.targets
     return GeodesicObjective(
         manifold, rows, targets, np.ones(len(rows)), prior, objective.gamma, confidence=objective.confidence
@@ -372,27 +375,27 @@ def _geodesic_objective(objective: ResidualObjective) -> GeodesicObjective:
 
 
 def _fold_at(manifold: ParameterManifold, point: Point, products: FloatArray) -> uncertainty.Fold:
-    """Rows of standard deviation 1, of which these are the ``products (D + 1, D + 1)`` of all columns ``[A b]``."""
+    """Build a fold from the ``products (D + 1, D + 1)`` of the columns ``[A b]`` of rows of standard deviation 1."""
     slope = products[:-1] @ np.append(point.parameters, -1.0)
     half = manifold.whiten(point, products[:-1, :-1])
     return uncertainty.Fold(manifold.whiten(point, slope[None])[0], manifold.whiten(point, half.T))
 
 
 def _known_at(manifold: ParameterManifold, point: Point, known: WeighedRows) -> uncertainty.Fold:
-    """The same of rows."""
+    """Build a fold from the known rows."""
     slope = (known.rows @ point.parameters - known.targets) @ known.rows
     return uncertainty.Fold(manifold.whiten(point, slope[None])[0], _information_at(manifold, point, known.rows))
 
 
 def _information_at(manifold: ParameterManifold, point: Point, rows: FloatArray) -> FloatArray:
-    """Of rows ``(N, D)`` of standard deviation 1."""
+    """Information ``(D, D)`` of rows ``(N, D)`` of standard deviation 1, in tangent coordinates at ``point``."""
     normals = manifold.whiten(point, rows)
     return np.asarray(normals.T @ normals)
 
 
 def _parameter_groups(problem: Problem) -> list[uncertainty.ParameterGroup]:
-    """The links' coordinates, and each effect's at all joints."""
-    first, usual = problem.manifold.inertial.stop, problem.prior_spreads
+    """Parameter groups: the coordinates of all links, and those of each effect at all joints."""
+    first, prior_std = problem.manifold.inertial.stop, problem.prior_spreads
     effects = effect_columns((c.effect.name for c in problem.model.coefficients), first)
     groups = (np.arange(first), *effects.values())
-    return [uncertainty.ParameterGroup(columns, float(usual[columns[0]])) for columns in groups]
+    return [uncertainty.ParameterGroup(columns, float(prior_std[columns[0]])) for columns in groups]
