@@ -1,15 +1,15 @@
-"""Which effects beside the default ones the rows ask for, and which shape the default ones have.
+"""Choose the optional effects that the rows support, and the shape of the default effects.
 
-An effect that stands at a place in one of several shapes (the speed over which dry friction changes its sign) has the
+A default effect may have one of several shapes, such as the speed over which dry friction changes its sign. It gets the
 shape of the highest marginal likelihood. Then optional effects are added one by one while they improve the fit visibly,
-and those go again that are not believed: first by the rows of motion; then, beside these, by the rows at rest and near
-reversals, too, which judge the shapes anew, and those effects that remember the motion before. What decides is the
-squared size of an effect in units of its standard deviation, as blocks of time show it: what they say of it, each by
-itself, scatters far more than independent residuals would (jackknife; Liang and Zeger, "Longitudinal data analysis
-using generalized linear models", 1986). So an effect is believed that repeats.
+and those that are not significant are removed. This is done first with the rows of motion. Then the rows at rest and
+near reversals are added: the shapes are chosen anew, and effects with memory of the past motion become candidates. An
+effect is significant by its squared size in units of its standard deviation, estimated from blocks of time. What the
+blocks say of an effect scatters far more than independent residuals would (jackknife; Liang and Zeger, "Longitudinal
+data analysis using generalized linear models", 1986). So an effect must repeat to be significant.
 
-A candidate is tried beside the inertias as they were fitted, and beside inertias that stay near the prior, because a
-link that has swallowed an effect hides it. No effect is negative that cannot be.
+A candidate is tried with the inertias as fitted, and with inertias that stay near the prior, because a link that has
+absorbed an effect hides it. A coefficient that cannot be negative is fixed at zero instead.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from geomid_ros.model.effects import joints_of
 from geomid_ros.types import FloatArray, IntArray
 
 _VISIBLE = 0.04
-"""Share of a channel's remaining squares that an effect explains at least."""
+"""Least fraction of a channel's residual sum of squares that a visible effect explains."""
 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """The ``columns`` of the parameters that the rows ask for, and where their fit ended, if there was a choice: all
-    ``parameters (D,)``, zero where they are left out, and the links' ``spreads (links,)``."""
+    """Chosen parameters by their ``columns``. If there was a choice, also the end of their fit: all ``parameters
+    (D,)``, zero for those left out, and the links' prior std ``spreads (links,)``."""
 
     columns: IntArray
     parameters: FloatArray | None = None
@@ -43,13 +43,12 @@ class Choice:
 def choose(
     problem: Problem, earlier: IntArray | None = None, beside: Callable[[Problem], Problem] = lambda alone: alone
 ) -> Choice:
-    """The parameters that the rows ask for: all that are not optional, each in its best shape, and the optional ones
-    that are believed.
+    """Choose the parameters: all that are not optional, each in its best shape, and the significant optional ones.
 
     Args:
-        problem: with all coefficients.
-        earlier: what was chosen for fewer of the same rows, to go on from.
-        beside: the problem with what is known beside it; found only where there is a choice.
+        problem: the problem with all coefficients.
+        earlier: choice for fewer of the same rows, to start from.
+        beside: adds prior rows to the problem; called only if there is a choice.
     """
     rows = CoefficientRows(problem)
     if not (rows.has_choice and rows.enough):
@@ -61,24 +60,23 @@ def choose(
     return Choice(chosen.every, chosen.parameters, chosen.fit.scales)
 
 
-def _grown(chosen: CoefficientFit) -> CoefficientFit:
-    """The fit with the optional effects that its rows ask for, and without those that they do not."""
-    rows = chosen.rows
-    chosen = _without_unbelieved(_shaped(chosen, range(len(rows.problem.model.robot.joints))))
-    refused: set[Mechanism] = set()
-    while len(left := rows.candidates(chosen.every, refused)):
-        column, larger = _best(chosen, left)
+def _grown(fit: CoefficientFit) -> CoefficientFit:
+    """Add the optional effects that the rows support, and remove those that they do not."""
+    rows = fit.rows
+    fit = _without_unbelieved(_shaped(fit, range(len(rows.problem.model.robot.joints))))
+    tried: set[Mechanism] = set()
+    while len(candidates := rows.candidates(fit.every, tried)):
+        column, larger = _best(fit, candidates)
         if larger is None:
             break
-        refused.add(rows.mechanism(column))
-        if np.all(larger.possible) and larger.leaves_less(chosen, _VISIBLE):
-            chosen = _shaped(larger, joints_of(rows.coefficient(column).place))
-    return _without_unbelieved(chosen)
+        tried.add(rows.mechanism(column))
+        if np.all(larger.possible) and larger.leaves_less(fit, _VISIBLE):
+            fit = _shaped(larger, joints_of(rows.coefficient(column).place))
+    return _without_unbelieved(fit)
 
 
 def _shaped(fit: CoefficientFit, joints: Collection[int]) -> CoefficientFit:
-    """The fit in which every effect of ``joints`` that is not optional has the shape of the highest likelihood, one
-    after the other."""
+    """Give every non-optional effect of ``joints`` its most likely shape, one effect after the other."""
     rows = fit.rows
     for mechanism in rows.always:
         if not set(joints).intersection(joints_of(mechanism[1])):
@@ -88,11 +86,11 @@ def _shaped(fit: CoefficientFit, joints: Collection[int]) -> CoefficientFit:
 
 
 def _best_shape(fit: CoefficientFit, shapes: Sequence[int]) -> CoefficientFit:
-    """The fit in which the one effect of the columns ``shapes``, in the order of its constant, has the most likely one:
-    to either side of the one that it has, as far as each is more likely than the one before."""
-    own = next(place for place, shape in enumerate(shapes) if shape in fit.every)
+    """Give one effect its most likely shape among the columns ``shapes``, which are in the order of its constant.
+    Searches from its present shape to either side, while each shape is more likely than the one before."""
+    present = next(place for place, shape in enumerate(shapes) if shape in fit.every)
     best = fit
-    for side in (range(own + 1, len(shapes)), range(own - 1, -1, -1)):
+    for side in (range(present + 1, len(shapes)), range(present - 1, -1, -1)):
         before = fit
         for place in side:
             columns = np.sort(np.append(np.setdiff1d(fit.every, shapes), shapes[place]))
@@ -100,26 +98,27 @@ def _best_shape(fit: CoefficientFit, shapes: Sequence[int]) -> CoefficientFit:
             if shaped.score >= before.score:
                 break
             before = shaped
-        best = min(best, before, key=lambda found: found.score)
+        best = min(best, before, key=lambda candidate: candidate.score)
     return best
 
 
 def _without_unbelieved(fit: CoefficientFit) -> CoefficientFit:
-    """The fit without the optional effects that are not believed, the least one first."""
+    """Remove the optional effects that are not significant, the least significant first."""
     while len(fit.chosen):
-        squares = fit.possible * np.max([each.squares_of(fit.chosen) for each in (fit, fit.firm)], axis=0)
+        squares = fit.possible * np.max([start.squares_of(fit.chosen) for start in (fit, fit.firm)], axis=0)
         if np.min(squares) > TOLD**2:
             break
         fit = fit.rows.fit(np.setdiff1d(fit.every, fit.chosen[np.argmin(squares)]), fit)
     return fit
 
 
-def _best(chosen: CoefficientFit, left: IntArray) -> tuple[int, CoefficientFit | None]:
-    """The column that improves a fit most, and the fit with it; None if none improves it visibly."""
-    starts = (chosen, chosen.firm)
-    gains = np.max([start.gains(left) for start in starts], axis=0)
-    column = int(left[np.argmax(gains)])
-    if np.max(gains) < max(_VISIBLE * float(np.max(chosen.rows.counts[chosen.rows.fast])), TOLD**2):
+def _best(present: CoefficientFit, candidates: IntArray) -> tuple[int, CoefficientFit | None]:
+    """Return the candidate column that improves a fit most, and the fit with it; None if it is not a visible
+    improvement."""
+    starts = (present, present.firm)
+    gains = np.max([start.gains(candidates) for start in starts], axis=0)
+    column = int(candidates[np.argmax(gains)])
+    if np.max(gains) < max(_VISIBLE * float(np.max(present.rows.counts[present.rows.fast])), TOLD**2):
         return column, None
-    columns = np.sort(np.append(chosen.every, column))
-    return column, min((chosen.rows.fit(columns, start) for start in starts), key=lambda fit: fit.score)
+    columns = np.sort(np.append(present.every, column))
+    return column, min((present.rows.fit(columns, start) for start in starts), key=lambda fit: fit.score)

@@ -94,9 +94,7 @@ class WarmStart:
     """Start of a solve from the end ``parameters (D,)`` of the last one; coefficients that are zero stay left out. They
     were chosen for so many ``rows``. ``spreads (links,)``: the prior std that it found; the default ones unless given.
 
-    ``effects_alone``: take over only its effects, and choose anew from these: drop those that the rows no longer
-    support, and add others.
-    """
+    ``effects_alone``: take over only its effects, then drop those that the rows no longer support and add others."""
 
     parameters: FloatArray
     rows: int = 0
@@ -122,8 +120,7 @@ def estimate(
         model: Measurement model of the rows.
         summary: The rows.
         settings: How to solve.
-        prior: Prior parameters ``(D,)`` instead of the URDF's inertias and the fitted start of the effects; NaN if
-            unknown.
+        prior: Parameters ``(D,)`` instead of the URDF's inertias and the effects' fitted start; NaN if unknown.
         warm: Where to start; without it the result depends on nothing but the rows.
         spreads: Default prior std ``(links,)`` of the links, geodesic distances; that of a CAD file unless given.
         known: Rows in addition to those of the weighed masses: results of other data.
@@ -184,8 +181,7 @@ def estimate(
 
 
 def _coupled_prior(settings: EstimatorSettings, problem: Problem) -> CoupledPrior | None:
-    """Prior that couples parameters: the population's if given, else that of parts that are alike in the URDF, else
-    None."""
+    """Prior that couples parameters, or None: the population's, else that of parts that are alike in the URDF."""
     if settings.population is not None:
         return PopulationPrior.of(settings.population, problem)
     return AlikePrior.of(settings.alike, problem) if settings.alike and problem.given is None else None
@@ -357,8 +353,7 @@ def _geodesic_objective(objective: ResidualObjective) -> GeodesicObjective:
 
     Least squares does not depend on how rows are combined, but distances to hyperplanes do. A row with little
     information and as much noise as the others has no projection. The combination starts from the principal directions
-    at the prior, in the metric there. The residuals fix their signs, so that it depends on no choice of frames or
-    units.
+    at the prior, in the metric there. The residuals fix their signs, so that no choice of frames or units matters.
     """
     from scipy.fft import dct  # noqa: PLC0415 of this objective alone
 

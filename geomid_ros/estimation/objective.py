@@ -1,4 +1,4 @@
-"""The objective (19), weighted squared distances to the rows' hyperplanes and to the prior; and that of Remark 3."""
+"""Objectives: (19), weighted squared distances to the rows' hyperplanes and to the prior; and that of Remark 3."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from geomid_ros.geometry import compiled, projection, pseudo_inertia, symmetric
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
-# The kernels run without the GIL, so chunks share the cores; results do not depend on the number of cores, because the
+# The kernels run without the GIL, so chunks run in parallel. Results do not depend on the number of cores, because the
 # chunks are fixed and are summed in order.
 _CHUNK = 512
 _THREADS = 2
@@ -26,8 +26,8 @@ _pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="geomid-projection")
 class Evaluation:
     """Half of an objective at a point: its value, its gradient ``(D,)`` and its Hessian ``(D, D)`` along its steps.
 
-    ``information`` is the part of the Hessian that the rows contribute at distance zero (Gauss-Newton): with weights
-    from true standard deviations it is the Fisher information of the rows.
+    ``information``: the part of the Hessian that the rows contribute at distance zero (Gauss-Newton). With weights from
+    true standard deviations it is the Fisher information of the rows.
     """
 
     value: float
@@ -37,32 +37,32 @@ class Evaluation:
 
 
 class Objective(Protocol):
-    """What a solver minimises."""
+    """Interface of the functions that a solver minimises."""
 
     @property
     def manifold(self) -> ParameterManifold:
-        """Where its points live."""
+        """Manifold of its points."""
 
     @property
     def scale(self) -> float:
-        """The natural size of a gradient: the sum of all weights."""
+        """Natural size of a gradient: the sum of all weights."""
 
     def evaluate(self, point: Point) -> Evaluation:
-        """Value, gradient and Hessian at ``point``."""
+        """Return value, gradient and Hessian at ``point``."""
 
     def step(self, point: Point, tangent: FloatArray) -> Point:
-        """The end of the step that leaves ``point`` with tangent coordinates ``(D,)``."""
+        """End of the step that leaves ``point`` with tangent coordinates ``(D,)``."""
 
 
 @dataclass(frozen=True, eq=False)
 class _WeightedObjective(ABC):
-    """What the two objectives have in common.
+    """Base of the two objectives.
 
     Attributes:
-        manifold: Where the parameters live.
+        manifold: Manifold of the parameters.
         rows, targets, sigmas: ``(N, D)``, ``(N,)`` and standard deviations ``(N,)`` of ``rows . parameters = targets``.
         prior: The point that distances are measured from.
-        gamma: Weight of the prior as a share of the sum of the rows' weights.
+        gamma: Weight of the prior as a fraction of the sum of the rows' weights.
         confidence: Multiplies gamma: one number, or one per coordinate ``(D,)``, equal within a block.
     """
 
@@ -77,16 +77,16 @@ class _WeightedObjective(ABC):
     @property
     @abstractmethod
     def prior_weight(self) -> float:
-        """The factor of the squared distance to the prior."""
+        """Factor of the squared distance to the prior."""
 
     @cached_property
     def prior_weights(self) -> FloatArray:
-        """The same by coordinate, ``(D,)``."""
+        """Factor of the squared distance to the prior per coordinate ``(D,)``."""
         return frozen(self.prior_weight * self.confidence * np.ones(self.manifold.dimension))
 
 
 class GeodesicObjective(_WeightedObjective):
-    """(19) for the rows; one whose hyperplane has no projection from the prior is set aside."""
+    """Objective (19); a row whose hyperplane has no projection from the prior is set aside."""
 
     @cached_property
     def weights(self) -> FloatArray:
@@ -95,7 +95,7 @@ class GeodesicObjective(_WeightedObjective):
 
     @cached_property
     def set_aside(self) -> BoolArray:
-        """Rows that take no part because Proposition 2 gives them no projection from the prior, ``(N,)``."""
+        """True for rows ``(N,)`` that are not used, because Proposition 2 gives them no projection from the prior."""
         return np.asarray(self._at_prior[1] != projection.ROOT)
 
     @cached_property
@@ -108,7 +108,7 @@ class GeodesicObjective(_WeightedObjective):
         return self._measure(self.prior)
 
     def _measure(self, point: Point) -> tuple[FloatArray, IntArray]:
-        """Half of the squared distances to the hyperplanes and how the projections ended, each ``(N,)``."""
+        """Half of the squared distances to the hyperplanes, and how the projections ended, each ``(N,)``."""
         halves, statuses = np.empty(len(self.rows)), np.empty(len(self.rows), dtype=np.int64)
 
         def measure(chunk: slice) -> None:
@@ -120,7 +120,7 @@ class GeodesicObjective(_WeightedObjective):
 
     @cached_property
     def prior_weight(self) -> float:
-        """The factor of the squared distance to the prior in (19)."""
+        """Factor of the squared distance to the prior in (19)."""
         return float(self.gamma * np.sum(self.weights))
 
     @cached_property
@@ -129,11 +129,11 @@ class GeodesicObjective(_WeightedObjective):
         return float(np.sum(self.weights)) + self.prior_weight
 
     def step(self, point: Point, tangent: FloatArray) -> Point:
-        """The end of a geodesic."""
+        """End of a geodesic step."""
         return self.manifold.exp(point, tangent)
 
     def evaluate(self, point: Point) -> Evaluation:
-        """Half of (19) at ``point`` with its derivatives in the tangent coordinates there."""
+        """Return half of (19) at ``point`` with its derivatives in the tangent coordinates there."""
         value, gradient, bends = _prior_terms(self.manifold, point, self.prior, self.prior_weights)
         information = np.zeros((self.manifold.dimension,) * 2)
         hessian = np.zeros_like(information)
@@ -162,14 +162,14 @@ class GeodesicObjective(_WeightedObjective):
 class ResidualObjective(_WeightedObjective):
     """Remark 3: ``sum (a_i . parameters - b_i)^2 / sigma_i^2 + gamma sum(w) d(Phi, Phi_0)^2``, weights as in (19).
 
-    Near the prior, and where residuals are small against the measured values, it agrees with (19) to first order. It
-    differs in two ways that matter far from there: it has no rows to set aside, and it does not reward what makes
-    distances short, large masses above all (scale all parameters: a row's residual grows in proportion, the
-    distance to its hyperplane does not). It depends on the rows only through their least-squares content, so that
-    compressed rows lose nothing.
+    Near the prior, and where residuals are small against the measured values, it agrees with (19) to first order. Far
+    from there it differs in two ways. It has no rows to set aside. And it does not reward what makes distances short,
+    above all large masses: if all parameters are scaled, a row's residual grows in proportion, but the distance to its
+    hyperplane does not. It depends on the rows only through their least-squares content, so that compressed rows lose
+    nothing.
 
     Attributes:
-        known: How many of the rows, the last ones, were not measured, see :func:`rows_at`.
+        known: Number of rows, the last ones, that were not measured, see :func:`rows_at`.
     """
 
     known: int = field(default=0, kw_only=True)
@@ -187,7 +187,7 @@ class ResidualObjective(_WeightedObjective):
 
     @cached_property
     def products(self) -> FloatArray:
-        """The columns ``[A b]`` by each other, of measured rows of standard deviation 1, ``(D + 1, D + 1)``."""
+        """Gram matrix ``(D + 1, D + 1)`` of the columns ``[A b]`` of measured rows of standard deviation 1."""
         return self._augmented.T @ self._augmented
 
     @cached_property
@@ -197,15 +197,15 @@ class ResidualObjective(_WeightedObjective):
 
     @cached_property
     def prior_weight(self) -> float:
-        """The factor of the squared distance to the prior."""
+        """Factor of the squared distance to the prior."""
         return self.gamma / (1.0 + self.gamma) * self.scale
 
     def step(self, point: Point, tangent: FloatArray) -> Point:
-        """The end of a straight line, along which the rows' part is exactly quadratic."""
+        """End of a straight step, along which the rows' part is exactly quadratic."""
         return self.manifold.straight(point, tangent)
 
     def evaluate(self, point: Point) -> Evaluation:
-        """Half of the objective at ``point`` with its derivatives in the tangent coordinates there."""
+        """Return half of the objective at ``point`` with its derivatives in the tangent coordinates there."""
         residuals = self._augmented @ np.append(point.parameters, -1.0)
         value, slope = 0.5 * float(residuals @ residuals), residuals @ self._augmented
         rows = value, slope[:-1], self.products
@@ -215,14 +215,14 @@ class ResidualObjective(_WeightedObjective):
 @dataclass(frozen=True, eq=False)
 class ProductsObjective:
     """Remark 3 from products alone: an evaluation costs no more for many rows than for few, but its rounding grows with
-    the square of the rows' condition.
+    the square of the rows' condition number.
 
     Attributes:
-        manifold, prior: As of :class:`ResidualObjective`.
-        products: ``(D + 1, D + 1)``, of the columns ``[A b]`` by each other, of rows of standard deviation 1.
+        manifold, prior: See :class:`ResidualObjective`.
+        products: Gram matrix ``(D + 1, D + 1)`` of the columns ``[A b]``, of rows of standard deviation 1.
         prior_weights: ``(D,)``, the factors of the squared distance to the prior.
         rows_weight: Sum of the rows' weights (Remark 2).
-        known: Products of further rows, see :func:`rows_at`.
+        known: Products of the known rows, see :func:`rows_at`.
     """
 
     manifold: ParameterManifold
@@ -234,15 +234,15 @@ class ProductsObjective:
 
     @property
     def scale(self) -> float:
-        """The rows' weights and the mean weight of the prior."""
+        """Sum of the rows' weights and the mean weight of the prior."""
         return self.rows_weight + float(np.mean(self.prior_weights))
 
     def step(self, point: Point, tangent: FloatArray) -> Point:
-        """The end of a straight line."""
+        """End of a straight step."""
         return self.manifold.straight(point, tangent)
 
     def evaluate(self, point: Point) -> Evaluation:
-        """As :meth:`ResidualObjective.evaluate`."""
+        """See :meth:`ResidualObjective.evaluate`."""
         vector = np.append(point.parameters, -1.0)
         moved = self.products @ vector
         rows = 0.5 * float(vector @ moved), moved[:-1], self.products
@@ -250,14 +250,14 @@ class ProductsObjective:
 
 
 def rows_at(manifold: ParameterManifold, prior: Point, rows: FloatArray, targets: FloatArray) -> FloatArray:
-    """Rows ``(N, D)`` of the parameters as rows of :meth:`ParameterManifold.off` the prior; as the last column their
-    residuals there, ``(N, D + 1)``. What is known of links is as exact in the directions in which they are thin."""
+    """Convert rows ``(N, D)`` to rows of :meth:`ParameterManifold.off` the prior, with their residuals there as the
+    last column, ``(N, D + 1)``. So known rows keep their precision in directions in which a link is thin."""
     return np.column_stack([manifold.rows_off(prior, rows), rows @ prior.parameters - targets])
 
 
 def dual_metric(manifold: ParameterManifold, point: Point) -> FloatArray:
-    """M^-1 ``(D, D)`` at ``point``: what products of rows of standard deviation 1 have in common with it is the sum of
-    their weights (Remark 2)."""
+    """Dual metric M^-1 ``(D, D)`` at ``point``. Its Frobenius product with the products of rows of standard deviation 1
+    is the sum of their weights (Remark 2)."""
     blocks, diagonal = manifold.jacobian(point)
     metric = np.zeros((manifold.dimension, manifold.dimension))
     manifold.add_blocks(metric, blocks @ np.swapaxes(blocks, -1, -2), diagonal**2)
@@ -302,14 +302,14 @@ def with_prior(
     rows: tuple[float, FloatArray, FloatArray],
     known: FloatArray | None,
 ) -> Evaluation:
-    """Half of an objective along straight lines: of rows and of the weighted squared distance to a prior.
+    """Evaluate half of an objective along straight lines: the rows' part plus the weighted squared distance to a prior.
 
     Args:
-        manifold, point, prior: Where, and from where distances are measured.
-        weights: Of the tangent coordinates to the prior ``(D,)``, equal within a link.
-        rows: Half of the rows' part, its derivative ``(D,)`` by the parameters, and the products ``(D + 1, D + 1)`` of
-            their columns and targets.
-        known: Products of further rows (:func:`rows_at`), if there are any.
+        manifold, point, prior: Manifold, point of evaluation, and the point that distances are measured from.
+        weights: Weights ``(D,)`` of the tangent coordinates to the prior, equal within a link.
+        rows: Half of the rows' part, its derivative ``(D,)`` by the parameters, and the Gram matrix ``(D + 1, D + 1)``
+            of their columns and targets.
+        known: Products of the known rows (:func:`rows_at`), if there are any.
     """
     value, slope, products = rows
     known = np.zeros(products.shape) if known is None else known
@@ -337,22 +337,22 @@ def _with_prior(
     rows: tuple[float, FloatArray, FloatArray],
     known: tuple[FloatArray, FloatArray],
 ) -> Evaluation:
-    """The same by numpy, with the derivative and the products ``(D, D)`` of what is known.
+    """Compute :func:`with_prior` by numpy; ``known``: derivative and products ``(D, D)`` of the known rows.
 
-    Along a straight line the rows have no curvature but their information. The prior has that of its weighted squared
-    distance along geodesics, and that of the line: of the linear function of the parameters whose gradient is minus the
-    prior's. Per link ``tr(X exp(tQ))`` has the second derivative ``tr(X Q^2)``; a positive coefficient's is the first
-    again.
+    Along a straight line the rows have no curvature but their information. The prior has the curvature of its weighted
+    squared distance along geodesics, and that of the line. The latter belongs to the linear function of the parameters
+    whose gradient is minus the prior's. Per link ``tr(X exp(tQ))`` has the second derivative ``tr(X Q^2)``; for a
+    positive coefficient the second derivative equals the first.
     """
     value, slope, products = rows
-    far, gradient, bends = _prior_terms(manifold, point, prior, weights)
+    distance, gradient, bends = _prior_terms(manifold, point, prior, weights)
     information = manifold.whiten(point, manifold.whiten(point, products[:-1, :-1]).T)
     information += manifold.whiten_off(prior, point, manifold.whiten_off(prior, point, known[1]).T)
     slopes = manifold.whiten(point, slope[None])[0] + manifold.whiten_off(prior, point, known[0][None])[0]
     matrices = symmetric.to_matrix(-gradient[manifold.inertial].reshape(manifold.links, symmetric.SIZE))
-    of_lines = (matrices.reshape(manifold.links, _PRODUCTS.shape[1]) @ _PRODUCTS.T).reshape(bends.shape)
+    line_bends = (matrices.reshape(manifold.links, _PRODUCTS.shape[1]) @ _PRODUCTS.T).reshape(bends.shape)
     rest = weights[manifold.inertial.stop :].copy()
     rest[: manifold.positives] -= gradient[manifold.positive]
     hessian = information.copy()
-    manifold.add_blocks(hessian, bends + of_lines, rest)
-    return Evaluation(value + far, gradient + slopes, information, hessian)
+    manifold.add_blocks(hessian, bends + line_bends, rest)
+    return Evaluation(value + distance, gradient + slopes, information, hessian)

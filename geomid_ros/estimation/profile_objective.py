@@ -1,4 +1,4 @@
-"""The joint fit for channels of unknown noise: what it minimises, the steps in which it does so, and its evidence."""
+"""Fit for channels of unknown noise, with the noise profiled out: objective, minimisation and evidence."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from geomid_ros.geometry.pseudo_inertia import COEFFICIENTS_TO_COORDINATES
 from geomid_ros.types import FloatArray
 
 _STEPS = 40
-_RADIUS = 16.0  # of the first step: as an effect comes or goes, others move as far as it reached
+_RADIUS = 16.0  # of the first step: when an effect is added or removed, others move as far as its size
 _LEAST_DECREASE = 1e-3  # of half the score
 _SETTLED = 0.05  # of the logarithm of a standard deviation
 LEAST_SHARE = 1e-10
-"""Of the target's sum of squares: no residual is smaller."""
+"""Least residual sum of squares, as a fraction of the target's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,14 +31,14 @@ class StraightManifold(ParameterManifold):
     """The manifold with steps along straight lines of the parameters instead of geodesics."""
 
     def exp(self, base: Point, tangent: FloatArray) -> Point:
-        """The end of the straight step that leaves ``base`` with tangent coordinates ``(D,)``."""
+        """End of the straight step that leaves ``base`` with tangent coordinates ``(D,)``."""
         return self.straight(base, tangent)
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """C channels of unknown noise, no less than ``floors (C,)``: ``products`` of the D columns and the target,
-    ``counts (C,)`` of rows; and the ``prior``."""
+    """Data of C channels of unknown noise: ``products`` of the D columns and the target, ``counts
+    (C,)`` of rows, the ``prior``, and ``floors (C,)`` of the noise."""
 
     manifold: ParameterManifold
     products: ChannelProducts | SelectedProducts
@@ -48,7 +48,7 @@ class Profile:
 
     @cached_property
     def least(self) -> FloatArray:
-        """What a sum of squares is at least ``(C,)``."""
+        """Lower bound of each sum of squares ``(C,)``."""
         smallest = LEAST_SHARE * self.products.targets + np.finfo(float).tiny
         return np.asarray(np.maximum(smallest, self.counts * np.square(self.floors)))
 
@@ -57,17 +57,16 @@ class Profile:
         return np.maximum(self.products.squares(np.append(point.parameters, -1.0)), self.least)
 
     def weighed(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Sums of squares ``(C,)`` at the parameters and -1, ``vector (D + 1,)``, and the sum ``(D + 1, D + 1)`` of the
-        products, each with its channel's count over its sum of squares, which is at least ``least (C,)``."""
+        """Sums of squares ``(C,)`` at ``vector (D + 1,)``, the parameters and -1; and the sum ``(D + 1, D + 1)`` of the
+        products, each times its channel's count over its sum of squares, at least ``least (C,)``."""
         return self.products.weighed_by_squares(vector, self.counts, self.least)
 
 
 @dataclass(frozen=True, eq=False)
 class ProfileObjective:
-    """Half of ``sum_c N_c log S_c``, for a channel below its floor ``N_c (log F_c + S_c / F_c - 1)`` as of known noise;
-    plus the prior's terms, with weights ``(D,)``, equal within a link, of the tangent coordinates to it, and with what
-    is ``known`` beside it: products ``(D + 1, D + 1)`` of rows of standard deviation 1
-    (:func:`~geomid_ros.estimation.objective.rows_at`)."""
+    """Half of ``sum_c N_c log S_c``, or for a channel below its floor ``N_c (log F_c + S_c / F_c - 1)`` as of known
+    noise; plus the prior's terms, with ``weights (D,)`` of the tangent coordinates to it, equal within a link; plus
+    those of ``known`` rows: their products ``(D + 1, D + 1)`` (:func:`~geomid_ros.estimation.objective.rows_at`)."""
 
     profile: Profile
     weights: FloatArray
@@ -75,7 +74,7 @@ class ProfileObjective:
 
     @property
     def manifold(self) -> ParameterManifold:
-        """Where its points live."""
+        """Manifold of its points."""
         return self.profile.manifold
 
     @property
@@ -84,11 +83,11 @@ class ProfileObjective:
         return float(np.sum(self.profile.counts))
 
     def step(self, point: Point, tangent: FloatArray) -> Point:
-        """The end of a step along a straight line."""
+        """End of a straight step."""
         return self.manifold.straight(point, tangent)
 
     def evaluate(self, point: Point) -> Evaluation:
-        """Value, gradient, information and Hessian along straight lines at ``point``."""
+        """Return value, gradient, information and Hessian along straight lines at ``point``."""
         profile = self.profile
         vector = np.append(point.parameters, -1.0)
         squares, products = profile.weighed(vector)
@@ -99,7 +98,7 @@ class ProfileObjective:
 
 @dataclass(frozen=True, eq=False)
 class ProfileFit:
-    """Where a fit ended, with the ``scales`` of the prior that go with it, and the objective there."""
+    """End of a fit: the ``point``, the ``scales`` of the prior, and the objective there."""
 
     objective: ProfileObjective
     point: Point
@@ -113,7 +112,7 @@ class ProfileFit:
 
     @cached_property
     def score(self) -> float:
-        """Minus twice the logarithm of the marginal likelihood in Laplace's approximation, for these scales."""
+        """Minus twice the log marginal likelihood in Laplace's approximation, for these scales."""
         volume = definite.log_determinant(self.hessian)
         return 2.0 * self.evaluation.value + volume - float(np.sum(np.log(self.objective.weights)))
 
@@ -124,30 +123,30 @@ def fit_scales(
     scales: FloatArray,
     likely: Callable[[Point, FloatArray, FloatArray], FloatArray] | None,
 ) -> ProfileFit:
-    """The minimum for those ``scales (n,)`` of the prior that are most likely, by MacKay's fixed point.
+    """Minimise for the most likely ``scales (n,)`` of the prior, by MacKay's fixed point.
 
     Args:
-        objective: for given scales.
-        start, scales: where to begin.
-        likely: the scales to go on with, from the minimum, the Hessian ``(D, D)`` there and the scales so far; None to
-            keep those that are given.
+        objective: builds the objective for given scales.
+        start, scales: where to start.
+        likely: next scales, from the minimum, the Hessian ``(D, D)`` there and the scales so far; None to keep the
+            given scales.
     """
     point = start
     for _ in range(ROUNDS):
-        trusted = objective(scales)
-        solution = minimum(trusted, point)
+        trial = objective(scales)
+        solution = minimum(trial, point)
         point, before = solution.point, scales
         if likely is None:
-            return ProfileFit(trusted, point, scales, solution.evaluation)
-        scales = likely(point, solution.evaluation.information + np.diag(trusted.weights), scales)
+            return ProfileFit(trial, point, scales, solution.evaluation)
+        scales = likely(point, solution.evaluation.information + np.diag(trial.weights), scales)
         if np.all(np.abs(np.log(scales / before)) < _SETTLED):
             break
-    trusted = objective(scales)
-    return ProfileFit(trusted, point, scales, trusted.evaluate(point))
+    trial = objective(scales)
+    return ProfileFit(trial, point, scales, trial.evaluate(point))
 
 
 def minimum(objective: ProfileObjective, start: Point) -> Solution:
-    """The minimum that is reached from ``start``, to a twentieth of the parameters' standard deviations."""
+    """Minimise from ``start``, to a twentieth of the parameters' standard deviations."""
     manifold, profile, native = objective.manifold, objective.profile, compiled.native
     if native is None or manifold.positives:
         return trust_region(objective, start, max_steps=_STEPS, radius=_RADIUS, least_decrease=_LEAST_DECREASE)
@@ -163,7 +162,7 @@ def minimum(objective: ProfileObjective, start: Point) -> Solution:
     )
     if reason == len(ENDS):
         raise LinAlgError("the objective's derivatives are not finite")
-    converged, why = ENDS[reason]
-    found = Evaluation(float(values[steps]), gradient, information, hessian)
-    point, passed = Point(inertias, prior.positives, reals), tuple(values[: steps + 1].tolist())
-    return Solution(point, found, converged, why.format(steps), steps, passed)
+    converged, message = ENDS[reason]
+    evaluation = Evaluation(float(values[steps]), gradient, information, hessian)
+    point, history = Point(inertias, prior.positives, reals), tuple(values[: steps + 1].tolist())
+    return Solution(point, evaluation, converged, message.format(steps), steps, history)
