@@ -1,4 +1,4 @@
-"""The result of a solve: links and effects with their uncertainty, and how the solver ended."""
+"""Result of a solve: links and effects with their uncertainty, and how the solver ended."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
 TOLD = 3.0
-"""Standard deviations from nothing at which a quantity, or an effect, is told."""
+"""Ratio of a quantity or effect to its standard deviation from which it is significant."""
 FINEST = 1e7
-"""Inverse of the smallest relative error of an inertia that data are believed to resolve."""
+"""Inverse of the smallest relative error of an inertia that data can resolve."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LinkEstimate(UncertainInertia):
-    """The identified body of a moving link.
+    """Identified inertia of a moving link.
 
     Attributes:
-        name: The moving link.
-        distance_from_prior: Geodesic distance.
+        name: Name of the link.
+        distance_from_prior: Geodesic distance from the prior.
         min_eigenvalue_ratio: Smallest eigenvalue of ``P0^-1/2 P P0^-1/2``.
-        moments: The axes along which the first moment is identified.
-        std_doubted: Standard deviations ``(13,)`` of quantities and first moments with a prior that is :func:`doubted`.
-        std_prior: The same in the prior, or in the usual one where that is narrower.
-        outlier: Whether it left its prior by far more than links usually do: it carries something, or stands in for an
-            effect that the model lacks. What the data tell of it is not called identified.
+        moments: Axes along which the first moment is identified.
+        std_doubted: Standard deviations ``(13,)`` of quantities and first moments, see :func:`doubted`.
+        std_prior: Standard deviations ``(13,)`` in the prior, or in the default prior where these are smaller.
+        outlier: True if it left its prior by far more than links usually do: it has a payload, or absorbs an unmodelled
+            effect. Then none of its quantities counts as identified.
     """
 
     name: str
@@ -46,24 +46,24 @@ class LinkEstimate(UncertainInertia):
 
     @property
     def identified(self) -> tuple[str, ...]:
-        """Those of :data:`QUANTITIES` that may be used as numbers of this link."""
+        """Names of the :data:`QUANTITIES` that are identified; none for an outlier."""
         return () if self.outlier else tuple(name for name in QUANTITIES if name not in self.cannot_tell)
 
 
 def is_told(value: float, deviation: float) -> bool:
-    """Whether a quantity is known to a third of itself."""
+    """True if a quantity exceeds :data:`TOLD` of its standard deviations."""
     return bool(abs(value) > TOLD * deviation)
 
 
 @dataclass(frozen=True, kw_only=True)
 class EffectEstimate:
-    """One of an effect's coefficients at a joint, or at another place of that name.
+    """One coefficient of an effect at a joint, or at another place.
 
     Attributes:
-        name: The effect's.
-        joint: The name of its place.
-        parameters: The one that the coefficient is, then the effect's constants.
-        from_data: Share of the prior's variance that the data removed, 0 to 1.
+        name: Name of the effect.
+        joint: Name of the place.
+        parameters: The parameter of this coefficient, then the effect's constants.
+        from_data: Fraction of the prior variance that the data removed, 0 to 1.
     """
 
     name: str
@@ -73,28 +73,28 @@ class EffectEstimate:
 
     @property
     def parameter(self) -> str:
-        """The name of the parameter that it is."""
+        """Name of the coefficient's parameter."""
         return next(iter(self.parameters))
 
     @property
     def value(self) -> float:
-        """The parameter's value."""
+        """Value of the parameter."""
         return self.parameters[self.parameter].value
 
     @property
     def std(self) -> float:
-        """Its standard deviation."""
+        """Standard deviation of the parameter."""
         return self.parameters[self.parameter].std
 
     @property
     def unit(self) -> str:
-        """Its unit."""
+        """Unit of the parameter."""
         return self.parameters[self.parameter].unit
 
 
 @dataclass(frozen=True, kw_only=True)
 class WeighedEstimate:
-    """A weighed mass [kg]: the ``given`` one and the estimated ``mass``, each with its standard deviation."""
+    """Weighed mass [kg]: the ``given`` one and the estimated ``mass``, each with its standard deviation."""
 
     name: str
     given: float
@@ -105,10 +105,9 @@ class WeighedEstimate:
 
 @dataclass(frozen=True, eq=False)
 class LinksInformation:
-    """What the data say of the inertias of all links together, whatever the effects are.
+    """Log-likelihood of the inertias of all links together, maximised over the effects.
 
-    ``|residuals + rows (x - parameters)|^2`` is minus twice the logarithm of the likelihood of link parameters x, up to
-    a constant, maximised over the effects.
+    ``|residuals + rows (x - parameters)|^2`` is minus twice the log-likelihood of link parameters x, up to a constant.
 
     Attributes:
         rows: ``(10 links, 10 links)``, upper triangular.
@@ -121,26 +120,26 @@ class LinksInformation:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Estimate:
-    """All that a solve found.
+    """Result of a solve.
 
     Attributes:
-        converged, reason: Whether the solver converged, and why it stopped.
+        converged, reason: True if the solver converged, and why it stopped.
         seconds, steps: Duration [s] and number of steps.
-        gamma: Weight of the prior as a share of the rows'.
-        rows_accepted: Rows that were measured and used.
-        rows_set_aside: Compressed rows without a projection from the prior; only (19) sets rows aside.
-        links, effects, known: The results.
+        gamma: Weight of the prior as a fraction of the rows'.
+        rows_accepted: Number of rows that were measured and used.
+        rows_set_aside: Number of compressed rows without a projection from the prior; only (19) sets rows aside.
+        links, effects, known: Estimates of the links, effects and weighed masses.
         parameters: ``(D,)`` of the measurement model.
         channels: Names of the measured channels.
         sigmas, rms_nominal, rms: ``(channels,)`` in the channels' units: standard deviations, and RMS residuals of the
             nominal and of the identified model; NaN where nothing was measured.
-        spreads: Of the links' priors ``(links,)``, geodesic distances, as found from the data.
-        information: What the data say of all links together.
-        rows, targets: The same of all parameters of the posterior: rows ``(<= D, D)`` and targets of independent errors
-            of standard deviation 1.
-        posterior: What is known of links and effects together.
-        within: Parameters ``(D,)`` fitted as far as files can hold them, by who reads the file.
-        warnings: What makes the result doubtful, in sentences.
+        spreads: Prior std ``(links,)`` of the links as found from the data, geodesic distances.
+        information: Log-likelihood of all links together.
+        rows, targets: Rows ``(<= D, D)`` and targets of all parameters of the posterior, with independent errors of
+            standard deviation 1.
+        posterior: Joint posterior of links and effects.
+        within: Parameters ``(D,)`` fitted with only the effects that a file can hold, by the file's reader.
+        warnings: Sentences on what makes the result doubtful.
     """
 
     converged: bool
@@ -168,17 +167,17 @@ class Estimate:
 
 
 def effort_deviations(model: MeasurementModel, samples: Samples, estimate: Estimate) -> FloatArray:
-    """Standard deviations of the efforts that an estimate predicts, as its parameters are unsure together.
+    """Standard deviations of the efforts that an estimate predicts, from the joint covariance of its parameters.
 
-    What sensors and the robot do beside the model, ``estimate.sigmas``, is not in them.
+    They do not include the noise of sensors and the unmodelled remainder, ``estimate.sigmas``.
 
     Args:
-        model: That the estimate is of.
+        model: Model of the estimate.
         samples: N samples.
-        estimate: With the parameters and their posterior.
+        estimate: The parameters and their posterior.
 
     Returns:
-        ``(N, joints)``, NaN for joints whose effort is not measured.
+        Standard deviations ``(N, joints)``, NaN for joints whose effort is not measured.
     """
     first = 10 * len(model.identified)
     columns = np.append(np.arange(first), first + np.flatnonzero(estimate.parameters[first:]))  # zero: left out

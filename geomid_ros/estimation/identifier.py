@@ -1,4 +1,4 @@
-"""The one object that the node and the command line drive: samples in, estimates out."""
+"""Identifier, which the node and the command line use: samples in, estimates out."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 NOT_MEASURED = "not measured"
 STANDING_STILL = "standing still"
 LONGEST_STEP = 1.0
-"""[s] between rows; a longer pause counts as so long."""
+"""Longest time [s] between two rows; a longer pause counts as this."""
 
 
 @dataclass(frozen=True)
 class BufferSettings:
-    """Which rows are taken, and how long they count. Raises InputError for values that cannot be.
+    """Rows to take, and how long they count. Raises InputError for invalid values.
 
     Attributes:
-        still_speed, still_distance: An instant at which nothing moves faster [rad/s or m/s], and that lies nearer to
-            the last one taken [rad or m], carries no new information and is not taken.
-        forgetting_time: Time constant [s] with which the weight of earlier rows falls while rows are taken; infinite
-            to forget nothing.
+        still_speed, still_distance: A sample has no new information and is not taken if nothing moves faster than this
+            [rad/s or m/s] and the pose is nearer than this [rad or m] to the last one taken.
+        forgetting_time: Time constant [s] with which the weight of earlier rows falls while rows are taken; infinite to
+            forget nothing.
         folds, block: See :class:`RowSummary`.
     """
 
@@ -55,7 +55,7 @@ class BufferSettings:
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """The state of an :class:`Identifier`: rows, why others were not taken, the last pose and its stamp [ns]."""
+    """State of an :class:`Identifier`: rows, reasons why others were rejected, the last pose and its stamp [ns]."""
 
     summary: SummaryState
     rows_rejected: Counter[str]
@@ -74,14 +74,14 @@ class RowCounts:
 
 @dataclass(frozen=True, eq=False)
 class EstimationTask:
-    """An estimation problem except for its rows: the arguments of :func:`estimate`."""
+    """Estimation problem without its rows: the arguments of :func:`estimate`."""
 
     model: MeasurementModel
     settings: EstimatorSettings
     prior: FloatArray | None
 
     def solve(self, summary: RowSummary, warm: WarmStart | None) -> Estimate:
-        """The estimate from these rows; without ``warm`` it depends on nothing else."""
+        """Estimate from these rows; without ``warm`` it depends on nothing else."""
         return estimate(self.model, summary, self.settings, self.prior, warm)
 
 
@@ -89,11 +89,11 @@ Solve: TypeAlias = Callable[[EstimationTask, RowSummary, WarmStart | None], Esti
 
 
 class Identifier:
-    """Accumulates samples' rows and solves for the parameters. One thread may add while another solves.
+    """Accumulate rows of samples, and solve for the parameters. One thread may add while another solves.
 
-    Instants with new rows are counted (:attr:`instants`). Rows of some channels can be left out from an instant on, as
-    if they had never been taken, as far back as instants are held (:meth:`hold`) and not yet settled. Estimates are of
-    all rows that are not left out.
+    Samples with new rows are counted (:attr:`instants`). Rows of some channels can be left out from a sample on, as if
+    they had never been taken. This holds for samples that are buffered (:meth:`hold`) and not settled yet. Estimates
+    use all rows that are not left out.
     """
 
     def __init__(
@@ -115,7 +115,7 @@ class Identifier:
         self._lock = threading.Lock()
         self._held = 0
         self.instants = 0
-        """How many instants had new rows so far: the number of the next one."""
+        """Number of samples with new rows so far: the number of the next one."""
         self._begin_anew()
 
     def _begin_anew(self) -> None:
@@ -132,49 +132,48 @@ class Identifier:
         return RowSummary(self.model.channels, buffer.folds, buffer.block, buffer.forgetting_time, apart)
 
     def reset(self) -> None:
-        """Forget all samples, and what is left out. Instants are counted on."""
+        """Forget all samples, and which rows are left out. The count of samples continues."""
         with self._lock:
             self._begin_anew()
 
     def add(
         self, samples: Samples, without: slice = slice(0), carried: FloatArray | None = None
     ) -> tuple[IntArray, Rows, BoolArray]:
-        """Take samples, in the order of time.
+        """Add samples, in the order of time.
 
         Args:
-            samples: what was measured.
+            samples: the samples.
             without: parameters of a body that the robot did not carry then.
-            carried: parameters ``(D,)`` of what it carried beside; what that adds to the targets is taken off those
-                that are learned from, not those that are returned.
+            carried: parameters ``(D,)`` of an additional payload. Its part is subtracted from the targets that are
+                learned from, but not from those returned.
 
         Returns:
-            Stamps ``(N,)`` and rows of those samples that are not standing still, and which of their channels
-            ``(N, channels)`` are unsettled: efforts of joints at rest or near a reversal, whose dry friction may be
-            anything.
+            Stamps ``(N,)`` and rows of the samples that are not standing still; and ``(N, channels)``, true for efforts
+            of joints at rest or near a reversal, where dry friction may have any value.
         """
         rows = self.model.rows(samples)
         rows.coefficients[:, :, without] = 0.0
         moving = np.zeros(len(samples), dtype=bool)
         elapsed = np.zeros(len(samples))
         of_motion = self._regimes(samples)
-        measured = usable(rows.coefficients, rows.targets)
-        counts, targets = np.count_nonzero(measured, axis=1), np.where(measured, rows.targets, np.nan)
+        is_measured = usable(rows.coefficients, rows.targets)
+        counts, targets = np.count_nonzero(is_measured, axis=1), np.where(is_measured, rows.targets, np.nan)
         targets -= 0.0 if carried is None else rows.coefficients @ carried
         speeds = np.max(np.abs(np.concatenate([samples.velocity, samples.base_velocity], axis=1)), axis=1)
         poses = np.concatenate([samples.position, samples.base_pose], axis=1)
         with self._lock:
-            self._made += measured.size
-            self._rejected[NOT_MEASURED] += measured.size - int(np.sum(counts))
+            self._made += is_measured.size
+            self._rejected[NOT_MEASURED] += is_measured.size - int(np.sum(counts))
             for index in range(len(samples)):
                 elapsed[index] = self._elapsed(int(samples.stamps[index]))
                 if self._is_still(float(speeds[index]), poses[index]):
                     self._rejected[STANDING_STILL] += int(counts[index])
                 else:
                     moving[index] = True
-            own = slice(None) if moving.all() else moving  # a slice copies nothing
-            taken, of_motion = Rows(rows.coefficients[own], rows.targets[own]), of_motion[own]
-            self._take(taken.coefficients, targets[own], elapsed[own], of_motion, samples.states[own])
-        return samples.stamps[own], taken, of_motion == REGIMES - 1
+            moved = slice(None) if moving.all() else moving  # a slice copies nothing
+            taken, of_motion = Rows(rows.coefficients[moved], rows.targets[moved]), of_motion[moved]
+            self._take(taken.coefficients, targets[moved], elapsed[moved], of_motion, samples.states[moved])
+        return samples.stamps[moved], taken, of_motion == REGIMES - 1
 
     def _take(
         self,
@@ -184,8 +183,8 @@ class Identifier:
         of_motion: IntArray,
         states: FloatArray,
     ) -> None:
-        """Take the rows of instants at which something moved."""
-        if self._held == 0 and self._recent.idle:  # otherwise they would only pass through
+        """Take the rows of samples in which something moved."""
+        if self._held == 0 and self._recent.idle:  # otherwise the buffer would pass them on at once
             self._summary.add(coefficients, targets, elapsed, of_motion, states)
             self.instants += len(elapsed)
             return
@@ -195,11 +194,11 @@ class Identifier:
         self._settle_before(self.instants - self._held)
 
     def _regimes(self, samples: Samples) -> IntArray:
-        """The regime of motion of each channel at N instants ``(N, channels)``: of efforts, those of their joints."""
-        found = np.zeros((len(samples), len(self.model.channels)), dtype=np.int64)
+        """Regime of motion of each channel ``(N, channels)``: for efforts that of their joint, else 0."""
+        of_channels = np.zeros((len(samples), len(self.model.channels)), dtype=np.int64)
         if self.model.layout.efforts:
-            found[:, self.model.layout.efforts] = regimes(samples)
-        return found
+            of_channels[:, self.model.layout.efforts] = regimes(samples)
+        return of_channels
 
     def _settle_before(self, number: float) -> None:
         settled = list[Instant]()
@@ -210,13 +209,13 @@ class Identifier:
         _with(self._summary, settled)
 
     def hold(self, instants: int) -> None:
-        """Hold so many last instants (none at first), whose rows can still be left out; settle earlier ones."""
+        """Buffer the last ``instants`` samples (none at first), whose rows can still be left out; settle the rest."""
         with self._lock:
             self._held = instants
             self._settle_before(self.instants - instants)
 
     def settle(self, before: int) -> None:
-        """Keep the rows of instants ``before`` this number for good; a thread that adds meanwhile hardly waits."""
+        """Settle samples ``before`` this number: their rows stay. Another thread that adds meanwhile hardly waits."""
         while True:
             with self._lock:
                 if self._recent.first >= before:
@@ -224,21 +223,21 @@ class Identifier:
                 self._settle_before(min(before, self._recent.first + PIECE))
 
     def leave_out(self, reason: str, channels: Sequence[int], begin: int) -> bool:
-        """Leave out the rows of ``channels`` from the instant of number ``begin`` on, as far as they are not settled.
+        """Leave out the rows of ``channels`` from sample number ``begin`` on, unless settled.
 
-        They count as rejected for this ``reason``. False if they were left out before.
+        They count as rejected for this ``reason``. Returns False if they were left out before.
         """
         with self._lock:
             return self._recent.leave_out(reason, channels, begin)
 
     def take_again(self, reason: str, begin: int) -> bool:
-        """Take the rows that are left out for this reason from the instant of number ``begin`` on, as far as that is
-        not settled. False if none are."""
+        """Take the rows that are left out for this reason from sample number ``begin`` on, unless settled. Returns
+        False if there are none."""
         with self._lock:
             return self._recent.take_again(reason, begin)
 
     def _elapsed(self, stamp: int) -> float:
-        """Seconds since the sample before; for another recording, or after a pause, not more than a little."""
+        """Seconds since the last sample: 0 if time goes back or for the first sample, at most :data:`LONGEST_STEP`."""
         before, self._last_stamp = self._last_stamp, stamp
         return 0.0 if before is None else min(max(0.0, 1e-9 * (stamp - before)), LONGEST_STEP)
 
@@ -254,7 +253,7 @@ class Identifier:
 
     @property
     def rows(self) -> int:
-        """Rows taken so far."""
+        """Number of rows taken so far."""
         with self._lock:
             return self._taken
 
@@ -264,53 +263,53 @@ class Identifier:
 
     @property
     def made(self) -> int:
-        """Rows made so far."""
+        """Number of rows made so far."""
         return self._made
 
     @property
     def counts(self) -> RowCounts:
-        """What became of all rows so far."""
+        """Numbers of all rows so far, taken and rejected."""
         with self._lock:
             return RowCounts(self._made, self._taken, self._rejected + self._recent.rejected)
 
     @property
     def rows_rejected(self) -> Counter[str]:
-        """Rows that were not taken, by reason."""
+        """Numbers of rejected rows, by reason."""
         return self.counts.rejected
 
     def outgrown(self, rows: int, share: float) -> bool:
-        """Whether more than this ``share`` of what is remembered came after so many ``rows``."""
+        """True if more than this fraction ``share`` of the rows in memory came after the first ``rows`` rows."""
         with self._lock:
             return self._taken - rows > share * (self._summary.weight + self._recent.rows)
 
     def snapshot(self) -> RowSummary:
-        """A copy of all that was added so far and is not left out."""
+        """Copy of all rows so far that are not left out."""
         self._absorb()
         with self._lock:
-            held = self._recent.instants
-            self._summary.make_room(len(held))  # once, and not in every copy
+            buffered = self._recent.instants
+            self._summary.make_room(len(buffered))  # once, and not in every copy
             settled = self._summary.snapshot()
-        return _with(settled, held)
+        return _with(settled, buffered)
 
     def _absorb(self) -> None:
-        """Absorb what waits, releasing the lock between channels: a thread that adds meanwhile hardly waits."""
+        """Absorb waiting rows, releasing the lock between channels: a thread that adds meanwhile hardly waits."""
         for _ in range(self._summary.folds * len(self._summary.groups)):
             with self._lock:
                 if not self._summary.absorb_one():
                     break
 
     def memory(self) -> Memory:
-        """A copy of all that :meth:`restore` goes on from."""
+        """Copy of the state for :meth:`restore`."""
         self._absorb()
         with self._lock:
-            settled, held = self._summary.snapshot(), self._recent.instants
+            settled, buffered = self._summary.snapshot(), self._recent.instants
             rejected, pose, stamp = self._rejected + self._recent.rejected, self._last_pose, self._last_stamp
-        return Memory(_with(settled, held).state(), rejected, pose, stamp)
+        return Memory(_with(settled, buffered).state(), rejected, pose, stamp)
 
     def restore(self, memory: Memory) -> None:
-        """Go on from what another identifier of the same model and buffer settings remembers.
+        """Continue from the state of another identifier with the same model and buffer settings.
 
-        Raises InputError, and changes nothing, for what no such identifier can remember.
+        Raises InputError, and changes nothing, for a state that no such identifier can have.
         """
         robot = self.model.robot
         width = len(robot.joints) + (7 if robot.floating_base else 0)
@@ -330,21 +329,21 @@ class Identifier:
             self._last_pose, self._last_stamp = memory.last_pose, memory.last_stamp
 
     def solve(self, warm: WarmStart | None = None) -> Estimate:
-        """The estimate from all rows so far; without ``warm`` it depends on nothing else."""
+        """Estimate from all rows so far; without ``warm`` it depends on nothing else."""
         return self._solve(self._task, self.snapshot(), warm)
 
     def use(self, settings: EstimatorSettings) -> None:
-        """Solve by these settings from now on. Raises InputError for a weighed mass that does not fit the model."""
+        """Use these settings from now on. Raises InputError for a weighed mass that does not fit the model."""
         weighed_rows(self.model, settings.known)
         self._task = replace(self._task, settings=settings)
 
     def solve_with(self, solve: Solve) -> None:
-        """Solve by ``solve`` instead of :meth:`EstimationTask.solve`, in another process for example."""
+        """Solve by ``solve`` instead of :meth:`EstimationTask.solve`, for example in another process."""
         self._solve = solve
 
 
 def _with(summary: RowSummary, instants: Sequence[Instant]) -> RowSummary:
-    """The summary, once it has these instants, too."""
+    """Add samples to the summary, and return it."""
     for begin in range(0, len(instants), PIECE):
         rows = (instant.rows for instant in instants[begin : begin + PIECE])
         summary.add(*map(np.array, zip(*rows, strict=True)))

@@ -1,9 +1,9 @@
-"""A bounded memory of any number of rows: their least-squares content, kept by QR.
+"""Bounded memory of any number of rows: their least-squares content, kept by QR.
 
-Factors of different channels are kept apart, because their standard deviations are only known later, and so are those
-of different *folds* of time, so that what was not used for a fit can judge it. For the same reason a channel's rows
-make a *group* for each regime of its joint's motion (:func:`~geomid_ros.model.samples.regimes`): the slower a joint
-moves, the less is known of its dry friction. Of C channels the group ``C r + c`` is channel c's in regime r.
+Factors of different channels are kept apart, because their standard deviations are only known later. So are those of
+different *folds* of time, so that a fit can be validated on folds that it did not use. A channel's rows also make a
+*group* for each regime of its joint's motion (:func:`~geomid_ros.model.samples.regimes`): the slower a joint moves, the
+less is known of its dry friction. With C channels, group ``C r + c`` is channel c in regime r.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class SummaryState:
-    """The state of a :class:`RowSummary`.
+    """State of a :class:`RowSummary`.
 
     Attributes:
-        instants, rows: Numbers added so far.
+        instants, rows: Numbers of samples and of rows added so far.
         time: Time that passed [s].
         weight: Sum of all rows' weights.
         counts: Sums of weights ``(folds, groups)``.
-        factors: By fold and group.
-        visited: The states of the motion.
+        factors: Triangular factors, by fold and group.
+        visited: Visited states of the motion.
     """
 
     instants: int
@@ -43,19 +43,19 @@ class SummaryState:
     visited: Visits
 
     def plus(self, other: SummaryState, pause: float = 0.0) -> SummaryState:
-        """All rows of both, of the same channels and folds, where nothing is forgotten.
+        """Return the state with all rows of both, which have the same channels and folds and forget nothing.
 
         Args:
             other: rows that were added after these, or to another summary.
-            pause: time between the last instant of these and the first of the others [s].
+            pause: time between the last sample of these and the first of the others [s].
         """
         factors = tuple(
-            tuple(triangular(np.concatenate(pair)) for pair in zip(own, others, strict=True))
-            for own, others in zip(self.factors, other.factors, strict=True)
+            tuple(triangular(np.concatenate(pair)) for pair in zip(mine, others, strict=True))
+            for mine, others in zip(self.factors, other.factors, strict=True)
         )
         visited = VisitedStates()
-        for each in (self, other):
-            visited.plus(each.visited)
+        for state in (self, other):
+            visited.plus(state.visited)
         return SummaryState(
             instants=self.instants + other.instants,
             time=self.time + pause + other.time,
@@ -68,14 +68,14 @@ class SummaryState:
 
 
 class RowSummary:
-    """Summaries of all groups in up to ``folds`` folds, an even number, that follow one another in time.
+    """Summaries of all groups in up to ``folds`` consecutive folds of time, an even number.
 
-    They are of equally many instants, the last one apart: of ``block`` at first, and of twice as many each time when
-    all folds are full and two and two become one. A row weighs ``exp(-age / forgetting_time)``; its age [s] is that of
-    :meth:`add`.
+    All folds but the last one have the same number of samples, at first ``block``. When all folds are full, pairs are
+    merged and this number doubles. A row has the weight ``exp(-age / forgetting_time)``; its age [s] is the time added
+    by :meth:`add` since.
     """
 
-    # Rows wait until so many are there: a QR of many at once costs less than one of each.
+    # Rows wait until there are this many: one QR of many rows costs less than one QR per row.
     _CHUNK = 128
 
     def __init__(
@@ -86,24 +86,24 @@ class RowSummary:
         forgetting_time: float = np.inf,
         apart: float = 0.0,
     ) -> None:
-        """``apart``: time between two rows that the filter leaves independent [s]."""
+        """``apart``: time between two rows that are independent after the filter [s]."""
         self.channels = tuple(channels)
         self.folds = folds
         self.visited = VisitedStates(apart)
-        """The states of the motion, as far as they were given; none where rows are forgotten."""
+        """Visited states of the motion, if given; none where rows are forgotten."""
         self._block = block
         self._forgetting_time = forgetting_time
         self._instants = 0
         self._time = 0.0
         self.rows = 0
-        """Number of rows added, forgotten ones included."""
+        """Number of rows added, including forgotten ones."""
         self.weight = 0.0
-        """Sum of the weights that they have now."""
+        """Sum of the rows' present weights."""
         self._summaries = [
             [ChannelSummary(np.zeros((0, len(c.columns) + 1))) for c in self.groups] for _ in range(folds)
         ]
-        self._complete = True  # nothing waits, and all weights are those of now
-        self._factors: tuple[FloatArray, ...] | None = None  # of all rows of each group, while none are added
+        self._complete = True  # no rows wait, and all weights are up to date
+        self._factors: tuple[FloatArray, ...] | None = None  # of all rows of each group; None after rows were added
         # Rows, their targets, and their times.
         self._waiting: list[list[list[tuple[FloatArray, float, float]]]] = [
             [[] for _ in self.groups] for _ in range(folds)
@@ -111,12 +111,12 @@ class RowSummary:
 
     @property
     def groups(self) -> tuple[Channel, ...]:
-        """The channel of each group."""
+        """Channel of each group."""
         return self.channels * REGIMES
 
     @property
     def period(self) -> float:
-        """Mean time between two instants [s]; 0 if they have no times."""
+        """Mean time between two samples [s]; 0 if they have no times."""
         return self._time / max(self._instants, 1)
 
     def add(
@@ -127,19 +127,19 @@ class RowSummary:
         regimes: IntArray | int = 0,
         states: FloatArray | None = None,
     ) -> None:
-        """Add the rows of N instants that are usable: ``coefficients (N, channels, D)``, ``targets (N, channels)``.
+        """Add the usable rows of N samples: ``coefficients (N, channels, D)``, ``targets (N, channels)``.
 
-        By ``elapsed (N,)`` [s] all earlier rows grow older. ``regimes (N, channels)`` of the joints' motion, and its
-        ``states (N, S)``, if they are known.
+        ``elapsed (N,)``: time [s] by which all earlier rows age. ``regimes (N, channels)``: regimes of the joints'
+        motion. ``states (N, S)``: states of the motion, if known.
         """
         elapsed, regimes = np.broadcast_to(elapsed, len(targets)), np.broadcast_to(regimes, targets.shape)
-        if states is not None and np.isinf(self._forgetting_time):  # repeats of what is forgotten do not count
+        if states is not None and np.isinf(self._forgetting_time):  # repeats of forgotten rows do not count
             self.visited.add(states, elapsed)
         self._complete = False
-        taken = usable(coefficients, targets)
-        self.rows += int(np.count_nonzero(taken))
-        for share, rows in zip(np.exp(-elapsed / self._forgetting_time), np.sum(taken, axis=1), strict=True):
-            self.weight = self.weight * float(share) + int(rows)
+        is_usable = usable(coefficients, targets)
+        self.rows += int(np.count_nonzero(is_usable))
+        for decay, rows in zip(np.exp(-elapsed / self._forgetting_time), np.sum(is_usable, axis=1), strict=True):
+            self.weight = self.weight * float(decay) + int(rows)
         times = np.cumsum(np.append(self._time, elapsed))[1:]
         begin = 0
         while begin < len(elapsed):
@@ -148,14 +148,14 @@ class RowSummary:
             end = min(begin + self._block - self._instants % self._block, len(elapsed))
             for index, group in enumerate(self.groups):
                 regime, channel = divmod(index, len(self.channels))
-                own = taken[begin:end, channel] & (regimes[begin:end, channel] == regime)
-                if not np.any(own):
+                in_group = is_usable[begin:end, channel] & (regimes[begin:end, channel] == regime)
+                if not np.any(in_group):
                     continue
-                chosen = begin + np.flatnonzero(own)
+                chosen = begin + np.flatnonzero(in_group)
                 rows = coefficients[chosen[:, None], channel, group.columns]
                 waiting = self._waiting[fold][index]
                 waiting += zip(rows, targets[chosen, channel].tolist(), times[chosen].tolist(), strict=True)
-                # Channels that have as many rows wait differently long: few instants cost more than one QR.
+                # Limits differ, or channels with equally many rows would all need a QR at the same sample.
                 while len(waiting) >= self._CHUNK + index:
                     self._absorb(fold, index, self._CHUNK + index)
             self._instants += end - begin
@@ -163,24 +163,24 @@ class RowSummary:
             begin = end
 
     def _fold(self) -> int:
-        """The fold of the next instant, for which there is room."""
+        """Index of the next sample's fold, after making room for it."""
         self.make_room(1)
         return self._instants // self._block
 
     def make_room(self, instants: int) -> None:
-        """Let blocks be so long that there are folds for so many more instants."""
+        """Merge pairs of folds until there is room for this many more samples."""
         while self._instants + instants > self.folds * self._block:
             parts = self.parts()
-            for index, own in enumerate(parts):
-                pairs = [own[first : first + 2] for first in range(0, self.folds, 2)]
-                empty = [ChannelSummary(own[0].factor[:0]) for _ in pairs]
-                for fold, part in enumerate([*map(together, pairs), *empty]):
-                    self._summaries[fold][index] = part
+            for index, by_fold in enumerate(parts):
+                pairs = [by_fold[first : first + 2] for first in range(0, self.folds, 2)]
+                empty = [ChannelSummary(by_fold[0].factor[:0]) for _ in pairs]
+                for fold, merged in enumerate([*map(together, pairs), *empty]):
+                    self._summaries[fold][index] = merged
             self._block *= 2
             self._complete = False
 
     def absorb_one(self) -> bool:
-        """Absorb what waits of one channel; False if there was nothing."""
+        """Absorb the waiting rows of one channel in one fold; False if there were none."""
         for fold in range(self.folds):
             for index, waiting in enumerate(self._waiting[fold]):
                 if waiting:
@@ -189,7 +189,7 @@ class RowSummary:
         return False
 
     def _absorb(self, fold: int, index: int, count: int | None = None) -> None:
-        """Absorb what waits, as of now; or the first rows, so many, as of the last of them."""
+        """Absorb the waiting rows, with weights as of now; or only the first ``count``, as of the last of them."""
         part, waiting = self._summaries[fold][index], self._waiting[fold][index]
         now = self._time if count is None else waiting[count - 1][2]
         remaining = float(self._remaining(part.time, now))
@@ -203,11 +203,11 @@ class RowSummary:
         self._factors = None
 
     def _remaining(self, times: float | FloatArray, now: float) -> FloatArray:
-        """Weights that rows added at ``times`` have at another."""
+        """Weights at time ``now`` of rows added at ``times``."""
         return np.exp((np.asarray(times) - now) / self._forgetting_time)
 
     def parts(self) -> list[list[ChannelSummary]]:
-        """Per group the summaries of all folds, everything added so far included."""
+        """Summaries of all folds, per group, including all rows added so far."""
         if not self._complete:
             for fold in range(self.folds):
                 for index in range(len(self.groups)):
@@ -216,44 +216,44 @@ class RowSummary:
         return [[fold[index] for fold in self._summaries] for index in range(len(self.groups))]
 
     def factors(self, folds: Sequence[int] | None = None) -> tuple[FloatArray, ...]:
-        """Per group one factor of all rows of the chosen folds (all unless given), everything added so far included."""
+        """One factor per group of all rows so far in the chosen folds (all unless given)."""
         parts = self.parts()
         if folds is not None:
-            return tuple(joined([own[fold] for fold in folds]) for own in parts)
+            return tuple(joined([by_fold[fold] for fold in folds]) for by_fold in parts)
         if self._factors is None:
             self._factors = tuple(map(joined, parts))
         return self._factors
 
     def counts(self, folds: Sequence[int] | None = None) -> FloatArray:
-        """Sums of the weights of each group's rows in the chosen folds (all unless given)."""
+        """Sums of the row weights per group in the chosen folds (all unless given)."""
         chosen = range(self.folds) if folds is None else folds
-        return np.array([sum(own[fold].count for fold in chosen) for own in self.parts()])
+        return np.array([sum(by_fold[fold].count for fold in chosen) for by_fold in self.parts()])
 
     def with_columns(self, channels: Sequence[Channel], chosen: IntArray) -> RowSummary:
-        """A copy in which only the ``chosen`` of the D parameters are left; ``channels`` are those of what is left."""
+        """Copy with only the ``chosen`` of the D parameters; ``channels``: the channels with the remaining columns."""
         copy = self._copy(channels)
-        kept = [np.append(np.flatnonzero(np.isin(group.columns, chosen)), -1) for group in self.groups]
-        for fold in copy._summaries:  # noqa: SLF001 its own
-            for part, own in zip(fold, kept, strict=True):
-                part.factor = part.factor.take(own, axis=1)
-        if self._factors is not None:  # their columns are factors, too, and lower than those of all folds together
-            pairs = zip(self._factors, kept, strict=True)
-            copy._factors = tuple(triangular(factor.take(own, axis=1)) for factor, own in pairs)  # noqa: SLF001
+        kept_columns = [np.append(np.flatnonzero(np.isin(group.columns, chosen)), -1) for group in self.groups]
+        for fold in copy._summaries:  # noqa: SLF001 same class
+            for part, columns in zip(fold, kept_columns, strict=True):
+                part.factor = part.factor.take(columns, axis=1)
+        if self._factors is not None:  # chosen columns of a factor are one, too, of fewer rows than all folds
+            pairs = zip(self._factors, kept_columns, strict=True)
+            copy._factors = tuple(triangular(factor.take(columns, axis=1)) for factor, columns in pairs)  # noqa: SLF001
         return copy
 
     def with_more(self, channel: int, parameters: FloatArray) -> RowSummary:
-        """A copy in which the targets of a channel have what ``parameters (D,)`` predict added."""
+        """Copy in which the prediction of ``parameters (D,)`` is added to the targets of a channel."""
         copy = self._copy(self.channels)
-        own = parameters[self.channels[channel].columns]
-        for fold in copy._summaries:  # noqa: SLF001 its own
+        subset = parameters[self.channels[channel].columns]
+        for fold in copy._summaries:  # noqa: SLF001 same class
             for part in fold[channel :: len(self.channels)]:
-                part.factor = triangular(np.column_stack([part.factor[:, :-1], part.factor @ np.append(own, 1.0)]))
+                part.factor = triangular(np.column_stack([part.factor[:, :-1], part.factor @ np.append(subset, 1.0)]))
         return copy
 
     def pooled(self, channels: BoolArray) -> RowSummary:
-        """A copy in which the rows of slow motion are among those of fast motion, for some channels ``(channels,)``."""
+        """Copy in which rows of slow motion count as rows of fast motion, for the chosen channels ``(channels,)``."""
         copy = self._copy(self.channels)
-        for fold in copy._summaries:  # noqa: SLF001 its own
+        for fold in copy._summaries:  # noqa: SLF001 same class
             for fast in np.flatnonzero(channels).tolist():
                 slow = fast + len(self.channels)
                 fold[fast] = together([fold[fast], fold[slow]])
@@ -261,7 +261,7 @@ class RowSummary:
         return copy
 
     def snapshot(self) -> RowSummary:
-        """A copy that later additions do not change."""
+        """Copy that later additions do not change."""
         return self._copy(self.channels)
 
     def _copy(self, channels: Sequence[Channel]) -> RowSummary:
@@ -272,7 +272,7 @@ class RowSummary:
         return copy
 
     def state(self) -> SummaryState:
-        """The state, everything added so far included."""
+        """State, including all rows added so far."""
         folds = list(zip(*self.parts(), strict=True))
         counts = np.array([[part.count for part in fold] for fold in folds])
         factors = tuple(tuple(part.factor for part in fold) for fold in folds)
@@ -287,7 +287,7 @@ class RowSummary:
         )
 
     def restore(self, state: SummaryState) -> None:
-        """Take the state of another summary of the same channels and folds.
+        """Continue from the state of another summary with the same channels and folds.
 
         Raises InputError, and changes nothing, for a state that no such summary can have.
         """
@@ -299,7 +299,7 @@ class RowSummary:
         if not all(np.all(np.isfinite(array) & (array >= 0.0)) for array in (numbers, state.counts)):
             raise InputError("numbers of rows that are negative or not finite")
         visited = state.visited
-        finite = all(np.all(np.isfinite(own)) for own in (visited.kept, visited.last, visited.age))
+        finite = all(np.all(np.isfinite(values)) for values in (visited.kept, visited.last, visited.age))
         if visited.kept.ndim != 3 or not finite or visited.every < 1:
             raise InputError("states of a motion that are not finite, or not numbered")
         summaries = [
@@ -319,48 +319,48 @@ class RowSummary:
         self._waiting = [[[] for _ in self.groups] for _ in range(self.folds)]
 
     def rms(self, parameters: FloatArray, folds: Sequence[int] | None = None) -> FloatArray:
-        """Root mean square of each channel's residual at parameters ``(D,)``, ``(channels,)``; NaN without rows."""
+        """RMS residual of each channel at parameters ``(D,)``, ``(channels,)``; NaN without rows."""
         errors = [
             np.sum((factor @ np.append(parameters[group.columns], -1.0)) ** 2)
             for group, factor in zip(self.groups, self.factors(folds), strict=True)
         ]
-        error, total = (np.sum(np.reshape(each, (REGIMES, -1)), axis=0) for each in (errors, self.counts(folds)))
+        error, total = (np.sum(np.reshape(sums, (REGIMES, -1)), axis=0) for sums in (errors, self.counts(folds)))
         return np.asarray(np.sqrt(error / np.where(total > 0.0, total, np.nan)))
 
     def products(self, sigmas: FloatArray, dimension: int) -> FloatArray:
-        """Of each fold that has rows: the columns ``[A b]`` of its rows by each other, ``(folds, D + 1, D + 1)``, in
-        units of the standard deviations ``(groups,)``."""
+        """Gram matrices ``(folds, D + 1, D + 1)`` of the columns ``[A b]`` of each fold that has rows, in units of the
+        standard deviations ``(groups,)``."""
         products = np.zeros((self.folds, dimension + 1, dimension + 1))
         for group, parts, sigma in zip(self.groups, self.parts(), sigmas, strict=True):
-            own = np.append(group.columns, dimension)
-            products[:, own[:, None], own] += np.array([part.factor.T @ part.factor for part in parts]) / sigma**2
+            places = np.append(group.columns, dimension)
+            products[:, places[:, None], places] += np.array([part.factor.T @ part.factor for part in parts]) / sigma**2
         return products[np.any(products, axis=(1, 2))]
 
     def compressed(self, sigmas: FloatArray, dimension: int) -> tuple[FloatArray, FloatArray]:
         """Rows ``(<= D, D)`` and targets of standard deviation 1 with the least-squares content of all rows.
 
-        The last row of the factor, in which no parameter appears, is left out: it is the part of the residual that no
+        The last row of the factor, in which no parameter appears, is omitted: it is the part of the residual that no
         parameter can change.
 
         Args:
-            sigmas: Standard deviations ``(groups,)``, or ``(channels,)`` for those of both groups.
+            sigmas: Standard deviations ``(groups,)``, or ``(channels,)`` for the same in all groups.
             dimension: D.
         """
-        # First by channel: most have few columns, and many small decompositions stop no other thread for long.
+        # First by channel: most have few columns, and many small decompositions block other threads only briefly.
         stacked = [np.zeros((0, dimension + 1))]
         scales, factors, count = np.resize(sigmas, len(self.groups)), self.factors(), len(self.channels)
         for index, channel in enumerate(self.channels):
-            own = [factor / sigma for factor, sigma in zip(factors[index::count], scales[index::count], strict=True)]
-            factor = triangular(np.concatenate(own))
+            scaled = [factor / sigma for factor, sigma in zip(factors[index::count], scales[index::count], strict=True)]
+            factor = triangular(np.concatenate(scaled))
             widened = np.zeros((len(factor), dimension + 1))
             widened[:, channel.columns], widened[:, -1] = factor[:, :-1], factor[:, -1]
             stacked.append(widened)
-        whole = triangular(np.concatenate(stacked))[:dimension]
-        return whole[:, :-1], whole[:, -1]
+        compressed_rows = triangular(np.concatenate(stacked))[:dimension]
+        return compressed_rows[:, :-1], compressed_rows[:, -1]
 
 
 def _checked(factor: FloatArray, channel: Channel) -> FloatArray:
-    """A factor that can be of this channel. Raises InputError otherwise."""
+    """Return a factor if it is valid for this channel. Raises InputError otherwise."""
     width = len(channel.columns) + 1
     if factor.ndim != 2 or factor.shape[1] != width or len(factor) > width:
         raise InputError(f"rows of channel '{channel.name}' are {factor.shape}, expected at most ({width}, {width})")

@@ -1,4 +1,4 @@
-"""Uncertainty of an estimate: the covariance of its error in the tangent space, and what the data contribute to it."""
+"""Uncertainty of an estimate: the covariance of its error in the tangent space, and the contribution of the data."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from geomid_ros.model.dynamics import STEP
 from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.types import FloatArray, IntArray, frozen
 
-_LARGEST_SPREAD = 100.0  # times the usual: beyond it nothing is known, and rounding is all
-_ROUNDS = 10  # of the fixed point; a fixed number, so that rounding cannot change how many there are
+_LARGEST_SPREAD = 100.0  # times the default: a wider prior contains no information, and rounding dominates
+_ROUNDS = 10  # of the fixed point; a fixed number, so that rounding cannot change it
 _FOLDS_OF_BLOCKS = (1, 2, 4)
-"""Correlations that are longer than a block hide in it: of blocks of several lengths, those count that show most."""
-_DOUBT = 3.0  # times as large as they are taken to be the prior's errors may be, if the data alone are believed
-_ROUNDING = float(np.finfo(float).eps)  # of the largest information: what rounding may make of none
-# Directions of less variance are not distinguished: a share of all of the variance there is.
+"""Block lengths, in folds; the largest inflation counts, because correlations longer than a block are hidden in it."""
+_DOUBT = 3.0  # factor of the prior's errors with which a quantity must still be identified, by the data alone
+_ROUNDING = float(np.finfo(float).eps)  # times the largest information: what rounding may make of zero
+# Fraction of the total variance: directions of less variance are not distinguished.
 _FLOOR = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class Fold:
-    """A block of time at the estimate: half the ``gradient (D,)`` of its rows' squared residuals, and their
+    """Block of time at the estimate: half the ``gradient (D,)`` of its rows' squared residuals, and their
     ``information (D, D)``, in tangent coordinates."""
 
     gradient: FloatArray
@@ -37,7 +37,7 @@ class Fold:
 
 @dataclass(frozen=True, eq=False)
 class ParameterGroup:
-    """Tangent coordinates ``columns`` with priors of equal spread, which usually is ``usual_spread``."""
+    """Tangent coordinates ``columns`` that share one prior std, by default ``usual_spread``."""
 
     columns: IntArray
     usual_spread: float
@@ -49,10 +49,10 @@ class Uncertainty:
 
     Attributes:
         covariance: ``(D, D)`` of the estimate's error.
-        inherited: The part of it that the prior's error makes.
+        inherited: The part of it that the prior's error causes.
         prior: Covariance ``(D, D)`` of the prior's error.
-        share: Share of the measured rows' information that correlations leave, 0 to 1.
-        by_rows: Information ``(D,)`` that the rows have of each coordinate, the others within their priors.
+        share: Fraction of the measured rows' information that correlations leave, 0 to 1.
+        by_rows: Information ``(D,)`` of the rows on each coordinate, the others within their priors.
     """
 
     covariance: FloatArray
@@ -63,7 +63,7 @@ class Uncertainty:
 
     @property
     def doubted(self) -> FloatArray:
-        """See :func:`doubted`."""
+        """Covariance ``(D, D)`` for enlarged prior errors, see :func:`doubted`."""
         return doubted(self.covariance, self.inherited)
 
     @property
@@ -72,14 +72,14 @@ class Uncertainty:
         return np.asarray(np.sqrt(np.diag(self.prior)))
 
     def from_data(self, columns: slice) -> float:
-        """The share of the prior's variance in these coordinates that the data removed, 0 to 1.
+        """Fraction of the prior variance in these coordinates that the data removed, 0 to 1.
 
-        Per principal direction, and on average. Where the prior has the weight that its spread deserves, this is the
-        trace of the resolution matrix over its size.
+        Computed per principal direction, then averaged. If the prior's weight matches its standard deviation, this is
+        the trace of the resolution matrix over its size.
         """
         root = np.linalg.inv(np.linalg.cholesky(self.prior[columns, columns]))
-        left = np.linalg.eigvalsh(root @ self.covariance[columns, columns] @ root.T)
-        return float(np.mean(np.clip(1.0 - left, 0.0, 1.0)))
+        remaining = np.linalg.eigvalsh(root @ self.covariance[columns, columns] @ root.T)
+        return float(np.mean(np.clip(1.0 - remaining, 0.0, 1.0)))
 
 
 def estimate_uncertainty(
@@ -96,9 +96,9 @@ def estimate_uncertainty(
 ) -> Uncertainty:
     """Uncertainty of a regularised estimate.
 
-    Per group two numbers are estimated from the data: the factor by which correlated residuals make errors larger than
-    independent ones would (:func:`variance_inflation`), and the spread of the prior's errors (:func:`prior_spreads`).
-    Few blocks of time and few links tell both roughly, so that neither is less than what is known without them.
+    Two numbers per group are estimated from the data: the factor by which correlated residuals enlarge the errors
+    (:func:`variance_inflation`), and the standard deviation of the prior's errors (:func:`prior_spreads`). A few blocks
+    of time and a few links determine both only roughly, so that each is bounded below by what is known otherwise.
 
     Args:
         folds: The measured rows by blocks of time.
@@ -107,8 +107,8 @@ def estimate_uncertainty(
         prior_weights: Factors ``(D,)`` of the squared distance to the prior.
         from_prior: Tangent coordinates ``(D,)`` of the prior at the estimate.
         groups: A partition of all coordinates.
-        least_inflation: The factor that the filter of the rows is known to cause.
-        assumed_spreads: Standard deviations ``(D,)`` of the prior's error with which the estimate was made.
+        least_inflation: Least inflation factor: what the filter of the rows is known to cause.
+        assumed_spreads: Standard deviations ``(D,)`` of the prior's error that the estimate assumed; a lower bound.
         expected: Information ``(D, D)`` of those known rows that belong to the prior.
     """
     weights = np.maximum(prior_weights, np.finfo(float).tiny)
@@ -116,8 +116,8 @@ def estimate_uncertainty(
     information = measured.information + trust * known.information
     inverse = information_inverse(information, weights)
     blocks = [_together(folds, count) for count in _FOLDS_OF_BLOCKS]
-    each = [variance_inflation(many, information, inverse, weights, groups, least_inflation) for many in blocks]
-    factors = np.max(each, axis=0)
+    inflations = [variance_inflation(block, information, inverse, weights, groups, least_inflation) for block in blocks]
+    factors = np.max(inflations, axis=0)
     share = 1.0 / float(np.mean(factors))
     independent = Fold(share * measured.gradient + known.gradient, share * measured.information + known.information)
     spreads = np.maximum(prior_spreads(independent, from_prior, groups), assumed_spreads)
@@ -130,7 +130,7 @@ def estimate_uncertainty(
 
 
 def _together(folds: Sequence[Fold], count: int) -> list[Fold]:
-    """Blocks of so many consecutive folds."""
+    """Merge blocks of ``count`` consecutive folds."""
     return [_sum(folds[first : first + count], len(folds[0].gradient)) for first in range(0, len(folds), count)]
 
 
@@ -142,7 +142,8 @@ def _sum(folds: Sequence[Fold], dimension: int) -> Fold:
 def error_covariance(
     inverse: FloatArray, measured: FloatArray, trust: float, known: FloatArray, factors: FloatArray, pulls: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Covariance ``(D, D)`` of the estimate's error ``H^-1 (noise + W error of the prior)``: its two parts.
+    """Covariance ``(D, D)`` of the estimate's error ``H^-1 (noise + W error of the prior)``: the rows' part, the
+    prior's part.
 
     With ``W = 1 / spreads^2``, and all factors and trust 1, they add up to ``H^-1``, the Bayesian posterior.
 
@@ -161,13 +162,13 @@ def error_covariance(
 
 
 def doubted(covariance: FloatArray, inherited: FloatArray) -> FloatArray:
-    """The covariance ``(D, D)`` of an estimate's error if the prior's errors, of which a part of it is ``inherited``,
-    were three times as large: what is known even so is known from the data."""
+    """Covariance ``(D, D)`` of an estimate's error for prior errors three times as large, of which a part is
+    ``inherited``. A quantity that is still known then is known from the data."""
     return covariance + (_DOUBT**2 - 1.0) * inherited
 
 
 def _root(information: FloatArray) -> FloatArray:
-    """A matrix that times its transpose is ``information``; eigenvalues that rounding made negative are zero."""
+    """Matrix that times its transpose is ``information``; eigenvalues that rounding made negative are zero."""
     values, vectors = np.linalg.eigh(information)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
@@ -181,16 +182,16 @@ def information_inverse(information: FloatArray, weights: FloatArray) -> FloatAr
 
 
 def _solved(information: FloatArray, weights: FloatArray, gradient: FloatArray) -> FloatArray:
-    """``(information + W)^-1 gradient``, as :func:`information_inverse` is right for any weights above zero."""
+    """``(information + W)^-1 gradient``; like :func:`information_inverse`, valid for any weights above zero."""
     units = np.sqrt(weights)
     scaled = information / np.outer(units, units)
-    np.fill_diagonal(scaled, np.diag(scaled) + _own_part(scaled))
+    np.fill_diagonal(scaled, np.diag(scaled) + _prior_part(scaled))
     return np.asarray(definite.solved_anyway(scaled, gradient / units) / units)
 
 
-def _own_part(scaled: FloatArray) -> float:
-    """What the prior adds to each diagonal entry of an information in units of its spreads: one, and what rounding may
-    have taken from the information."""
+def _prior_part(scaled: FloatArray) -> float:
+    """Prior's part of each diagonal entry of an information in units of its standard deviations: one, and what rounding
+    may have taken from the information."""
     return 1.0 + _ROUNDING * float(np.max(np.diag(scaled), initial=0.0))
 
 
@@ -202,12 +203,12 @@ def variance_inflation(
     groups: Sequence[ParameterGroup],
     least: float = 1.0,
 ) -> FloatArray:
-    """Factors ``(D,)``, not below ``least``, by which errors vary more than under independent residuals.
+    """Factors ``(D,)``, at least ``least``, by which error variances exceed those for independent residuals.
 
     The variance is the jackknife's: each fold in turn is left out, and how far the estimate moves shows the effect of
-    correlations inside of a fold (Efron 1982). There are only a few folds, so that the ratio to the variance under
-    independent residuals is averaged over all directions of a group. Groups differ: noise that changes slowly is taken
-    for an offset, and hardly for friction.
+    correlations inside a fold (Efron 1982). There are only a few folds, so the ratio to the variance for independent
+    residuals is averaged over all directions of a group. Groups differ: slowly changing noise is mistaken for an
+    offset, but hardly for friction.
     """
     result = np.full(len(weights), least)
     if len(folds) < 2:
@@ -221,45 +222,45 @@ def variance_inflation(
         floor = _FLOOR * np.trace(block)
         if floor > 0.0:
             damped = np.linalg.inv(block + floor * np.eye(len(block)))
-            seen = moves[:, group.columns]
-            result[group.columns] = max(least, float(np.sum((seen @ damped) * seen) / np.sum(damped * block)))
+            shifts = moves[:, group.columns]
+            result[group.columns] = max(least, float(np.sum((shifts @ damped) * shifts) / np.sum(damped * block)))
     return result
 
 
 def prior_spreads(rows: Fold, from_prior: FloatArray, groups: Sequence[ParameterGroup]) -> FloatArray:
     """Standard deviations ``(D,)`` of the prior's errors, one per group, that maximise the marginal likelihood.
 
-    The likelihood is that of ``rows`` with independent errors of standard deviation 1; the prior lies at ``from_prior
-    (D,)``. Fixed point of MacKay ("Bayesian interpolation", 1992): the squared distance of the posterior's mean from
-    the prior, over the number of directions that the data determine. Where they determine none, the usual spread
-    stands.
+    The likelihood is that of ``rows`` with independent errors of standard deviation 1; the prior lies at
+    ``from_prior (D,)``. Fixed point of MacKay ("Bayesian interpolation", 1992): the squared distance of the posterior's
+    mean from the prior, over the number of directions that the data determine. If they determine none, the default
+    stays.
     """
     usual = np.array([group.usual_spread for group in groups])
     member = np.empty(len(from_prior), dtype=np.int64)
     for index, group in enumerate(groups):
         member[group.columns] = index
-    extrapolation, found, begun = Extrapolation(), usual, np.log(usual)
+    extrapolation, stds, log_stds = Extrapolation(), usual, np.log(usual)
     for _ in range(_ROUNDS):
-        # In units of the spreads, in which the prior's part is the identity.
-        spreads = np.exp(begun)[member]
+        # In units of the prior std, in which the prior's part is the identity.
+        spreads = np.exp(log_stds)[member]
         scaled = np.outer(spreads, spreads) * rows.information
-        own = _own_part(scaled)
-        left = definite.inverse(scaled + own * np.eye(len(spreads)))
+        prior_part = _prior_part(scaled)
+        posterior = definite.inverse(scaled + prior_part * np.eye(len(spreads)))
         # Not as information times distance, of which rounding would leave little.
-        moved = from_prior - spreads * (left @ (own * from_prior / spreads - spreads * rows.gradient))
-        determined = np.clip(1.0 - np.diag(left), 0.0, 1.0)
-        # The usual spread counts as much as one direction of the tangent space that the data determine.
+        moved = from_prior - spreads * (posterior @ (prior_part * from_prior / spreads - spreads * rows.gradient))
+        determined = np.clip(1.0 - np.diag(posterior), 0.0, 1.0)
+        # The default prior std counts as much as one direction that the data determine.
         squares = np.bincount(member, moved**2, len(groups)) + usual**2
         counts = np.bincount(member, determined, len(groups)) + 1.0
-        # Few rows of many parameters can be fitted at any distance.
-        found = np.minimum(np.sqrt(squares / counts), _LARGEST_SPREAD * usual)
-        begun = extrapolation.next(begun, np.log(found))
-    return np.asarray(found[member])
+        # A few rows of many parameters can be fitted at any distance from the prior.
+        stds = np.minimum(np.sqrt(squares / counts), _LARGEST_SPREAD * usual)
+        log_stds = extrapolation.next(log_stds, np.log(stds))
+    return np.asarray(stds[member])
 
 
 def physical_sensitivity(point: Point) -> FloatArray:
     """Derivative ``(links, 10, 10)`` of each link's quantities (:func:`pseudo_inertia.quantities_of`) by its ten
-    tangent coordinates, by central differences along straight lines of the parameters, which begin as geodesics do."""
+    tangent coordinates. Central differences along straight lines of the parameters, which begin as geodesics do."""
     parameters = pseudo_inertia.to_parameters(point.pseudo_inertias)[:, None]
     steps = STEP * np.swapaxes(point.links_jacobian, -1, -2)  # one of each coordinate
     ahead, behind = pseudo_inertia.quantities_of(np.stack([parameters + steps, parameters - steps]))
@@ -274,15 +275,15 @@ def links_information(
     known: WeighedRows,
     found: Uncertainty,
 ) -> LinksInformation:
-    """What the rows of an estimate say of the inertias of all links together.
+    """Log-likelihood of the inertias of all links together, from the rows of an estimate.
 
     The effects are eliminated, within their prior, by a QR decomposition in which their columns come first. Data
-    without any noise count as if they had a little.
+    without noise count as if they had a little.
 
     Args:
-        manifold, prior, point: The problem, its prior and the estimate.
+        manifold, prior, point: The problem's manifold, its prior and the estimate.
         measured: Rows ``(N, D)`` and targets ``(N,)`` of standard deviation 1.
-        known: Rows of weighed masses, and of no population.
+        known: Rows of weighed masses, without those of a population.
         found: The uncertainty at the estimate.
     """
     size, first = manifold.dimension, manifold.inertial.stop
@@ -296,7 +297,7 @@ def links_information(
     ]
     stacked = np.concatenate([*of_data, of_effects, np.zeros((first, size + 1))])
     order = [*range(first, size), *range(first), size]
-    left = triangular(stacked[:, order])[size - first : size, size - first :]
-    whitened = manifold.whiten(point, np.column_stack([left[:, :-1], np.zeros((first, size - first))]))
-    left = left / max(1.0, float(np.max(np.abs(whitened), initial=0.0)) / FINEST)
-    return LinksInformation(frozen(left[:, :-1]), frozen(left[:, -1]))
+    of_links = triangular(stacked[:, order])[size - first : size, size - first :]
+    whitened = manifold.whiten(point, np.column_stack([of_links[:, :-1], np.zeros((first, size - first))]))
+    of_links = of_links / max(1.0, float(np.max(np.abs(whitened), initial=0.0)) / FINEST)
+    return LinksInformation(frozen(of_links[:, :-1]), frozen(of_links[:, -1]))
