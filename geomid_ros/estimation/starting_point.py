@@ -1,4 +1,4 @@
-"""The start of a solve: prior point, scales of the real coefficients, first standard deviations of the channels."""
+"""Start of a solve: prior point, scales of the real coefficients, first standard deviations of the channels."""
 
 from __future__ import annotations
 
@@ -16,26 +16,25 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import REGIMES, STILL
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
-# A positive coefficient without evidence starts where its effect is this share of the channel's size.
+# A positive coefficient without evidence starts where its effect is this fraction of the channel's size.
 _LEAST_SHARE = 1e-2
-# In rad/s, rad/s^2 (m/s, m/s^2): the least motion at which a coefficient is made large enough to show.
+# In rad/s, rad/s^2 (m/s, m/s^2): columns of slower motion do not raise that start further.
 _LEAST_MOTION = 0.1
-# No model predicts a channel better than this share of its size.
+# No model predicts a channel better than to this fraction of its size.
 _LEAST_SIGMA_SHARE = 1e-3
-# Usual error of priors, per direction of the tangent space: inertias from CAD a fifth; positive coefficients a factor
-# of e, for they are a first fit that absorbs what the inertias cannot explain; real ones a fifth of what their channel
-# measures.
+# Default prior std per direction of the tangent space. Inertias from CAD: a fifth. Positive coefficients: a factor of
+# e, because they are a first fit that absorbs the inertias' errors. Real ones: a fifth of what their channel measures.
 USUAL_SPREAD = 0.2
 
 
 def channel_sizes(summary: RowSummary, dimension: int) -> FloatArray:
-    """Root mean square of each channel's measured values, ``(channels,)``; 1 for channels without any."""
+    """RMS of each channel's measured values ``(channels,)``; 1 for channels without any."""
     sizes = summary.rms(np.zeros(dimension))
     return np.where(np.isfinite(sizes) & (sizes > 0.0), sizes, 1.0)
 
 
 def first_sigmas(summary: RowSummary, dimension: int) -> FloatArray:
-    """Standard deviations ``(groups,)`` of the part of each group that no parameters can explain, by itself."""
+    """Standard deviations ``(groups,)`` of the part of each group alone that no parameters can explain."""
     sizes = np.tile(channel_sizes(summary, dimension), REGIMES)
     sigmas = sizes.copy()
     for index, (factor, count) in enumerate(zip(summary.factors(), summary.counts(), strict=True)):
@@ -47,10 +46,10 @@ def first_sigmas(summary: RowSummary, dimension: int) -> FloatArray:
 
 
 def _least_residual(factor: FloatArray) -> tuple[float, int]:
-    """Norm of the least-squares residual of ``[A b]``, and the rank of A, in which rounding does not count."""
+    """Norm of the least-squares residual of ``[A b]``, and the numerical rank of A."""
     sizes = np.linalg.norm(factor[:, :-1], axis=0)
-    some = sizes > ROUNDING_OF_PRODUCTS * np.max(sizes, initial=0.0)
-    regressor = factor[:, :-1][:, some] / sizes[some]
+    nonzero = sizes > ROUNDING_OF_PRODUCTS * np.max(sizes, initial=0.0)
+    regressor = factor[:, :-1][:, nonzero] / sizes[nonzero]
     try:
         solution, _, rank, _ = np.linalg.lstsq(regressor, factor[:, -1], rcond=ROUNDING)
     except np.linalg.LinAlgError:  # LAPACK's divide and conquer does not always converge; its QR iteration does
@@ -61,8 +60,8 @@ def _least_residual(factor: FloatArray) -> tuple[float, int]:
 
 
 def scales_of_coefficients(model: MeasurementModel, summary: RowSummary) -> FloatArray:
-    """The scale of each coefficient: that with which it is as large as the channel that it adds to, of several that
-    in which it shows most."""
+    """Scale of each coefficient: the value at which its effect is as large as the channel it adds to. Of several
+    channels, the one in which it is most visible counts."""
     scales = np.full(model.dimension, np.inf)
     sizes, factors = channel_sizes(summary, model.dimension), summary.factors()
     counts = np.sum(summary.counts().reshape(REGIMES, -1), axis=0)
@@ -70,44 +69,43 @@ def scales_of_coefficients(model: MeasurementModel, summary: RowSummary) -> Floa
         squares = sum(np.sum(factor[:, :-1] ** 2, axis=0) for factor in factors[index :: len(sizes)])
         columns = np.sqrt(squares / max(counts[index], 1.0))
         large = columns > ROUNDING_OF_PRODUCTS
-        own = sizes[index] / np.where(large, columns, 1.0)
-        scales[channel.columns] = np.minimum(scales[channel.columns], np.where(large, own, np.inf))
+        in_channel = sizes[index] / np.where(large, columns, 1.0)
+        scales[channel.columns] = np.minimum(scales[channel.columns], np.where(large, in_channel, np.inf))
     return np.where(np.isfinite(scales), scales, 1.0)[len(model.nominal_inertias) :]
 
 
 def usual_spreads(manifold: ParameterManifold) -> FloatArray:
-    """Usual standard deviations ``(D,)`` of a prior's error, in tangent coordinates."""
+    """Default prior std ``(D,)``, in tangent coordinates."""
     spreads = np.full(manifold.dimension, USUAL_SPREAD)
     spreads[manifold.positive] = 1.0
     return spreads
 
 
 def prior_spreads(model: MeasurementModel, manifold: ParameterManifold, given: FloatArray | None) -> FloatArray:
-    """The usual spreads ``(D,)``, of what is expected to be about zero its own."""
+    """Default prior std ``(D,)``; coefficients that are expected to be about zero have their effect's."""
     spreads = usual_spreads(manifold)
-    shares = _expected_shares(model, given)
-    spreads[manifold.inertial.stop :] = np.where(np.isnan(shares), spreads[manifold.inertial.stop :], shares)
+    expected = _expected_shares(model, given)
+    spreads[manifold.inertial.stop :] = np.where(np.isnan(expected), spreads[manifold.inertial.stop :], expected)
     return spreads
 
 
 def _expected_shares(model: MeasurementModel, given: FloatArray | None) -> FloatArray:
-    """How large each coefficient is expected to be about zero ``(coefficients,)``, as a share of what its channel
-    measures; NaN where more is known: a ``given`` prior ``(D,)``, or a first fit, as where it is part of another
-    effect."""
+    """Expected size of each coefficient about zero ``(coefficients,)``, as a fraction of what its channel measures. NaN
+    where more is known: a ``given`` prior ``(D,)``, or a first fit, as for an effect that is part of another one."""
     parts = {(c.place, part) for c in model.coefficients for part in c.effect.parts if part != c.effect}
-    shares = [None if (c.place, c.effect) in parts else c.effect.expected_share for c in model.coefficients]
+    expected = [None if (c.place, c.effect) in parts else c.effect.expected_share for c in model.coefficients]
     unknown = True if given is None else ~np.isfinite(given[len(model.nominal_inertias) :])
-    return np.where(unknown, np.array(shares, dtype=np.float64), np.nan)
+    return np.where(unknown, np.array(expected, dtype=np.float64), np.nan)
 
 
 def prior_parameters(model: MeasurementModel, summary: RowSummary, given: FloatArray | None) -> FloatArray:
-    """The prior's parameters ``(D,)``.
+    """Parameters of the prior ``(D,)``.
 
-    These are the ``given`` ones ``(D,)`` where they are given and not NaN; else the URDF's inertias and, for the
-    effects, the non-negative least-squares fit of each joint's effects alone to what the inertias leave unexplained: no
-    CAD file knows a joint's friction, and the metric on positive coefficients is relative, so that their prior must
-    have the right order of magnitude. What the URDF says of friction holds where a joint hardly moves. Errors of
-    sensors are expected to be zero.
+    These are the ``given`` ones ``(D,)`` where they are not NaN; else the URDF's inertias. The effects get the
+    non-negative least-squares fit of each joint's effects alone to what the inertias leave unexplained. No CAD file
+    knows a joint's friction, and the metric on positive coefficients is relative, so that their prior must have the
+    right order of magnitude. If a joint hardly moves, the URDF's friction stays. Errors of sensors are expected to be
+    zero.
 
     Raises:
         InputError: ``given`` is no point of the model's manifold.
@@ -121,9 +119,9 @@ def prior_parameters(model: MeasurementModel, summary: RowSummary, given: FloatA
     sizes = channel_sizes(summary, model.dimension)
     factors, counts = summary.factors(), np.sum(summary.counts().reshape(REGIMES, -1), axis=0)
     for group in _sharing_effects(model):
-        own = [model.channels[index].columns for index in group]
-        of_both = [triangular(np.concatenate(factors[index :: len(sizes)])) for index in group]
-        columns, factor = _together(own, of_both, sizes[group])
+        columns_of = [model.channels[index].columns for index in group]
+        factors_of = [triangular(np.concatenate(factors[index :: len(sizes)])) for index in group]
+        columns, factor = _together(columns_of, factors_of, sizes[group])
         chosen = columns[columns >= first]
         count = float(np.sum(counts[group]))
         size = float(np.mean(sizes[group]))
@@ -135,7 +133,7 @@ def prior_parameters(model: MeasurementModel, summary: RowSummary, given: FloatA
 
 
 def _sharing_effects(model: MeasurementModel) -> list[list[int]]:
-    """The channels with effects, those together that share one."""
+    """Groups of channels with effects; channels that share an effect are in one group."""
     first = len(model.nominal_inertias)
     columns = range(first, model.dimension)
     has = np.array([np.isin(columns, channel.columns) for channel in model.channels])
@@ -148,14 +146,14 @@ def _sharing_effects(model: MeasurementModel) -> list[list[int]]:
 
 
 def _together(columns: list[IntArray], factors: list[FloatArray], sizes: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Columns ``(k,)`` and factor ``(rows, k + 1)`` of several channels, which weigh as much as each other."""
+    """Columns ``(k,)`` and factor ``(rows, k + 1)`` of several channels, scaled to equal weight."""
     if len(factors) == 1:
         return columns[0], factors[0]
     union = np.unique(np.concatenate(columns))
     blocks = []
-    for own, factor, size in zip(columns, factors, sizes, strict=True):
+    for of_channel, factor, size in zip(columns, factors, sizes, strict=True):
         block = np.zeros((len(factor), len(union) + 1))
-        block[:, [*np.searchsorted(union, own), -1]] = factor * (np.mean(sizes) / size)
+        block[:, [*np.searchsorted(union, of_channel), -1]] = factor * (np.mean(sizes) / size)
         blocks.append(block)
     return union, np.concatenate(blocks)
 
@@ -170,15 +168,15 @@ def _check_possible(given: FloatArray, model: MeasurementModel) -> None:
             raise InputError(f"the prior of link '{name}' is not physically consistent")
     for coefficient, value in zip(model.coefficients, given[first:], strict=True):
         if coefficient.positive and value <= 0.0:
-            what = f"{coefficient.effect.name} of joint '{coefficient.place_name}'"
-            raise InputError(f"the prior's {what} is {value:g}, expected a number greater than zero")
+            name_of_coefficient = f"{coefficient.effect.name} of joint '{coefficient.place_name}'"
+            raise InputError(f"the prior's {name_of_coefficient} is {value:g}, expected a number greater than zero")
 
 
 def _fitted_effects(
     model: MeasurementModel, factor: FloatArray, count: float, columns: IntArray, parameters: FloatArray, size: float
 ) -> FloatArray:
-    """Coefficients of the effects among the ``columns`` of channels with the ``factor (rows, k + 1)`` of ``count``
-    rows, whose measured values have this ``size``."""
+    """Fit the coefficients of the effects among the ``columns`` of channels; ``factor (rows, k + 1)``: of their
+    ``count`` rows; ``size``: RMS of their measured values."""
     first = len(model.nominal_inertias)
     inertial = columns < first
     chosen = columns[~inertial]
@@ -188,7 +186,7 @@ def _fitted_effects(
     remainder = factor[:, -1] - factor[:, :-1][:, inertial] @ parameters[columns[inertial]]
     regressor = factor[:, :-1][:, ~inertial]
     split = np.hstack([regressor, -regressor[:, ~positive]])
-    # The apparent motion of a joint at rest must not pass for evidence.
+    # The apparent motion of a joint at rest must not count as evidence.
     damping = STILL * np.sqrt(count) * np.eye(split.shape[1])
     described = np.append(model.described_coefficients[chosen - first], np.zeros(np.count_nonzero(~positive)))
     halves = _non_negative(np.concatenate([split, damping]), np.append(remainder, damping @ described))
@@ -199,7 +197,7 @@ def _fitted_effects(
 
 
 def _non_negative(regressor: FloatArray, targets: FloatArray) -> FloatArray:
-    """The ``x >= 0`` with the least ``|regressor x - targets|`` (Lawson & Hanson 1974), of independent columns."""
+    """Return the ``x >= 0`` with the least ``|regressor x - targets|`` (Lawson & Hanson 1974); independent columns."""
     x, free = np.zeros(regressor.shape[1]), np.zeros(regressor.shape[1], dtype=bool)
     least = ROUNDING_OF_PRODUCTS * np.linalg.norm(regressor, axis=0) * np.linalg.norm(targets)
     for _ in range(3 * len(x)):
@@ -213,16 +211,16 @@ def _non_negative(regressor: FloatArray, targets: FloatArray) -> FloatArray:
             if not np.any(blocked):
                 x = best
                 break
-            # As far as the first of them reaches zero, where it stays.
-            ways = np.maximum(np.where(blocked, x - best, 1.0), np.finfo(float).tiny)
-            shares = np.where(blocked, x / ways, np.inf)
-            free &= shares > np.min(shares)
-            x = np.where(free, x + np.min(shares) * (best - x), 0.0)
+            # Step until the first of them reaches zero, where it stays.
+            distances = np.maximum(np.where(blocked, x - best, 1.0), np.finfo(float).tiny)
+            fractions = np.where(blocked, x / distances, np.inf)
+            free &= fractions > np.min(fractions)
+            x = np.where(free, x + np.min(fractions) * (best - x), 0.0)
     return x
 
 
 def _solved(regressor: FloatArray, targets: FloatArray, free: BoolArray) -> FloatArray:
-    """The least-squares solution of the ``free (k,)`` columns; the other coefficients are zero."""
+    """Least-squares solution in the ``free (k,)`` columns; the other coefficients are zero."""
     x = np.zeros(len(free))
     x[free] = np.linalg.lstsq(regressor[:, free], targets, rcond=None)[0]
     return x

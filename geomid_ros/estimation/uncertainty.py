@@ -142,8 +142,7 @@ def _sum(folds: Sequence[Fold], dimension: int) -> Fold:
 def error_covariance(
     inverse: FloatArray, measured: FloatArray, trust: float, known: FloatArray, factors: FloatArray, pulls: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Covariance ``(D, D)`` of the estimate's error ``H^-1 (noise + W error of the prior)``: the rows' part, the
-    prior's part.
+    """Covariance ``(D, D)`` of the estimate's error ``H^-1 (noise + W error of the prior)``: rows' and prior's part.
 
     With ``W = 1 / spreads^2``, and all factors and trust 1, they add up to ``H^-1``, the Bayesian posterior.
 
@@ -162,8 +161,8 @@ def error_covariance(
 
 
 def doubted(covariance: FloatArray, inherited: FloatArray) -> FloatArray:
-    """Covariance ``(D, D)`` of an estimate's error for prior errors three times as large, of which a part is
-    ``inherited``. A quantity that is still known then is known from the data."""
+    """Covariance ``(D, D)`` of an estimate's error if the prior's errors were three times as large; ``inherited``:
+    their part of ``covariance``. A quantity that is known even then is known from the data."""
     return covariance + (_DOUBT**2 - 1.0) * inherited
 
 
