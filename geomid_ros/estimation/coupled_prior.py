@@ -1,8 +1,8 @@
-"""A prior that couples parameters, beside which a problem is fitted.
+"""Prior that couples parameters, and the fit of a problem with it.
 
-Minus twice the logarithm of the prior is ``|R t|^2`` with the tangent coordinates t at its mean. It enters the fit as
-rows, linearised where the fit ended, until that does not move: the minimum is that of the geodesic prior. A block of
-coordinates that is unlike what the prior says is let go, by the weight that a t-distribution gives to its distance.
+Minus twice the log prior is ``|R t|^2`` with the tangent coordinates t at its mean. It enters the fit as rows,
+linearised where the fit ended, until that point does not move: the minimum is that of the geodesic prior. A block of
+coordinates that contradicts the prior is released from it, by the weight that a t-distribution gives to its distance.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.types import FloatArray, IntArray
 
 DOUBTED = 0.5
-"""A block of less weight is told."""
+"""Weight below which a block is reported as released."""
 
 
 @dataclass(frozen=True, eq=False)
 class CoupledPrior(ABC):
-    """A prior of some parameters, the ``columns (k,)`` of a ``problem``."""
+    """Prior of some parameters, the ``columns (k,)`` of a ``problem``."""
 
     problem: Problem
     columns: IntArray
@@ -35,17 +35,17 @@ class CoupledPrior(ABC):
     @property
     @abstractmethod
     def manifold(self) -> ParameterManifold:
-        """That of its parameters."""
+        """Manifold of its parameters."""
 
     @property
     @abstractmethod
     def mean(self) -> Point:
-        """Where its tangent coordinates are zero."""
+        """Point at which its tangent coordinates are zero."""
 
     @property
     @abstractmethod
     def names(self) -> tuple[str, ...]:
-        """Its blocks."""
+        """Names of its blocks."""
 
     @abstractmethod
     def root(self, weights: Mapping[str, float]) -> FloatArray:
@@ -58,23 +58,23 @@ class CoupledPrior(ABC):
 
     @abstractmethod
     def offs(self, weights: Mapping[str, float], /) -> Iterable[FloatArray]:
-        """Of each block rows ``(r, k)`` that take the tangent coordinates to its distance in usual sizes."""
+        """Rows ``(r, k)`` per block that map the tangent coordinates to its distance, in units of the default size."""
 
     @abstractmethod
     def unlike(self, weights: Mapping[str, float]) -> Iterator[str]:
-        """A sentence for each block that was let go."""
+        """Yield a sentence for each block that was released."""
 
     @property
     def trusted(self) -> dict[str, float]:
-        """The weights of the blocks, if nothing is let go."""
+        """Weights of the blocks if none is released."""
         return dict.fromkeys(self.names, 1.0)
 
     def tangent(self, point: Point) -> FloatArray:
-        """Coordinates ``(k,)`` of a point of the problem's manifold at the mean."""
+        """Coordinates ``(k,)`` at the mean of a point of the problem's manifold."""
         return self.manifold.log(self.mean, self.manifold.point(point.parameters[self.columns]))
 
     def problem_at(self, point: Point, weights: Mapping[str, float]) -> Problem:
-        """The problem with the prior's rows, linearised at a point of its manifold, for these weights of the blocks."""
+        """Return the problem with the prior's rows, linearised at ``point``, for these weights of the blocks."""
         tangent, root = self.tangent(point), self.root(weights)
         blocks, diagonal = self.manifold.exp_jacobian(self.mean, tangent)
         rows = np.zeros((len(root), self.problem.model.dimension))
@@ -83,41 +83,41 @@ class CoupledPrior(ABC):
         return self.problem.beside(WeighedRows(rows, targets))
 
     def weights(self, found: Fit, before: Mapping[str, float]) -> dict[str, float]:
-        """The weights of the blocks, by the expected squares of their coordinates at a fit."""
+        """Weights of the blocks, from the expected squares of their coordinates at a fit."""
         tangent = self.tangent(found.place)
-        expected = np.column_stack([tangent, self._unsure(found, tangent)])
+        expected = np.column_stack([tangent, self._covariance_root(found, tangent)])
         weights = {}
         for name, off in zip(self.names, self.offs(before), strict=True):
             square = float(np.sum((off @ expected) ** 2))
             weights[name] = min(1.0, (self.freedom + len(off)) / (self.freedom + square))
         return weights
 
-    def _unsure(self, found: Fit, tangent: FloatArray) -> FloatArray:
-        """A root ``(k, r)`` of the posterior's covariance, in the prior's coordinates."""
-        whole, own = self.problem.manifold, self.manifold
-        blocks, diagonal = own.exp_jacobian(self.mean, tangent)
-        links = own.point(found.place.parameters[self.columns]).links_jacobian
-        rest = whole.jacobian(found.place)[1][self.columns[own.inertial.stop :] - whole.inertial.stop]
-        root = definite.roots(found.information, int(np.max(self.columns, initial=-1)) + 1)[self.columns]
+    def _covariance_root(self, fit: Fit, tangent: FloatArray) -> FloatArray:
+        """Root ``(k, r)`` of the posterior covariance, in the prior's coordinates."""
+        parent, manifold = self.problem.manifold, self.manifold
+        blocks, diagonal = manifold.exp_jacobian(self.mean, tangent)
+        links = manifold.point(fit.place.parameters[self.columns]).links_jacobian
+        rest = parent.jacobian(fit.place)[1][self.columns[manifold.inertial.stop :] - parent.inertial.stop]
+        root = definite.roots(fit.information, int(np.max(self.columns, initial=-1)) + 1)[self.columns]
         moved = np.swapaxes(np.linalg.solve(blocks, links), -1, -2)
-        return own.by_blocks(root.T, moved, rest / diagonal).T
+        return manifold.by_blocks(root.T, moved, rest / diagonal).T
 
 
 def fit_beside(
     prior: CoupledPrior, solve: Callable[..., Fit], given: Mapping[str, float] | None = None
 ) -> tuple[Fit, Mapping[str, float]]:
-    """Fit beside a prior.
+    """Fit a problem with a coupled prior.
 
     Args:
-        prior: of the problem.
-        solve: fits a problem, as :func:`~geomid_ros.estimation.fit.fit` with its other arguments.
-        given: the weights of the prior's blocks, if they are known.
+        prior: the prior of the problem.
+        solve: fits a problem, like :func:`~geomid_ros.estimation.fit.fit` with its other arguments fixed.
+        given: the weights of the prior's blocks, if known.
 
     Returns:
-        The fit, of the problem with the prior's rows, and the weights of the prior's blocks. A fit that did not settle
-        has ``spent`` its budget.
+        The fit of the problem with the prior's rows, and the weights of the prior's blocks. ``spent`` is True for a fit
+        that did not settle.
     """
-    given = given and {**prior.trusted, **given}  # with blocks of which nothing is told
+    given = given and {**prior.trusted, **given}  # blocks that are not given keep their prior
     found = solve(prior.problem_at(prior.problem.prior_point, given or prior.trusted))
     weights = given or prior.weights(found, prior.trusted)
     for _ in range(ROUNDS):

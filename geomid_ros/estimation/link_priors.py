@@ -1,12 +1,12 @@
-"""Priors of links that depend on others: on those that are alike, or on the population of the robot's type.
+"""Priors that couple links: those of links that are alike, or of the population of the robot's type.
 
-The errors of parts that are alike have a part in common, of the usual size, and one of their own, a fifth of it. With
-the tangent coordinates d_i of n links at their priors, mirrored to those of the first, the covariance of the errors is
-``s^2 (1 1^T + I / 25)``. That is, but for a hundredth, a prior of each link alone of spread ``s sqrt(n)``, and rows
-that hold the links to their mean. A link that is unlike the others is let go alone.
+The errors of alike parts have a common part, of the default std s, and an individual part, a fifth of it. With the
+tangent coordinates d_i of n links at their priors, mirrored to those of the first, the covariance of the errors is
+``s^2 (1 1^T + I / 25)``. To within a hundredth, that is a prior of each link alone with std ``s sqrt(n)``, and rows
+that tie the links to their mean. A link that is unlike the others is released alone.
 
-Beside the population of a robot's type its covariance is the prior's. The covariance of the block of a link, or of an
-effect, that is let go is divided by its weight, and correlations stay.
+With the population of a robot's type, the population's covariance is that of the prior. If the block of a link or of an
+effect is released, its covariance is divided by its weight, and correlations stay.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from geomid_ros.types import FloatArray
 
 
 def common_spreads(parts: Sequence[AlikeParts], usual: FloatArray) -> FloatArray:
-    """Spreads of each link alone ``(links,)``, of which the ``usual (links,)`` ones are those of its whole error."""
+    """Prior std of each link alone ``(links,)``; the ``usual (links,)`` ones are for its total error."""
     spreads = usual.copy()
     for group in parts:
         spreads[list(group.members)] *= np.sqrt(len(group.members))
@@ -38,34 +38,34 @@ def common_spreads(parts: Sequence[AlikeParts], usual: FloatArray) -> FloatArray
 
 
 def from_common(parts: Sequence[AlikeParts], own: FloatArray, values: FloatArray) -> FloatArray:
-    """How far the n links that are alike are from what they have in common, by ``values (10 links, k)`` of the tangent
-    coordinates of all links, ``(n, 10, k)``: from the mean, weighted by the ``own (n,)`` spreads."""
-    found, first = [np.zeros((0, SIZE, values.shape[1]))], 0
+    """Deviations ``(n, 10, k)`` of the n alike links from their common part, for ``values (10 links, k)`` of the
+    tangent coordinates of all links. The common part is the mean, weighted by the individual stds ``own (n,)``."""
+    deviations, first = [np.zeros((0, SIZE, values.shape[1]))], 0
     for group in parts:
         members = np.array(group.members)[:, None] * SIZE + np.arange(SIZE)
         mirrored = np.array(group.signs)[:, :, None] * values[members]
         precisions = own[first : first + len(members)] ** -2.0
-        found.append(mirrored - np.tensordot(precisions / np.sum(precisions), mirrored, 1))
+        deviations.append(mirrored - np.tensordot(precisions / np.sum(precisions), mirrored, 1))
         first += len(members)
-    return np.concatenate(found)
+    return np.concatenate(deviations)
 
 
 def held_together(parts: Sequence[AlikeParts], own: FloatArray, size: int) -> FloatArray:
-    """Rows ``(10 n, size)`` of the prior: the same of the tangent coordinates, in units of the own spreads."""
+    """Rows ``(10 n, size)`` of the prior: the deviations from the common part, in units of the individual stds."""
     return np.asarray((from_common(parts, own, np.eye(size)) / own[:, None, None]).reshape(-1, size))
 
 
 def likely_own(parts: Sequence[AlikeParts], own: FloatArray, tangent: FloatArray, root: FloatArray) -> FloatArray:
-    """The likely own spreads ``(n,)`` at the ``tangent (k,)`` coordinates of all links, from those before, with
-    a ``root (k, r)`` of their covariance."""
+    """Re-estimate the individual stds ``(n,)`` from those before; ``tangent (k,)``: coordinates of all links,
+    ``root (k, r)``: a root of their covariance."""
     off = from_common(parts, own, tangent[:, None]).ravel()
-    unsure = np.sum(from_common(parts, own, root) ** 2, axis=2).ravel()
-    return likely_spreads(off, unsure, np.full(len(own), OWN_SPREAD))
+    variances = np.sum(from_common(parts, own, root) ** 2, axis=2).ravel()
+    return likely_spreads(off, variances, np.full(len(own), OWN_SPREAD))
 
 
 def cost_of_own(parts: Sequence[AlikeParts], own: FloatArray) -> float:
-    """Minus twice the logarithm of the distribution of the ``own (n,)`` spreads, with the normalisation of the rows, up
-    to a constant."""
+    """Minus twice the log density of the individual stds ``own (n,)``, with the normalisation of the rows, up to a
+    constant."""
     cost, first = cost_of_spreads(own, np.full(len(own), OWN_SPREAD)), 0
     for group in parts:
         precisions = own[first : first + len(group.members)] ** -2.0
@@ -76,49 +76,49 @@ def cost_of_own(parts: Sequence[AlikeParts], own: FloatArray) -> float:
 
 @dataclass(frozen=True, eq=False)
 class AlikePrior(CoupledPrior):
-    """Groups of ``parts`` that are alike."""
+    """Prior of the groups of alike ``parts``."""
 
     parts: Sequence[AlikeParts]
 
     @staticmethod
     def of(parts: Sequence[AlikeParts], problem: Problem) -> AlikePrior:
-        """The prior of a problem whose links have those of the URDF."""
+        """Build the prior of a problem whose links have the URDF's prior."""
         spreads, columns = common_spreads(parts, problem.usual), np.arange(len(problem.model.nominal_inertias))
         return AlikePrior(replace(problem, given_spreads=spreads), columns, parts)
 
     @cached_property
     def manifold(self) -> ParameterManifold:
-        """That of the links."""
+        """Manifold of the links."""
         return ParameterManifold(self.problem.manifold.links, 0, np.zeros(0))
 
     @cached_property
     def mean(self) -> Point:
-        """The links' priors."""
+        """Priors of the links."""
         return self.manifold.point(self.problem.prior[self.columns])
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The links that are alike to others."""
+        """Names of the alike links."""
         return tuple(name for group in self.parts for name in group.names)
 
     @property
     def freedom(self) -> float:
-        """That of the usual spread of a link."""
+        """Degrees of freedom of the default prior std of a link."""
         return CERTAINTY
 
     def root(self, weights: Mapping[str, float]) -> FloatArray:
-        """Of each link in units of its own error."""
+        """Deviation of each link from the common part, in units of its individual std."""
         return held_together(self.parts, self._own(weights), len(self.columns))
 
     def offs(self, weights: Mapping[str, float], /) -> FloatArray:
-        """Of each link from the mean of those that are alike, which counts them by their weights."""
+        """Deviation of each link from the mean of the alike ones, which is weighted by the block weights."""
         return np.asarray(from_common(self.parts, self._own(weights), np.eye(len(self.columns))) / OWN_SPREAD)
 
     def _own(self, weights: Mapping[str, float]) -> FloatArray:
         return OWN_SPREAD * np.array([weights[name] for name in self.names]) ** -0.5
 
     def unlike(self, weights: Mapping[str, float]) -> Iterator[str]:
-        """A sentence for each link that is unlike the others."""
+        """Yield a sentence for each link that is unlike the others."""
         for group in self.parts:
             for name in group.names:
                 if weights[name] < DOUBTED:
@@ -129,18 +129,18 @@ class AlikePrior(CoupledPrior):
                     )
 
 
-_LOOSE = 1.0  # spread of the links' own priors, which only keep what the population does not tell from running away
+_LOOSE = 1.0  # prior std of the links alone; it only bounds directions that the population leaves undetermined
 
 
 @dataclass(frozen=True, eq=False)
 class PopulationPrior(CoupledPrior):
-    """A ``population`` as the prior of a problem's parameters; what it does not know keeps the usual prior."""
+    """Prior from a ``population``; parameters that it does not contain keep the default prior."""
 
     population: Population
 
     @staticmethod
     def of(population: Population, problem: Problem) -> PopulationPrior:
-        """The prior of a problem, of whose own prior next to nothing is left.
+        """Build the prior of a problem whose own prior is loosened.
 
         Raises:
             InputError: the population is of robots with other links.
@@ -159,40 +159,40 @@ class PopulationPrior(CoupledPrior):
             for column, c in enumerate(model.coefficients, first)
             if (key := (c.effect.name, c.place_name, c.parameter)) in named
         }
-        known = population.part(links, list(effects.values()))
+        subset = population.part(links, list(effects.values()))
         places = [10 * model.body_names.index(name) + k for name in links for k in range(10)]
         columns = np.array([*places, *effects])
         given = np.full(model.dimension, np.nan)
-        given[columns] = known.parameters
+        given[columns] = subset.parameters
         spreads = np.where(np.isfinite(given[:first:10]), _LOOSE, problem.usual)
-        return PopulationPrior(replace(problem, given=given, given_spreads=spreads), columns, known)
+        return PopulationPrior(replace(problem, given=given, given_spreads=spreads), columns, subset)
 
     @property
     def manifold(self) -> ParameterManifold:
-        """The population's."""
+        """Manifold of the population."""
         return self.population.manifold
 
     @property
     def mean(self) -> Point:
-        """The population's."""
+        """Mean of the population."""
         return self.population.point
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The links and the effects of the population."""
+        """Names of the population's links and effects."""
         return tuple(self.population.blocks)
 
     @cached_property
     def _own(self) -> FloatArray:
-        """Standard deviations of the problem's own prior, in the population's coordinates."""
-        manifold, own = self.problem.manifold, self.problem.prior_spreads.copy()
-        own[manifold.real] *= manifold.scales
-        found = own[self.columns]
-        found[self.population.manifold.real] /= self.population.scales
-        return found
+        """Standard deviations of the problem's separate prior, in the population's coordinates."""
+        manifold, stds = self.problem.manifold, self.problem.prior_spreads.copy()
+        stds[manifold.real] *= manifold.scales
+        of_population = stds[self.columns]
+        of_population[self.population.manifold.real] /= self.population.scales
+        return of_population
 
     def root(self, weights: Mapping[str, float]) -> FloatArray:
-        """What the population knows beyond the problem's own prior ``(k, k)``."""
+        """Information ``(k, k)`` of the population beyond the problem's separate prior."""
         spreads = self._own.copy()
         for name, block in self.population.blocks.items():
             spreads[block] *= weights[name] ** 0.5
@@ -200,11 +200,11 @@ class PopulationPrior(CoupledPrior):
 
     @property
     def freedom(self) -> float:
-        """Of its robots."""
+        """Effective number of robots."""
         return self.population.robots + SHARED
 
     def offs(self, _: Mapping[str, float], /) -> Iterator[FloatArray]:
-        """In units of the population's covariance."""
+        """Yield rows that whiten each block by the population's covariance."""
         for name in self.names:
             block = self.population.blocks[name]
             rows = np.zeros((len(block), len(self.columns)))
@@ -213,11 +213,11 @@ class PopulationPrior(CoupledPrior):
             yield rows
 
     def unlike(self, weights: Mapping[str, float]) -> Iterator[str]:
-        """A sentence for each link or effect that is unlike those of the population."""
+        """Yield a sentence for each link or effect that is unlike the population's."""
         for name, weight in weights.items():
             if weight < DOUBTED:
-                what = f"link '{name}'" if name in self.population.links else f"the {name.replace('_', ' ')} of joints"
+                label = f"link '{name}'" if name in self.population.links else f"the {name.replace('_', ' ')} of joints"
                 yield (
-                    f"{what} differs from that of the {self.population.robots} robots of the prior and was released "
+                    f"{label} differs from that of the {self.population.robots} robots of the prior and was released "
                     "from it; check for a tool left on, a repair, or a robot of another type"
                 )

@@ -1,11 +1,11 @@
-"""What robots of a type have in common: random effects on the manifold.
+"""Population of the robots of one type: random effects on the manifold.
 
-A robot's parameters are ``exp(m, t)`` with the Karcher mean m of its type and tangent coordinates t that are normal
-with the covariance S between robots. Its data say of t what its rows say: no robot's own prior enters. Of the mean a
-URDF says what it says of any robot, so that what no data tell stays as uncertain as it was. Expectation-maximisation
+A robot's parameters are ``exp(m, t)``. The Karcher mean m belongs to the type; the tangent coordinates t are normal
+with the covariance S between robots. A robot's rows inform on t; its separate prior does not enter. The URDF is the
+prior of the mean, so that directions which no data identify stay as uncertain as they were. Expectation-maximisation
 (Dempster, Laird and Rubin 1977; Laird and Ware 1982): the expectation solves for the mean and every robot jointly, with
 the rows linearised at each robot; then S is the mean of the expected squares. First S has one variance for all links
-and one for each effect; then it is free, but drawn towards that: few robots tell no covariance of many parameters.
+and one for each effect. Then it is free, but shrunk towards that: few robots determine no full covariance.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray, frozen
 
 FEWEST = 3
-"""Of fewer robots nothing is said of all."""
+"""Least number of robots for a population."""
 SHARED = 10.0
-"""The common variance counts as much as so many robots."""
+"""Weight of the common variance, in robots."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RobotLikelihood(RobotParameters):
-    """What one robot's data say of its parameters, without any prior.
+    """Likelihood of one robot's parameters by its data, without any prior.
 
     Attributes:
         rows, targets: ``(N, D)`` and ``(N,)``: ``rows . parameters = targets`` with independent errors of standard
             deviation 1.
-        prior: the parameters ``(D,)`` that its estimate began with.
+        prior: the parameters ``(D,)`` that its estimate started from.
     """
 
     rows: FloatArray
@@ -46,22 +46,22 @@ class RobotLikelihood(RobotParameters):
 
     @staticmethod
     def of(estimate: Estimate) -> RobotLikelihood:
-        """Of an estimate."""
+        """Build the likelihood from an estimate."""
         posterior = estimate.posterior
-        own = {name: getattr(posterior, name) for name in ("links", "effects", "parameters", "prior", "scales")}
-        return RobotLikelihood(rows=estimate.rows, targets=estimate.targets, **own)
+        arguments = {name: getattr(posterior, name) for name in ("links", "effects", "parameters", "prior", "scales")}
+        return RobotLikelihood(rows=estimate.rows, targets=estimate.targets, **arguments)
 
     def of_effects(self, effects: Sequence[EffectCoordinate]) -> RobotLikelihood:
-        """What is said of the links and these effects alone, whatever the others are."""
+        """Likelihood of the links and these effects alone, with the other effects eliminated."""
         kept = self.columns(self.links, effects)
         others = np.setdiff1d(np.arange(len(self.parameters)), kept)
         stacked = np.column_stack([self.rows, self.targets])[:, [*others, *kept, -1]]
-        left = triangular(stacked)[len(others) :, len(others) :]
+        reduced = triangular(stacked)[len(others) :, len(others) :]
         return replace(
             self,
             effects=tuple(effects),
-            rows=left[:, :-1],
-            targets=left[:, -1],
+            rows=reduced[:, :-1],
+            targets=reduced[:, -1],
             parameters=self.parameters[kept],
             prior=self.prior[kept],
             scales=self.scales_of(effects),
@@ -70,20 +70,20 @@ class RobotLikelihood(RobotParameters):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Population(RobotParameters):
-    """What is known of a robot of a type before its data: ``exp(parameters, N(0, covariance))`` on the manifold, where
-    ``parameters`` are the Karcher mean.
+    """Distribution of a robot's parameters by its type, before its data: ``exp(parameters, N(0, covariance))`` on the
+    manifold, where ``parameters`` are the Karcher mean.
 
     Attributes:
         covariance: ``(D, D)`` of the tangent coordinates at the mean (:mod:`geomid_ros.geometry.manifold`): between
             robots, and of the mean itself.
-        robots: how many it is from.
+        robots: number of robots.
     """
 
     covariance: FloatArray
     robots: int
 
     def part(self, links: Sequence[str], effects: Sequence[EffectCoordinate]) -> Population:
-        """What is known of some of the links and effects, in the order in which they are given."""
+        """Distribution of some of the links and effects, in the given order."""
         kept = self.columns(links, effects)
         return replace(
             self,
@@ -96,7 +96,7 @@ class Population(RobotParameters):
 
 
 def common(robots: Sequence[RobotLikelihood]) -> list[RobotLikelihood]:
-    """What is said of the links and of the effects that all robots have.
+    """Likelihoods of the links and of the effects that all robots have.
 
     Raises:
         InputError: there are fewer than :data:`FEWEST`, or they have different links.
@@ -111,8 +111,8 @@ def common(robots: Sequence[RobotLikelihood]) -> list[RobotLikelihood]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Share:
-    """What a robot adds in a round: ``information (D, D)`` on the mean and the vector ``pull (D,)`` that it is of
+class _Contribution:
+    """Contribution of a robot in a round: ``information (D, D)`` on the mean, the vector ``pull (D,)``, which estimates
     ``information @ mean``, and its expected ``squares (D, D)``."""
 
     information: FloatArray
@@ -121,10 +121,10 @@ class _Share:
 
 
 class PopulationFit:
-    """The population of robots all of which belong to it, by expectation-maximisation."""
+    """Population fit to robots that all belong to it, by expectation-maximisation."""
 
     def __init__(self, robots: Sequence[RobotLikelihood]) -> None:
-        """Fit it to at least :data:`FEWEST` robots with the same links and effects (:func:`common`)."""
+        """Fit at least :data:`FEWEST` robots with the same links and effects (:func:`common`)."""
         first = robots[0]
         self._robots = robots
         scales = np.median([robot.scales for robot in robots], axis=0)
@@ -138,22 +138,22 @@ class PopulationFit:
         self._common: FloatArray | None = None
         self._of_mean = np.diag(self._usual**2)
         self._points = [manifold.point(robot.parameters) for robot in robots]
-        self._shares: list[_Share] = []
+        self._contributions: list[_Contribution] = []
         self._settle()
         self._common = self._covariance
         self._settle()
 
     @property
     def population(self) -> Population:
-        """The population of all robots."""
+        """Population of all robots."""
         return self._population(self._mean, self._covariance + self._of_mean, len(self._robots))
 
     def without(self, index: int) -> Population:
-        """That of the others, by one round."""
-        left = [share for place, share in enumerate(self._shares) if place != index]
-        of_mean, tangent = self._mean_of(left)
+        """Population of the other robots, by one round."""
+        others = [share for place, share in enumerate(self._contributions) if place != index]
+        of_mean, tangent = self._mean_of(others)
         mean = self._manifold.exp(self._mean, tangent)
-        return self._population(mean, self._between(left) + of_mean, len(left))
+        return self._population(mean, self._between(others) + of_mean, len(others))
 
     def _population(self, mean: Point, covariance: FloatArray, robots: int) -> Population:
         first = self._robots[0]
@@ -167,57 +167,57 @@ class PopulationFit:
         )
 
     def _settle(self) -> None:
-        """Go on until a round changes next to nothing."""
+        """Iterate until a round changes next to nothing."""
         for _ in range(ROUNDS):
             if self._advance():
                 break
 
     def _advance(self) -> bool:
-        """One round; whether it changed next to nothing."""
+        """Do one round; True if it changed next to nothing."""
         manifold = self._manifold
         between = np.linalg.inv(self._covariance)
         linearised = [linear(manifold, self._mean, *pair) for pair in zip(self._robots, self._points, strict=True)]
-        unsure = [np.linalg.inv(between + information) for information, _ in linearised]
+        covariances = [np.linalg.inv(between + information) for information, _ in linearised]
         nothing = np.zeros_like(between)
-        self._shares = [
-            _Share(between - between @ covariance @ between, between @ (covariance @ pull), nothing)
-            for (_, pull), covariance in zip(linearised, unsure, strict=True)
+        self._contributions = [
+            _Contribution(between - between @ covariance @ between, between @ (covariance @ pull), nothing)
+            for (_, pull), covariance in zip(linearised, covariances, strict=True)
         ]
-        self._of_mean, mean = self._mean_of(self._shares)
+        self._of_mean, mean = self._mean_of(self._contributions)
         ends = []
-        for index, ((_, pull), covariance) in enumerate(zip(linearised, unsure, strict=True)):
-            found = covariance @ (between @ mean + pull)
-            moved = covariance @ between - np.eye(len(mean))
-            squares = np.outer(found - mean, found - mean) + covariance + moved @ self._of_mean @ moved.T
-            self._shares[index] = replace(self._shares[index], squares=squares)
-            ends.append(found)
+        for index, ((_, pull), covariance) in enumerate(zip(linearised, covariances, strict=True)):
+            tangent = covariance @ (between @ mean + pull)
+            shrinkage = covariance @ between - np.eye(len(mean))
+            squares = np.outer(tangent - mean, tangent - mean) + covariance + shrinkage @ self._of_mean @ shrinkage.T
+            self._contributions[index] = replace(self._contributions[index], squares=squares)
+            ends.append(tangent)
         before = np.diag(self._covariance)
-        self._covariance = self._between(self._shares)
+        self._covariance = self._between(self._contributions)
         self._points = [self._towards(point, end) for point, end in zip(self._points, ends, strict=True)]
         self._mean = manifold.exp(self._mean, mean)
         change = np.max(np.abs(np.log(np.diag(self._covariance) / before)))
         return bool(max(change, np.max(np.abs(mean) / np.sqrt(before))) < SETTLED)
 
-    def _mean_of(self, shares: Sequence[_Share]) -> tuple[FloatArray, FloatArray]:
-        """Covariance ``(D, D)`` and tangent coordinates ``(D,)`` of the mean, by what robots and prior say of it."""
-        own = self._usual**-2.0
-        information = np.diag(own) + np.sum([share.information for share in shares], axis=0)
-        pull = own * self._manifold.log(self._mean, self._prior) + np.sum([share.pull for share in shares], axis=0)
+    def _mean_of(self, parts: Sequence[_Contribution]) -> tuple[FloatArray, FloatArray]:
+        """Covariance ``(D, D)`` and tangent coordinates ``(D,)`` of the mean, from robots and prior."""
+        weights = self._usual**-2.0
+        information = np.diag(weights) + np.sum([part.information for part in parts], axis=0)
+        pull = weights * self._manifold.log(self._mean, self._prior) + np.sum([part.pull for part in parts], axis=0)
         covariance = np.linalg.inv(information)
         return covariance, covariance @ pull
 
     def _towards(self, point: Point, end: FloatArray) -> Point:
-        """A robot's next point: that with the tangent coordinates ``end``, or a part of the way."""
+        """Next point of a robot: that with the tangent coordinates ``end``, or a part of the way there."""
         begin = self._manifold.log(self._mean, point)
         step = end - begin
         return self._manifold.exp(self._mean, begin + step * min(1.0, LARGEST_STEP / max(np.max(np.abs(step)), 1e-12)))
 
-    def _between(self, shares: Sequence[_Share]) -> FloatArray:
-        """The covariance of robots, from their expected squares."""
-        squares = np.sum([share.squares for share in shares], axis=0)
+    def _between(self, parts: Sequence[_Contribution]) -> FloatArray:
+        """Covariance between robots, from their expected squares."""
+        squares = np.sum([part.squares for part in parts], axis=0)
         if self._common is not None:
-            return np.asarray((squares + SHARED * self._common) / (len(shares) + SHARED))
-        variances = np.diag(squares) / len(shares)
+            return np.asarray((squares + SHARED * self._common) / (len(parts) + SHARED))
+        variances = np.diag(squares) / len(parts)
         first = self._manifold.inertial.stop
         effects = effect_columns((effect.name for effect in self._robots[0].effects), first)
         for columns in (np.arange(first), *effects.values()):
@@ -228,8 +228,8 @@ class PopulationFit:
 def linear(
     manifold: ParameterManifold, base: Point, robot: RobotLikelihood, point: Point
 ) -> tuple[FloatArray, FloatArray]:
-    """What a robot's rows, linearised at ``point``, say of its tangent coordinates t at ``base``: the information
-    ``(D, D)`` and the vector ``(D,)`` that it is of ``information @ t``."""
+    """Information ``(D, D)`` of a robot's rows, linearised at ``point``, on its tangent coordinates t at ``base``; and
+    the vector ``(D,)`` that estimates ``information @ t``."""
     tangent = manifold.log(base, point)
     rows = manifold.by_blocks(robot.rows, *manifold.exp_jacobian(base, tangent))
     targets = robot.targets - robot.rows @ point.parameters + rows @ tangent

@@ -1,4 +1,4 @@
-"""Parameters of links and effects by their names; their joint posterior: a Gaussian in tangent coordinates at the
+"""Named parameters of links and effects, and their joint posterior: a Gaussian in tangent coordinates at the
 estimate."""
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from geomid_ros.geometry import spd, symmetric
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
-_LEAST = 0.05  # of what the estimate has
-_REMEMBERED = 0.01  # of a chain's beginning, as a share of the variance
+_LEAST = 0.05  # fraction of the estimate's inertia in any direction, or coefficient, that a sampled robot has at least
+_REMEMBERED = 0.01  # fraction of a chain's variance due to its start, below which the chain ends
 _MOST_STEPS = 1000
 
 
 @dataclass(frozen=True, kw_only=True)
 class EffectCoordinate:
-    """The effect's parameter that a coordinate is: the effect's ``name``, the name of its ``place``, the name of the
-    ``parameter`` and its ``unit``; ``positive``: it lives on P(1), else on a real line."""
+    """Parameter of an effect that is one coordinate: the effect's ``name``, the name of its ``place``, the
+    ``parameter`` and its ``unit``; ``positive``: True if it lives on P(1), else on a real line."""
 
     name: str
     place: str
@@ -32,16 +32,16 @@ class EffectCoordinate:
 
 
 def effect_columns(names: Iterable[str], first: int) -> dict[str, IntArray]:
-    """The columns of each effect at all of its places, by its name, where those of all ``names`` begin at ``first``."""
-    every = np.array(list(names))
-    return {name: first + np.flatnonzero(every == name) for name in dict.fromkeys(every.tolist())}
+    """Columns of each effect at all of its places, by name; the columns of ``names`` start at ``first``."""
+    all_names = np.array(list(names))
+    return {name: first + np.flatnonzero(all_names == name) for name in dict.fromkeys(all_names.tolist())}
 
 
 def beyond_prior(covariance: FloatArray, spreads: FloatArray) -> FloatArray:
-    """What a posterior with this ``covariance (D, D)`` knows beyond a prior with these ``spreads (D,)``.
+    """Information of a posterior with this ``covariance (D, D)`` beyond that of a prior with stds ``spreads (D,)``.
 
     Returns:
-        ``(D, D)``, a factor F of the information ``F^T F`` on the coordinates in units of the spreads.
+        ``(D, D)``, a factor F of the information ``F^T F`` on the coordinates in units of the prior std.
     """
     values, vectors = np.linalg.eigh(covariance / np.outer(spreads, spreads))
     beyond = np.sqrt(np.maximum(1.0 / np.maximum(values, ROUNDING_OF_PRODUCTS) - 1.0, 0.0))
@@ -50,13 +50,13 @@ def beyond_prior(covariance: FloatArray, spreads: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RobotParameters:
-    """Parameters of links and effects, by their names.
+    """Parameters of links and effects, with their names.
 
     Attributes:
         links: Names of the moving links.
         effects: The effects' coefficients, the positive ones first.
         parameters: An estimate ``(D,)``: ten per link in pinocchio's order, then the effects' coefficients.
-        scales: Of the real coefficients.
+        scales: Scales of the real coefficients.
     """
 
     links: tuple[str, ...]
@@ -66,54 +66,54 @@ class RobotParameters:
 
     @cached_property
     def manifold(self) -> ParameterManifold:
-        """Where the parameters live."""
+        """Manifold of the parameters."""
         return ParameterManifold(len(self.links), sum(effect.positive for effect in self.effects), self.scales)
 
     @cached_property
     def point(self) -> Point:
-        """The estimate."""
+        """Point of the estimate."""
         return self.manifold.point(self.parameters)
 
     @cached_property
     def blocks(self) -> dict[str, IntArray]:
-        """The coordinates of every link, and of every effect at all joints, by name."""
+        """Coordinates of each link, and of each effect at all joints, by name."""
         links = {name: np.arange(10 * index, 10 * index + 10) for index, name in enumerate(self.links)}
         return links | effect_columns((effect.name for effect in self.effects), 10 * len(self.links))
 
     def columns(self, links: Sequence[str], effects: Sequence[EffectCoordinate]) -> list[int]:
-        """Where some of the links and effects stand."""
+        """Columns of some of the links and effects."""
         first = 10 * len(self.links)
         of_links = (10 * self.links.index(name) + k for name in links for k in range(10))
         return [*of_links, *(first + self.effects.index(effect) for effect in effects)]
 
     def scales_of(self, effects: Sequence[EffectCoordinate]) -> FloatArray:
-        """The scales of those among some of the effects that are real."""
+        """Scales of the real coefficients among some of the effects."""
         scales = dict(zip([effect for effect in self.effects if not effect.positive], self.scales, strict=True))
         return frozen([scales[effect] for effect in effects if not effect.positive])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Posterior(RobotParameters):
-    """What is known of all parameters together: ``N(0, covariance)``, given that such a robot can exist.
+    """Joint posterior of all parameters: ``N(0, covariance)``, given that the robot is physically consistent.
 
     Its coordinates ``x (D,)`` are those of the tangent space at the estimate (:mod:`geomid_ros.geometry.manifold`), in
     the order of the parameters, and straight:
 
     - ten per link, those of the symmetric matrix X of ``P^1/2 (1 + X) P^1/2``, where P is the estimated pseudo-inertia
       ``[[S, h], [h, m]]`` about the link's origin: X11, X22, X33, X44, and sqrt(2) times X12, X13, X14, X23, X24, X34
-      (:mod:`geomid_ros.geometry.symmetric`); the body can exist if 1 + X is positive definite;
+      (:mod:`geomid_ros.geometry.symmetric`); the body is physically consistent if 1 + X is positive definite;
     - one per positive coefficient c: ``c (1 + x)``, which must be positive;
     - one per real coefficient r with the scale s: ``r + s x``.
 
     So the parameters are ``estimate + J x`` with a constant J. Geodesics of the same tangents, ``P^1/2 exp(X) P^1/2``,
     would not do: measurements are linear in the parameters, and resolve some of their combinations to 1e-4. A geodesic
-    is off a straight line by half of the square of its length: it leaves what was measured long before it is as far as
-    other directions are open.
+    deviates from a straight line by half of the square of its length. So it contradicts the measurements long before it
+    reaches the uncertainty of the other directions.
 
     Attributes:
-        merged: The links that are fixed to each of the links and counted in.
+        merged: Links that are fixed to each of the links and included in it.
         covariance: ``(D, D)`` of the tangent coordinates.
-        prior: Parameters ``(D,)`` of the prior that the estimate began with.
+        prior: Parameters ``(D,)`` of the prior that the estimate started from.
         prior_spreads: Standard deviations ``(D,)`` of the prior's error, in tangent coordinates.
     """
 
@@ -124,7 +124,7 @@ class Posterior(RobotParameters):
 
     @cached_property
     def jacobian(self) -> FloatArray:
-        """Derivative ``(D, D)`` of the parameters by the coordinates, block by block."""
+        """Derivative ``(D, D)`` of the parameters by the coordinates, block-diagonal."""
         blocks, diagonal = self.manifold.jacobian(self.point)
         jacobian = np.diag(np.concatenate([np.zeros(self.manifold.inertial.stop), diagonal]))
         jacobian[self.manifold.links_blocks] = blocks
@@ -137,24 +137,24 @@ class Posterior(RobotParameters):
 
     @property
     def evidence(self) -> tuple[FloatArray, FloatArray]:
-        """What the data say beyond the prior: rows ``(D, D)`` and targets ``(D,)`` of the parameters, whose errors are
-        independent and of standard deviation 1."""
+        """Information of the data beyond the prior: rows ``(D, D)`` and targets ``(D,)`` of the parameters, with
+        independent errors of standard deviation 1."""
         root = beyond_prior(self.covariance, self.prior_spreads) / self.prior_spreads
         rows = np.asarray(np.linalg.solve(self.jacobian.T, root.T).T, dtype=np.float64)
         return rows, rows @ self.parameters
 
     def with_effects(self, effects: Sequence[EffectCoordinate]) -> Posterior:
-        """The same with the effects in another order, the positive ones first. Raises ValueError if they are others."""
-        left = list(enumerate(self.effects))
+        """Return it with the effects in another order, the positive ones first. Raises ValueError for other effects."""
+        remaining = list(enumerate(self.effects))
         places = []
         for effect in effects:
-            place = next((place for place, own in left if own == effect), None)
+            place = next((place for place, other in remaining if other == effect), None)
             if place is None:
                 raise ValueError(f"it has no {effect.name} of {effect.place}")
-            left.remove((place, effect))
+            remaining.remove((place, effect))
             places.append(place)
-        if left:
-            raise ValueError(f"it has a {left[0][1].name} of {left[0][1].place}")
+        if remaining:
+            raise ValueError(f"it has a {remaining[0][1].name} of {remaining[0][1].place}")
         first, positive = self.manifold.inertial.stop, len(self.effects) - len(self.scales)
         order = np.concatenate([np.arange(first), first + np.array(places, dtype=np.int64)])
         return replace(
@@ -168,19 +168,19 @@ class Posterior(RobotParameters):
         )
 
     def coordinates(self, parameters: FloatArray) -> FloatArray:
-        """The coordinates ``(D,)`` of other parameters ``(D,)``: how far they are from the estimate."""
+        """Coordinates ``(D,)`` of other parameters ``(D,)``: their offset from the estimate."""
         return np.asarray(np.linalg.solve(self.jacobian, parameters - self.parameters))
 
     def draw(self, count: int, random: np.random.Generator, spread: float = 1.0) -> FloatArray:
-        """Parameters ``(count, D)`` of robots that are as likely as the posterior says, all of which can exist.
+        """Sample parameters ``(count, D)`` of robots from the posterior; all are physically consistent.
 
-        The Gaussian is cut off where a body would have less than a twentieth of what the estimate has of it in any
-        direction, or a positive coefficient of its own: such draws make way for others, by elliptical slice sampling
-        (Murray, Adams and MacKay 2010). Directions that the data resolve are as in the Gaussian even so.
+        The Gaussian is cut off where, in any direction, a body would have less than a twentieth of the estimate's
+        inertia, or a positive coefficient less than a twentieth of its value. Such samples are replaced by elliptical
+        slice sampling (Murray, Adams and MacKay 2010). Directions that the data resolve keep the Gaussian distribution.
 
         Args:
-            count: How many.
-            random: The source of chance.
+            count: Number of robots.
+            random: Random number generator.
             spread: Factor of all standard deviations.
         """
         values, vectors = np.linalg.eigh(self.covariance)
@@ -197,30 +197,30 @@ class Posterior(RobotParameters):
     def _moved_inside(
         self, gaussian: Callable[[int], FloatArray], random: np.random.Generator, count: int
     ) -> FloatArray:
-        """Coordinates ``(count, D)`` of robots that can exist, each by a chain that begins at the estimate."""
+        """Coordinates ``(count, D)`` of physically consistent robots, each from a chain that starts at the estimate."""
         states = np.zeros((count, len(self.parameters)))
         remembered = np.ones(count)
         for _ in range(_MOST_STEPS):
             if np.all(remembered < _REMEMBERED):
                 break
             others, angles = gaussian(count), random.uniform(0.0, 2.0 * np.pi, count)
-            low, high, left = angles - 2.0 * np.pi, angles.copy(), np.arange(count)
+            low, high, outside = angles - 2.0 * np.pi, angles.copy(), np.arange(count)
             moved = states.copy()
-            while len(left):
-                turn = angles[left, None]
-                moved[left] = np.cos(turn) * states[left] + np.sin(turn) * others[left]
-                left = left[~self._can_exist(moved[left])]
-                low[left] = np.where(angles[left] < 0.0, angles[left], low[left])
-                high[left] = np.where(angles[left] < 0.0, high[left], angles[left])
-                angles[left] = random.uniform(low[left], high[left])
+            while len(outside):
+                turn = angles[outside, None]
+                moved[outside] = np.cos(turn) * states[outside] + np.sin(turn) * others[outside]
+                outside = outside[~self._can_exist(moved[outside])]
+                low[outside] = np.where(angles[outside] < 0.0, angles[outside], low[outside])
+                high[outside] = np.where(angles[outside] < 0.0, high[outside], angles[outside])
+                angles[outside] = random.uniform(low[outside], high[outside])
             states = moved
             remembered *= np.cos(angles) ** 2
         return states
 
     def _can_exist(self, coordinates: FloatArray) -> BoolArray:
-        """Which of the robots with these coordinates ``(N, D)`` have bodies and coefficients well above zero."""
+        """True for robots whose bodies and positive coefficients are well above zero, for coordinates ``(N, D)``."""
         manifold = self.manifold
-        links = symmetric.to_matrix(coordinates[:, manifold.inertial].reshape(len(coordinates), -1, symmetric.SIZE))
-        possible = spd.is_positive_definite(links + (1.0 - _LEAST) * np.eye(4))
+        matrices = symmetric.to_matrix(coordinates[:, manifold.inertial].reshape(len(coordinates), -1, symmetric.SIZE))
+        possible = spd.is_positive_definite(matrices + (1.0 - _LEAST) * np.eye(4))
         positive = 1.0 + coordinates[:, manifold.positive] > _LEAST
         return np.asarray(np.all(possible, axis=1) & np.all(positive, axis=1))

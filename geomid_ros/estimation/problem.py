@@ -41,7 +41,7 @@ class Problem:
         known: rows of weighed masses and of priors.
         sigmas: standard deviations by channel where they are given ``(channels,)``, else NaN.
         gamma: weight of the prior as a fraction of the rows', if given.
-        independent: fraction of the rows that is independent; the filter correlates them.
+        independent: fraction of the rows that counts as independent: the filter correlates rows, and motions repeat.
         given_spreads: default prior std of the links ``(links,)``, if not that of CAD files.
     """
 
@@ -55,8 +55,7 @@ class Problem:
     given_spreads: FloatArray | None = None
 
     def beside(self, known: WeighedRows) -> Problem:
-        """Return the problem with more known rows; properties that do not depend on these are computed once for
-        both."""
+        """Return the problem with more known rows. Properties that do not depend on these are shared by both."""
         other = replace(self, known=self.known.plus(known))
         vars(other).update({name: getattr(self, name) for name in _OF_ROWS})
         return other

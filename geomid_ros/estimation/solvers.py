@@ -1,4 +1,4 @@
-"""Two solvers, a trust region on the manifold and the alternation of the paper; and faster fixed-point iterations."""
+"""Solvers: a trust region on the manifold and the paper's alternation; and extrapolation of fixed-point iterations."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ from geomid_ros.geometry.manifold import Point
 from geomid_ros.types import FloatArray
 
 _ACCEPT = 1e-4
-_SHRINK_BELOW = 0.25  # and expand above what that leaves of one
-# Relative to the value. Its rounding, which grows with the condition of the links, may hide a decrease as small as the
-# first; no step decreases it by less than the second.
+_SHRINK_BELOW = 0.25  # and expand above one minus this
+# Relative to the objective's value. Its rounding, which grows with the links' condition number, may hide a decrease
+# smaller than the first; no step decreases it by less than the second.
 _HIDDEN = 1e-10
 _ROUNDING = 1e-13
-_NEARLY = 0.99  # of the radius: a step that long is as good as one to the ball's end
+_NEARLY = 0.99  # of the radius: a step that long counts as one to the boundary
 _REMEMBERED = 6  # last rounds of a fixed-point iteration
-_FURTHEST = 30.0  # times the last round's move; g is not as linear as that
+_FURTHEST = 30.0  # times the last round's move: farther away g is not linear
 GRADIENT = 1e-8
-"""Norm at which a solve ends, as a share of the objective's scale."""
+"""Gradient norm at which a solve ends, as a fraction of the objective's scale."""
 _, _FLAT, _SETTLED, _ROUNDED = ENDS = (
     (False, "no convergence in {} steps"),
     (True, "gradient below tolerance"),
     (True, "decrease below the least"),
     (True, "no decrease left in rounding"),
 )
-"""How a solve may end: whether it converged, and why it stopped."""
+"""Possible ends of a solve: True if it converged, and why it stopped."""
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The end of a solve.
+    """End of a solve.
 
     Attributes:
-        point, evaluation: Where it ended, and the objective there.
-        converged, reason: Whether it converged, and why it stopped.
+        point, evaluation: The last point, and the objective there.
+        converged, reason: True if it converged, and why it stopped.
         steps: Number of steps.
         values: The objective at the start and after each step.
     """
@@ -70,14 +70,14 @@ def trust_region(
     descent, the gradient shrinks.
 
     Args:
-        objective: What to minimise.
+        objective: The objective.
         start: Where to start.
-        tolerance: Of the gradient's norm, as a share of the objective's scale.
+        tolerance: Gradient norm at which to stop, as a fraction of the objective's scale.
         max_steps: Largest number of steps.
         radius: First radius, a geodesic distance.
         evaluation: The objective at ``start``, if it is known already.
-        least_decrease: What a Newton step must promise to be taken. Of half a chi-square, 1e-3 leaves every parameter
-            within a twentieth of its standard deviation.
+        least_decrease: Least predicted decrease for which a Newton step is taken. For half a chi-square, 1e-3 leaves
+            every parameter within a twentieth of its standard deviation.
     """
     scale = objective.scale
     evaluation = evaluation or objective.evaluate(start)
@@ -113,8 +113,8 @@ def trust_region(
 
 
 def _tried(objective: Objective, point: Point, evaluation: Evaluation, tangent: FloatArray) -> tuple[Point, Evaluation]:
-    """The end of a step and the objective there; where that is too far away for finite numbers, the point itself with
-    an infinite value, so that a shorter step is tried."""
+    """Return the end of a step and the objective there. If that is too far away for finite numbers, return the point
+    itself with an infinite value, so that a shorter step is tried."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         try:
             candidate = objective.step(point, tangent)
@@ -126,7 +126,7 @@ def _tried(objective: Objective, point: Point, evaluation: Evaluation, tangent: 
 
 
 class _QuadraticModel:
-    """``g . x + x . H x / 2`` at a point, and its minimisers within balls about zero."""
+    """Quadratic model ``g . x + x . H x / 2`` at a point, and its minimisers within balls about zero."""
 
     def __init__(self, evaluation: Evaluation) -> None:
         self._gradient = evaluation.gradient
@@ -137,8 +137,8 @@ class _QuadraticModel:
         """``-(H + mu 1)^-1 g`` with the least mu >= 0 for which ``H + mu 1`` is positive definite and the step fits.
 
         A step that does not fit without mu ends in the ball's last hundredth, by Newton's iteration for the inverse of
-        its length (Nocedal & Wright, algorithm 4.3) inside a bracket; or, where the gradient has no part along the
-        eigenvector of the least eigenvalue, at the least mu but for rounding.
+        its length (Nocedal & Wright, algorithm 4.3) inside a bracket. If the gradient has no part along the eigenvector
+        of the least eigenvalue, it ends at the least mu but for rounding.
 
         Raises:
             LinAlgError: g or H is not finite.
@@ -167,7 +167,7 @@ class _QuadraticModel:
         return fitting
 
     def _step(self, damping: float) -> tuple[FloatArray, float] | None:
-        """``x = -(H + damping 1)^-1 g`` and ``x (H + damping 1)^-1 x``; None where that is not positive definite."""
+        """``x = -(H + damping 1)^-1 g`` and ``x (H + damping 1)^-1 x``; None if not positive definite."""
         try:
             return definite.damped_step(self._hessian, self._gradient, damping)
         except LinAlgError:
@@ -178,7 +178,7 @@ def cyclic(objective: Objective, start: Point, tolerance: float = 1e-8, max_step
     """Minimise (19) by the paper's alternation: project on every hyperplane, then move to the Karcher mean.
 
     All projections of a cycle share the base point, so their mean's first Karcher step needs no further decomposition:
-    it is the weighted mean of the tangent vectors Q_i, and the whole mean has the same fixed points. A step that does
+    it is the weighted mean of the tangent vectors Q_i, and the full mean has the same fixed points. A step that does
     not descend is halved.
     """
     scale = objective.scale
@@ -187,15 +187,15 @@ def cyclic(objective: Objective, start: Point, tolerance: float = 1e-8, max_step
     for step in range(max_steps):
         if np.linalg.norm(evaluation.gradient) <= tolerance * scale:
             return Solution(point, evaluation, *_FLAT, step, tuple(values))
-        share = 1.0
+        fraction = 1.0
         while True:
-            candidate, trial = _tried(objective, point, evaluation, -share / scale * evaluation.gradient)
+            candidate, trial = _tried(objective, point, evaluation, -fraction / scale * evaluation.gradient)
             hidden = abs(trial.value - evaluation.value) <= _HIDDEN * evaluation.value
-            falls = np.linalg.norm(trial.gradient) < np.linalg.norm(evaluation.gradient)
-            if trial.value < evaluation.value or (hidden and falls):
+            shrinks = np.linalg.norm(trial.gradient) < np.linalg.norm(evaluation.gradient)
+            if trial.value < evaluation.value or (hidden and shrinks):
                 break
-            share *= 0.5
-            if share < 1e-6:
+            fraction *= 0.5
+            if fraction < 1e-6:
                 return Solution(point, evaluation, *_ROUNDED, step, tuple(values))
         point, evaluation = candidate, trial
         values.append(evaluation.value)
@@ -206,20 +206,20 @@ SOLVERS: dict[str, Callable[..., Solution]] = {"trust_region": trust_region, "cy
 
 
 class Extrapolation:
-    """Faster fixed-point iterations ``x <- g(x)`` (Anderson; Walker & Ni, SIAM J. Numer. Anal., 2011).
+    """Accelerate fixed-point iterations ``x <- g(x)`` (Anderson; Walker & Ni, SIAM J. Numer. Anal., 2011).
 
-    The next round begins at the combination of the last rounds that, if g were linear, would move least."""
+    The next round starts at the combination of the last rounds that would move least if g were linear."""
 
     def __init__(self) -> None:
         self._rounds: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=_REMEMBERED)
 
     def next(self, begun: FloatArray, ended: FloatArray) -> FloatArray:
-        """The next x ``(n,)`` after a round that began at x and ended at g(x)."""
+        """Next x ``(n,)`` after a round that started at x and ended at g(x)."""
         self._rounds.append((ended, ended - begun))
-        ends, moves = (np.array(each).T for each in zip(*self._rounds, strict=True))
-        shares, *_ = np.linalg.lstsq(np.diff(moves), moves[:, -1], rcond=ROUNDING)
-        further = np.diff(ends) @ shares
-        if not np.max(np.abs(further)) <= _FURTHEST * np.max(np.abs(ended - begun)):
+        ends, moves = (np.array(arrays).T for arrays in zip(*self._rounds, strict=True))
+        coefficients, *_ = np.linalg.lstsq(np.diff(moves), moves[:, -1], rcond=ROUNDING)
+        correction = np.diff(ends) @ coefficients
+        if not np.max(np.abs(correction)) <= _FURTHEST * np.max(np.abs(ended - begun)):
             self._rounds.clear()
             return ended
-        return np.asarray(ended - further)
+        return np.asarray(ended - correction)

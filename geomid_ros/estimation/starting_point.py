@@ -101,7 +101,7 @@ def _expected_shares(model: MeasurementModel, given: FloatArray | None) -> Float
 def prior_parameters(model: MeasurementModel, summary: RowSummary, given: FloatArray | None) -> FloatArray:
     """Parameters of the prior ``(D,)``.
 
-    These are the ``given`` ones ``(D,)`` where they are not NaN; else the URDF's inertias. The effects get the
+    These are the ``given`` ones ``(D,)`` where they are not NaN. Else they are the URDF's inertias, and for effects the
     non-negative least-squares fit of each joint's effects alone to what the inertias leave unexplained. No CAD file
     knows a joint's friction, and the metric on positive coefficients is relative, so that their prior must have the
     right order of magnitude. If a joint hardly moves, the URDF's friction stays. Errors of sensors are expected to be

@@ -1,9 +1,9 @@
-"""A body whose ten quantities are uncertain, and which of them are identified: of links and of payloads by one rule.
+"""Body with ten uncertain quantities, and which of them are identified; one rule for links and payloads.
 
-A number is identified if the data say it, whatever the prior is worth: were the prior's errors three times as large as
-they are taken to be, its 95 % interval would still be within 20 % of it, and narrower than the one that the prior has,
-or the usual prior where that is narrower. (The prior of a link that left it is wide: less than that says nothing.) What
-may be zero is compared with a size of the body: a centre of mass with the radius of gyration about the link's origin, a
+A quantity is identified if the data determine it without the prior: with the prior's errors three times as large as
+assumed, its 95 % interval is still within 20 %, and narrower than that of the prior, or of the default prior where that
+is narrower. (The prior of an outlier link is wide: an interval narrower than that means nothing.) A quantity that may
+be zero is compared with a size of the body: a centre of mass with the radius of gyration about the link's origin, a
 first moment with the mass times that, a product of inertia with the moments about its axes.
 """
 
@@ -20,23 +20,22 @@ from geomid_ros.types import BoolArray, FloatArray, frozen
 QUANTITIES = ("mass", "com x", "com y", "com z", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 """Names of a link's ten quantities, in the order of :func:`geomid_ros.geometry.pseudo_inertia.quantities_of`."""
 UNITS = ("kg", *("m", "m", "m"), *("kg m^2", "kg m^2", "kg m^2"), *("kg m^2", "kg m^2", "kg m^2"))
-"""Units of these."""
+"""Units of the :data:`QUANTITIES`."""
 STDS_OF_95 = 1.96
-"""Standard deviations to either side that hold 95 %."""
-_LARGEST_LOG = 50.0  # of a factor: nothing is known then
+"""Half-width of a 95 % interval in standard deviations."""
+_LARGEST_LOG = 50.0  # of an interval's factor: a wider one means that nothing is known
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class UncertainInertia:
-    """A body in the frame of a link.
+    """Body in the frame of a link.
 
     Attributes:
         parameters: ``(10,)`` in pinocchio's order, about the frame's origin.
-        std: Standard deviations ``(10,)`` of the :data:`QUANTITIES`; zero of exact numbers, NaN of unknown ones.
-        merged: Links that are fixed to it and counted in.
-        cannot_tell: Those of :data:`QUANTITIES` that are not identified, see :func:`identified`; None where that is not
-            known.
-        from_data: Share of the prior's variance that the data removed, 0 to 1; NaN where that is not known.
+        std: Standard deviations ``(10,)`` of the :data:`QUANTITIES`; zero if exact, NaN if unknown.
+        merged: Links that are fixed to it and included in it.
+        cannot_tell: Names of the :data:`QUANTITIES` that are not identified, see :func:`identified`; None if unknown.
+        from_data: Fraction of the prior variance that the data removed, 0 to 1; NaN if unknown.
     """
 
     parameters: FloatArray
@@ -47,7 +46,7 @@ class UncertainInertia:
 
     @cached_property
     def quantities(self) -> FloatArray:
-        """The :data:`QUANTITIES` ``(10,)``."""
+        """Values of the :data:`QUANTITIES` ``(10,)``."""
         return frozen(pseudo_inertia.quantities_of(self.parameters))
 
     @property
@@ -82,7 +81,7 @@ class UncertainInertia:
 
     @property
     def mass_interval(self) -> tuple[float, float]:
-        """The 95 % interval of the mass [kg]."""
+        """95 % interval of the mass [kg]."""
         return interval_of_positive(self.mass, self.std_mass)
 
     @property
@@ -92,28 +91,28 @@ class UncertainInertia:
 
 
 def interval_of_positive(value: float, deviation: float) -> tuple[float, float]:
-    """The 95 % interval of a positive quantity along the geodesic: of its logarithm, so that it stays positive."""
+    """95 % interval of a positive quantity along the geodesic: of its logarithm, so that it stays positive."""
     factor = float(np.exp(min(STDS_OF_95 * deviation / value, _LARGEST_LOG))) if np.isfinite(deviation) else 1.0
     return value / factor, value * factor
 
 
 WITHIN = float(np.log(1.2))
-"""How far a number's interval may reach along the geodesic: to 20 % of it."""
+"""Largest half-width of an identified quantity's 95 % interval along the geodesic: 20 %."""
 
 
 def identified(parameters: FloatArray, doubted: FloatArray, of_prior: FloatArray) -> BoolArray:
-    """Whether the numbers of a body are identified ``(13,)``: its quantities, then its first moments.
+    """True for each number of a body that is identified ``(13,)``: its quantities, then its first moments.
 
     Args:
-        parameters: of the body ``(10,)``.
-        doubted: standard deviations of the numbers ``(13,)`` with a prior that is :func:`doubted`.
-        of_prior: the same in the prior, or in the usual one where that is narrower ``(13,)``.
+        parameters: parameters of the body ``(10,)``.
+        doubted: standard deviations ``(13,)`` of the numbers, for enlarged prior errors (:func:`doubted`).
+        of_prior: standard deviations ``(13,)`` in the prior, or in the default prior where these are smaller.
     """
     return np.asarray((STDS_OF_95 * doubted <= WITHIN * sizes(parameters)) & (doubted <= of_prior))
 
 
 def sizes(parameters: FloatArray) -> FloatArray:
-    """What the numbers of a body ``(10,)`` are compared with ``(13,)``."""
+    """Reference sizes ``(13,)`` that the numbers of a body ``(10,)`` are compared with."""
     mass, central = parameters[0], pseudo_inertia.central_inertia(parameters)
     centre = pseudo_inertia.centre_of_mass(parameters)
     extent = np.sqrt(0.5 * np.trace(central) / mass + centre @ centre)
@@ -123,5 +122,5 @@ def sizes(parameters: FloatArray) -> FloatArray:
 
 
 def numbers(parameters: FloatArray) -> FloatArray:
-    """The numbers of bodies ``(..., 10)``: quantities and first moments ``(..., 13)``."""
+    """Quantities and first moments ``(..., 13)`` of bodies ``(..., 10)``."""
     return np.concatenate([pseudo_inertia.quantities_of(parameters), parameters[..., 1:4]], axis=-1)
