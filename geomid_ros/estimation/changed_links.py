@@ -1,11 +1,11 @@
-"""Which links have changed between two results, by what both sets of data say of all links together.
+"""Find the links that have changed between two results, by the likelihoods of all links together.
 
 Single inertial parameters are mostly known in combinations only: a mass that changed by a fifth may lie within the
-interval of each number. Here the links are the same robot's in both results, but for those that changed. With the
-log-likelihoods of both data sets as functions of the link parameters, the change of one link is judged by how much
-better it explains the difference, -2 log p, which is chi-square distributed with at most ten degrees of freedom if
-nothing has changed. Links are taken one by one, the best first (stepwise), until no other explains more than chance.
-What the effects are is left open: friction may differ from day to day.
+interval of each number. Here the links are the same robot's in both results, except for those that changed. Both
+log-likelihoods are functions of the link parameters. The change of one link is tested by how much better it explains
+the difference, -2 log p. If nothing has changed, this is chi-square distributed with at most ten degrees of freedom.
+Links are added one by one, the best first (stepwise), until no other explains more than chance. The effects are
+eliminated: friction may differ from day to day.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from geomid_ros.geometry.pseudo_inertia import SIZE
 from geomid_ros.model.effects import Quantity
 from geomid_ros.types import FloatArray
 
-_UNITS = ("kg", "kg m", "kg m", "kg m")  # of mass and first moment, with which the parameters begin
+_UNITS = ("kg", "kg m", "kg m", "kg m")  # of mass and first moment, the first parameters
 
 
 @dataclass(frozen=True)
@@ -31,10 +31,10 @@ class ChangedLink:
     """A link whose change explains the difference of two results.
 
     Attributes:
-        link: its name.
-        gain: by how much better, a difference of -2 log p.
-        mass: by how much it is heavier in the second result [kg].
-        moment: by how much its first moment is larger there, about the link's origin, by axis [kg m].
+        link: name of the link.
+        gain: decrease of -2 log p by its change.
+        mass: increase of its mass in the second result [kg].
+        moment: increase of its first moment about the link's origin, by axis [kg m].
         rivals: links whose change explains it nearly as well.
     """
 
@@ -46,29 +46,29 @@ class ChangedLink:
 
     @property
     def sentence(self) -> str:
-        """In words, with 95 % intervals: the mass, or where that may be as it was, the first moment."""
+        """Sentence with 95 % intervals: the mass, or if its change is not significant, the first moment."""
         others = f", or {' or '.join(self.rivals)} has changed instead" if self.rivals else ""
         interval = f"± {STDS_OF_95 * self.mass.std:.2g} kg"
-        if _is_sure(self.mass):
+        if _is_significant(self.mass):
             less = "less" if self.mass.value < 0.0 else "more"
             return f"{self.link} weighs {abs(self.mass.value):.3g} {interval} {less}{others}"
         moments = [
             f"first moment {axis} by {change.value:.2g} ± {STDS_OF_95 * change.std:.2g} kg m"
             for axis, change in self.moment.items()
-            if _is_sure(change)
+            if _is_significant(change)
         ]
         changes = ", ".join([*moments, f"mass by {self.mass.value:.2g} {interval}"])
         return f"{self.link} has changed: {changes}{others}"
 
 
-def _is_sure(change: Quantity) -> bool:
-    """True if a change is not zero."""
+def _is_significant(change: Quantity) -> bool:
+    """True if a change differs from zero by its 95 % interval."""
     return abs(change.value) > STDS_OF_95 * change.std
 
 
 @dataclass(frozen=True, eq=False)
 class LinkEvidence:
-    """What the data of a result say of its links.
+    """Likelihood of a result's links.
 
     Attributes:
         parameters: ``(links, 10)`` in pinocchio's order, about the links' origins.
@@ -82,37 +82,37 @@ class LinkEvidence:
 def changed_links(
     names: Sequence[str], first: LinkEvidence, second: LinkEvidence, limit: float, alike: float
 ) -> tuple[ChangedLink, ...]:
-    """The links that have changed, in the order in which they were found.
+    """Find the links that have changed, in the order of detection.
 
     Args:
-        names: of the links.
+        names: names of the links.
         first, second: both results, links in the order of the names.
-        limit: gain from which on a change is believed.
-        alike: a link is a rival if its change explains it worse by less than this.
+        limit: gain above which a change is significant.
+        alike: a link is a rival if its change explains the difference worse by less than this.
     """
     problem = _LinkChanges(first, second)
     changed: list[int] = []
-    found: list[tuple[float, list[str]]] = []
+    gains: list[tuple[float, list[str]]] = []
     while len(changed) < len(names):
-        left = [link for link in range(len(names)) if link not in changed]
-        errors = {link: problem.solved([*changed, link])[0] for link in left}
-        best = min(left, key=errors.__getitem__)
+        remaining = [link for link in range(len(names)) if link not in changed]
+        errors = {link: problem.solved([*changed, link])[0] for link in remaining}
+        best = min(remaining, key=errors.__getitem__)
         gain = problem.solved(changed)[0] - errors[best]
         if gain <= limit:
             break
-        rivals = [names[link] for link in left if link != best and errors[link] - errors[best] < alike]
+        rivals = [names[link] for link in remaining if link != best and errors[link] - errors[best] < alike]
         changed.append(best)
-        found.append((gain, rivals))
+        gains.append((gain, rivals))
     return tuple(
         ChangedLink(names[link], gain, mass, dict(zip("xyz", moment, strict=True)), tuple(rivals))
-        for link, (gain, rivals), (mass, *moment) in zip(changed, found, problem.sizes(changed), strict=True)
+        for link, (gain, rivals), (mass, *moment) in zip(changed, gains, problem.sizes(changed), strict=True)
     )
 
 
 @dataclass(frozen=True, eq=False)
 class _LinkChanges:
-    """Least squares in tangent coordinates at the first result: of its links, and of the changes of some. A unit of
-    a coordinate is a change by about as much as the body is: so wide is what is known beforehand."""
+    """Least squares in tangent coordinates at the first result, for its links and the changes of some of them. The
+    prior std is 1: a change by about as much as the body is."""
 
     first: LinkEvidence
     second: LinkEvidence
@@ -136,8 +136,8 @@ class _LinkChanges:
         return self._whitened(self.first), self._whitened(self.second)
 
     def solved(self, changed: Sequence[int]) -> tuple[float, FloatArray, FloatArray]:
-        """The least squared error if these links have changed, their changes ``(10 changed,)`` in coordinates, and
-        the covariance of these."""
+        """Least squared error if these links have changed, their changes ``(10 changed,)`` in coordinates, and the
+        covariance of the changes."""
         (before, residual), (after, other) = self._both
         columns = [SIZE * link + index for link in changed for index in range(SIZE)]
         count, size = len(columns), before.shape[1]
@@ -154,13 +154,16 @@ class _LinkChanges:
         return float(np.sum((targets - rows @ solution) ** 2)), solution[size:], covariance[size:, size:]
 
     def sizes(self, changed: Sequence[int]) -> list[list[Quantity]]:
-        """By how much mass and first moment of each link that has changed are larger."""
+        """Increases of mass and first moment of each changed link."""
         _, changes, covariance = self.solved(changed)
-        found = []
+        increases = []
         for place, link in enumerate(changed):
-            own, rows = slice(SIZE * place, SIZE * (place + 1)), self._jacobian[link][: len(_UNITS)]
-            std = np.sqrt(np.diag(rows @ covariance[own, own] @ rows.T))
-            found.append(
-                [Quantity(*each) for each in zip((rows @ changes[own]).tolist(), std.tolist(), _UNITS, strict=True)]
+            columns, rows = slice(SIZE * place, SIZE * (place + 1)), self._jacobian[link][: len(_UNITS)]
+            std = np.sqrt(np.diag(rows @ covariance[columns, columns] @ rows.T))
+            increases.append(
+                [
+                    Quantity(*value_std_unit)
+                    for value_std_unit in zip((rows @ changes[columns]).tolist(), std.tolist(), _UNITS, strict=True)
+                ]
             )
-        return found
+        return increases

@@ -1,6 +1,6 @@
-"""Gram matrices of the rows per channel, each on the channel's own columns.
+"""Gram matrices of the rows per channel, each on the channel's columns.
 
-An effort depends on the links behind its joint and on the joint's own effects, so on a robot with many limbs a channel
+An effort depends on the links distal to its joint and on the joint's effects, so on a robot with many limbs a channel
 has few of all columns.
 
 Rows of one channel are also kept as a triangular factor. For the rows ``[A b]`` the factor R of a QR decomposition has
@@ -21,9 +21,9 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 
 class Packed(NamedTuple):
-    """Layout for the compiled loops: ``blocks`` one after the other, of these ``widths (C,)``; of the columns that are
-    taken their ``rows`` in the block of their channel, and their ``places``; for each the end of its run of columns
-    that are consecutive in both (``runs``), within the channel; ``ends (C,)`` of the channels."""
+    """Layout for the compiled loops: all ``blocks`` in one array, and their ``widths (C,)``. Per selected column: its
+    row in the block of its channel (``rows``), its place in the result (``places``), and the end of its run of columns
+    within the channel that are consecutive in both (``runs``). ``ends (C,)`` of the channels."""
 
     blocks: FloatArray
     widths: IntArray
@@ -36,8 +36,8 @@ class Packed(NamedTuple):
 def _weighed(
     packed: Packed, vector: FloatArray, counts: FloatArray, least: FloatArray, *, alone: bool = False
 ) -> tuple[FloatArray, FloatArray] | None:
-    """As :meth:`ChannelProducts.weighed_by_squares`, of the columns that are taken; the squares ``alone``, and no sum,
-    if that is said. None without compiled loops."""
+    """Compute :meth:`ChannelProducts.weighed_by_squares` of the selected columns by the compiled loops; None without
+    these. ``alone``: compute only the squares, not the sum."""
     if compiled.native is None:
         return None
     squares, total = np.empty(len(packed.ends)), np.empty((0 if alone else len(vector), len(vector)))
@@ -61,7 +61,7 @@ class ChannelProducts:
 
     @staticmethod
     def of(size: int, channels: Iterator[tuple[IntArray, FloatArray]]) -> ChannelProducts:
-        """Gram matrices from pairs of places and blocks."""
+        """Build from pairs of places and blocks."""
         places, blocks = zip(*channels, strict=True)
         return ChannelProducts(size, places, blocks)
 
@@ -80,17 +80,17 @@ class ChannelProducts:
 
     @cached_property
     def _joined(self) -> tuple[FloatArray, IntArray, IntArray]:
-        """All blocks, how wide they are, and the places of their columns, one after the other."""
-        widths = np.array([len(own) for own in self.places])
+        """All blocks in one array, their widths, and the places of their columns in one array."""
+        widths = np.array([len(places) for places in self.places])
         return np.concatenate([block.ravel() for block in self.blocks]), widths, np.concatenate(self.places)
 
     def _packed(self, columns: IntArray) -> Packed:
-        """The same of some ``columns``, increasing, and the target."""
+        """Packed layout for some ``columns``, increasing, and the target."""
         blocks, widths, places = self._joined
-        new = np.full(self.size, -1)
-        new[columns], new[-1] = np.arange(len(columns)), len(columns)
-        (kept,) = np.nonzero(new[places] >= 0)
-        at, channel = new[places[kept]], np.repeat(np.arange(len(widths)), widths)[kept]
+        new_places = np.full(self.size, -1)
+        new_places[columns], new_places[-1] = np.arange(len(columns)), len(columns)
+        (kept,) = np.nonzero(new_places[places] >= 0)
+        at, channel = new_places[places[kept]], np.repeat(np.arange(len(widths)), widths)[kept]
         counts = np.bincount(channel, minlength=len(widths))
         ends = np.cumsum(counts)
         begins = np.ones(len(at) + 1, dtype=np.bool_)
@@ -109,63 +109,63 @@ class ChannelProducts:
         return ChannelProducts(self.size, self.places, tuple(factor * block for block in self.blocks))
 
     def select(self, columns: IntArray) -> SelectedProducts:
-        """Those of some ``columns``, increasing, and the target."""
+        """Gram matrices of some ``columns``, increasing, and the target."""
         return SelectedProducts(self, columns)
 
     def dense(self, channel: int) -> FloatArray:
         """Gram matrix of one channel over all columns ``(size, size)``."""
-        found, own = np.zeros((self.size, self.size)), self.places[channel]
-        found[own[:, None], own] = self.blocks[channel]
-        return found
+        matrix, places = np.zeros((self.size, self.size)), self.places[channel]
+        matrix[places[:, None], places] = self.blocks[channel]
+        return matrix
 
     def squares(self, vector: FloatArray) -> FloatArray:
         """Squared norm per channel ``(C,)`` of the columns times ``vector (size,)``."""
         nothing = np.zeros(len(self))
-        if (found := _weighed(self.packed, vector, nothing, nothing, alone=True)) is not None:
-            return found[0]
+        if (compiled_result := _weighed(self.packed, vector, nothing, nothing, alone=True)) is not None:
+            return compiled_result[0]
         pairs = zip(self.places, self.blocks, strict=True)
-        return np.array([float(vector[own] @ block @ vector[own]) for own, block in pairs])
+        return np.array([float(vector[places] @ block @ vector[places]) for places, block in pairs])
 
     def weighed(self, weights: Sequence[float] | FloatArray) -> FloatArray:
         """Weighted sum of the Gram matrices ``(size, size)``, for ``weights (C,)``."""
         if compiled.native is not None:
             return self.weighed_by_squares(np.zeros(self.size), np.asarray(weights), np.ones(len(self)))[1]
         total = np.zeros((self.size, self.size))
-        for weight, own, block in zip(weights, self.places, self.blocks, strict=True):
-            total[own[:, None], own] += weight * block
+        for weight, places, block in zip(weights, self.places, self.blocks, strict=True):
+            total[places[:, None], places] += weight * block
         return total
 
     def some(self, columns: IntArray, weights: FloatArray) -> FloatArray:
-        """The rows of the weighted sum for some ``columns``, ``(len(columns), size)``."""
+        """Rows of the weighted sum for some ``columns``, ``(len(columns), size)``."""
         total, rows = np.zeros((len(columns), self.size)), self._rows[:, columns]
         for channel in np.flatnonzero(np.any(rows >= 0, axis=1)).tolist():
-            (found,) = np.nonzero(rows[channel] >= 0)
-            own, block = self.places[channel], self.blocks[channel]
-            total[found[:, None], own] += weights[channel] * block[rows[channel, found]]
+            (selected,) = np.nonzero(rows[channel] >= 0)
+            places, block = self.places[channel], self.blocks[channel]
+            total[selected[:, None], places] += weights[channel] * block[rows[channel, selected]]
         return total
 
     @cached_property
     def _rows(self) -> IntArray:
-        """The row of each column in each channel's block ``(C, size)``; -1 where the channel does not have it."""
+        """Row of each column in each channel's block ``(C, size)``; -1 if the channel does not have it."""
         rows = np.full((len(self), self.size), -1)
-        for own, places in zip(rows, self.places, strict=True):
-            own[places] = np.arange(len(places))
+        for of_channel, places in zip(rows, self.places, strict=True):
+            of_channel[places] = np.arange(len(places))
         return rows
 
     def weighed_by_squares(
         self, vector: FloatArray, counts: FloatArray, least: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Squared norms ``(C,)`` at ``vector (size,)``; and the sum of the Gram matrices weighted by ``counts`` over
-        these, with the lower bound ``least (C,)``."""
-        if (found := _weighed(self.packed, vector, counts, least)) is not None:
-            return found
+        """Squared norms ``(C,)`` at ``vector (size,)``, and the sum of the Gram matrices weighted by ``counts`` over
+        these, which are bounded below by ``least (C,)``."""
+        if (compiled_result := _weighed(self.packed, vector, counts, least)) is not None:
+            return compiled_result
         squares = self.squares(vector)
         return squares, self.weighed(counts / np.maximum(squares, least))
 
 
 @dataclass(frozen=True, eq=False)
 class SelectedProducts:
-    """Those of some ``columns (k,)`` of the ``whole``, increasing, and the target. The compiled loops copy nothing."""
+    """Gram matrices of some ``columns (k,)`` of the ``whole``, increasing, and the target. No copies if compiled."""
 
     whole: ChannelProducts
     columns: IntArray
@@ -178,14 +178,14 @@ class SelectedProducts:
     @cached_property
     def packed(self) -> Packed:
         """Packed layout for the compiled loops."""
-        return self.whole._packed(self.columns)  # noqa: SLF001 of which it is a part
+        return self.whole._packed(self.columns)  # noqa: SLF001 same module
 
     @cached_property
     def _copied(self) -> ChannelProducts:
-        new = np.full(self.whole.size, -1)
-        new[self.columns], new[-1] = np.arange(len(self.columns)), len(self.columns)
-        pairs = [(np.flatnonzero(new[own] >= 0), own) for own in self.whole.places]
-        places = tuple(new[own[kept]] for kept, own in pairs)
+        new_places = np.full(self.whole.size, -1)
+        new_places[self.columns], new_places[-1] = np.arange(len(self.columns)), len(self.columns)
+        pairs = [(np.flatnonzero(new_places[places_of] >= 0), places_of) for places_of in self.whole.places]
+        places = tuple(new_places[places_of[kept]] for kept, places_of in pairs)
         blocks = zip(pairs, self.whole.blocks, strict=True)
         return ChannelProducts(
             len(self.columns) + 1, places, tuple(block[kept[:, None], kept] for (kept, _), block in blocks)
@@ -194,22 +194,22 @@ class SelectedProducts:
     def squares(self, vector: FloatArray) -> FloatArray:
         """See :class:`ChannelProducts`; ``vector (k + 1,)``."""
         nothing = np.zeros(len(self.whole))
-        found = _weighed(self.packed, vector, nothing, nothing, alone=True)
-        return self._copied.squares(vector) if found is None else found[0]
+        compiled_result = _weighed(self.packed, vector, nothing, nothing, alone=True)
+        return self._copied.squares(vector) if compiled_result is None else compiled_result[0]
 
     def weighed_by_squares(
         self, vector: FloatArray, counts: FloatArray, least: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """See :class:`ChannelProducts`; ``vector (k + 1,)``."""
-        found = _weighed(self.packed, vector, counts, least)
-        return self._copied.weighed_by_squares(vector, counts, least) if found is None else found
+        compiled_result = _weighed(self.packed, vector, counts, least)
+        return self._copied.weighed_by_squares(vector, counts, least) if compiled_result is None else compiled_result
 
 
 @dataclass
 class ChannelSummary:
     """Rows of one channel: the factor ``(<= columns + 1, columns + 1)`` of ``[A b]``, and the sum of their weights.
 
-    ``time``: when the weights were last brought up to date [s].
+    ``time``: last time [s] at which the weights were updated.
     """
 
     factor: FloatArray
@@ -217,7 +217,7 @@ class ChannelSummary:
     time: float = 0.0
 
     def copy(self) -> ChannelSummary:
-        """A copy that later changes of this one do not change; no array is ever changed in place."""
+        """Copy that later changes of this one do not affect; no array is ever changed in place."""
         return ChannelSummary(self.factor, self.count, self.time)
 
     def fade(self, share: float) -> None:
@@ -233,19 +233,19 @@ class ChannelSummary:
 
 
 def joined(parts: Sequence[ChannelSummary]) -> FloatArray:
-    """One factor for all ``parts`` (at least one) of a channel."""
+    """Return one factor for all ``parts`` (at least one) of a channel."""
     return triangular(np.concatenate([part.factor for part in parts]))
 
 
 def together(parts: Sequence[ChannelSummary]) -> ChannelSummary:
-    """All ``parts`` (at least one) of a channel, whose weights are of the same time."""
+    """Merge ``parts`` (at least one) of a channel, whose weights are of the same time."""
     return ChannelSummary(joined(parts), sum(part.count for part in parts), parts[0].time)
 
 
 def usable(coefficients: FloatArray, targets: FloatArray) -> BoolArray:
-    """Which rows ``(..., D)`` have a target ``(...)`` and coefficients that are numbers: one NaN would spoil all."""
+    """True for rows ``(..., D)`` with finite target ``(...)`` and coefficients: one NaN would spoil all."""
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.isfinite(targets) & np.isfinite(np.sum(coefficients, axis=-1)))  # a sum of numbers is one
+        return np.asarray(np.isfinite(targets) & np.isfinite(np.sum(coefficients, axis=-1)))  # finite only if all are
 
 
 def triangular(matrix: FloatArray) -> FloatArray:

@@ -3,10 +3,10 @@
 A default effect may have one of several shapes, such as the speed over which dry friction changes its sign. It gets the
 shape of the highest marginal likelihood. Then optional effects are added one by one while they improve the fit visibly,
 and those that are not significant are removed. This is done first with the rows of motion. Then the rows at rest and
-near reversals are added: the shapes are chosen anew, and effects with memory of the past motion become candidates. An
-effect is significant by its squared size in units of its standard deviation, estimated from blocks of time. What the
-blocks say of an effect scatters far more than independent residuals would (jackknife; Liang and Zeger, "Longitudinal
-data analysis using generalized linear models", 1986). So an effect must repeat to be significant.
+near reversals are added: they decide anew on the shapes, and on the effects with memory of the past motion. An effect
+is significant by its squared size in units of its standard deviation. This is estimated from blocks of time, because an
+effect scatters far more between these than independent residuals would (jackknife; Liang and Zeger, "Longitudinal data
+analysis using generalized linear models", 1986). So an effect must repeat to be significant.
 
 A candidate is tried with the inertias as fitted, and with inertias that stay near the prior, because a link that has
 absorbed an effect hides it. A coefficient that cannot be negative is fixed at zero instead.
@@ -113,8 +113,7 @@ def _without_unbelieved(fit: CoefficientFit) -> CoefficientFit:
 
 
 def _best(present: CoefficientFit, candidates: IntArray) -> tuple[int, CoefficientFit | None]:
-    """Return the candidate column that improves a fit most, and the fit with it; None if it is not a visible
-    improvement."""
+    """Return the candidate column that improves a fit most, and the fit with it; None if not visibly better."""
     starts = (present, present.firm)
     gains = np.max([start.gains(candidates) for start in starts], axis=0)
     column = int(candidates[np.argmax(gains)])

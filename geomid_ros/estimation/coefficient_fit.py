@@ -1,4 +1,4 @@
-"""Fits of some of the coefficients to a problem's rows, as the choice of effects compares them."""
+"""Fits of some of the coefficients to a problem's rows; the choice of effects compares them."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class CoefficientRows:
-    """The rows of a ``problem`` with all its coefficients: those of motion, by which all effects are judged but those
-    that remember; or, for these, all rows.
+    """Rows of a ``problem`` with all its coefficients: the rows of motion, which decide on all effects; or, if
+    ``at_rest``, all rows, which decide only on the effects with memory.
 
-    At rest and near reversals dry friction depends on the past, and what does not may stand for it.
+    At rest and near reversals dry friction depends on the past, and an effect without memory may absorb it.
     """
 
     problem: Problem
@@ -40,7 +40,7 @@ class CoefficientRows:
 
     @property
     def first(self) -> int:
-        """The parameter that is the first of the coefficients."""
+        """Column of the first coefficient."""
         return self.problem.model.dimension - len(self.problem.model.coefficients)
 
     @property
@@ -50,99 +50,98 @@ class CoefficientRows:
 
     @property
     def enough(self) -> bool:
-        """Whether some channel has more independent rows than unknowns without a choice: fewer ask for nothing."""
+        """True if a channel has more independent rows of fast motion than non-optional unknowns, as a choice needs."""
         unknowns = [len(np.intersect1d(channel.columns, self.standing)) for channel in self.problem.model.channels]
         return bool(np.any(self.counts[self.fast] > unknowns))
 
     @property
     def columns(self) -> range:
-        """The columns of the coefficients."""
+        """Columns of the coefficients."""
         return range(self.first, self.size)
 
     def coefficient(self, column: int) -> Coefficient:
-        """The coefficient of a column."""
+        """Coefficient of a column."""
         return self.problem.model.coefficients[column - self.first]
 
     def mechanism(self, column: int) -> Mechanism:
-        """What there is once, whatever constants it has."""
+        """Mechanism of a column: its effect at its place, whatever constants it has."""
         return self.coefficient(column).mechanism
 
     @cached_property
     def standing(self) -> IntArray:
-        """The columns of all that may not be left out, in its usual shape."""
+        """Columns of all non-optional parameters, effects in their default shape."""
         return np.array([c for c in range(self.size) if c < self.first or not self.coefficient(c).optional])
 
     @cached_property
     def always(self) -> list[Mechanism]:
-        """What is never left out."""
+        """Mechanisms that are never left out."""
         return [self.mechanism(column) for column in self.standing if column >= self.first]
 
     @cached_property
     def shapes(self) -> dict[Mechanism, list[int]]:
-        """The columns of what there is once, in the order of its constant."""
-        found: dict[Mechanism, list[int]] = {}
+        """Columns of each mechanism, in the order of its constant."""
+        columns_of: dict[Mechanism, list[int]] = {}
         for column in self.columns:
-            found.setdefault(self.mechanism(column), []).append(column)
-        for own in found.values():
-            own.sort(key=lambda column: [*vars(self.coefficient(column).effect).values()])
-        return found
+            columns_of.setdefault(self.mechanism(column), []).append(column)
+        for columns in columns_of.values():
+            columns.sort(key=lambda column: [*vars(self.coefficient(column).effect).values()])
+        return columns_of
 
     @cached_property
     def optional(self) -> list[int]:
-        """The columns of what may be left out, and is judged by these rows."""
-        always = set(self.always)
-        own = [column for column in self.columns if self.mechanism(column) not in always]
-        return [column for column in own if self.coefficient(column).effect.remembers or not self.at_rest]
+        """Columns of the optional coefficients that these rows decide on."""
+        required = set(self.always)
+        columns = [column for column in self.columns if self.mechanism(column) not in required]
+        return [column for column in columns if self.coefficient(column).effect.remembers or not self.at_rest]
 
     @property
     def has_choice(self) -> bool:
-        """Whether anything may be left out, or have another shape."""
+        """True if any coefficient may be left out or have another shape."""
         return len(self.standing) < self.size
 
     def candidates(self, columns: IntArray, refused: Collection[Mechanism]) -> IntArray:
-        """The columns that may be added to others."""
-        there = {self.mechanism(column) for column in columns if column >= self.first} | {*refused}
-        return np.array([column for column in self.optional if self.mechanism(column) not in there], dtype=np.int64)
+        """Columns that may be added to ``columns``, without the ``refused`` mechanisms."""
+        excluded = {self.mechanism(column) for column in columns if column >= self.first} | {*refused}
+        return np.array([column for column in self.optional if self.mechanism(column) not in excluded], dtype=np.int64)
 
     def positive(self, column: int) -> bool:
-        """Whether a coefficient cannot be negative."""
+        """True if a coefficient cannot be negative."""
         return self.coefficient(column).positive
 
     def allows(self, column: int, value: float) -> bool:
-        """Whether a coefficient can have this value."""
+        """True if a coefficient can have this value."""
         coefficient = self.coefficient(column)
         form = coefficient.effect.own[coefficient.index]
         return form.above < value < form.below and (value > 0.0 or not coefficient.positive)
 
     @cached_property
     def products(self) -> ChannelProducts:
-        """Of each group: all columns and the target by each other; only the share of the rows that is independent
-        counts."""
+        """Gram matrices of all columns and the target, per group, times the independent fraction of the rows."""
         return self.problem.products.first(len(self.counts)).times(self.problem.independent)
 
     @cached_property
     def known_products(self) -> FloatArray:
-        """Of the rows that are known, at the prior without effects: all columns and the residual by each other."""
+        """Gram matrix of all columns and the residual of the known rows, at the prior without effects."""
         manifold = StraightManifold(len(self.problem.usual), 0, self.problem.scales)
         prior = manifold.point(np.append(self.problem.prior[: self.first], np.zeros(len(manifold.scales))))
-        known = rows_at(manifold, prior, self.problem.known.rows, self.problem.known.targets)
-        return np.asarray(known.T @ known)
+        rows = rows_at(manifold, prior, self.problem.known.rows, self.problem.known.targets)
+        return np.asarray(rows.T @ rows)
 
     @cached_property
     def counts(self) -> FloatArray:
-        """Independent rows of each group."""
+        """Number of independent rows of each group."""
         count = len(self.problem.counts) - (0 if self.at_rest else len(self.problem.model.channels))
         return self.problem.independent * self.problem.counts[:count]
 
     @property
     def fast(self) -> slice:
-        """The groups of fast motion, in which an effect has to be visible: near rest the shape of dry friction may
-        stand for it."""
+        """Groups of fast motion, in which an effect must be visible: near rest the shape of dry friction may absorb
+        it."""
         return slice(len(self.problem.model.channels))
 
     @cached_property
     def floors(self) -> FloatArray:
-        """Least noise of each group: a channel's in slow motion is no less than in fast motion."""
+        """Noise floor of each group: the noise in slow motion is at least the least noise in fast motion."""
         floors = np.resize(self.problem.least_sigmas[self.fast], len(self.counts))
         floors[self.fast] = 0.0
         return floors
@@ -150,8 +149,8 @@ class CoefficientRows:
     def fit(
         self, columns: IntArray, start: CoefficientFit | None = None, *, spreads: FloatArray | None = None
     ) -> CoefficientFit:
-        """Fit these parameters, from an earlier fit where one is given; with ``spreads (links,)`` of the links, unless
-        these are to be found. Coefficients that would be negative and cannot be are zero."""
+        """Fit these parameters, from an earlier fit if given. ``spreads (links,)``: fixed prior std of the links;
+        estimated unless given. Coefficients that would be negative and cannot be are zero."""
         zero = np.zeros(0, dtype=np.int64) if start is None else start.zero
         fit = self._non_negative_fit(np.setdiff1d(columns, zero), start, spreads)
         fit = replace(fit, zero=np.setdiff1d(columns, fit.columns))
@@ -162,23 +161,23 @@ class CoefficientRows:
     def _non_negative_fit(
         self, columns: IntArray, start: CoefficientFit | None, spreads: FloatArray | None
     ) -> CoefficientFit:
-        """The same, without the columns whose coefficients would be negative."""
+        """Fit without the columns whose coefficients would be negative and cannot be."""
         fit = self._fit(columns, start, spreads)
         while len(negative := fit.negative):
             fit = self._fit(np.setdiff1d(fit.columns, negative), fit, spreads)
         return fit
 
     def _fit(self, columns: IntArray, start: CoefficientFit | None, given: FloatArray | None) -> CoefficientFit:
-        """The same, in which every coefficient may be negative."""
-        problem, usual = self.problem, self.problem.usual
-        manifold = StraightManifold(len(usual), 0, problem.scales[columns[columns >= self.first] - self.first])
+        """Fit in which every coefficient may be negative."""
+        problem, default = self.problem, self.problem.usual
+        manifold = StraightManifold(len(default), 0, problem.scales[columns[columns >= self.first] - self.first])
         links = manifold.inertial
         prior = manifold.point(np.append(problem.prior[links], np.zeros(len(manifold.scales))))
-        point, spreads = prior, usual
+        point, spreads = prior, default
         if start is not None:
             point, spreads = manifold.point(start.parameters[columns]), start.fit.scales
-        own = np.append(columns, self.size)
-        products = self.known_products.take(own, 0).take(own, 1)
+        selected = np.append(columns, self.size)
+        products = self.known_products.take(selected, 0).take(selected, 1)
         profile = Profile(manifold, self.products.select(columns), self.counts, prior, self.floors)
 
         def objective(spreads: FloatArray) -> ProfileObjective:
@@ -186,16 +185,16 @@ class CoefficientRows:
             return ProfileObjective(profile, weights, products)
 
         def likely(point: Point, hessian: FloatArray, _: FloatArray) -> FloatArray:
-            unsure = definite.variances(hessian, links.stop)
-            return likely_spreads(manifold.log(prior, point)[links], unsure, usual)
+            variances = definite.variances(hessian, links.stop)
+            return likely_spreads(manifold.log(prior, point)[links], variances, default)
 
-        found = fit_scales(objective, point, spreads if given is None else given, likely if given is None else None)
-        return CoefficientFit(self, columns, found)
+        result = fit_scales(objective, point, spreads if given is None else given, likely if given is None else None)
+        return CoefficientFit(self, columns, result)
 
 
 @dataclass(frozen=True, eq=False)
 class CoefficientFit:
-    """A ``fit`` of the ``columns`` of ``rows``; coefficients of other columns are held at ``zero``."""
+    """Result ``fit`` for the ``columns`` of ``rows``; the chosen coefficients ``zero`` are fixed at zero."""
 
     rows: CoefficientRows
     columns: IntArray
@@ -204,35 +203,35 @@ class CoefficientFit:
 
     @cached_property
     def parameters(self) -> FloatArray:
-        """All parameters ``(D,)``, zero where they are left out."""
-        every = np.zeros(self.rows.size)
-        every[self.columns] = self.fit.point.parameters
-        return every
+        """All parameters ``(D,)``; zero if left out."""
+        full = np.zeros(self.rows.size)
+        full[self.columns] = self.fit.point.parameters
+        return full
 
     @property
     def every(self) -> IntArray:
-        """The columns, with those that are held at zero."""
+        """Columns, including those fixed at zero."""
         return np.union1d(self.columns, self.zero)
 
     @property
     def negative(self) -> IntArray:
-        """The columns of coefficients that are negative, and cannot be."""
+        """Columns of coefficients that are negative and cannot be."""
         negative = self.fit.point.parameters < 0.0
         return np.array([c for c in self.columns[negative] if c >= self.rows.first and self.rows.positive(c)])
 
     @property
     def wanted(self) -> IntArray:
-        """The columns that are held at zero though they need not be."""
+        """Columns fixed at zero that would improve the fit."""
         return self.zero[self.gains(self.zero) > 0.0] if len(self.zero) else self.zero
 
     @cached_property
     def firm(self) -> CoefficientFit:
-        """The fit of the same parameters with links that keep the usual spread."""
+        """Fit of the same parameters in which the links keep the default prior std."""
         return self.rows.fit(self.every, spreads=self.rows.problem.usual)
 
     @cached_property
     def score(self) -> float:
-        """Minus twice the logarithm of the marginal likelihood."""
+        """Minus twice the log marginal likelihood."""
         links = self.fit.objective.manifold.inertial
         volume = definite.log_determinant(self.fit.hessian[links, links])
         spreads = self.fit.scales
@@ -241,54 +240,54 @@ class CoefficientFit:
 
     @cached_property
     def weights(self) -> FloatArray:
-        """Inverse variances of the groups."""
+        """Inverse noise variances of the groups."""
         return self.rows.counts / self.left
 
     @property
     def possible(self) -> BoolArray:
-        """Whether each of the :attr:`chosen` is in its range, and does what it stands for beside all others at its
-        place."""
-        every = self.parameters
-        there: dict[Place, dict[Effect, float]] = {}
+        """True for each of the :attr:`chosen` that is in its range, and whose effect does what it stands for given the
+        others at its place."""
+        sizes = self.parameters
+        peers: dict[Place, dict[Effect, float]] = {}
         for column in self.every[self.every >= self.rows.first].tolist():
-            own = self.rows.coefficient(column)
-            there.setdefault(own.place, {})[own.effect] = float(every[column])
+            coefficient = self.rows.coefficient(column)
+            peers.setdefault(coefficient.place, {})[coefficient.effect] = float(sizes[column])
         pairs = [(column, self.rows.coefficient(column)) for column in self.chosen.tolist()]
         return np.array(
-            [self.rows.allows(column, every[column]) and c.effect.is_borne_out(there[c.place]) for column, c in pairs],
+            [self.rows.allows(column, sizes[column]) and c.effect.is_borne_out(peers[c.place]) for column, c in pairs],
             dtype=np.bool_,
         )
 
     @cached_property
     def chosen(self) -> IntArray:
-        """The columns that are optional."""
+        """Optional columns."""
         return np.intersect1d(self.every, self.rows.optional)
 
     @cached_property
     def left(self) -> FloatArray:
-        """Sum of squares of each group."""
+        """Residual sum of squares of each group."""
         return self.fit.objective.profile.squares(self.fit.point)
 
     def leaves_less(self, smaller: CoefficientFit, share: float) -> bool:
-        """Whether it leaves less of some channel by this share, links as they were fitted or such as stay near the
-        prior."""
+        """True if it reduces the residual of a channel by this fraction, with links as fitted or links that stay near
+        the prior."""
         pairs, fast = ((self, smaller), (self.firm, smaller.firm)), self.rows.fast
         return any(bool(np.any(one.left[fast] < (1.0 - share) * other.left[fast])) for one, other in pairs)
 
     @cached_property
     def _vector(self) -> FloatArray:
-        """All parameters and minus one ``(n + 1,)``: the residual is what the columns with the target leave of it."""
+        """All parameters and minus one ``(n + 1,)``; the columns and the target times it are the residual."""
         return np.append(self.parameters, -1.0)
 
     @property
     def _slopes(self) -> FloatArray:
-        """Half the derivative of the squares of each fold that has rows by each of its coefficients ``(folds, k)``."""
+        """Half the derivative ``(folds, k)`` of each fold's squares by its coefficients, for folds with rows."""
         problem = self.rows.problem
         slopes = np.zeros((problem.summary.folds, self.rows.size + 1))
         for channel, weight, parts in zip(problem.summary.groups, self.weights, problem.summary.parts(), strict=False):
-            own = np.append(channel.columns, self.rows.size)
-            residuals = [part.factor @ self._vector[own] for part in parts]
-            slopes[:, own] += weight * np.array([r @ part.factor for r, part in zip(residuals, parts, strict=True)])
+            places = np.append(channel.columns, self.rows.size)
+            residuals = [part.factor @ self._vector[places] for part in parts]
+            slopes[:, places] += weight * np.array([r @ part.factor for r, part in zip(residuals, parts, strict=True)])
         slopes *= problem.independent
         return slopes[np.any(slopes, axis=1)][:, self.columns]
 
@@ -305,26 +304,26 @@ class CoefficientFit:
         return np.asarray(squares[columns])
 
     def gains(self, columns: IntArray) -> FloatArray:
-        """By how much each of other ``columns`` would improve twice the log likelihood, by the score test; zero for a
-        coefficient that would be negative and cannot be."""
+        """Increase of twice the log-likelihood by each of other ``columns``, by the score test; zero for a coefficient
+        that would be negative and cannot be."""
         products = self.rows.products.some(columns, self.weights)
         values = -products @ self._vector
-        gains, able = np.zeros(len(columns)), np.flatnonzero((values >= 0.0) | ~self._positive(columns))
-        if len(able):
-            shared = self.fit.objective.manifold.whiten(self.fit.point, products[able[:, None], self.columns])
-            squares = products[able, columns[able]]
-            left = squares - np.sum(shared.T * definite.solved_anyway(self.fit.hessian, shared.T), axis=0)
-            possible = left > ROUNDING * squares
-            gains[able] = np.where(possible, values[able] ** 2 / np.where(possible, left, 1.0), 0.0)
+        gains, allowed = np.zeros(len(columns)), np.flatnonzero((values >= 0.0) | ~self._positive(columns))
+        if len(allowed):
+            shared = self.fit.objective.manifold.whiten(self.fit.point, products[allowed[:, None], self.columns])
+            squares = products[allowed, columns[allowed]]
+            unexplained = squares - np.sum(shared.T * definite.solved_anyway(self.fit.hessian, shared.T), axis=0)
+            independent = unexplained > ROUNDING * squares
+            gains[allowed] = np.where(independent, values[allowed] ** 2 / np.where(independent, unexplained, 1.0), 0.0)
         return gains
 
     def _positive(self, columns: IntArray) -> BoolArray:
-        """Whether coefficients cannot be negative."""
+        """True for coefficients that cannot be negative."""
         return np.array([self.rows.positive(column) for column in columns], dtype=np.bool_)
 
     def _inflation(self, columns: IntArray, parts: FloatArray, variances: FloatArray) -> FloatArray:
-        """How much larger the variances of coefficients are than those by independent residuals, by what each fold says
-        of them, ``parts (folds, columns)``; others of a kind count as one fold more."""
+        """Factors by which the variances of coefficients exceed those for independent residuals, from what each fold
+        contributes, ``parts (folds, columns)``. The mean over an effect's places counts as one fold more."""
         count = len(parts)
         if count < 2:
             return np.ones(len(columns))

@@ -1,6 +1,6 @@
-"""What an estimate says of links, effects and weighed masses, from where a fit ended and how sure that is.
+"""Parts of an estimate: links, effects and weighed masses, from the end of a fit and its uncertainty.
 
-In all functions ``point`` is where the fit of the ``problem`` ended, and ``found`` its uncertainty.
+In all functions ``point`` is the end of the fit of the ``problem``, and ``found`` its uncertainty.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from geomid_ros.types import BoolArray, FloatArray, frozen
 def links(
     problem: Problem, point: Point, found: uncertainty.Uncertainty, outliers: BoolArray
 ) -> tuple[LinkEstimate, ...]:
-    """The links: what is known of each, beside the prior; ``outliers``: those that left it ``(links,)``."""
+    """Link estimates; ``outliers (links,)``: True for links that left their prior."""
     model, manifold, prior = problem.model, problem.manifold, problem.prior_point
     parameters = pseudo_inertia.to_parameters(point.pseudo_inertias)
     sensitivity = sensitivity_of_numbers(point)
     distances = spd.distance(prior.pseudo_inertias, point.pseudo_inertias)
     ratios = spd.relative_eigenvalues(prior.pseudo_inertias, point.pseudo_inertias)[:, 0]
-    told = []
+    estimates = []
     for index, name in enumerate(model.body_names):
         block = manifold.link(index)
         covariances = (found.covariance, found.doubted, found.prior)
         std, doubted, of_prior = (deviations_of(sensitivity[index], c[block, block]) for c in covariances)
         of_usual = problem.usual[index] * np.linalg.norm(sensitivity[index], axis=1)
         of_prior = np.minimum(of_prior, of_usual)
-        known = identified(parameters[index], doubted, of_prior)
-        told.append(
+        is_identified = identified(parameters[index], doubted, of_prior)
+        estimates.append(
             LinkEstimate(
                 name=name,
                 merged=model.robot.bodies[model.identified[index]].merged,
@@ -46,14 +46,14 @@ def links(
                 distance_from_prior=float(distances[index]),
                 from_data=found.from_data(block),
                 min_eigenvalue_ratio=float(ratios[index]),
-                cannot_tell=tuple(compress(QUANTITIES, ~known[:10])),
-                moments=tuple(compress("xyz", known[10:])),
+                cannot_tell=tuple(compress(QUANTITIES, ~is_identified[:10])),
+                moments=tuple(compress("xyz", is_identified[10:])),
                 std_doubted=frozen(doubted),
                 std_prior=frozen(of_prior),
                 outlier=bool(outliers[index]),
             )
         )
-    return tuple(told)
+    return tuple(estimates)
 
 
 def sensitivity_of_numbers(point: Point) -> FloatArray:
@@ -62,32 +62,35 @@ def sensitivity_of_numbers(point: Point) -> FloatArray:
 
 
 def deviations_of(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Standard deviations ``(n,)`` of numbers with this ``sensitivity (n, 10)`` to what has the ``covariance``."""
+    """Standard deviations ``(n,)`` of numbers, from their ``sensitivity (n, 10)`` to coordinates with this
+    ``covariance``."""
     variances = np.einsum("ij,jk,ik->i", sensitivity, covariance, sensitivity)
     return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
 
 
 def effects(problem: Problem, point: Point, found: uncertainty.Uncertainty) -> tuple[EffectEstimate, ...]:
-    """The effects, each with the standard deviation of what another motion would give, and how much the data tell."""
+    """Effect estimates; each standard deviation includes what another motion would change."""
     model, first = problem.model, problem.manifold.inertial.stop
     _, diagonal = problem.manifold.jacobian(point)
     prior, variances = found.prior_spreads[first:] ** 2, np.diag(found.covariance)[first:]
     wider = np.maximum(prior, problem.usual_errors(point) ** 2)
-    apart = 1.0 / (found.by_rows[first:] + 1.0 / wider)
-    variances = np.where(wider > prior, np.maximum(variances, apart), variances)
-    shares = np.clip(1.0 - variances / wider, 0.0, 1.0)
+    separate = 1.0 / (found.by_rows[first:] + 1.0 / wider)
+    variances = np.where(wider > prior, np.maximum(variances, separate), variances)
+    from_data = np.clip(1.0 - variances / wider, 0.0, 1.0)
     drift = np.array([c.effect.drift for c in model.coefficients]) * point.parameters[first:]
     std = np.hypot(diagonal * np.sqrt(variances), drift)
     return tuple(
         EffectEstimate(
             name=c.effect.name, joint=c.place_name, parameters=c.parameters(float(value), float(s)), from_data=share
         )
-        for c, value, s, share in zip(model.coefficients, point.parameters[first:], std, shares.tolist(), strict=True)
+        for c, value, s, share in zip(
+            model.coefficients, point.parameters[first:], std, from_data.tolist(), strict=True
+        )
     )
 
 
 def posterior(problem: Problem, point: Point, found: uncertainty.Uncertainty) -> Posterior:
-    """What is known of all parameters together."""
+    """Joint posterior of all parameters."""
     model = problem.model
     return Posterior(
         links=tuple(model.body_names),
@@ -102,7 +105,7 @@ def posterior(problem: Problem, point: Point, found: uncertainty.Uncertainty) ->
 
 
 def effect_coordinates(model: MeasurementModel) -> tuple[EffectCoordinate, ...]:
-    """A model's coefficients, as a posterior names them."""
+    """Coefficients of a model, as named in a posterior."""
     return tuple(
         EffectCoordinate(
             name=c.effect.name, place=c.place_name, parameter=c.parameter, unit=c.unit, positive=c.positive
@@ -112,11 +115,11 @@ def effect_coordinates(model: MeasurementModel) -> tuple[EffectCoordinate, ...]:
 
 
 def weighed(problem: Problem, point: Point, found: uncertainty.Uncertainty) -> tuple[WeighedEstimate, ...]:
-    """The masses that were weighed, as they came out."""
+    """Estimates of the weighed masses."""
     rows = problem.known.weighed
     normals = problem.manifold.whiten(point, rows.rows)
     stds = np.sqrt(np.einsum("ki,ij,kj->k", normals, found.covariance, normals))
-    # In units of the given standard deviation, and without what is not identified of it.
+    # In units of the given standard deviation, without the links that are not identified.
     errors = rows.rows @ point.parameters - rows.targets
     return tuple(
         WeighedEstimate(

@@ -1,11 +1,11 @@
-"""The parameters fitted anew within what a file can hold.
+"""Fits of the parameters with only the effects that a file can hold.
 
-A robot description holds some effects and lacks others: a URDF says damping and friction, no rotor inertia. To drop
-what it lacks from a sum that needs it makes the file worse than one without any effects. So each file has a minimum of
-its own, over the inertias and the effects that it holds. What it lacks is part of the noise, which is estimated anew.
-Which parts of the robot are unlike those that they should be like the estimate says. Errors of sensors stay in the fit.
-They move nothing, and a file does not have to hold them; without them a mass would stand in for an offset. Those that
-may as well be nothing go: the weights that they stand in for would be lost.
+A robot description can hold some effects but not others: a URDF has damping and friction, but no rotor inertia.
+Dropping an effect from a fit that needs it makes the file worse than one without any effects. So each file has its own
+minimum, over the inertias and the effects that it holds. The other effects are part of the noise, which is estimated
+anew. The block weights of a coupled prior are those of the estimate. Errors of sensors stay in the fit: they move
+nothing, and a file need not hold them, but without them a mass would absorb an offset. Those that are not significant
+are left out, because they would absorb weights.
 """
 
 from __future__ import annotations
@@ -28,36 +28,36 @@ def fit_files(
     choose: Callable[[IntArray, IntArray], IntArray],
     fitted: Callable[[IntArray], Fit],
 ) -> dict[str, FloatArray]:
-    """Parameters ``(D,)`` of the minimum within each of the ``files``; zero where a file holds nothing.
+    """Fit the parameters ``(D,)`` within each of the ``files``; zero for effects that a file does not hold.
 
     Args:
-        model: with all its coefficients.
-        chosen: the parameters that the estimate has, by their columns.
-        files: by who reads it, a file's elements (:meth:`~geomid_ros.model.effects.ParameterForm.said_by`).
-        untold: errors of sensors that may as well be nothing, by their columns.
-        choose: of the columns that a file can hold those that the rows ask for, from those among them that are chosen
-            on: what stands in for an effect that a file lacks is another one.
-        fitted: the fit of the parameters of some columns.
+        model: the model with all its coefficients.
+        chosen: columns of the parameters of the estimate.
+        files: elements of a file, by its reader (:meth:`~geomid_ros.model.effects.ParameterForm.said_by`).
+        untold: columns of sensor errors that are not significant.
+        choose: chooses effects among the columns that a file can hold, starting from those of the estimate among them:
+            other effects may absorb one that the file lacks.
+        fitted: fits the parameters of some columns.
     """
-    found: dict[tuple[int, ...], FloatArray] = {}
+    by_columns: dict[tuple[int, ...], FloatArray] = {}
     within = {}
     for reader, elements in files.items():
         held = np.setdiff1d(held_columns(model, np.arange(model.dimension), elements), untold)
         columns = choose(held, np.setdiff1d(held_columns(model, chosen, elements), untold))
-        if (key := tuple(columns.tolist())) not in found:  # files that differ may be asked to hold the same
+        if (key := tuple(columns.tolist())) not in by_columns:  # different files may hold the same columns
             parameters = np.zeros(model.dimension)
             parameters[columns] = fitted(columns).point.parameters
-            found[key] = frozen(parameters)
-        within[reader] = found[key]
+            by_columns[key] = frozen(parameters)
+        within[reader] = by_columns[key]
     return within
 
 
 def held_columns(model: MeasurementModel, columns: IntArray, elements: Collection[str]) -> IntArray:
-    """Those of some parameters that a file with these ``elements`` holds, and errors of sensors, by their columns; of
-    effects in their usual shape, as no file says another."""
+    """Columns among ``columns`` that a file with these ``elements`` holds, with errors of sensors; effects in their
+    default shape, because no file can hold another."""
     first = len(model.nominal_inertias)
-    own = [model.coefficients[column - first] for column in columns.tolist() if column >= first]
-    held = {model.usual_shapes[c.mechanism] for c in own if _is_held(c, elements)}
+    coefficients = [model.coefficients[column - first] for column in columns.tolist() if column >= first]
+    held = {model.usual_shapes[c.mechanism] for c in coefficients if _is_held(c, elements)}
     return np.array([*columns[columns < first].tolist(), *sorted(held)], dtype=np.int64)
 
 

@@ -200,7 +200,7 @@ class PopulationPrior(CoupledPrior):
 
     @property
     def freedom(self) -> float:
-        """Effective number of robots."""
+        """Degrees of freedom: the population's robots and :data:`SHARED`."""
         return self.population.robots + SHARED
 
     def offs(self, _: Mapping[str, float], /) -> Iterator[FloatArray]:

@@ -112,8 +112,8 @@ def common(robots: Sequence[RobotLikelihood]) -> list[RobotLikelihood]:
 
 @dataclass(frozen=True, eq=False)
 class _Contribution:
-    """Contribution of a robot in a round: ``information (D, D)`` on the mean, the vector ``pull (D,)``, which estimates
-    ``information @ mean``, and its expected ``squares (D, D)``."""
+    """Contribution of a robot in a round: ``information (D, D)`` on the mean, the right-hand side ``pull (D,)`` of
+    ``information @ mean = pull``, and its expected ``squares (D, D)``."""
 
     information: FloatArray
     pull: FloatArray
@@ -228,8 +228,8 @@ class PopulationFit:
 def linear(
     manifold: ParameterManifold, base: Point, robot: RobotLikelihood, point: Point
 ) -> tuple[FloatArray, FloatArray]:
-    """Information ``(D, D)`` of a robot's rows, linearised at ``point``, on its tangent coordinates t at ``base``; and
-    the vector ``(D,)`` that estimates ``information @ t``."""
+    """Normal equations ``information @ t = pull`` of a robot's rows, linearised at ``point``, for its tangent
+    coordinates t at ``base``: the information ``(D, D)`` and the pull ``(D,)``."""
     tangent = manifold.log(base, point)
     rows = manifold.by_blocks(robot.rows, *manifold.exp_jacobian(base, tangent))
     targets = robot.targets - robot.rows @ point.parameters + rows @ tangent
