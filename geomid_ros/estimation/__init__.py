@@ -1,1 +1,1 @@
-"""Floor 2: from rows to an estimate."""
+"""Layer 2: from rows to an estimate."""

@@ -158,12 +158,9 @@ class _LinkChanges:
         _, changes, covariance = self.solved(changed)
         increases = []
         for place, link in enumerate(changed):
-            columns, rows = slice(SIZE * place, SIZE * (place + 1)), self._jacobian[link][: len(_UNITS)]
-            std = np.sqrt(np.diag(rows @ covariance[columns, columns] @ rows.T))
+            block, rows = slice(SIZE * place, SIZE * (place + 1)), self._jacobian[link][: len(_UNITS)]
+            std = np.sqrt(np.diag(rows @ covariance[block, block] @ rows.T))
             increases.append(
-                [
-                    Quantity(*value_std_unit)
-                    for value_std_unit in zip((rows @ changes[columns]).tolist(), std.tolist(), _UNITS, strict=True)
-                ]
+                [Quantity(*entry) for entry in zip((rows @ changes[block]).tolist(), std.tolist(), _UNITS, strict=True)]
             )
         return increases

@@ -96,7 +96,7 @@ class Compared:
 
     Attributes:
         differences: all numbers, in the order of links and effects.
-        changed: links whose change explains the difference, the most likely one first.
+        changed: links whose change explains the difference, the one that explains most first.
         not_compared: links that consist of different parts in the second result.
     """
 
@@ -107,10 +107,7 @@ class Compared:
     @property
     def differing(self) -> list[Difference]:
         """Numbers that differ, the most significant first."""
-        return sorted(
-            (difference for difference in self.differences if difference.differs),
-            key=lambda difference: -difference.score,
-        )
+        return sorted((item for item in self.differences if item.differs), key=lambda item: -item.score)
 
 
 def compared(first: RobotValues, second: RobotValues, chance: float = CHANCE) -> Compared:
@@ -161,19 +158,14 @@ def _links(first: RobotValues, second: RobotValues, names: list[str]) -> Iterato
 
 
 def _quantities(link: UncertainInertia) -> list[Quantity]:
-    return [
-        Quantity(*value_std_unit)
-        for value_std_unit in zip(link.quantities.tolist(), link.std.tolist(), UNITS, strict=True)
-    ]
+    return [Quantity(*entry) for entry in zip(link.quantities.tolist(), link.std.tolist(), UNITS, strict=True)]
 
 
 def _effects(first: RobotValues, second: RobotValues) -> Iterator[Difference]:
     """Yield every parameter that either result has."""
-    first_effects, second_effects = (
-        {(e.effect, e.link or e.joint): e.parameters for e in values.effects} for values in (first, second)
-    )
-    for key in dict.fromkeys((*first_effects, *second_effects)):
-        before, after = first_effects.get(key, {}), second_effects.get(key, {})
+    firsts, seconds = ({(e.effect, e.link or e.joint): e.parameters for e in r.effects} for r in (first, second))
+    for key in dict.fromkeys((*firsts, *seconds)):
+        before, after = firsts.get(key, {}), seconds.get(key, {})
         for name in dict.fromkeys((*before, *after)):
             yield Difference(
                 place=key[1], effect=key[0], parameter=name, first=before.get(name), second=after.get(name)

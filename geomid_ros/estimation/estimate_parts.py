@@ -62,30 +62,27 @@ def sensitivity_of_numbers(point: Point) -> FloatArray:
 
 
 def deviations_of(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Standard deviations ``(n,)`` of numbers, from their ``sensitivity (n, 10)`` to coordinates with this
-    ``covariance``."""
+    """Standard deviations ``(n,)`` of numbers, by their ``sensitivity (n, 10)`` to coordinates of ``covariance``."""
     variances = np.einsum("ij,jk,ik->i", sensitivity, covariance, sensitivity)
     return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
 
 
 def effects(problem: Problem, point: Point, found: uncertainty.Uncertainty) -> tuple[EffectEstimate, ...]:
-    """Effect estimates; each standard deviation includes what another motion would change."""
+    """Effect estimates; each standard deviation includes the drift to other motions."""
     model, first = problem.model, problem.manifold.inertial.stop
     _, diagonal = problem.manifold.jacobian(point)
     prior, variances = found.prior_spreads[first:] ** 2, np.diag(found.covariance)[first:]
     wider = np.maximum(prior, problem.usual_errors(point) ** 2)
     separate = 1.0 / (found.by_rows[first:] + 1.0 / wider)
     variances = np.where(wider > prior, np.maximum(variances, separate), variances)
-    from_data = np.clip(1.0 - variances / wider, 0.0, 1.0)
+    removed = np.clip(1.0 - variances / wider, 0.0, 1.0)
     drift = np.array([c.effect.drift for c in model.coefficients]) * point.parameters[first:]
     std = np.hypot(diagonal * np.sqrt(variances), drift)
     return tuple(
         EffectEstimate(
-            name=c.effect.name, joint=c.place_name, parameters=c.parameters(float(value), float(s)), from_data=share
+            name=c.effect.name, joint=c.place_name, parameters=c.parameters(float(value), float(s)), from_data=part
         )
-        for c, value, s, share in zip(
-            model.coefficients, point.parameters[first:], std, from_data.tolist(), strict=True
-        )
+        for c, value, s, part in zip(model.coefficients, point.parameters[first:], std, removed.tolist(), strict=True)
     )
 
 
@@ -119,7 +116,7 @@ def weighed(problem: Problem, point: Point, found: uncertainty.Uncertainty) -> t
     rows = problem.known.weighed
     normals = problem.manifold.whiten(point, rows.rows)
     stds = np.sqrt(np.einsum("ki,ij,kj->k", normals, found.covariance, normals))
-    # In units of the given standard deviation, without the links that are not identified.
+    # In units of the given standard deviation, without the masses that are not identified.
     errors = rows.rows @ point.parameters - rows.targets
     return tuple(
         WeighedEstimate(

@@ -5,7 +5,7 @@ Dropping an effect from a fit that needs it makes the file worse than one withou
 minimum, over the inertias and the effects that it holds. The other effects are part of the noise, which is estimated
 anew. The block weights of a coupled prior are those of the estimate. Errors of sensors stay in the fit: they move
 nothing, and a file need not hold them, but without them a mass would absorb an offset. Those that are not significant
-are left out, because they would absorb weights.
+are left out: weights that they absorb would be lost.
 """
 
 from __future__ import annotations

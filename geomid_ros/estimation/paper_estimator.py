@@ -1,4 +1,4 @@
-"""The paper's estimator on raw rows, with no robot and no ROS: ``A Phi = b`` with a prior, nothing else."""
+"""The paper's estimator for raw rows, without robot or ROS: ``A Phi = b`` with a prior, nothing else."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import BoolArray, FloatArray, frozen
 
 PAPER = 1e-2
-"""The paper's weight of the prior, as a share of the rows'."""
+"""The paper's weight of the prior, as a fraction of the rows'."""
 OBJECTIVES = ("residual", "geodesic")
-"""What can be minimised: Remark 3, or (19)."""
+"""Valid objectives: Remark 3, or (19)."""
 _GRID = 10.0 ** -np.arange(1.0, 7.0)
 _BLOCKS = 3
 _START_TOLERANCE = 1e-4
@@ -28,14 +28,14 @@ _RADIUS = 10.0  # geodesic distance: straight steps never leave the cone
 
 @dataclass(frozen=True, eq=False)
 class RowsSolution:
-    """What :func:`solve_rows` found.
+    """Result of :func:`solve_rows`.
 
     Attributes:
         parameters: ``(links, 10)``.
-        gamma: Weight of the prior as a share of the sum of the rows' weights.
-        set_aside: Which rows, the given ones ``(N,)`` or the principal ones, have no projection from the prior and take
-            no part.
-        solution: The solve itself.
+        gamma: Weight of the prior as a fraction of the sum of the rows' weights.
+        set_aside: True for rows, the given ones ``(N,)`` or the principal ones, that are not used, because they have no
+            projection from the prior.
+        solution: The end of the solve.
     """
 
     parameters: FloatArray
@@ -59,8 +59,8 @@ def solve_rows(
 ) -> RowsSolution:
     """Minimise (19), or the objective of Remark 3, for ``rows . parameters = targets``.
 
-    Where there are more rows than parameters, (19) is minimised for their :func:`principal_rows` unless ``exact``: that
-    is nearly the same, in a fraction of the time.
+    If there are more rows than parameters, (19) is minimised for their :func:`principal_rows` unless ``exact``: nearly
+    the same result in a fraction of the time.
 
     Parameters are in pinocchio's order (m, hx, hy, hz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz) about each link frame's origin, in
     SI units.
@@ -69,19 +69,19 @@ def solve_rows(
         rows: ``(N, 10 links)``.
         targets: ``(N,)``.
         sigmas: Standard deviations of the targets, ``(N,)`` or one number for all.
-        prior: Parameters ``(links, 10)`` of bodies that can exist.
-        gamma: Weight of the prior as a share of the sum of the rows' weights; None to choose it by held-out rows, see
-            :func:`choose_gamma`.
-        solver: Of (19). ``trust_region``, which starts from the minimiser of Remark 3 where that is lower, or
+        prior: Parameters ``(links, 10)`` of physically consistent bodies.
+        gamma: Weight of the prior as a fraction of the sum of the rows' weights; None to choose it by cross-validation,
+            see :func:`choose_gamma`.
+        solver: Solver of (19). ``trust_region``, which starts from the minimiser of Remark 3 where that is lower, or
             ``cyclic``, the paper's alternation.
-        max_steps: Of the solver.
+        max_steps: Largest number of solver steps.
         tolerance: Largest geodesic distance of the result from the minimum.
         objective: ``geodesic`` for (19), ``residual`` for Remark 3.
-        exact: Whether (19) is minimised for the rows as they are, however many.
+        exact: True to minimise (19) for the given rows, however many.
 
     Raises:
-        InputError: Shapes do not fit, numbers are not finite, the prior belongs to no body, or there is no such
-            objective or solver.
+        InputError: Shapes do not fit, numbers are not finite, the prior is not physically consistent, or there is no
+            such objective or solver.
 
     >>> found = solve_rows(np.eye(1, 10), np.array([2.5]), 0.1, [[2, 0, 0, 0, 1, 0, 1, 0, 0, 1]])
     >>> 2.4 < found.parameters[0, 0] < 2.5  # a mass of 2 kg was expected, 2.5 kg measured
@@ -101,7 +101,7 @@ def solve_rows(
     start = manifold.point(prior.ravel())
     if gamma is None:
         gamma = choose_gamma(manifold, rows / sigmas[:, None], targets / sigmas, start, objective, exact=exact)
-    # The prior bounds the curvature from below: a gradient of so little of the prior's weight is so little off.
+    # The prior bounds the curvature from below, so that this gradient keeps the result within the tolerance.
     gradient = max(tolerance * gamma / (1.0 + gamma), LEAST_GRADIENT)
     minimised: GeodesicObjective | ResidualObjective
     set_aside = np.zeros(len(rows), dtype=bool)
@@ -121,12 +121,12 @@ def solve_rows(
 
 
 def principal_rows(manifold: ParameterManifold, prior: Point, augmented: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """At most D rows ``(n, D)`` and their targets ``(n,)`` with the least-squares content of ``augmented (N, D + 1)``
-    rows and targets of standard deviation 1.
+    """Compress ``augmented (N, D + 1)`` rows and targets of standard deviation 1 to at most D rows ``(n, D)`` and
+    targets ``(n,)`` with the same least-squares content.
 
     In tangent coordinates at the prior they are orthogonal: eigenvectors of the information. So they depend neither on
     the order of the rows nor on frames and units (Proposition 1), and their weights (Remark 2) have the same sum. Rows
-    too short for the rounding of the products are left out.
+    as short as the rounding of the products are left out.
     """
     products = augmented.T @ augmented
     jacobian = manifold.whiten(prior, np.eye(manifold.dimension))
@@ -145,16 +145,16 @@ def choose_gamma(
     *,
     exact: bool = False,
 ) -> float:
-    """The weight of the prior with which rows that were held out are predicted best.
+    """Choose the weight of the prior that best predicts held-out rows.
 
-    The weights of a grid are tried from strong to weak, until two in succession predict worse than the best so far: the
-    weak ones take longest. The paper's weight where there are fewer rows than parameters.
+    The weights of a grid are tried from strong to weak, until two in succession predict worse than the best so far:
+    weak ones take longest. With fewer rows than parameters the paper's weight is used.
 
     Args:
-        manifold: Where the parameters live.
+        manifold: Manifold of the parameters.
         rows, targets: ``(N, D)`` and ``(N,)``, of standard deviation 1.
-        prior: What distances are measured from.
-        objective, exact: What is minimised.
+        prior: The point that distances are measured from.
+        objective, exact: See :func:`solve_rows`.
     """
     if len(targets) < manifold.dimension:
         return PAPER
@@ -175,13 +175,13 @@ def held_out_losses(
     *,
     exact: bool = False,
 ) -> Iterator[float]:
-    """For each weight of the grid, from strong to weak: the squared error of all blocks, each at the fit to the others.
+    """Yield the squared error of all blocks, each at the fit to the others, per weight of the grid, strong to weak.
 
-    The rows, in the order of time, make three blocks: few, because blocks beside each other are alike. Their errors are
-    added, so that a block that cannot be predicted at all counts.
+    The rows, in the order of time, make three blocks: few, because adjacent blocks are alike. Their errors are added,
+    so that a block that cannot be predicted at all counts.
     """
     blocks = np.array_split(np.column_stack([rows, targets]), _BLOCKS)
-    of_what = ResidualObjective if objective == "residual" else GeodesicObjective
+    kind = ResidualObjective if objective == "residual" else GeodesicObjective
     if not exact:
         blocks = [triangular(block) for block in blocks]
     fitted = [np.concatenate([*blocks[:index], *blocks[index + 1 :]]) for index in range(_BLOCKS)]
@@ -191,17 +191,17 @@ def held_out_losses(
     for gamma in _GRID:
         loss = 0.0
         for index, (held_out, others) in enumerate(zip(blocks, fitted, strict=True)):
-            minimised = of_what(manifold, others[:, :-1], others[:, -1], np.ones(len(others)), prior, gamma)
+            minimised = kind(manifold, others[:, :-1], others[:, -1], np.ones(len(others)), prior, gamma)
             points[index] = trust_region(minimised, points[index], _START_TOLERANCE * gamma).point
             loss += float(np.sum((held_out @ np.append(points[index].parameters, -1.0)) ** 2))
         yield loss
 
 
 def best_weight(losses: Sequence[float]) -> float:
-    """The weight of the grid, whose first weights have these ``losses``, that predicts best.
+    """Weight of the grid, whose first weights have these ``losses``, that predicts best.
 
-    The minimum is that of a parabola through the best weight and its neighbours, in logarithms; the strongest weight,
-    if that is the best.
+    The minimum is that of a parabola through the best weight and its neighbours, in logarithms; the strongest weight if
+    that is the best.
     """
     totals = np.log(np.array(losses) + np.finfo(float).tiny)
     best = int(np.argmin(totals))
@@ -214,7 +214,7 @@ def best_weight(losses: Sequence[float]) -> float:
 
 
 def _from_remark_3(objective: GeodesicObjective, start: Point, tolerance: float, max_steps: int) -> Solution:
-    """The trust region from the minimiser of Remark 3, or from ``start``, the prior, where that is lower."""
+    """Solve by the trust region from the minimiser of Remark 3, or from ``start``, the prior, if that is lower."""
     direct = _minimiser_of_remark_3(objective)
     evaluation = objective.evaluate(direct)
     if evaluation.value < objective.value_at_prior:
@@ -223,7 +223,7 @@ def _from_remark_3(objective: GeodesicObjective, start: Point, tolerance: float,
 
 
 def _minimiser_of_remark_3(objective: GeodesicObjective | ResidualObjective) -> Point:
-    """Roughly, as a start, from products of the rows, which is the fastest way."""
+    """Approximate minimiser of Remark 3 as a start, from products of the rows, which is the fastest way."""
     manifold, prior = objective.manifold, objective.prior
     if isinstance(objective, GeodesicObjective):
         rows, targets, sigmas = objective.rows, objective.targets, objective.sigmas

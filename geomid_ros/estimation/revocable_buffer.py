@@ -1,4 +1,4 @@
-"""A buffer of the last instants, from which the rows of channels that turn out bad can be revoked."""
+"""Buffer of the last samples, from which rows of channels that turn out bad can be revoked."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from geomid_ros.types import FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class Instant:
-    """Rows of one instant.
+    """Rows of one sample.
 
     Attributes:
-        number: Its place in the sequence of all instants.
+        number: Its number in the sequence of all samples.
         coefficients, targets: ``(channels, D)`` and ``(channels,)``; a target is NaN where there is no row.
         elapsed: Time since the previous sample [s].
         regimes: ``(channels,)``, see :class:`RowSummary`.
-        state: ``(S,)`` of the motion.
+        state: State of the motion ``(S,)``.
     """
 
     number: int
@@ -32,13 +32,13 @@ class Instant:
 
     @property
     def rows(self) -> tuple[FloatArray, FloatArray, float, IntArray, FloatArray]:
-        """What :meth:`RowSummary.add` takes of several."""
+        """Arguments of :meth:`RowSummary.add`, which takes them for several samples."""
         return self.coefficients, self.targets, self.elapsed, self.regimes, self.state
 
 
 @dataclass(frozen=True)
-class _LeftOut:
-    """Channels whose rows are not used, from one instant on and before another."""
+class _Exclusion:
+    """Channels whose rows are not used, from sample number ``begin`` up to, but not including, ``end``."""
 
     reason: str
     channels: tuple[int, ...]
@@ -47,7 +47,7 @@ class _LeftOut:
 
 
 class RevocableBuffer:
-    """A queue of instants. Which of their rows are left out can change until they leave it."""
+    """Queue of samples. Until a sample is removed, the choice of its rows that are left out can change."""
 
     def __init__(self) -> None:
         self.rows = 0
@@ -55,73 +55,73 @@ class RevocableBuffer:
         self.rejected: Counter[str] = Counter()
         """Number of rows that are left out, by reason."""
         self._instants: deque[Instant] = deque()
-        self._left_out: tuple[_LeftOut, ...] = ()
+        self._left_out: tuple[_Exclusion, ...] = ()
 
     @property
     def first(self) -> float:
-        """The number of the first instant; infinite if there is none."""
+        """Number of the first sample; infinite if there is none."""
         return self._instants[0].number if self._instants else np.inf
 
     @property
     def instants(self) -> list[Instant]:
-        """All instants, with the targets that are used now."""
-        return [self._judged(instant)[0] for instant in self._instants]
+        """All samples, with the targets that are used now."""
+        return [self._without_excluded(instant)[0] for instant in self._instants]
 
     @property
     def idle(self) -> bool:
-        """Whether there is no instant, and nothing of those to come will be left out."""
+        """True if there is no sample, and no rows of future samples will be left out."""
         return not self._instants and not self._left_out
 
     def append(self, instant: Instant) -> None:
-        """Add the next instant."""
+        """Add the next sample."""
         self._instants.append(instant)
-        self._count(*self._judged(instant))
+        self._count(*self._without_excluded(instant))
 
     def pop(self) -> tuple[Instant, Counter[str]]:
-        """Remove the first instant, with the targets that are used now, and how many are not, by reason."""
-        instant, rejected = self._judged(self._instants.popleft())
+        """Remove and return the first sample, with the targets used now, and the number of rejected rows by reason."""
+        instant, rejected = self._without_excluded(self._instants.popleft())
         self.rows -= _rows(instant)
         self.rejected -= rejected
-        self._left_out = tuple(left for left in self._left_out if left.end > instant.number)
+        self._left_out = tuple(span for span in self._left_out if span.end > instant.number)
         return instant, rejected
 
     def leave_out(self, reason: str, channels: Sequence[int], begin: int) -> bool:
-        """Leave out the rows of ``channels`` from the instant of this number on, and those to come.
+        """Leave out the rows of ``channels`` from sample number ``begin`` on, including future ones.
 
-        False if they were left out, for this reason, before."""
-        same = [left for left in self._left_out if left.reason == reason and left.end == np.inf]
-        others = [left for left in self._left_out if left not in same]
-        begin = min([begin, *(left.begin for left in same)])
-        return self._change([*others, _LeftOut(reason, tuple(channels), begin)])
+        Returns False if they were left out before for this reason."""
+        same = [span for span in self._left_out if span.reason == reason and span.end == np.inf]
+        others = [span for span in self._left_out if span not in same]
+        begin = min([begin, *(span.begin for span in same)])
+        return self._change([*others, _Exclusion(reason, tuple(channels), begin)])
 
     def take_again(self, reason: str, begin: int) -> bool:
-        """Use what is left out for this reason, from the instant of this number on; False if there is nothing."""
-        same = [left for left in self._left_out if left.reason == reason and left.end == np.inf]
-        return self._change([replace(left, end=begin) if left in same else left for left in self._left_out])
+        """Use the rows left out for this reason again, from sample number ``begin`` on; False if there are none."""
+        same = [span for span in self._left_out if span.reason == reason and span.end == np.inf]
+        return self._change([replace(span, end=begin) if span in same else span for span in self._left_out])
 
-    def _change(self, left_out: Sequence[_LeftOut]) -> bool:
+    def _change(self, left_out: Sequence[_Exclusion]) -> bool:
         before, self._left_out = self._left_out, tuple(left_out)
         if self._left_out == before:
             return False
         self.rows, self.rejected = 0, Counter()
         for instant in self._instants:
-            self._count(*self._judged(instant))
+            self._count(*self._without_excluded(instant))
         return True
 
     def _count(self, instant: Instant, rejected: Counter[str]) -> None:
         self.rows += _rows(instant)
         self.rejected += rejected
 
-    def _judged(self, instant: Instant) -> tuple[Instant, Counter[str]]:
-        """The instant without the rows that are left out, and how many these are by reason."""
+    def _without_excluded(self, instant: Instant) -> tuple[Instant, Counter[str]]:
+        """Return the sample without the rows that are left out, and their numbers by reason."""
         rejected: Counter[str] = Counter()
         if not self._left_out:
             return instant, rejected
         targets = instant.targets.copy()
-        for left in self._left_out:
-            if left.begin <= instant.number < left.end:
-                channels = list(left.channels)
-                rejected[left.reason] += int(np.count_nonzero(np.isfinite(targets[channels])))
+        for span in self._left_out:
+            if span.begin <= instant.number < span.end:
+                channels = list(span.channels)
+                rejected[span.reason] += int(np.count_nonzero(np.isfinite(targets[channels])))
                 targets[channels] = np.nan
         return replace(instant, targets=targets), rejected
 

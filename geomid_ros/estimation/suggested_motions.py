@@ -1,7 +1,7 @@
-"""Suggested motions: which would identify what a recording does not, tried on the estimated model.
+"""Suggest motions that would identify what a recording does not, by simulation with the estimated model.
 
-What instants of a motion would say is added to what the data say of all links together. The effects' coefficients are
-taken as unknown in every motion, so that what only an effect could be is not put down to a link.
+The information of a motion's samples is added to the data's likelihood of all links together. The effects' coefficients
+are unknown in every motion, so that a link gets no information that an effect could explain.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from geomid_ros.model.samples import ACCELERATION_PER_SPEED, Samples, random_sta
 from geomid_ros.types import FloatArray
 
 _INSTANTS = 80
-_AVERAGED = 10.0  # independent measurements that an instant stands for: a second of a pose, or of a motion
+_AVERAGED = 10.0  # independent measurements that a sample stands for: a second of a pose, or of a motion
 _FASTEST = 2.0  # [rad/s, m/s]
-_OF_LIMIT = 0.5  # of the speed that a joint may have
+_OF_LIMIT = 0.5  # of the joint's speed limit
 _TILT = np.array([[1.0, 0.0, 0.0], [0.0, np.sqrt(0.5), -np.sqrt(0.5)], [0.0, np.sqrt(0.5), np.sqrt(0.5)]])
 
 POSES = "standing still in many poses"
@@ -35,31 +35,31 @@ TILTED = "fast motion of all joints with a tilted base"
 
 
 def suggested_motions(model: MeasurementModel, estimate: Estimate) -> dict[str, dict[str, list[str]]]:
-    """What would tell the quantities that an estimate's data do not tell.
+    """Find the motions that would identify the quantities that an estimate does not.
 
     Returns:
-        By link, and by motion, the quantities that this motion would tell and no simpler one before it does; under
-        an empty name those that none tells. Nothing of outliers: more motion does not tell what they stand in for.
+        By link and motion, the quantities that this motion would identify and no simpler one before it; under an empty
+        name those that none identifies. Nothing for outliers: no motion identifies what they absorb.
     """
-    left = {link.name: [] if link.outlier else list(link.cannot_tell) for link in estimate.links}
-    found: dict[str, dict[str, list[str]]] = {name: {} for name in left}
-    if not any(left.values()):
-        return found
+    remaining = {link.name: [] if link.outlier else list(link.cannot_tell) for link in estimate.links}
+    suggestions: dict[str, dict[str, list[str]]] = {name: {} for name in remaining}
+    if not any(remaining.values()):
+        return suggestions
     problem = _KnownLinks(estimate)
-    for motion, rows in _tried(model, estimate):
-        for link, told in zip(estimate.links, problem.told_with(rows), strict=True):
-            now = [quantity for quantity in left[link.name] if quantity in told]
-            if now:
-                found[link.name][motion] = now
-                left[link.name] = [quantity for quantity in left[link.name] if quantity not in now]
-    for name, quantities in left.items():
+    for motion, rows in _candidate_motions(model, estimate):
+        for link, identified_names in zip(estimate.links, problem.told_with(rows), strict=True):
+            gained = [quantity for quantity in remaining[link.name] if quantity in identified_names]
+            if gained:
+                suggestions[link.name][motion] = gained
+                remaining[link.name] = [quantity for quantity in remaining[link.name] if quantity not in gained]
+    for name, quantities in remaining.items():
         if quantities:
-            found[name][""] = quantities
-    return found
+            suggestions[name][""] = quantities
+    return suggestions
 
 
 class _KnownLinks:
-    """The information of an estimate's data on all links together, and the prior."""
+    """Information of an estimate's data on all links together, and the prior."""
 
     def __init__(self, estimate: Estimate) -> None:
         self._of_prior = [link.std_prior for link in estimate.links]
@@ -70,27 +70,27 @@ class _KnownLinks:
         self._rows = self._scaled(estimate.information.rows)
 
     def _scaled(self, rows: FloatArray) -> FloatArray:
-        """Rows by tangent coordinates in units of their prior deviations."""
+        """Rows by tangent coordinates, in units of the prior std."""
         return np.asarray(self._manifold.whiten(self._point, rows) * self._spreads)
 
     def told_with(self, rows: FloatArray) -> list[set[str]]:
-        """The quantities of each link that are told with further rows ``(N, 10 links)`` of standard deviation 1."""
+        """Identified quantities of each link with further rows ``(N, 10 links)`` of standard deviation 1."""
         both = np.concatenate([self._rows, self._scaled(rows)])
         posterior = np.linalg.inv(np.eye(both.shape[1]) + both.T @ both)
         covariance = doubted(posterior, posterior @ posterior)
         bodies = pseudo_inertia.to_parameters(self._point.pseudo_inertias)
-        told = []
+        names = []
         for index, derivative in enumerate(self._sensitivity):
             block = self._manifold.link(index)
             scaled = derivative * self._spreads[block]
             of_prior = np.minimum(self._of_prior[index], np.linalg.norm(scaled, axis=1))
-            known = identified(bodies[index], deviations_of(scaled, covariance[block, block]), of_prior)
-            told.append(set(compress(QUANTITIES, known)))
-        return told
+            is_identified = identified(bodies[index], deviations_of(scaled, covariance[block, block]), of_prior)
+            names.append(set(compress(QUANTITIES, is_identified)))
+        return names
 
 
-def _tried(model: MeasurementModel, estimate: Estimate) -> Iterator[tuple[str, FloatArray]]:
-    """Motions, the simplest first, with what their rows say of the links."""
+def _candidate_motions(model: MeasurementModel, estimate: Estimate) -> Iterator[tuple[str, FloatArray]]:
+    """Yield candidate motions, the simplest first, with their rows of the links."""
     yield POSES, _rows(model, instants(model, moving=False), estimate)
     fast = instants(model, moving=True)
     yield FAST, _rows(model, fast, estimate)
@@ -99,20 +99,20 @@ def _tried(model: MeasurementModel, estimate: Estimate) -> Iterator[tuple[str, F
 
 
 def _rows(model: MeasurementModel, samples: Samples, estimate: Estimate) -> FloatArray:
-    """Rows ``(<= 10 links, 10 links)`` of standard deviation 1 from which the effects are eliminated."""
+    """Rows ``(<= 10 links, 10 links)`` of standard deviation 1, with the effects eliminated."""
     measured = np.isfinite(estimate.sigmas)
     scaled = model.rows(samples).coefficients[:, measured] / estimate.sigmas[measured, None]
     rows = np.sqrt(_AVERAGED) * scaled.reshape(-1, model.dimension)
     first = 10 * len(estimate.links)
     effects = first + np.flatnonzero(estimate.parameters[first:])
-    whole = np.concatenate([rows[:, effects], rows[:, :first]], axis=1)
-    return triangular(np.concatenate([whole, np.zeros((whole.shape[1], whole.shape[1]))]))[
+    effects_first = np.concatenate([rows[:, effects], rows[:, :first]], axis=1)
+    return triangular(np.concatenate([effects_first, np.zeros((effects_first.shape[1], effects_first.shape[1]))]))[
         len(effects) :, len(effects) :
     ]
 
 
 def instants(model: MeasurementModel, *, moving: bool) -> Samples:
-    """Instants at random positions of all joints, with random speeds if they move."""
+    """Samples at random positions of all joints, with random speeds if ``moving``."""
     random, robot = np.random.default_rng(0), model.robot
     turns = random.normal(size=(_INSTANTS, 4))
     base = np.concatenate([np.zeros((_INSTANTS, 3)), turns / np.linalg.norm(turns, axis=1, keepdims=True)], axis=1)

@@ -1,17 +1,17 @@
-"""Tolerances of arithmetic in this room: rounding, the ends of iterations, bounds of steps. None is a rule."""
+"""Tolerances of arithmetic in this package: rounding, ends of iterations, bounds of steps. None is a decision rule."""
 
 ROUNDING = 1e-9
-"""Singular values of rows of unit size, relative to the largest, that may be rounding."""
+"""Singular values of unit-size rows, relative to the largest, that may be rounding errors."""
 ROUNDING_OF_PRODUCTS = 1e-12
-"""The same of sums of products, and of what is added up without scaling."""
+"""Rounding of sums of products, and of sums without scaling, relative to the largest."""
 LEAST_GRADIENT = 1e-14
-"""Of the sum of the weights; rounding allows no less."""
+"""Least relative gradient, as a fraction of the sum of the weights; rounding allows no less."""
 ROUNDS = 50
-"""Of a fixed point, at most."""
+"""Largest number of rounds of a fixed point."""
 SETTLED = 1e-2
 """Change of logarithms of variances and weights, and of standardised coordinates, at which a fixed point has settled:
-far less than what they are uncertain by."""
+far below their uncertainty."""
 LARGEST_STEP = 0.5
-"""In tangent coordinates, in which rows are nearly linear."""
+"""Largest step in tangent coordinates, within which rows are nearly linear."""
 LEAST_DEVIATION = 1e-4
-"""Of tangent coordinates between robots."""
+"""Least standard deviation of tangent coordinates between robots."""

@@ -1,8 +1,8 @@
-"""The states that a robot came through, and how often it came back to each.
+"""States that a robot visited, and how often it returned to each.
 
-What a model lacks depends on the state: in motions that repeat, so do its errors, and all the repeats together tell no
-more of them than one. A robot is back in a state if that is nearer than the next one that the filter leaves
-independent: the motion itself says how near that is.
+The remainder of a model depends on the state. In motions that repeat, so do the model's errors, and all repeats
+together have no more information on them than one. A robot has returned to a state if it is nearer than the next state
+that is independent after the filter: the motion itself sets that distance.
 """
 
 from __future__ import annotations
@@ -14,22 +14,22 @@ import numpy as np
 from geomid_ros.estimation.tolerances import ROUNDING
 from geomid_ros.types import FloatArray
 
-_MOST = 1024  # states that are kept: of more, one of two
-# Which of two, by chance: every second one would again and again be the same one of a motion that repeats.
+_MOST = 1024  # states that are kept; of more, one of each pair is dropped
+# Which one of a pair, at random: in a motion that repeats, every second one could be the same state again and again.
 _WHICH = np.random.default_rng(0).integers(2, size=_MOST - 1)
 _NEXT = 1.0 - 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Visits:
-    """What :class:`VisitedStates` hold.
+    """State of :class:`VisitedStates`.
 
     Attributes:
-        kept: ``(n, 3, S)``: the state, the step before, the step after.
-        every: of so many states one is kept, a power of two.
-        count: of the states that might have been kept.
-        last: those that count, at most three ``(l, S)``.
-        age: of the last one, as far as it matters [s].
+        kept: ``(n, 3, S)``: the state, the step before it, the step after it.
+        every: one of this many states is kept, a power of two.
+        count: number of states that were candidates to be kept.
+        last: the last independent states, at most three ``(l, S)``.
+        age: time since the last one [s], up to ``apart``.
     """
 
     kept: FloatArray
@@ -40,10 +40,10 @@ class Visits:
 
 
 class VisitedStates:
-    """Some of the states of a motion, about evenly, each with the steps that led to it and on from it."""
+    """Evenly spaced subset of the states of a motion, each with the steps before and after it."""
 
     def __init__(self, apart: float = 0.0) -> None:
-        """``apart``: time from one state to the next that counts [s]."""
+        """``apart``: time between independent states [s]."""
         self._apart = apart
         self._age = apart
         self._last: list[FloatArray] = []
@@ -53,17 +53,17 @@ class VisitedStates:
 
     @property
     def visits(self) -> Visits:
-        """All that they hold."""
+        """State for :meth:`restore`."""
         return Visits(self.kept, self.every, self._count, np.array(self._last), min(self._age, self._apart))
 
     def restore(self, visits: Visits) -> None:
-        """Take what others held."""
+        """Continue from the state of another object."""
         self.kept, self.every = visits.kept, visits.every
         self._count, self._last, self._age = visits.count, [*visits.last], visits.age
 
     def add(self, states: FloatArray, elapsed: FloatArray) -> None:
-        """Add ``states (N, S)``, each so long ``elapsed (N,)`` [s] after the one before."""
-        found = []
+        """Add ``states (N, S)``, each ``elapsed (N,)`` [s] after the one before."""
+        added = []
         for state, passed in zip(states, elapsed.tolist(), strict=True):
             self._age += passed
             if self._age < self._apart:
@@ -71,12 +71,12 @@ class VisitedStates:
             self._age = 0.0
             self._last = [*self._last[-2:], state]
             if len(self._last) == 3:
-                before, own, after = self._last
+                before, state_between, after = self._last
                 if self._is_kept(self._count):
-                    found.append(np.stack([own, own - before, after - own]))
+                    added.append(np.stack([state_between, state_between - before, after - state_between]))
                 self._count += 1
-        if found:
-            self._keep(np.array(found) if not len(self.kept) else np.concatenate([self.kept, found]), self.every)
+        if added:
+            self._keep(np.array(added) if not len(self.kept) else np.concatenate([self.kept, added]), self.every)
 
     def _is_kept(self, number: int) -> bool:
         every = self.every
@@ -93,38 +93,38 @@ class VisitedStates:
         self.kept, self.every = kept, every
 
     def plus(self, other: Visits) -> None:
-        """Add what others kept of another motion."""
+        """Add the visits of another motion."""
         most = max(other.every, self.every)
         pairs = ((self.kept, self.every), (other.kept, other.every))
-        both = [_one_of(own, most // each) for own, each in pairs if len(own)]
+        both = [_one_of(states, most // every) for states, every in pairs if len(states)]
         self._keep(np.concatenate(both) if both else self.kept, most)
 
     def copy(self) -> VisitedStates:
-        """A copy that later additions do not change."""
+        """Copy that later additions do not change."""
         copy = VisitedStates(self._apart)
         vars(copy).update(vars(self))
         return copy
 
     @property
     def distinct(self) -> float:
-        """The number of states that differ over that of all states, 0 to 1."""
+        """Number of distinct states as a fraction of all states, 0 to 1."""
         if len(self.kept) < 2:
             return 1.0
         states = self.kept[:, 0]
         scales = np.std(states, axis=0)
-        told = scales > ROUNDING * np.max(np.abs(states), axis=0)
-        places, before, after = np.moveaxis(self.kept[:, :, told] / scales[told], 1, 0)
-        squares = np.sum(places**2, axis=1)
-        apart = squares[:, None] + squares - 2.0 * places @ places.T
-        near = np.minimum(np.sum(before**2, axis=1), np.sum(after**2, axis=1))
-        np.fill_diagonal(apart, np.inf)
-        # What is as near as the next one, but for rounding, is the next one.
-        again = np.count_nonzero(apart < _NEXT * near[:, None], axis=1)
-        return float(np.mean(1.0 / (1.0 + self.every * again)))
+        varies = scales > ROUNDING * np.max(np.abs(states), axis=0)
+        points, before, after = np.moveaxis(self.kept[:, :, varies] / scales[varies], 1, 0)
+        squares = np.sum(points**2, axis=1)
+        squared_distances = squares[:, None] + squares - 2.0 * points @ points.T
+        squared_steps = np.minimum(np.sum(before**2, axis=1), np.sum(after**2, axis=1))
+        np.fill_diagonal(squared_distances, np.inf)
+        # A state as near as the next one, up to rounding, is the next one.
+        returns = np.count_nonzero(squared_distances < _NEXT * squared_steps[:, None], axis=1)
+        return float(np.mean(1.0 / (1.0 + self.every * returns)))
 
 
 def _one_of(kept: FloatArray, every: int) -> FloatArray:
-    """Of so many states one, as if they were the first."""
+    """Keep one of ``every`` states, chosen as if they were the first."""
     while every > 1:
         pairs = np.arange((len(kept) + 1) // 2)
         places = 2 * pairs + _WHICH[pairs % len(_WHICH)]
