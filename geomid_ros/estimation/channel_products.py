@@ -148,8 +148,8 @@ class ChannelProducts:
     def _rows(self) -> IntArray:
         """Row of each column in each channel's block ``(C, size)``; -1 if the channel does not have it."""
         rows = np.full((len(self), self.size), -1)
-        for of_channel, places in zip(rows, self.places, strict=True):
-            of_channel[places] = np.arange(len(places))
+        for block_rows, places in zip(rows, self.places, strict=True):
+            block_rows[places] = np.arange(len(places))
         return rows
 
     def weighed_by_squares(
@@ -184,8 +184,8 @@ class SelectedProducts:
     def _copied(self) -> ChannelProducts:
         new_places = np.full(self.whole.size, -1)
         new_places[self.columns], new_places[-1] = np.arange(len(self.columns)), len(self.columns)
-        pairs = [(np.flatnonzero(new_places[places_of] >= 0), places_of) for places_of in self.whole.places]
-        places = tuple(new_places[places_of[kept]] for kept, places_of in pairs)
+        pairs = [(np.flatnonzero(new_places[indices] >= 0), indices) for indices in self.whole.places]
+        places = tuple(new_places[indices[kept]] for kept, indices in pairs)
         blocks = zip(pairs, self.whole.blocks, strict=True)
         return ChannelProducts(
             len(self.columns) + 1, places, tuple(block[kept[:, None], kept] for (kept, _), block in blocks)

@@ -330,5 +330,5 @@ class CoefficientFit:
         scatter = count / (count - 1.0) * np.sum((parts - np.mean(parts, axis=0)) ** 2, axis=0) / variances
         kinds = np.array([self.rows.coefficient(column).effect.name for column in columns])
         means = {kind: float(np.mean(scatter[kinds == kind])) for kind in set(kinds.tolist())}
-        of_kind = np.array([means[kind] for kind in kinds.tolist()])
-        return np.asarray(np.maximum(((count - 1.0) * scatter + of_kind) / count, 1.0))
+        kind_means = np.array([means[kind] for kind in kinds.tolist()])
+        return np.asarray(np.maximum(((count - 1.0) * scatter + kind_means) / count, 1.0))

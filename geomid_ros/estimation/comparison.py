@@ -239,13 +239,13 @@ def _most_alike(robots: Sequence[RobotLikelihood]) -> tuple[int, ...]:
 def _membership(population: Population, robot: RobotLikelihood) -> Membership:
     """Membership of a robot in a population."""
     tangent, variance = _seen(population, robot)
-    square_of_all, _ = _distance(population, tangent, variance, np.arange(len(tangent)))
+    total_square, _ = _distance(population, tangent, variance, np.arange(len(tangent)))
     ratios = {}
     for name, block in population.blocks.items():
         square, directions = _distance(population, tangent, variance, block)
         ratios[name] = square / _limit(population, directions) if directions else 0.0
     unlike = sorted((name for name, ratio in ratios.items() if ratio > 1.0), key=lambda name: -ratios[name])
-    return Membership(member=not unlike, distance=float(np.sqrt(square_of_all)), unlike=tuple(unlike))
+    return Membership(member=not unlike, distance=float(np.sqrt(total_square)), unlike=tuple(unlike))
 
 
 def _seen(population: Population, robot: RobotLikelihood) -> tuple[FloatArray, FloatArray]:
@@ -269,9 +269,9 @@ def _seen(population: Population, robot: RobotLikelihood) -> tuple[FloatArray, F
 def _distance(population: Population, tangent: FloatArray, variance: FloatArray, block: IntArray) -> tuple[float, int]:
     """Mean square of the block's coordinates in standard deviations, over the directions that the data identify, and
     the number of these directions."""
-    of_block = np.ix_(block, block)
-    whitener = np.linalg.inv(np.linalg.cholesky(population.covariance[of_block]))
-    values, vectors = np.linalg.eigh(whitener @ variance[of_block] @ whitener.T)
+    submatrix = np.ix_(block, block)
+    whitener = np.linalg.inv(np.linalg.cholesky(population.covariance[submatrix]))
+    values, vectors = np.linalg.eigh(whitener @ variance[submatrix] @ whitener.T)
     identified = values > _IDENTIFIED
     if not np.any(identified):
         return 0.0, 0

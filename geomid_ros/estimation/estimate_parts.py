@@ -33,10 +33,10 @@ def links(
     for index, name in enumerate(model.body_names):
         block = manifold.link(index)
         covariances = (found.covariance, found.doubted, found.prior)
-        std, doubted, of_prior = (deviations_of(sensitivity[index], c[block, block]) for c in covariances)
-        of_usual = problem.usual[index] * np.linalg.norm(sensitivity[index], axis=1)
-        of_prior = np.minimum(of_prior, of_usual)
-        is_identified = identified(parameters[index], doubted, of_prior)
+        std, doubted, prior_std = (deviations_of(sensitivity[index], c[block, block]) for c in covariances)
+        default_std = problem.usual[index] * np.linalg.norm(sensitivity[index], axis=1)
+        prior_std = np.minimum(prior_std, default_std)
+        is_identified = identified(parameters[index], doubted, prior_std)
         estimates.append(
             LinkEstimate(
                 name=name,
@@ -49,7 +49,7 @@ def links(
                 cannot_tell=tuple(compress(QUANTITIES, ~is_identified[:10])),
                 moments=tuple(compress("xyz", is_identified[10:])),
                 std_doubted=frozen(doubted),
-                std_prior=frozen(of_prior),
+                std_prior=frozen(prior_std),
                 outlier=bool(outliers[index]),
             )
         )

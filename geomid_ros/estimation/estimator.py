@@ -41,7 +41,7 @@ _SPENT = (
     "step; is the URDF this robot's, in SI units, and do efforts have the signs of its joints?"
 )
 _Solved: TypeAlias = tuple[Fit, Mapping[str, float], Iterable[str]]
-_OF_WHITE_NOISE = 1.79  # independent rows per period of the filter's cutoff: twice its noise bandwidth in cutoffs
+_OF_WHITE_NOISE = 1.79  # independent rows per period of the filter's cutoff: twice its noise bandwidth over the cutoff
 
 
 @dataclass(frozen=True)

@@ -155,7 +155,7 @@ class Identifier:
         rows.coefficients[:, :, without] = 0.0
         moving = np.zeros(len(samples), dtype=bool)
         elapsed = np.zeros(len(samples))
-        of_motion = self._regimes(samples)
+        motion_regimes = self._regimes(samples)
         is_measured = usable(rows.coefficients, rows.targets)
         counts, targets = np.count_nonzero(is_measured, axis=1), np.where(is_measured, rows.targets, np.nan)
         targets -= 0.0 if carried is None else rows.coefficients @ carried
@@ -171,34 +171,34 @@ class Identifier:
                 else:
                     moving[index] = True
             moved = slice(None) if moving.all() else moving  # a slice copies nothing
-            taken, of_motion = Rows(rows.coefficients[moved], rows.targets[moved]), of_motion[moved]
-            self._take(taken.coefficients, targets[moved], elapsed[moved], of_motion, samples.states[moved])
-        return samples.stamps[moved], taken, of_motion == REGIMES - 1
+            taken, motion_regimes = Rows(rows.coefficients[moved], rows.targets[moved]), motion_regimes[moved]
+            self._take(taken.coefficients, targets[moved], elapsed[moved], motion_regimes, samples.states[moved])
+        return samples.stamps[moved], taken, motion_regimes == REGIMES - 1
 
     def _take(
         self,
         coefficients: FloatArray,
         targets: FloatArray,
         elapsed: FloatArray,
-        of_motion: IntArray,
+        motion_regimes: IntArray,
         states: FloatArray,
     ) -> None:
         """Take the rows of samples in which something moved."""
         if self._held == 0 and self._recent.idle:  # otherwise the buffer would pass them on at once
-            self._summary.add(coefficients, targets, elapsed, of_motion, states)
+            self._summary.add(coefficients, targets, elapsed, motion_regimes, states)
             self.instants += len(elapsed)
             return
-        for instant in zip(coefficients, targets, elapsed.tolist(), of_motion, states, strict=True):
+        for instant in zip(coefficients, targets, elapsed.tolist(), motion_regimes, states, strict=True):
             self._recent.append(Instant(self.instants, *instant))
             self.instants += 1
         self._settle_before(self.instants - self._held)
 
     def _regimes(self, samples: Samples) -> IntArray:
         """Regime of motion of each channel ``(N, channels)``: for efforts that of their joint, else 0."""
-        of_channels = np.zeros((len(samples), len(self.model.channels)), dtype=np.int64)
+        channel_regimes = np.zeros((len(samples), len(self.model.channels)), dtype=np.int64)
         if self.model.layout.efforts:
-            of_channels[:, self.model.layout.efforts] = regimes(samples)
-        return of_channels
+            channel_regimes[:, self.model.layout.efforts] = regimes(samples)
+        return channel_regimes
 
     def _settle_before(self, number: float) -> None:
         settled = list[Instant]()

@@ -187,9 +187,9 @@ class PopulationPrior(CoupledPrior):
         """Standard deviations of the problem's separate prior, in the population's coordinates."""
         manifold, stds = self.problem.manifold, self.problem.prior_spreads.copy()
         stds[manifold.real] *= manifold.scales
-        of_population = stds[self.columns]
-        of_population[self.population.manifold.real] /= self.population.scales
-        return of_population
+        converted = stds[self.columns]
+        converted[self.population.manifold.real] /= self.population.scales
+        return converted
 
     def root(self, weights: Mapping[str, float]) -> FloatArray:
         """Information ``(k, k)`` of the population beyond the problem's separate prior."""

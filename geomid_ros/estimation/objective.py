@@ -345,7 +345,7 @@ def _with_prior(
     positive coefficient the second derivative equals the first.
     """
     value, slope, products = rows
-    distance, gradient, bends = _prior_terms(manifold, point, prior, weights)
+    prior_value, gradient, bends = _prior_terms(manifold, point, prior, weights)
     information = manifold.whiten(point, manifold.whiten(point, products[:-1, :-1]).T)
     information += manifold.whiten_off(prior, point, manifold.whiten_off(prior, point, known[1]).T)
     slopes = manifold.whiten(point, slope[None])[0] + manifold.whiten_off(prior, point, known[0][None])[0]
@@ -355,4 +355,4 @@ def _with_prior(
     rest[: manifold.positives] -= gradient[manifold.positive]
     hessian = information.copy()
     manifold.add_blocks(hessian, bends + line_bends, rest)
-    return Evaluation(value + distance, gradient + slopes, information, hessian)
+    return Evaluation(value + prior_value, gradient + slopes, information, hessian)

@@ -151,9 +151,9 @@ class PopulationFit:
     def without(self, index: int) -> Population:
         """Population of the other robots, by one round."""
         others = [share for place, share in enumerate(self._contributions) if place != index]
-        of_mean, tangent = self._mean_of(others)
+        mean_covariance, tangent = self._mean_of(others)
         mean = self._manifold.exp(self._mean, tangent)
-        return self._population(mean, self._between(others) + of_mean, len(others))
+        return self._population(mean, self._between(others) + mean_covariance, len(others))
 
     def _population(self, mean: Point, covariance: FloatArray, robots: int) -> Population:
         first = self._robots[0]

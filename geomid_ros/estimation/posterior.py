@@ -83,8 +83,8 @@ class RobotParameters:
     def columns(self, links: Sequence[str], effects: Sequence[EffectCoordinate]) -> list[int]:
         """Columns of some of the links and effects."""
         first = 10 * len(self.links)
-        of_links = (10 * self.links.index(name) + k for name in links for k in range(10))
-        return [*of_links, *(first + self.effects.index(effect) for effect in effects)]
+        link_columns = (10 * self.links.index(name) + k for name in links for k in range(10))
+        return [*link_columns, *(first + self.effects.index(effect) for effect in effects)]
 
     def scales_of(self, effects: Sequence[EffectCoordinate]) -> FloatArray:
         """Scales of the real coefficients among some of the effects."""

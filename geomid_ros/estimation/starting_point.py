@@ -119,9 +119,9 @@ def prior_parameters(model: MeasurementModel, summary: RowSummary, given: FloatA
     sizes = channel_sizes(summary, model.dimension)
     factors, counts = summary.factors(), np.sum(summary.counts().reshape(REGIMES, -1), axis=0)
     for group in _sharing_effects(model):
-        columns_of = [model.channels[index].columns for index in group]
-        factors_of = [triangular(np.concatenate(factors[index :: len(sizes)])) for index in group]
-        columns, factor = _together(columns_of, factors_of, sizes[group])
+        channel_columns = [model.channels[index].columns for index in group]
+        channel_factors = [triangular(np.concatenate(factors[index :: len(sizes)])) for index in group]
+        columns, factor = _together(channel_columns, channel_factors, sizes[group])
         chosen = columns[columns >= first]
         count = float(np.sum(counts[group]))
         size = float(np.mean(sizes[group]))
@@ -151,9 +151,9 @@ def _together(columns: list[IntArray], factors: list[FloatArray], sizes: FloatAr
         return columns[0], factors[0]
     union = np.unique(np.concatenate(columns))
     blocks = []
-    for of_channel, factor, size in zip(columns, factors, sizes, strict=True):
+    for indices, factor, size in zip(columns, factors, sizes, strict=True):
         block = np.zeros((len(factor), len(union) + 1))
-        block[:, [*np.searchsorted(union, of_channel), -1]] = factor * (np.mean(sizes) / size)
+        block[:, [*np.searchsorted(union, indices), -1]] = factor * (np.mean(sizes) / size)
         blocks.append(block)
     return union, np.concatenate(blocks)
 
@@ -168,8 +168,8 @@ def _check_possible(given: FloatArray, model: MeasurementModel) -> None:
             raise InputError(f"the prior of link '{name}' is not physically consistent")
     for coefficient, value in zip(model.coefficients, given[first:], strict=True):
         if coefficient.positive and value <= 0.0:
-            name_of_coefficient = f"{coefficient.effect.name} of joint '{coefficient.place_name}'"
-            raise InputError(f"the prior's {name_of_coefficient} is {value:g}, expected a number greater than zero")
+            label = f"{coefficient.effect.name} of joint '{coefficient.place_name}'"
+            raise InputError(f"the prior's {label} is {value:g}, expected a number greater than zero")
 
 
 def _fitted_effects(

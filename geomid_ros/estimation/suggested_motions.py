@@ -83,8 +83,8 @@ class _KnownLinks:
         for index, derivative in enumerate(self._sensitivity):
             block = self._manifold.link(index)
             scaled = derivative * self._spreads[block]
-            of_prior = np.minimum(self._of_prior[index], np.linalg.norm(scaled, axis=1))
-            is_identified = identified(bodies[index], deviations_of(scaled, covariance[block, block]), of_prior)
+            prior_std = np.minimum(self._of_prior[index], np.linalg.norm(scaled, axis=1))
+            is_identified = identified(bodies[index], deviations_of(scaled, covariance[block, block]), prior_std)
             names.append(set(compress(QUANTITIES, is_identified)))
         return names
 

@@ -50,8 +50,8 @@ class SummaryState:
             pause: time between the last sample of these and the first of the others [s].
         """
         factors = tuple(
-            tuple(triangular(np.concatenate(pair)) for pair in zip(mine, others, strict=True))
-            for mine, others in zip(self.factors, other.factors, strict=True)
+            tuple(triangular(np.concatenate(pair)) for pair in zip(earlier, later, strict=True))
+            for earlier, later in zip(self.factors, other.factors, strict=True)
         )
         visited = VisitedStates()
         for state in (self, other):

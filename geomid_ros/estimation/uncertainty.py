@@ -154,10 +154,10 @@ def error_covariance(
         factors: Variance inflation ``(D,)``.
         pulls: Standard deviations ``(D,)`` of the prior's error, times the prior's weights, the diagonal of W.
     """
-    of_rows = np.sqrt(factors)[:, None] * (inverse @ _root(measured))
-    of_known = trust * (inverse @ _root(known))
-    of_prior = inverse * pulls
-    return of_rows @ of_rows.T + of_known @ of_known.T, of_prior @ of_prior.T
+    row_root = np.sqrt(factors)[:, None] * (inverse @ _root(measured))
+    known_root = trust * (inverse @ _root(known))
+    prior_root = inverse * pulls
+    return row_root @ row_root.T + known_root @ known_root.T, prior_root @ prior_root.T
 
 
 def doubted(covariance: FloatArray, inherited: FloatArray) -> FloatArray:
@@ -287,16 +287,16 @@ def links_information(
     """
     size, first = manifold.dimension, manifold.inertial.stop
     _, diagonal = manifold.jacobian(point)
-    of_effects = np.zeros((size - first, size + 1))
-    of_effects[:, first:size] = np.diag(1.0 / (diagonal * found.prior_spreads[first:]))
-    of_effects[:, size] = -manifold.log(point, prior)[first:] / found.prior_spreads[first:]
-    of_data = [
+    effect_rows = np.zeros((size - first, size + 1))
+    effect_rows[:, first:size] = np.diag(1.0 / (diagonal * found.prior_spreads[first:]))
+    effect_rows[:, size] = -manifold.log(point, prior)[first:] / found.prior_spreads[first:]
+    data_rows = [
         factor * np.column_stack([rows, rows @ point.parameters - targets])
         for factor, rows, targets in ((np.sqrt(found.share), *measured), (1.0, known.rows, known.targets))
     ]
-    stacked = np.concatenate([*of_data, of_effects, np.zeros((first, size + 1))])
+    stacked = np.concatenate([*data_rows, effect_rows, np.zeros((first, size + 1))])
     order = [*range(first, size), *range(first), size]
-    of_links = triangular(stacked[:, order])[size - first : size, size - first :]
-    whitened = manifold.whiten(point, np.column_stack([of_links[:, :-1], np.zeros((first, size - first))]))
-    of_links = of_links / max(1.0, float(np.max(np.abs(whitened), initial=0.0)) / FINEST)
-    return LinksInformation(frozen(of_links[:, :-1]), frozen(of_links[:, -1]))
+    link_rows = triangular(stacked[:, order])[size - first : size, size - first :]
+    whitened = manifold.whiten(point, np.column_stack([link_rows[:, :-1], np.zeros((first, size - first))]))
+    link_rows = link_rows / max(1.0, float(np.max(np.abs(whitened), initial=0.0)) / FINEST)
+    return LinksInformation(frozen(link_rows[:, :-1]), frozen(link_rows[:, -1]))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from geomid_ros.estimation.estimator import _unsure
+from geomid_ros.estimation.estimator import _least_significant
 from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.model.effects.effect import FRICTION_DRIFT
 
@@ -26,7 +26,7 @@ def found(*sizes: float, optional: bool = True) -> Any:
 @pytest.mark.parametrize(("sizes", "gone"), [((0.9, 0.5, 0.7), [11]), ((1.98, 5.0), [10]), ((2.02, 3.0), [])])
 def test_the_least_one_goes_alone(sizes: tuple[float, ...], gone: list[int]) -> None:
     """Two that share what they explain are both unsure beside each other, and one of them is not by itself."""
-    assert _unsure(*found(*sizes)).tolist() == gone
+    assert _least_significant(*found(*sizes)).tolist() == gone
 
 
 def test_friction_that_noise_hides_is_not_known_to_be_nothing() -> None:
