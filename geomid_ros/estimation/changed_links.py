@@ -112,7 +112,7 @@ def changed_links(
 @dataclass(frozen=True, eq=False)
 class _LinkChanges:
     """Least squares in tangent coordinates at the first result, for its links and the changes of some of them. The
-    prior std is 1: a change by about as much as the body is."""
+    prior std of a coordinate is 1: a change of the size of the body itself."""
 
     first: LinkEvidence
     second: LinkEvidence

@@ -144,7 +144,7 @@ def _evidence(first: RobotValues, second: RobotValues, names: list[str]) -> tupl
 
 
 def _limits(chance: float) -> tuple[float, float]:
-    """Standard deviations of a number, and gain of a link's change, that chance exceeds with this probability."""
+    """Thresholds that chance exceeds with this probability: std of a number's difference, gain of a link's change."""
     from scipy.special import chdtri, ndtri  # noqa: PLC0415 only comparisons need it
 
     return float(-ndtri(0.5 * chance)), float(chdtri(len(QUANTITIES), chance))

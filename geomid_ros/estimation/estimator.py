@@ -188,7 +188,7 @@ def _coupled_prior(settings: EstimatorSettings, problem: Problem) -> CoupledPrio
 
 
 def _at_prior(settings: EstimatorSettings, problem: Problem) -> Problem:
-    """Return the problem with the rows of its coupled prior, if any, linearised at that prior."""
+    """Return the problem with the rows of its coupled prior, if it has one, linearised at the prior."""
     coupled = _coupled_prior(settings, problem)
     return problem if coupled is None else coupled.problem_at(coupled.problem.prior_point, coupled.trusted)
 

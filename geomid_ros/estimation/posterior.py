@@ -21,8 +21,8 @@ _MOST_STEPS = 1000
 
 @dataclass(frozen=True, kw_only=True)
 class EffectCoordinate:
-    """Parameter of an effect that is one coordinate: the effect's ``name``, the name of its ``place``, the
-    ``parameter`` and its ``unit``; ``positive``: True if it lives on P(1), else on a real line."""
+    """Coordinate that is a parameter of an effect: the effect's ``name``, the name of its ``place``, the ``parameter``
+    and its ``unit``; ``positive``: True if it lives on P(1), else on a real line."""
 
     name: str
     place: str

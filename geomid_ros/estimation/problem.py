@@ -148,7 +148,7 @@ class Problem:
         return first_sigmas(self.summary, self.model.dimension)
 
     def rows(self, sigmas: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return rows with the content of all measured rows, in units of their standard deviations ``(groups,)``."""
+        """Compressed measured rows and targets, in units of their standard deviations ``(groups,)``."""
         return self.summary.compressed(sigmas, self.manifold.dimension)
 
     def squares(self, parameters: FloatArray) -> FloatArray:

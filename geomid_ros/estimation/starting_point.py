@@ -146,7 +146,7 @@ def _sharing_effects(model: MeasurementModel) -> list[list[int]]:
 
 
 def _together(columns: list[IntArray], factors: list[FloatArray], sizes: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Columns ``(k,)`` and factor ``(rows, k + 1)`` of several channels, scaled to equal weight."""
+    """Stack several channels, scaled to equal weight: columns ``(k,)`` and factor ``(rows, k + 1)``."""
     if len(factors) == 1:
         return columns[0], factors[0]
     union = np.unique(np.concatenate(columns))

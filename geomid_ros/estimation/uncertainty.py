@@ -52,7 +52,7 @@ class Uncertainty:
         inherited: The part of it that the prior's error causes.
         prior: Covariance ``(D, D)`` of the prior's error.
         share: Fraction of the measured rows' information that correlations leave, 0 to 1.
-        by_rows: Information ``(D,)`` of the rows on each coordinate, the others within their priors.
+        by_rows: Information ``(D,)`` of the rows on each coordinate, with the others free within their priors.
     """
 
     covariance: FloatArray
@@ -189,7 +189,7 @@ def _solved(information: FloatArray, weights: FloatArray, gradient: FloatArray) 
 
 
 def _prior_part(scaled: FloatArray) -> float:
-    """Prior's part of each diagonal entry of an information in units of its standard deviations: one, and what rounding
+    """Prior's part of each diagonal entry of an information matrix in units of the prior std: one, plus what rounding
     may have taken from the information."""
     return 1.0 + _ROUNDING * float(np.max(np.diag(scaled), initial=0.0))
 
@@ -230,9 +230,9 @@ def prior_spreads(rows: Fold, from_prior: FloatArray, groups: Sequence[Parameter
     """Standard deviations ``(D,)`` of the prior's errors, one per group, that maximise the marginal likelihood.
 
     The likelihood is that of ``rows`` with independent errors of standard deviation 1; the prior lies at
-    ``from_prior (D,)``. Fixed point of MacKay ("Bayesian interpolation", 1992): the squared distance of the posterior's
-    mean from the prior, over the number of directions that the data determine. If they determine none, the default
-    stays.
+    ``from_prior (D,)``. MacKay's fixed point ("Bayesian interpolation", 1992) is the squared distance of the
+    posterior's mean from the prior, over the number of directions that the data determine. If they determine none, the
+    default stays.
     """
     usual = np.array([group.usual_spread for group in groups])
     member = np.empty(len(from_prior), dtype=np.int64)
