@@ -49,8 +49,7 @@ class Difference:
         place: name of the link, joint or other place.
         effect: name of the effect; empty for a link.
         parameter: name of the parameter.
-        first, second: the two values; None if a result has no such effect. That a model lacks it means nothing for the
-            robot.
+        first, second: the two values; None if a result has no such effect, which does not mean that the robot lacks it.
         half_width: half-width of the joint interval of their difference; NaN if neither result has an uncertainty.
     """
 

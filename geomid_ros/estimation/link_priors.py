@@ -111,7 +111,7 @@ class AlikePrior(CoupledPrior):
         return held_together(self.parts, self._own(weights), len(self.columns))
 
     def offs(self, weights: Mapping[str, float], /) -> FloatArray:
-        """Deviation of each link from the mean of the alike ones, which is weighted by the block weights."""
+        """Deviation of each link from the weighted mean of the alike ones, in units of its default std."""
         return np.asarray(from_common(self.parts, self._own(weights), np.eye(len(self.columns))) / OWN_SPREAD)
 
     def _own(self, weights: Mapping[str, float]) -> FloatArray:

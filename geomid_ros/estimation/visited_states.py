@@ -40,7 +40,7 @@ class Visits:
 
 
 class VisitedStates:
-    """Evenly spaced subset of the states of a motion, each with the steps before and after it."""
+    """Roughly evenly spaced subset of the states of a motion, each with the steps before and after it."""
 
     def __init__(self, apart: float = 0.0) -> None:
         """``apart``: time between independent states [s]."""
