@@ -37,23 +37,23 @@ def alike_parts(robot: Robot, identified: Sequence[int]) -> tuple[AlikeParts, ..
     """Find groups of two or more alike links among the ``identified`` bodies of a robot."""
     model, bodies = robot.pinocchio_model, [robot.bodies[index] for index in identified]
     groups: list[list[tuple[int, FloatArray]]] = []
-    for place, body in enumerate(bodies):
+    for link, body in enumerate(bodies):
         for group in groups:
             mirror = _mirror(model, bodies[group[0][0]], body)
             if mirror is not None and not any(_is_one_limb(model, bodies[other], body) for other, _ in group):
-                group.append((place, mirror))
+                group.append((link, mirror))
                 break
         else:
-            groups.append([(place, _MIRRORS[0])])
+            groups.append([(link, _MIRRORS[0])])
     return tuple(_parts(model, bodies, group) for group in groups if len(group) > 1)
 
 
 def _parts(model: pin.Model, bodies: Sequence[Body], group: Sequence[tuple[int, FloatArray]]) -> AlikeParts:
-    members = tuple(place for place, _ in group)
+    members = tuple(link for link, _ in group)
     mirrors = np.array([np.append(mirror, 1.0) for _, mirror in group])
     _, effort, _ = _motor(model, bodies[members[0]].joint)
     return AlikeParts(
-        names=tuple(bodies[place].name for place in members),
+        names=tuple(bodies[link].name for link in members),
         members=members,
         signs=frozen(mirrors[:, symmetric.ROWS] * mirrors[:, symmetric.COLUMNS]),
         motors=effort > 0.0,

@@ -143,7 +143,7 @@ class CollisionModel:
     def without(self, pairs: IntArray) -> None:
         """Drop ``pairs``, by index."""
         remaining = np.setdiff1d(np.arange(len(self._indices)), pairs)
-        self._indices = [self._indices[place] for place in remaining.tolist()]
+        self._indices = [self._indices[index] for index in remaining.tolist()]
         self._set_pairs()
 
     def distances(self, position: FloatArray) -> FloatArray:
@@ -179,15 +179,15 @@ class CollisionModel:
 
 def _hull(vertices: FloatArray) -> coal.Convex:
     hull = ConvexHull(vertices)
-    places = np.full(len(vertices), -1)
-    places[hull.vertices] = np.arange(len(hull.vertices))
+    indices = np.full(len(vertices), -1)
+    indices[hull.vertices] = np.arange(len(hull.vertices))
     points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
     points.extend([vertices[index] for index in hull.vertices])
     centre = np.mean(vertices[hull.vertices], axis=0)
     for simplex in hull.simplices:
         a, b, c = vertices[simplex]
         outward = np.dot(np.cross(b - a, c - a), a - centre) > 0.0
-        triangles.append(coal.Triangle(*(int(places[index]) for index in (simplex if outward else simplex[::-1]))))
+        triangles.append(coal.Triangle(*(int(indices[index]) for index in (simplex if outward else simplex[::-1]))))
     return coal.Convex(points, triangles)
 
 

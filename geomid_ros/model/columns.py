@@ -88,15 +88,15 @@ class Entries:
         return self._count
 
     def __contains__(self, column: Column) -> bool:
-        return column in self._places
+        return column in self._spans
 
     def of(self, column: Column) -> tuple[slice, tuple[int, ...]]:
         """Return the slice of a column's entries, and the joints that they belong to."""
-        return self._places[column]
+        return self._spans[column]
 
     def at(self, column: Column, joint: int) -> int:
         """Return the index of a column's entry at a joint that the column reaches."""
-        entries, joints = self._places[column]
+        entries, joints = self._spans[column]
         return int(entries.start + entries.step * joints.index(joint))
 
     def values(self, motion: Motion) -> FloatArray:
@@ -135,19 +135,19 @@ class Entries:
         return single | pairs
 
     @cached_property
-    def _places(self) -> Mapping[Column, tuple[slice, tuple[int, ...]]]:
-        places, begin = dict[Column, tuple[slice, tuple[int, ...]]](), 0
+    def _spans(self) -> Mapping[Column, tuple[slice, tuple[int, ...]]]:
+        spans, begin = dict[Column, tuple[slice, tuple[int, ...]]](), 0
         for group in self._groups.values():
             reached = [column.reached(self.joints) for column in group]
             end = begin + sum(map(len, reached))
-            for place, (column, joints) in enumerate(zip(group, reached, strict=True), begin):
-                places[column] = slice(place, end, len(group)), joints
+            for start, (column, joints) in enumerate(zip(group, reached, strict=True), begin):
+                spans[column] = slice(start, end, len(group)), joints
             begin = end
-        return places
+        return spans
 
     @cached_property
     def _count(self) -> int:
-        return sum(len(joints) for _, joints in self._places.values())
+        return sum(len(joints) for _, joints in self._spans.values())
 
     @cached_property
     def _pairs(self) -> list[tuple[list[PairEffect], IntArray]]:

@@ -23,7 +23,7 @@ DIRECTIONS = 3
 _NEARLY_SINGULAR = 0.1
 """Least ratio of smallest to largest singular value of a leg's Jacobian: below it effort noise is magnified."""
 _IN_A_LINE = 0.01
-"""The same ratio for the base's motion from its feet: with feet in a line, rotation about the line is unknown."""
+"""Least such ratio for the base's motion from its feet: with feet in a line, rotation about the line is unknown."""
 
 
 @dataclass(frozen=True)

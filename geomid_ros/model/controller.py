@@ -64,5 +64,5 @@ class Controller:
         return np.asarray(self.kp * (q_c - position) + self.kd * (v_c - velocity) + feedforward)
 
     def rate(self, commands: FloatArray) -> FloatArray:
-        """Compute effort rates ``(N, joints)`` [1/s] due to the set-points, whose time derivatives are ``commands``."""
+        """Effort rates ``(N, joints)`` [N m/s, N/s] due to the set-points, whose time derivatives are ``commands``."""
         return self.efforts(commands, np.zeros_like(commands[:, 0]), np.zeros_like(commands[:, 0]))

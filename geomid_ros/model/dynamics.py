@@ -36,9 +36,9 @@ class Dynamics:
         self._whole = self._robot.with_inertias(inertias, range(len(inertias)))
         self._data = self._whole.createData()
         self._carried = [
-            (sensor, carried, carried.createData())
+            (sensor, subtree, subtree.createData())
             for sensor in model.mounted
-            for carried in [self._robot.with_inertias(inertias, self._robot.subtree(sensor.frame))]
+            for subtree in [self._robot.with_inertias(inertias, self._robot.subtree(sensor.frame))]
         ]
 
     def efforts(self, samples: Samples) -> FloatArray:
@@ -54,8 +54,8 @@ class Dynamics:
             for target, term in zip(blocks, self._effort_terms(motion), strict=True):
                 target[:, :joints] = term
         for index, state in enumerate(motion):
-            for sensor, carried, data in self._carried:
-                for target, term in zip(blocks, self._wrench_terms(carried, data, sensor.frame, *state), strict=True):
+            for sensor, subtree, data in self._carried:
+                for target, term in zip(blocks, self._wrench_terms(subtree, data, sensor.frame, *state), strict=True):
                     target[index, layout.wrenches[sensor.topic]] = term[sensor.axis_indices]
         return Sensitivity(*blocks)
 
@@ -139,13 +139,13 @@ class InverseDynamics:
         np.add.at(inertias, list(model.identified), parameters[:first].reshape(-1, 10))
         self.inertias = frozen(inertias)
         """Parameters of all bodies ``(bodies, 10)``."""
-        known = [(c, v) for c, v in zip(model.coefficients, parameters[first:].tolist(), strict=True) if v != 0.0]
-        moving = [(c.effect, c.place, value) for c, value in known if isinstance(c.effect, MotionEffect)]
+        nonzero = [(c, v) for c, v in zip(model.coefficients, parameters[first:].tolist(), strict=True) if v != 0.0]
+        motion_effects = [(c.effect, c.place, value) for c, value in nonzero if isinstance(c.effect, MotionEffect)]
         self._robot = model.robot
-        self._whole = _Motors(model.robot, inertias, moving)
+        self._whole = _Motors(model.robot, inertias, motion_effects)
         self._gears = _Motors(model.robot, model.loading, model.resisting)
         self._by_load: dict[LoadEffect, FloatArray] = {}
-        for c, value in known:
+        for c, value in nonzero:
             if isinstance(c.effect, LoadEffect):
                 strengths = self._by_load.setdefault(c.effect, np.zeros(len(model.robot.joints)))
                 strengths[joint_of(c.place)] = value

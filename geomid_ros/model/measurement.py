@@ -227,7 +227,7 @@ class MeasurementModel:
 
     @cached_property
     def usual_shapes(self) -> dict[Mechanism, int]:
-        """Index among the D parameters of each mechanism: of several instances of its effect, the first (default)."""
+        """Index among the D parameters of each mechanism; of several instances of an effect, that of the default."""
         first = 10 * len(self.identified)
         return {c.mechanism: first + k for k, c in reversed([*enumerate(self.coefficients)])}
 
@@ -247,15 +247,15 @@ class MeasurementModel:
 
     def _columns(self, channel: int, bodies: Sequence[int]) -> IntArray:
         """Return the parameters that a channel depends on: those of ``bodies`` and of the effects that reach it."""
-        columns = [10 * place + k for place, body in enumerate(self.identified) if body in bodies for k in range(10)]
+        columns = [10 * index + k for index, body in enumerate(self.identified) if body in bodies for k in range(10)]
         first = 10 * len(self.identified)
         columns += [first + k for k, reached in enumerate(self._reach) if channel in reached]
         return np.array(columns, dtype=np.int64)
 
     def _joint_channels(self) -> list[Channel]:
-        carried = {joint.name: self.robot.subtree(joint.child) for joint in self.robot.tree.joints}
+        subtrees = {joint.name: self.robot.subtree(joint.child) for joint in self.robot.tree.joints}
         return [
-            Channel(name=joint.name, unit=joint.unit, columns=self._columns(index, carried[joint.name]), joint=index)
+            Channel(name=joint.name, unit=joint.unit, columns=self._columns(index, subtrees[joint.name]), joint=index)
             for index, joint in zip(self.layout.efforts, self.robot.joints, strict=False)
         ]
 
@@ -365,8 +365,8 @@ class MeasurementModel:
         coefficients[:, :, :first] = bodies[:, :, self.identified].reshape(*targets.shape, first)
         for index in set(range(len(self.robot.bodies))).difference(self.identified):
             targets -= bodies[:, :, index] @ self.robot.bodies[index].parameters
-        entries, channels, parameters, places = self._of_motion
-        coefficients[:, channels, parameters] = samples.values_of(entries)[:, places]
+        entries, channels, parameters, entry_indices = self._of_motion
+        coefficients[:, channels, parameters] = samples.values_of(entries)[:, entry_indices]
         if self._of_loads:
             loads, signs = self._loads(samples, bodies), samples.column(SIGN)
             for load, (joints, parameters) in self._of_loads.items():
@@ -403,8 +403,8 @@ class MeasurementModel:
             if isinstance(c.effect, MotionEffect)
             for joint in self._reached(c.place)
         ]
-        channels, parameters, places = np.array(indices, dtype=np.int64).reshape(-1, 3).T
-        return entries, channels, parameters, places
+        channels, parameters, entry_indices = np.array(indices, dtype=np.int64).reshape(-1, 3).T
+        return entries, channels, parameters, entry_indices
 
     @cached_property
     def _of_resistance(self) -> tuple[Entries, FloatArray]:
@@ -445,9 +445,9 @@ class MeasurementModel:
         ``(N,)`` add to the joints of standing legs. :meth:`rows` does the same with its rows."""
         for joints, standing, onto_base in self.legs.standing(samples) if self.legs else ():
             for column in columns:
-                for place in [place for place, joint in enumerate(joints) if joint in column]:
+                for index in [index for index, joint in enumerate(joints) if joint in column]:
                     ground = np.zeros((len(samples), len(self.layout.base)))
-                    ground[standing] = np.nan_to_num(onto_base[:, :, place]) * column[joints[place]][standing, None]
+                    ground[standing] = np.nan_to_num(onto_base[:, :, index]) * column[joints[index]][standing, None]
                     for channel, of_axis in zip(self.layout.base, ground.T, strict=True):
                         column[channel] = column.get(channel, 0.0) - of_axis
 

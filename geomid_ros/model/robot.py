@@ -374,7 +374,7 @@ class Robot:
     def carries(self) -> BoolArray:
         """True where a joint, or one of its mimic joints, moves a body ``(joints, bodies)``."""
         carries = np.zeros((len(self.joints), len(self.bodies)), dtype=np.bool_)
-        moving = {joint.name: place for place, joint in enumerate(self.joints)}
+        moving = {joint.name: index for index, joint in enumerate(self.joints)}
         moving |= {follower.joint.name: follower.master for follower in self.followers}
         for joint in self.tree.joints:
             if joint.name in moving:

@@ -59,8 +59,8 @@ class Samples:
     wrenches: FloatArray
     effects: FloatArray = None  # type: ignore[assignment]  # replaced by an array without columns
     entries: Entries = NO_ENTRIES
-    standing: BoolArray = None  # type: ignore[assignment]  # the same
-    commands: FloatArray = None  # type: ignore[assignment]  # the same
+    standing: BoolArray = None  # type: ignore[assignment]  # likewise
+    commands: FloatArray = None  # type: ignore[assignment]  # likewise
 
     def __post_init__(self) -> None:
         if self.effects is None:
@@ -114,19 +114,19 @@ class Samples:
             return self.effects
         values = np.empty((len(self), len(entries)))
         for column in entries.columns:
-            places, joints = entries.of(column)
-            values[:, places] = self.column(column)[:, joints]
+            span, joints = entries.of(column)
+            values[:, span] = self.column(column)[:, joints]
         return values
 
     def column(self, column: Column) -> FloatArray:
         """Return the values ``(N, joints)`` of an effect column."""
         if column not in self.entries:
             return column.values(self.motion)
-        places, joints = self.entries.of(column)
+        span, joints = self.entries.of(column)
         if len(joints) == self.position.shape[1]:
-            return np.asarray(self.effects[:, places])
+            return np.asarray(self.effects[:, span])
         values = np.zeros(self.position.shape)
-        values[:, joints] = self.effects[:, places]
+        values[:, joints] = self.effects[:, span]
         return values
 
     def select(self, index: AnyArray | slice) -> Samples:

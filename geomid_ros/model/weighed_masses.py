@@ -87,7 +87,7 @@ def weighed_rows(model: MeasurementModel, weighed: Sequence[WeighedMass]) -> Wei
     targets = np.empty(len(weighed))
     for index, given in enumerate(weighed):
         bodies = _weighed_bodies(model.robot, given)
-        columns = [10 * place for place, body in enumerate(model.identified) if body in bodies]
+        columns = [10 * position for position, body in enumerate(model.identified) if body in bodies]
         unknown = given.mass - _known_mass(model, given, bodies)
         if not columns:
             raise InputError(f"the mass of {given.name} is given, but none of that is identified")
