@@ -185,7 +185,7 @@ class ShapedUrdf:
         self.inertials = {name: _inertial(link, source) for name, link in self.links.items()}
 
     def check_staying(self, shaped: Collection[str]) -> None:
-        """Refuse a negative mass that no shape replaces (InputError)."""
+        """Refuse an unreadable inertial or a negative mass that no shape replaces (InputError)."""
         for name in self.inertials.keys() - set(shaped):
             parameters = urdf_tree.inertial_parameters(self.links[name], self.source)
             if parameters is not None and parameters[0] < 0.0:
