@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from geomid_ros.exports.weighed_payload import Payload
     from geomid_ros.model.effects import Effect, JointEffect, JointMotion, ParameterForm, register
 
-# The matrices are small: threads of the linear algebra library would only wait for each other, and keep every core of
-# a busy machine from other work. numpy reads this once, when it is loaded.
+# Matrices are small, so threads of the linear algebra library would only wait for each other and block the cores of a
+# busy machine. numpy reads this once, on import.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 __version__ = "0.1.0"

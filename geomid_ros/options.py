@@ -1,5 +1,5 @@
-"""Options that are declared once: the fields of a frozen dataclass are the keywords of a function and the options of a
-command, and its docstring is the help of both."""
+"""Options declared once: the fields of a frozen dataclass are a function's keywords and a command's options, and its
+docstring is the help of both."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 Progress: TypeAlias = Callable[[str, float], None]
-"""Called with what is being done and the share of it, 0 to 1, that is done."""
+"""Callback for progress: called with the current stage and its completed fraction, 0 to 1."""
 _ATTRIBUTE = re.compile(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
 
 
@@ -27,33 +27,33 @@ def silent(stage: str, share: float) -> None:
 
 
 def option(default: Any = None, **declared: Any) -> Any:
-    """A field that has more than a type and a ``default``.
+    """Declare a field with more than a type and a ``default``.
 
     Args:
-        default: value where nothing is given.
-        declared: ``choices`` of a text; ``min`` and ``max`` of a number, with ``min_open`` or ``max_open`` if it is
-            none of them; ``sets``, the parameter that it is; and on the command line ``flag``, if it has another name
-            there, ``metavar``, and ``or_none``, if a list may be empty.
+        default: default value.
+        declared: ``choices`` of a text; ``min`` and ``max`` of a number, with ``min_open`` or ``max_open`` if that end
+            is excluded; ``sets``: the node's parameter that it sets. For the command line: ``flag``, if it has another
+            name there; ``metavar``; ``or_none``, if a list may be empty.
     """
     return field(default=default, metadata=declared)
 
 
 @dataclass(frozen=True)
 class Options:
-    """Options that are checked when they are made. Raises InputError for a number that is out of its range, and for a
-    text that is none of its choices; it names the option."""
+    """Options that are checked on construction. Raises InputError, with the option's name, for a number out of its
+    range or a text that is not one of its choices."""
 
     def __post_init__(self) -> None:
-        for each in fields(self):
-            value = getattr(self, each.name)
-            if value is not None and "choices" in each.metadata and value not in each.metadata["choices"]:
-                raise unknown_name(each.name, value, each.metadata["choices"])
-            if value is not None and "min" in each.metadata:
-                _check_range(each.name, value, each.metadata)
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if value is not None and "choices" in entry.metadata and value not in entry.metadata["choices"]:
+                raise unknown_name(entry.name, value, entry.metadata["choices"])
+            if value is not None and "min" in entry.metadata:
+                _check_range(entry.name, value, entry.metadata)
 
 
 def _check_range(name: str, value: float, declared: Mapping[str, Any]) -> None:
-    """Raises InputError for a number that is out of its range."""
+    """Refuse a number out of its range (InputError)."""
     low, high = declared["min"], declared.get("max", math.inf)
     at_an_end = (value == low and declared.get("min_open")) or (value == high and declared.get("max_open"))
     if not low <= value <= high or at_an_end or math.isinf(value):
@@ -63,21 +63,21 @@ def _check_range(name: str, value: float, declared: Mapping[str, Any]) -> None:
 
 
 def shared(options: Options, kind: type[Options]) -> dict[str, Any]:
-    """Those of the options that another class has, too, as keywords."""
-    return {each.name: getattr(options, each.name) for each in fields(kind)}
+    """Return the options that ``kind`` has too, as keywords."""
+    return {entry.name: getattr(options, entry.name) for entry in fields(kind)}
 
 
 def explained(kind: type) -> dict[str, str]:
-    """The attributes of a class, as its docstring and those of its bases explain them."""
+    """Return the help of a class's attributes, from its docstring and those of its bases."""
     texts: dict[str, str] = {}
-    for each in reversed(kind.__mro__):
-        attributes = (inspect.getdoc(each) or "").partition("Attributes:\n")[2].partition("\n\n")[0]
+    for base in reversed(kind.__mro__):
+        attributes = (inspect.getdoc(base) or "").partition("Attributes:\n")[2].partition("\n\n")[0]
         texts |= {name: " ".join(text.split()) for name, text in _ATTRIBUTE.findall(attributes)}
     return texts
 
 
 def takes(kind: Callable[P, T]) -> Callable[[Callable[[T], R]], Callable[P, R]]:
-    """Decorator of a function of one object: it is called with what makes the object, and its help explains that."""
+    """Decorate a function of one ``kind`` object: it takes the constructor's arguments, and its help explains them."""
 
     def decorated(function: Callable[[T], R]) -> Callable[P, R]:
         @wraps(function)

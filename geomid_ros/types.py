@@ -1,4 +1,4 @@
-"""Array types shared by every floor, and the one way to freeze an array."""
+"""Array types shared by all layers, and a function to freeze arrays."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ AnyArray: TypeAlias = NDArray[Any]
 
 
 def frozen(values: ArrayLike) -> FloatArray:
-    """A read-only float64 copy of ``values``; arrays kept in frozen objects are made with it."""
+    """Return a read-only float64 copy of ``values``, for arrays in frozen objects."""
     array = np.array(values, dtype=np.float64, order="C")
     array.setflags(write=False)
     return array

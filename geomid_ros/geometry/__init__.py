@@ -1,1 +1,1 @@
-"""Floor 0: the geometry of physically possible inertias. Imports numpy only."""
+"""Layer 0: geometry of physically consistent inertias. Imports numpy only."""

@@ -1,4 +1,4 @@
-"""The compiled inner loops of the fits. Where the package was built without a compiler, numpy computes the same."""
+"""Compiled inner loops of the fits. If the package was built without a compiler, numpy computes the same."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Symmetric positive definite matrices: by Cholesky's decomposition, in half of the time of general methods.
+"""Symmetric positive definite matrices by Cholesky decomposition, in half of the time of general methods.
 
-The compiled one leaves out what is zero, and stays zero: limbs know nothing of each other.
+The compiled version skips entries that are zero and stay zero, such as those between limbs.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from geomid_ros.types import FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class Packed:
-    """A symmetric matrix ``(size, size)`` in little memory: the ``values`` of its lower triangle that are not zero, and
-    their ``places``."""
+    """Sparse storage of a symmetric matrix ``(size, size)``: the nonzero ``values`` of its lower triangle, and their
+    flat indices ``places``."""
 
     size: int
     places: IntArray
@@ -25,21 +25,21 @@ class Packed:
 
     @staticmethod
     def of(matrix: FloatArray) -> Packed:
-        """Of a whole matrix."""
+        """Pack a full matrix."""
         lower = np.tril(matrix).ravel()
         places = np.flatnonzero(lower)
         return Packed(len(matrix), places, lower[places])
 
     @property
     def whole(self) -> FloatArray:
-        """The whole matrix."""
-        found = np.zeros((self.size, self.size))
-        found.flat[self.places] = self.values
-        return found + np.tril(found, -1).T
+        """Full matrix ``(size, size)``."""
+        lower = np.zeros((self.size, self.size))
+        lower.flat[self.places] = self.values
+        return lower + np.tril(lower, -1).T
 
 
 def solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """The x with ``matrix (n, n) x = right (n, ...)``. Raises LinAlgError for one that is not positive definite."""
+    """Solve ``matrix (n, n) x = right (n, ...)``. Raises LinAlgError if the matrix is not positive definite."""
     if right.ndim == 1:
         return damped_step(matrix, -right, 0.0)[0]
     root = _factored(matrix, len(matrix))
@@ -47,8 +47,8 @@ def solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def damped_step(matrix: FloatArray, gradient: FloatArray, damping: float) -> tuple[FloatArray, float]:
-    """The x of ``(matrix + damping 1) x = -gradient (n,)``, and ``x (matrix + damping 1)^-1 x``. Raises LinAlgError
-    where that matrix is not positive definite."""
+    """Solve ``(matrix + damping 1) x = -gradient (n,)``; return x and ``x (matrix + damping 1)^-1 x``. Raises
+    LinAlgError if that matrix is not positive definite."""
     if compiled.native is not None:
         x = np.empty(len(matrix))
         bend = compiled.native.damped(np.ascontiguousarray(matrix), np.ascontiguousarray(gradient), damping, x)
@@ -61,8 +61,8 @@ def damped_step(matrix: FloatArray, gradient: FloatArray, damping: float) -> tup
 
 
 def solved_anyway(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """The x with ``matrix (n, n) x = right (n,)``; the shortest of those that come nearest where rounding leaves the
-    matrix not quite positive definite."""
+    """Solve ``matrix (n, n) x = right (n,)``; by least squares with the least norm if rounding leaves the matrix not
+    quite positive definite."""
     try:
         return solved(matrix, right)
     except LinAlgError:
@@ -70,13 +70,13 @@ def solved_anyway(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def whitener(matrix: FloatArray) -> FloatArray:
-    """A triangular T ``(n, n)`` with ``T matrix T' = 1``, so that ``T'T`` is the inverse; where rounding leaves the
-    matrix not quite positive definite, that of the nearest one which is."""
+    """Return a triangular T ``(n, n)`` with ``T matrix T' = 1``, so ``T'T`` is the inverse. If rounding leaves the
+    matrix not quite positive definite, use the nearest one that is."""
     return np.asarray(roots(matrix, len(matrix)).T)
 
 
 def roots(matrix: FloatArray, count: int) -> FloatArray:
-    """R ``(count, n)`` of which ``R R'`` is the first block of the inverse of ``matrix (n, n)``, or of the nearest one
+    """Return R ``(count, n)`` with ``R R'`` the first block of the inverse of ``matrix (n, n)``, or of the nearest one
     that is positive definite."""
     try:
         return _factored(matrix, count)
@@ -88,33 +88,33 @@ def roots(matrix: FloatArray, count: int) -> FloatArray:
 
 
 def _factored(matrix: FloatArray, count: int) -> FloatArray:
-    """The same. Raises LinAlgError for a matrix that is not positive definite."""
+    """Compute :func:`roots`. Raises LinAlgError if the matrix is not positive definite."""
     if compiled.native is None:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(matrix))[:, :count].T)
-    found = np.empty((count, len(matrix)))
-    if not compiled.native.roots(np.array(matrix, dtype=np.float64, order="C"), found)[0]:
+    root = np.empty((count, len(matrix)))
+    if not compiled.native.roots(np.array(matrix, dtype=np.float64, order="C"), root)[0]:
         raise LinAlgError("not positive definite")
-    return found
+    return root
 
 
 def log_determinant(matrix: FloatArray) -> float:
-    """The logarithm of the determinant of ``matrix (n, n)``; of its size where rounding leaves it not quite positive
-    definite."""
+    """Return the logarithm of the determinant of ``matrix (n, n)``; of its absolute value if rounding leaves the matrix
+    not quite positive definite."""
     if compiled.native is not None:
-        definite, found = compiled.native.roots(matrix.copy(), np.empty((0, len(matrix))))
+        definite, logarithm = compiled.native.roots(matrix.copy(), np.empty((0, len(matrix))))
         if definite:
-            return float(found)
+            return float(logarithm)
     return float(np.linalg.slogdet(matrix)[1])
 
 
 def variances(matrix: FloatArray, count: int) -> FloatArray:
-    """The first elements of the diagonal of the inverse of ``matrix (n, n)``, ``(count,)``."""
+    """Return the first ``count`` diagonal elements of the inverse of ``matrix (n, n)``."""
     root = roots(matrix, count)
     return np.asarray(np.einsum("ij,ij->i", root, root))
 
 
 def inverse(matrix: FloatArray) -> FloatArray:
-    """The inverse of ``matrix (n, n)``; by a general method where rounding leaves it not quite positive definite."""
+    """Invert ``matrix (n, n)``; by a general method if rounding leaves it not quite positive definite."""
     try:
         root = _factored(matrix, len(matrix))
     except LinAlgError:

@@ -1,11 +1,11 @@
-"""The product manifold on which a robot's parameters live.
+"""Product manifold of a robot's parameters.
 
-A point has three kinds of block: ``links`` pseudo-inertias in P(4), ``positives`` positive coefficients with the
-metric ``dc^2/c^2`` (that is P(1)), and real lines with a stated scale s and the metric ``dr^2/s^2``. Two vectors
+A point has three kinds of blocks: ``links`` pseudo-inertias in P(4), ``positives`` positive coefficients with the
+metric ``dc^2/c^2`` (that is P(1)), and real lines with a given scale s and the metric ``dr^2/s^2``. Two vectors
 describe it:
 
 - *parameters* ``(D,)``: ten per link in pinocchio's order, then the positives, then the reals. Measurements are
-  linear in it: a row is ``a . parameters = b``.
+  linear in them: a row is ``a . parameters = b``.
 - *tangent coordinates* at a base point ``(D,)``: orthonormal for the metric there. A link's ten are the coordinates
   (``symmetric``) of ``P^-1/2 V P^-1/2``, a positive's is ``dc/c``, a real's is ``dr/s``.
 
@@ -23,8 +23,8 @@ from geomid_ros.geometry import compiled, pseudo_inertia, spd, symmetric
 from geomid_ros.types import FloatArray, IntArray, frozen
 
 _UNITS = symmetric.to_matrix(np.eye(symmetric.SIZE))
-_STRAIGHT = 0.5  # a number or an eigenvalue that shrinks by less does so along the straight line
-_SMALLEST_FACTOR = 0.05  # by which one straight step shrinks a positive number or an inertia at most
+_STRAIGHT = 0.5  # a number or an eigenvalue that shrinks by less moves along the straight line
+_SMALLEST_FACTOR = 0.05  # smallest factor by which one straight step scales a positive number or an inertia
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,23 +63,23 @@ class Point:
 
     @cached_property
     def links_jacobian(self) -> FloatArray:
-        """Derivative of each link's parameters by its tangent coordinates, ``(links, 10, 10)``."""
+        """Derivatives of each link's parameters by its tangent coordinates, ``(links, 10, 10)``."""
         return frozen(pseudo_inertia.COEFFICIENTS_TO_COORDINATES @ symmetric.congruence(self.root))
 
     @cached_property
     def to_tangent(self) -> FloatArray:
-        """The coordinates of symmetric matrices to tangent coordinates here, ``(links, 10, 10)``."""
+        """Matrices from the coordinates of symmetric matrices to tangent coordinates here, ``(links, 10, 10)``."""
         return frozen(symmetric.congruence(self.inverse_root))
 
     @cached_property
     def parameters(self) -> FloatArray:
-        """The linear parameters ``(D,)``."""
+        """Linear parameters ``(D,)``."""
         inertial = pseudo_inertia.to_parameters(self.pseudo_inertias).ravel()
         return frozen(np.concatenate([inertial, self.positives, self.reals]))
 
 
 def _lengthened(steps: FloatArray) -> FloatArray:
-    """``1 + step`` where that is well above zero."""
+    """Return ``1 + step`` where that is well above zero, and a smaller positive factor elsewhere."""
     bent = np.maximum(0.5 * np.exp(2.0 * np.minimum(steps + _STRAIGHT, 0.0)), _SMALLEST_FACTOR)
     return np.where(steps > -_STRAIGHT, 1.0 + steps, bent)
 
@@ -97,41 +97,41 @@ class ParameterManifold:
 
     @property
     def dimension(self) -> int:
-        """D, the number of parameters and of tangent coordinates."""
+        """Number D of parameters and of tangent coordinates."""
         return symmetric.SIZE * self.links + self.positives + len(self.scales)
 
     @property
     def inertial(self) -> slice:
-        """The links' entries in a vector of D."""
+        """Entries of the links in a vector ``(D,)``."""
         return slice(0, symmetric.SIZE * self.links)
 
     @property
     def positive(self) -> slice:
-        """The positive coefficients in a vector of D."""
+        """Entries of the positive coefficients in a vector ``(D,)``."""
         return slice(self.inertial.stop, self.inertial.stop + self.positives)
 
     @property
     def real(self) -> slice:
-        """The real coefficients in a vector of D."""
+        """Entries of the real coefficients in a vector ``(D,)``."""
         return slice(self.positive.stop, self.dimension)
 
     def link(self, index: int) -> slice:
-        """The entries of one link in a vector of D."""
+        """Return the entries of one link in a vector ``(D,)``."""
         return slice(symmetric.SIZE * index, symmetric.SIZE * (index + 1))
 
     @cached_property
     def links_blocks(self) -> tuple[IntArray, IntArray]:
-        """The index of the links' blocks ``(links, 10, 10)`` on the diagonal of a matrix ``(D, D)``."""
-        places = np.arange(self.inertial.stop).reshape(self.links, symmetric.SIZE)
-        return places[:, :, None], places[:, None, :]
+        """Index of the links' blocks ``(links, 10, 10)`` on the diagonal of a matrix ``(D, D)``."""
+        entries = np.arange(self.inertial.stop).reshape(self.links, symmetric.SIZE)
+        return entries[:, :, None], entries[:, None, :]
 
     def point(self, parameters: FloatArray) -> Point:
-        """The point with these linear parameters ``(D,)``, which must belong to bodies that can exist (unchecked)."""
+        """Return the point with linear parameters ``(D,)``, which must be physically consistent (unchecked)."""
         inertial = parameters[self.inertial].reshape(self.links, symmetric.SIZE)
         return Point(pseudo_inertia.from_parameters(inertial), parameters[self.positive], parameters[self.real])
 
     def exp(self, base: Point, tangent: FloatArray) -> Point:
-        """The end of the geodesic (7) leaving ``base`` with tangent coordinates ``(D,)``."""
+        """Return the end of the geodesic (7) that leaves ``base`` with tangent coordinates ``(D,)``."""
         matrices = symmetric.to_matrix(tangent[self.inertial].reshape(self.links, symmetric.SIZE))
         return Point(
             spd.congruence(base.root, spd.sym_exp(matrices)),
@@ -140,20 +140,20 @@ class ParameterManifold:
         )
 
     def exp_jacobian(self, base: Point, tangent: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Derivative of the parameters of ``exp(base, tangent)`` by the tangent coordinates at ``base``, by blocks as
-        of :meth:`jacobian`."""
+        """Return the derivative of the parameters of ``exp(base, tangent)`` by the tangent coordinates at ``base``, in
+        the blocks of :meth:`jacobian`."""
         matrices = symmetric.to_matrix(tangent[self.inertial].reshape(self.links, symmetric.SIZE))
         values, vectors = np.linalg.eigh(matrices)
-        turned = spd.congruence(np.swapaxes(vectors, -1, -2)[:, None], _UNITS)
-        changes = spd.congruence(vectors[:, None], spd.exp_differences(values)[:, None] * turned)
+        rotated = spd.congruence(np.swapaxes(vectors, -1, -2)[:, None], _UNITS)
+        changes = spd.congruence(vectors[:, None], spd.exp_differences(values)[:, None] * rotated)
         blocks = pseudo_inertia.to_parameters(spd.congruence(base.root[:, None], changes))
         return np.swapaxes(blocks, -1, -2), np.append(base.positives * np.exp(tangent[self.positive]), self.scales)
 
     def straight(self, base: Point, tangent: FloatArray) -> Point:
-        """The end of a straight line of the parameters that leaves ``base`` with tangent coordinates ``(D,)``.
+        """Return the end of a straight line of parameters that leaves ``base`` with tangent coordinates ``(D,)``.
 
-        Precise data confine the parameters to a thin slab of straight hyperplanes, which a geodesic leaves after a
-        short way. Where the line would leave the cone, the eigenvalue approaches zero instead.
+        Precise data confine the parameters to a thin slab between hyperplanes, which a geodesic soon leaves. Where the
+        line would leave the cone, the eigenvalue approaches zero instead.
         """
         return Point(
             self._straight_links(base, tangent[self.inertial].reshape(self.links, symmetric.SIZE)),
@@ -162,25 +162,25 @@ class ParameterManifold:
         )
 
     def _straight_links(self, base: Point, steps: FloatArray) -> FloatArray:
-        """Pseudo-inertias ``(links, 4, 4)`` at the ends of straight lines with tangent coordinates ``(links, 10)``."""
+        """Return pseudo-inertias ``(links, 4, 4)`` at the ends of straight lines with the tangents ``(links, 10)``."""
         if compiled.native is not None:
             ends = np.empty(base.pseudo_inertias.shape)
             compiled.native.straight_lines(base.pseudo_inertias, steps, ends)
             return ends
         matrices = symmetric.to_matrix(steps)
         whitened = np.eye(4) + matrices
-        long = np.flatnonzero(np.sum(steps**2, axis=1) > _STRAIGHT**2)  # of others no eigenvalue can be below
+        long = np.flatnonzero(np.sum(steps**2, axis=1) > _STRAIGHT**2)  # all other eigenvalues are above -_STRAIGHT
         if len(long):
             values, vectors = np.linalg.eigh(matrices[long])
             whitened[long] = spd.composed(_lengthened(values), vectors)
         return spd.congruence(base.root, whitened)
 
     def log(self, base: Point, point: Point) -> FloatArray:
-        """Tangent coordinates ``(D,)`` at ``base`` of the geodesic to ``point`` (8)."""
+        """Return tangent coordinates ``(D,)`` at ``base`` of the geodesic to ``point`` (8)."""
         return self._log(base, point, *self._logarithm(base, point))
 
     def _logarithm(self, base: Point, point: Point) -> tuple[FloatArray, FloatArray]:
-        """Eigenvalues ``(links, 4)`` and eigenvectors of the links' logarithms."""
+        """Return eigenvalues ``(links, 4)`` and eigenvectors of the links' logarithms."""
         values, vectors = np.linalg.eigh(spd.congruence(base.inverse_root, point.pseudo_inertias))
         return np.log(values), vectors
 
@@ -190,42 +190,42 @@ class ParameterManifold:
         return np.concatenate([symmetric.to_vector(whitened).ravel(), positive, real])
 
     def distance(self, a: Point, b: Point) -> float:
-        """Geodesic distance: the root of the sum of the blocks' squared distances (9)."""
+        """Compute the geodesic distance: the root of the sum of the blocks' squared distances (9)."""
         return float(np.linalg.norm(self.log(a, b)))
 
     def log_and_hessian(self, base: Point, point: Point) -> tuple[FloatArray, FloatArray]:
-        """:meth:`log`, and the links' blocks ``(links, 10, 10)`` of the Hessian of ``d(base, point)^2/2`` by the
-        tangent coordinates at ``base``; the rest of that is the identity."""
+        """Return :meth:`log`, and the links' blocks ``(links, 10, 10)`` of the Hessian of ``d(base, point)^2/2`` by the
+        tangent coordinates at ``base``; its other entries are those of the identity."""
         logarithm = self._logarithm(base, point)
         return self._log(base, point, *logarithm), spd.half_squared_distance_hessian(*logarithm)
 
     def add_blocks(self, matrix: FloatArray, blocks: FloatArray, diagonal: FloatArray) -> None:
-        """Add the links' blocks ``(links, 10, 10)`` and the ``diagonal (positives + reals,)`` of the rest to a matrix
-        ``(D, D)``."""
+        """Add the links' ``blocks (links, 10, 10)``, and the ``diagonal (positives + reals,)`` for the coefficients, to
+        a ``matrix (D, D)``."""
         matrix[self.links_blocks] += blocks
         rest = np.arange(self.inertial.stop, self.dimension)
         matrix[rest, rest] += diagonal
 
     def jacobian(self, base: Point) -> tuple[FloatArray, FloatArray]:
-        """Derivative of the parameters by the tangent coordinates at ``base``, by blocks.
+        """Return the derivative J of the parameters by the tangent coordinates at ``base``, in blocks.
 
         A row ``a`` has the coordinates ``a J``: those of ``X-bar = P^1/2 X P^1/2`` of Proposition 2.
 
         Returns:
-            The links' blocks ``(links, 10, 10)`` and the diagonal of the rest ``(positives + reals,)``.
+            Blocks of the links ``(links, 10, 10)``, and the diagonal for the coefficients ``(positives + reals,)``.
         """
         return base.links_jacobian, np.concatenate([base.positives, self.scales])
 
     def whiten(self, base: Point, rows: FloatArray) -> FloatArray:
-        """Coordinates ``(N, D)`` of rows ``(N, D)`` at ``base``; their norm is the rows' dual norm there."""
+        """Return coordinates ``(N, D)`` of rows ``(N, D)`` at ``base``; their norm is the rows' dual norm there."""
         return self.by_blocks(rows, *self.jacobian(base))
 
     def off(self, base: Point, point: Point) -> FloatArray:
-        """How far ``point`` is off ``base``, ``(D,)``: the links' tangent coordinates along the straight line, and the
-        differences of the rest.
+        """Return the offset ``(D,)`` of ``point`` from ``base``: links' tangent coordinates along the straight line,
+        and the differences of the coefficients.
 
-        In these a link's errors are of one size in all directions, however thin it is. In its parameters they are not,
-        and products of rows that hold them square the ratio: rounding leaves nothing of the shortest.
+        In these coordinates a link's errors have one size in all directions, however thin the link is. In parameters
+        they do not: products of rows square the ratio of their sizes, and rounding loses the smallest.
         """
         links = spd.congruence(base.inverse_root, point.pseudo_inertias) - np.eye(4)
         return np.concatenate(
@@ -233,15 +233,15 @@ class ParameterManifold:
         )
 
     def rows_off(self, base: Point, rows: FloatArray) -> FloatArray:
-        """Rows ``(N, D)`` of the parameters as rows of :meth:`off`."""
+        """Convert rows ``(N, D)`` of the parameters to rows of :meth:`off`."""
         return self.by_blocks(rows, base.links_jacobian, np.ones(self.dimension - self.inertial.stop))
 
     def whiten_off(self, base: Point, point: Point, rows: FloatArray) -> FloatArray:
-        """:meth:`whiten` at ``point`` for rows of :meth:`off`."""
+        """Apply :meth:`whiten` at ``point`` to rows of :meth:`off`."""
         return self.by_blocks(rows, base.to_tangent @ symmetric.congruence(point.root), self.jacobian(point)[1])
 
     def by_blocks(self, rows: FloatArray, blocks: FloatArray, diagonal: FloatArray) -> FloatArray:
-        """Rows ``(N, D)`` times a matrix, by blocks as of :meth:`jacobian`."""
+        """Multiply rows ``(N, D)`` by a matrix in the blocks of :meth:`jacobian`."""
         whitened = np.empty(rows.shape)
         by_link = (rows[:, self.inertial], whitened[:, self.inertial])
         before, after = (part.reshape(len(rows), self.links, symmetric.SIZE).swapaxes(0, 1) for part in by_link)
@@ -252,4 +252,4 @@ class ParameterManifold:
 
 
 ONE_BODY = ParameterManifold(1, 0, np.zeros(0))
-"""The possible inertias of one body."""
+"""Physically consistent inertias of one body."""

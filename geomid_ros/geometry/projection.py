@@ -1,9 +1,9 @@
 """Projection of a point on many hyperplanes: Proposition 2, batched over rows and links, compiled.
 
 A row is a hyperplane ``a . parameters = b``. In tangent coordinates at the point its normal is ``x = a J``
-(:meth:`ParameterManifold.whiten`): per link the coordinates of ``X-bar``, whose eigenvalues are s_k, per positive
+(:meth:`ParameterManifold.whiten`): per link the coordinates of ``X-bar`` with eigenvalues s_k, per positive
 coefficient one such eigenvalue, per real coefficient a component of a flat direction. With the multiplier L and
-``W`` the principal branch of Lambert's function, the projected point lies at tangent coordinates
+``W`` the principal branch of Lambert's function, the projected point has the tangent coordinates
 
     Q = R diag(-W(L s)) R^T          (a link; a positive coefficient is the case of one eigenvalue)
     q = -L x                         (a real)
@@ -12,24 +12,24 @@ where L is the root of the decreasing function
 
     C(L) = sum s exp(-W(L s)) + sum (x r / scale - L x^2) - b
 
-on the interval ``[-1/(e s_max), -1/(e s_min)]`` (infinite on a side without an eigenvalue of that sign), which
-is the neighbourhood B of the paper: no eigenvalue of ``P^-1 P-hat`` above e. The sum over the reals is the
-extension to flat blocks; the rest is (21).
+on the interval ``[-1/(e s_max), -1/(e s_min)]`` (infinite on a side without an eigenvalue of that sign). The
+interval is the paper's neighbourhood B: no eigenvalue of ``P^-1 P-hat`` is above e. The sum over the reals
+extends (21) to flat blocks.
 
 **Where there is no root.** The half squared distance is the maximum over the interval of the concave dual function
-``D(L) = sum W(L s)^2/2 + sum (L x)^2/2 + L C(L)``, whose slope is C; with the maximum at an end of the interval the
+``D(L) = sum W(L s)^2/2 + sum (L x)^2/2 + L C(L)``, whose slope is C. If the maximum is at an end of the interval, the
 same formula continues the distance beyond the neighbourhood, linearly in b, with a continuous gradient. The paper
-discards such rows; (19) does so at the prior (:data:`NO_ROOT_LOW`, :data:`NO_ROOT_HIGH` say which), and the
-continuation keeps its objective finite and smooth when a later point of the iteration has no root for a row that was
-kept.
+discards such rows; (19) does so at the prior (status :data:`NO_ROOT_LOW` or :data:`NO_ROOT_HIGH`). The continuation
+keeps the objective finite and smooth if a kept row has no root at a later point of the iteration.
 
 **Second order.** Along geodesics from the point, the half squared distance of one row has the Hessian
 
     p p^T / |C'(L)|  +  (per link, in the basis of the eigenvectors of X-bar)  (s_k + s_l)(W_k - W_l) / (2 (s_k - s_l))
 
-where p has the entries ``s_k exp(-W_k)/(1 + W_k)`` on the eigenvectors' diagonal and x on the reals; the second
-term is ``W_k/(1 + W_k)`` for k = l and for a positive coefficient. The first is the Gauss-Newton term, the second
-vanishes with the distance. It follows from the second derivative of the spectral function D and the envelope theorem.
+where p has the entries ``s_k exp(-W_k)/(1 + W_k)`` on the eigenvectors' diagonal and x on the reals. The second term
+is ``W_k/(1 + W_k)`` for k = l and for a positive coefficient. The first term is the Gauss-Newton term; the second
+vanishes with the distance. The Hessian follows from the second derivative of the spectral function D and the envelope
+theorem.
 """
 
 from __future__ import annotations
@@ -47,41 +47,41 @@ from geomid_ros.geometry import compiled, symmetric
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
-NEAR = 3.0 / math.e  # the polynomial serves up to here, where v is 1
+NEAR = 3.0 / math.e  # upper end of the polynomial's range, where v is 1
 _DEGREE = 28
-_TAYLOR = 56  # terms, of which the last is as large as rounding: they fall by halves
+_TAYLOR = 56  # number of terms; they halve from one to the next, and the last is as small as rounding
 _HALLEY_STEPS = 8
 
 
 @cache
 def coefficients() -> FloatArray:
-    """Coefficients ``(29,)`` of ``W/v`` for v from -1 to 1, from the constant on.
+    """Polynomial coefficients ``(29,)`` of ``W/v`` for v from -1 to 1, constant first.
 
     They are its Taylor series, economised by Chebyshev polynomials.
 
-    With ``u = 1 + W``, ``E = exp(W)`` and ``(u - 1) e E = (1 + v)^2 - 1`` come ``e u E' = 2 (1 + v)`` and
-    ``E u' = E'``, from which the terms of E and u follow one after the other.
+    ``u = 1 + W``, ``E = exp(W)`` and ``(u - 1) e E = (1 + v)^2 - 1`` imply ``e u E' = 2 (1 + v)`` and ``E u' = E'``.
+    These equations give the terms of E and u one after the other.
     """
     with localcontext(prec=40):
         source = [2 / Decimal(1).exp()] * 2 + [Decimal(0)] * _TAYLOR
         u, power = [Decimal(1)], [Decimal(1)]
         for k in range(_TAYLOR):
-            known = sum((u[j] * (k + 1 - j) * power[k + 1 - j] for j in range(1, k + 1)), Decimal(0))
-            power.append((source[k] - known) / (k + 1))
-            known = sum((power[j] * (k + 1 - j) * u[k + 1 - j] for j in range(1, k + 1)), Decimal(0))
-            u.append(power[k + 1] - known / (k + 1))
+            earlier = sum((u[j] * (k + 1 - j) * power[k + 1 - j] for j in range(1, k + 1)), Decimal(0))
+            power.append((source[k] - earlier) / (k + 1))
+            earlier = sum((power[j] * (k + 1 - j) * u[k + 1 - j] for j in range(1, k + 1)), Decimal(0))
+            u.append(power[k + 1] - earlier / (k + 1))
     economised = chebyshev.poly2cheb(np.array(u[1:], dtype=np.float64))[: _DEGREE + 1]
     return frozen(chebyshev.cheb2poly(economised))
 
 
 def lambert_w(z: FloatArray) -> FloatArray:
-    """The principal real branch of Lambert's W, ``w >= -1 (...)`` with ``w exp(w) = z (...)``; -1 for ``z < -1/e``.
+    """Compute the principal real branch of Lambert's W: ``w >= -1 (...)``, ``w exp(w) = z (...)``; -1 for ``z < -1/e``.
 
-    Through ``v = sqrt(1 + e z) - 1`` W is analytic from the branch point on, ``v = -1``: its nearest singularity lies
-    at ``v = -2``. One polynomial in v therefore gives it to rounding up to v = 1, without a loop that ends by chance,
-    without exponentials, and for many arguments at once, here and in the compiled projection. It is zero where z is,
-    with its relative accuracy. Far from zero by Halley's iteration after Corless et al., "On the Lambert W function"
-    (1996).
+    As a function of ``v = sqrt(1 + e z) - 1``, W is analytic from the branch point ``v = -1`` on; its nearest
+    singularity is at ``v = -2``. So one polynomial in v gives W to rounding up to v = 1. It needs no exponentials and
+    no data-dependent loop, and takes many arguments at once, here and in the compiled projection. It is zero where z
+    is, and keeps its relative accuracy there. Above v = 1, Halley's iteration computes W (Corless et al., "On the
+    Lambert W function", 1996).
     """
     near = np.minimum(z, NEAR)
     v = np.maximum(math.e * near / (1.0 + np.sqrt(np.maximum(1.0 + math.e * near, 0.0))), -1.0)
@@ -102,13 +102,13 @@ def _far(z: FloatArray) -> FloatArray:
 
 
 ROOT = 0
-NO_ROOT_LOW = 1  # b lies above what the neighbourhood reaches: the multiplier stops at the lower end
-NO_ROOT_HIGH = 2  # b lies below it
+NO_ROOT_LOW = 1  # b is above the range of the neighbourhood: the multiplier stops at the lower end
+NO_ROOT_HIGH = 2  # b is below that range: it stops at the upper end
 
 _MAX_STEPS = 100
-_ROUNDING = 1e-14  # of a root; eigenvalues smaller than this share of the largest are zeros that came through it
-_BRANCH_GAP = 1e-9  # 1 + W is not taken smaller: at the branch point slopes are infinite
-_CLOSE = -0.3659  # below it W is next to the branch point, under -0.9
+_ROUNDING = 1e-14  # relative accuracy of a root; eigenvalues below this fraction of the largest are zeros
+_BRANCH_GAP = 1e-9  # lower bound of 1 + W, because slopes are infinite at the branch point
+_CLOSE = -0.3659  # below this argument W is near the branch point, under -0.9
 
 
 @dataclass(frozen=True)
@@ -117,9 +117,9 @@ class Projection:
 
     Attributes:
         half_squared: Half the squared distances ``(N,)``.
-        tangent: Minus their gradients ``(N, D)``: the logarithms of the projected points, where these exist.
-        direction: ``(N, D)``; the Hessian of a row is the outer product of its direction with itself plus curvature.
-        curvature: Sum ``(D, D)`` of the rows' curvature with their weights.
+        tangent: Negative gradients of these ``(N, D)``: the logarithms of the projected points, where these exist.
+        direction: ``(N, D)``; a row's Hessian is the outer product of its direction with itself, plus its curvature.
+        curvature: Weighted sum ``(D, D)`` of the rows' curvatures.
         status: ``(N,)``: :data:`ROOT`, :data:`NO_ROOT_LOW` or :data:`NO_ROOT_HIGH`.
     """
 
@@ -140,16 +140,16 @@ def project(
     """Project ``point`` on hyperplanes.
 
     Args:
-        manifold, point: What is projected.
-        normals: The rows ``(N, D)`` whitened at ``point`` (:meth:`ParameterManifold.whiten`).
+        manifold, point: Point to project, on its manifold.
+        normals: Rows ``(N, D)`` whitened at ``point`` (:meth:`ParameterManifold.whiten`).
         targets: b ``(N,)``.
-        weights: With which the rows' curvature is summed, ``(N,)``; ones unless given.
+        weights: Weights of the rows' curvatures in their sum ``(N,)``; ones by default.
     """
     rows, dimension = normals.shape
     offsets = _offsets(manifold, point, normals, targets)
     weights = np.ones(rows) if weights is None else weights
     if compiled.native is None:
-        with np.errstate(all="ignore"):  # of values that are replaced, or of a step that is then refused
+        with np.errstate(all="ignore"):  # such values are replaced, or their step is refused
             return _project(manifold, normals, offsets, weights)
     half, status = np.empty(rows), np.empty(rows, dtype=np.int64)
     tangent, direction = np.zeros((rows, dimension)), np.zeros((rows, dimension))
@@ -165,7 +165,7 @@ def project(
 def measure(
     manifold: ParameterManifold, point: Point, normals: FloatArray, targets: FloatArray
 ) -> tuple[FloatArray, IntArray]:
-    """``half_squared`` and ``status`` of :func:`project` alone, for half the cost."""
+    """Compute only ``half_squared`` and ``status`` of :func:`project`, at half the cost."""
     offsets = _offsets(manifold, point, normals, targets)
     if compiled.native is None:
         with np.errstate(all="ignore"):
@@ -179,20 +179,20 @@ def measure(
 
 
 def _offsets(manifold: ParameterManifold, point: Point, normals: FloatArray, targets: FloatArray) -> FloatArray:
-    """The constant part of C, ``(N,)``; a product of matrices would round a row differently in other company."""
+    """Compute the constant part of C ``(N,)``. In a matrix product a row's rounding would depend on the other rows."""
     in_reals: FloatArray = np.sum(normals[:, manifold.real] * (point.reals / manifold.scales), axis=1)
     return in_reals - targets
 
 
 class _Roots:
-    """Roots of C of rows with the tangent coordinates ``normals (N, D)`` and C's constant parts ``offsets (N,)``, by
-    Halley's method kept inside a shrinking bracket; by numpy.
+    """Roots of C for rows with tangent coordinates ``normals (N, D)`` and constant parts ``offsets (N,)`` of C, by
+    Halley's method inside a shrinking bracket; in numpy.
 
     Attributes:
         vectors: Eigenvectors of the links' X-bar ``(N, links, 4, 4)``.
-        values: Eigenvalues s of the links, then the positives ``(N, K)``; zero where only rounding makes them more.
+        values: Eigenvalues s of the links, then the positives ``(N, K)``; zero if not above rounding.
         flat: Sums of x^2 over the reals ``(N,)``.
-        multiplier, status, excess: L, how it ended, and C there, ``(N,)``.
+        multiplier, status, excess: L, its status, and C at L, ``(N,)``.
         lambert, moved: ``W(L s)`` and ``s exp(-W)``, ``(N, K)``.
     """
 
@@ -215,21 +215,21 @@ class _Roots:
 
     @property
     def half_squared(self) -> FloatArray:
-        """The dual function at the multiplier ``(N,)``; at a root the excess is zero but for rounding."""
+        """Dual function at the multiplier ``(N,)``; at a root the excess is zero up to rounding."""
         of_reals = 0.5 * self.multiplier**2 * self.flat + self.multiplier * self.excess
         return np.asarray(of_reals + 0.5 * np.sum(self.lambert**2, axis=1))
 
     @staticmethod
     def _lambert(values: FloatArray, multiplier: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """``W(L s)`` and ``s exp(-W)``: next to the branch point W is less exact than what the exponential makes of
-        it."""
+        """Compute ``W(L s)`` and ``s exp(-W)``; near the branch point the latter by the exponential, which is more
+        accurate there than the quotient W/L."""
         arguments = multiplier[:, None] * values
         lambert = lambert_w(arguments)
         moved = np.where(multiplier[:, None] != 0.0, lambert / multiplier[:, None], values)
         return lambert, np.where(arguments < _CLOSE, values * np.exp(-lambert), moved)
 
     def _constraint(self, rows: IntArray, multiplier: FloatArray) -> tuple[FloatArray, ...]:
-        """C(L) of these ``rows (n,)`` at multipliers ``(n,)``, its slope, its curvature and its terms' size."""
+        """Compute C(L) of ``rows (n,)`` at multipliers ``(n,)``, its slope, its curvature and the size of its terms."""
         lambert, moved = self._lambert(self.values[rows], multiplier)
         steep = moved / np.maximum(1.0 + lambert, _BRANCH_GAP)
         of_reals, offset = multiplier * self.flat[rows], self._offsets[rows]
@@ -241,8 +241,8 @@ class _Roots:
         )
 
     def _without_root(self, total: FloatArray, slope: FloatArray) -> BoolArray:
-        """Which rows have no root whatever L is, by C and its slope at zero: with one sign of eigenvalues only and no
-        flat direction, C falls to the constant part at infinity."""
+        """Mark rows without a root at any L, given C and its slope at zero; True also where the slope is zero. If all
+        eigenvalues have one sign and there is no flat direction, C falls to its constant part at infinity."""
         bounded = self.flat == 0.0
         above = (total > 0.0) & (self._high == np.inf) & bounded & (self._offsets >= 0.0)
         below = (total < 0.0) & (self._low == -np.inf) & bounded & (self._offsets <= 0.0)
@@ -251,33 +251,33 @@ class _Roots:
         return np.asarray(none | (slope == 0.0))
 
     def _find(self) -> None:
-        """Find the multipliers and how they end."""
+        """Find the multipliers and their status."""
         every = np.arange(len(self.multiplier))
-        total, slope, bend, size = self._constraint(every, self.multiplier)
+        total, slope, curvature, size = self._constraint(every, self.multiplier)
         rising = total > 0.0
         ends = np.where(rising, self._high, self._low)
         low, high = np.where(rising, 0.0, self._low), np.where(rising, self._high, 0.0)
         searched = ~(self._without_root(total, slope) | (np.abs(total) <= _ROUNDING * size))
-        tried = ~np.isfinite(ends)
+        end_checked = ~np.isfinite(ends)
         for _ in range(_MAX_STEPS):
-            rate = slope - 0.5 * total * bend / slope
+            rate = slope - 0.5 * total * curvature / slope
             candidate = self.multiplier - total / np.where(rate < 0.5 * slope, rate, slope)
             searched &= candidate != self.multiplier
             if not np.any(searched):
                 return
             outside = searched & ~((low < candidate) & (candidate < high))
-            asked = np.flatnonzero(outside & ~tried)
-            excess = self._constraint(asked, ends[asked])[0]
-            beyond = asked[(excess != 0.0) & ((excess > 0.0) == rising[asked])]
+            checked = np.flatnonzero(outside & ~end_checked)
+            excess = self._constraint(checked, ends[checked])[0]
+            beyond = checked[(excess != 0.0) & ((excess > 0.0) == rising[checked])]
             self.status[beyond] = np.where(rising[beyond], NO_ROOT_HIGH, NO_ROOT_LOW)
             self.multiplier[beyond] = ends[beyond]
             searched[beyond] = False
-            tried[asked] = True
-            # The middle is finite: towards an infinite end C is convex and Newton stays inside.
+            end_checked[checked] = True
+            # The midpoint is finite: towards an infinite end C is convex, so Newton steps stay inside.
             candidate = np.where(outside, 0.5 * (low + high), candidate)
             rows = np.flatnonzero(searched)
             self.multiplier[rows] = candidate[rows]
-            total[rows], slope[rows], bend[rows], size[rows] = self._constraint(rows, candidate[rows])
+            total[rows], slope[rows], curvature[rows], size[rows] = self._constraint(rows, candidate[rows])
             above = total > 0.0
             low = np.where(searched & above, self.multiplier, low)
             high = np.where(searched & ~above, self.multiplier, high)
@@ -285,65 +285,65 @@ class _Roots:
 
 
 def _project(manifold: ParameterManifold, normals: FloatArray, offsets: FloatArray, weights: FloatArray) -> Projection:
-    """:func:`project` by numpy."""
+    """Compute :func:`project` in numpy."""
     roots = _Roots(manifold, normals, offsets)
-    every, found = np.arange(len(normals)), roots.status == ROOT
-    beyond = ~found & (roots.multiplier != 0.0)
-    toward, lambert = -roots.lambert, np.maximum(roots.lambert, _BRANCH_GAP - 1.0)
-    along = roots.moved / (1.0 + lambert)
-    steepness = roots.flat + np.sum(along * roots.moved, axis=1)
-    share = np.where(found & (steepness > 0.0), 1.0 / np.sqrt(steepness), 0.0)
+    rows, has_root = np.arange(len(normals)), roots.status == ROOT
+    beyond = ~has_root & (roots.multiplier != 0.0)
+    tangent, lambert = -roots.lambert, np.maximum(roots.lambert, _BRANCH_GAP - 1.0)
+    steep = roots.moved / (1.0 + lambert)
+    steepness = roots.flat + np.sum(steep * roots.moved, axis=1)
+    root_scale = np.where(has_root & (steepness > 0.0), 1.0 / np.sqrt(steepness), 0.0)
     first, in_links = symmetric.SIZE * manifold.links, 4 * manifold.links
     extreme = np.zeros(len(normals), dtype=np.int64)
     if roots.values.shape[1]:
         # The end of the interval moves with the extreme eigenvalue.
         extreme = np.argmin(roots.multiplier[:, None] * roots.values, axis=1)
-        correction = np.where(found, 0.0, roots.multiplier * roots.excess)
-        toward[every, extreme] += correction
-        lambert[every, extreme] -= correction  # minus the gradient: what the curvature between a pair is made of
-    bend = lambert / (1.0 + lambert)
-    bend[beyond, extreme[beyond]] = 0.0
+        correction = np.where(has_root, 0.0, roots.multiplier * roots.excess)
+        tangent[rows, extreme] += correction
+        lambert[rows, extreme] -= correction  # negative gradient, for the curvatures between pairs
+    diagonal = lambert / (1.0 + lambert)
+    diagonal[beyond, extreme[beyond]] = 0.0
     basis = symmetric.congruence(np.swapaxes(roots.vectors, -1, -2))  # coordinates of pairs of eigenvectors, by rows
 
-    def by_link(each: FloatArray) -> FloatArray:
-        return each[:, :in_links].reshape(len(each), manifold.links, 4)
+    def by_link(components: FloatArray) -> FloatArray:
+        return components[:, :in_links].reshape(len(components), manifold.links, 4)
 
-    def in_coordinates(each: FloatArray, reals: FloatArray) -> FloatArray:
-        """Tangent coordinates of what is ``each (N, K)`` along the eigenvectors and the positives."""
-        links = np.einsum("nlk,nlkc->nlc", by_link(each), basis[..., :4, :]).reshape(len(each), first)
-        return np.concatenate([links, each[:, in_links:], reals], axis=1)
+    def in_coordinates(components: FloatArray, reals: FloatArray) -> FloatArray:
+        """Convert components ``(N, K)`` along eigenvectors and positives, and ``reals``, to tangent coordinates."""
+        links = np.einsum("nlk,nlkc->nlc", by_link(components), basis[..., :4, :]).reshape(len(components), first)
+        return np.concatenate([links, components[:, in_links:], reals], axis=1)
 
-    bends = _pair_curvatures(by_link(roots.values), by_link(lambert))
-    bends[..., :4] = by_link(bend)
+    pair_curvatures = _pair_curvatures(by_link(roots.values), by_link(lambert))
+    pair_curvatures[..., :4] = by_link(diagonal)
     curvature = np.zeros((manifold.dimension,) * 2)
-    blocks = np.einsum("n,nlp,nlpi,nlpj->lij", weights, bends, basis, basis, optimize=True)
-    manifold.add_blocks(curvature, blocks, np.append(weights @ bend[:, in_links:], np.zeros(len(manifold.scales))))
+    blocks = np.einsum("n,nlp,nlpi,nlpj->lij", weights, pair_curvatures, basis, basis, optimize=True)
+    manifold.add_blocks(curvature, blocks, np.append(weights @ diagonal[:, in_links:], np.zeros(len(manifold.scales))))
     moved = roots.multiplier[:, None] * normals[:, manifold.real]
     if np.any(beyond):
         # d2/du_k du_e = -W_k/(1 + W_k), d2/dq du_e = -L x, d2/du_e^2 = 1 + L C - sum_k W_k^2/(1 + W_k) - sum (L x)^2
-        # of the logarithms u of the eigenvalues' sizes, e the extreme one.
-        own = 1.0 + roots.multiplier * roots.excess - np.sum(lambert * bend, axis=1) - np.sum(moved**2, axis=1)
+        # by the logarithms u of the absolute eigenvalues; e is the extreme one.
+        second = 1.0 + roots.multiplier * roots.excess - np.sum(lambert * diagonal, axis=1) - np.sum(moved**2, axis=1)
         unit = np.zeros(roots.values.shape)
-        unit[every, extreme] = 1.0
-        mover = in_coordinates(unit, np.zeros(moved.shape))
-        others, share_of = in_coordinates(bend, moved), np.where(beyond, weights, 0.0)[:, None]
-        mixed = (share_of * mover).T @ others
-        curvature += (share_of * own[:, None] * mover).T @ mover - mixed - mixed.T
+        unit[rows, extreme] = 1.0
+        axis = in_coordinates(unit, np.zeros(moved.shape))
+        others, weight = in_coordinates(diagonal, moved), np.where(beyond, weights, 0.0)[:, None]
+        mixed = (weight * axis).T @ others
+        curvature += (weight * second[:, None] * axis).T @ axis - mixed - mixed.T
     return Projection(
         roots.half_squared,
-        in_coordinates(toward, -moved),
-        share[:, None] * in_coordinates(along, normals[:, manifold.real]),
+        in_coordinates(tangent, -moved),
+        root_scale[:, None] * in_coordinates(steep, normals[:, manifold.real]),
         0.5 * (curvature + curvature.T),
         roots.status,
     )
 
 
 def _pair_curvatures(values: FloatArray, lambert: FloatArray) -> FloatArray:
-    """``(s_k + s_l)(W_k - W_l) / (2 (s_k - s_l))`` with its limit for equal eigenvalues, ``(..., 10)``, of the four
-    ``values`` s and ``lambert`` W of each link ``(..., 4)``."""
+    """Compute ``(s_k + s_l)(W_k - W_l) / (2 (s_k - s_l))``, or its limit for equal eigenvalues, ``(..., 10)``, of the
+    four ``values`` s and ``lambert`` W of each link ``(..., 4)``."""
     one, other = (values[..., pair] for pair in (symmetric.ROWS, symmetric.COLUMNS))
     of_one, of_other = (lambert[..., pair] for pair in (symmetric.ROWS, symmetric.COLUMNS))
     middle = 0.5 * (of_one + of_other)
     apart = np.abs(one - other) > 1e-7 * (np.abs(one) + np.abs(other))
-    limit = np.where(middle > -1.0, middle / (1.0 + middle), 0.0)  # two extreme eigenvalues beyond the end: a kink
+    limit = np.where(middle > -1.0, middle / (1.0 + middle), 0.0)  # else a kink: two extreme eigenvalues beyond the end
     return np.where(apart, 0.5 * (one + other) * (of_one - of_other) / (one - other), limit)

@@ -1,4 +1,4 @@
-"""The linear map (3) between ten inertial parameters and the 4x4 pseudo-inertia.
+"""Linear map (3) between ten inertial parameters and the 4x4 pseudo-inertia.
 
 Parameters are in pinocchio's order ``(m, hx, hy, hz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz)`` in kg, kg m and kg m^2, with
 the first moment ``h = m c`` and the inertia about the link frame's origin, in the link frame's axes. The
@@ -17,14 +17,14 @@ SIZE = symmetric.SIZE
 INERTIA_NAMES = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 """Names of the six entries of an inertia, in the order of the parameters."""
 INERTIA_ENTRIES = (np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2]))
-"""Rows and columns of these entries in the matrix."""
-# Least ratio of a body's central second moments; from a flat body no distance can be measured.
+"""Row and column indices of these entries in the matrix."""
 _STEEL = 7850.0  # [kg/m^3]
+# Least ratio of a body's central second moments, because a flat body has no finite distance to others.
 _FLATTEST = 1e-10
 
 
 def inertia_matrix(entries: FloatArray) -> FloatArray:
-    """Symmetric matrices ``(..., 3, 3)`` with the six entries ``(..., 6)``, named by :data:`INERTIA_NAMES`."""
+    """Return symmetric matrices ``(..., 3, 3)`` of six entries ``(..., 6)`` in the order :data:`INERTIA_NAMES`."""
     rows, columns = INERTIA_ENTRIES
     matrix = np.empty((*entries.shape[:-1], 3, 3))
     matrix[..., rows, columns] = matrix[..., columns, rows] = entries
@@ -32,7 +32,7 @@ def inertia_matrix(entries: FloatArray) -> FloatArray:
 
 
 def inertia_entries(matrix: FloatArray) -> FloatArray:
-    """The six entries ``(..., 6)`` of symmetric matrices ``(..., 3, 3)``: the inverse of :func:`inertia_matrix`."""
+    """Return the six entries ``(..., 6)`` of symmetric matrices ``(..., 3, 3)``: inverse of :func:`inertia_matrix`."""
     return matrix[(..., *INERTIA_ENTRIES)]
 
 
@@ -41,9 +41,9 @@ def rotational_inertia(parameters: FloatArray) -> FloatArray:
     return inertia_matrix(parameters[..., 4:])
 
 
-def _trace_complement(matrix: FloatArray, share: float) -> FloatArray:
+def _trace_complement(matrix: FloatArray, factor: float) -> FloatArray:
     trace = np.trace(matrix, axis1=-2, axis2=-1)[..., None, None]
-    return np.asarray(share * trace * np.eye(3) - matrix)
+    return np.asarray(factor * trace * np.eye(3) - matrix)
 
 
 def from_parameters(parameters: FloatArray) -> FloatArray:
@@ -68,7 +68,7 @@ def to_parameters(pseudo: FloatArray) -> FloatArray:
 # Row k is the coordinate vector of the pseudo-inertia of the k-th unit parameter vector.
 _PARAMETERS_TO_COORDINATES = symmetric.to_vector(from_parameters(np.eye(SIZE)))
 COEFFICIENTS_TO_COORDINATES = frozen(np.linalg.inv(_PARAMETERS_TO_COORDINATES).T)
-"""The coordinates ``(10, 10)`` of the matrices of :data:`COEFFICIENT_BASIS`, one per row."""
+"""Coordinates ``(10, 10)`` of the matrices of :data:`COEFFICIENT_BASIS`, one per row."""
 COEFFICIENT_BASIS = symmetric.to_matrix(COEFFICIENTS_TO_COORDINATES)
 """Matrices ``X_k (10, 4, 4)`` with ``tr((sum a_k X_k) P) = a . parameters`` for every body and row a: (18) and (20)."""
 
@@ -76,10 +76,10 @@ COEFFICIENT_BASIS = symmetric.to_matrix(COEFFICIENTS_TO_COORDINATES)
 def change_of_frame(
     rotation: FloatArray, translation: FloatArray, length_unit: float = 1.0, mass_unit: float = 1.0
 ) -> FloatArray:
-    """The matrix G ``(4, 4)`` of (13), with which ``P_a = G P_b G^T``.
+    """Return the matrix G ``(4, 4)`` of (13), with ``P_a = G P_b G^T``.
 
     Args:
-        rotation, translation: ``(3, 3)`` and ``(3,)`` place frame b in frame a: ``r_a = R r_b + t`` in b's unit of
+        rotation, translation: ``(3, 3)`` and ``(3,)``, pose of frame b in frame a: ``r_a = R r_b + t`` in b's unit of
             length.
         length_unit, mass_unit: Factors from b's units to a's.
     """
@@ -90,8 +90,8 @@ def change_of_frame(
 
 
 def parameter_transform(rotation: FloatArray, translation: FloatArray) -> FloatArray:
-    """The matrix ``(10, 10)`` that takes parameters from frame b, placed in frame a by ``rotation (3, 3)`` and
-    ``translation (3,)``, to frame a."""
+    """Return the matrix ``(10, 10)`` that transforms parameters from frame b to frame a; ``rotation (3, 3)`` and
+    ``translation (3,)`` are the pose of b in a."""
     factor = change_of_frame(rotation, translation)
     return to_parameters(factor @ from_parameters(np.eye(SIZE)) @ factor.T).T
 
@@ -110,10 +110,10 @@ def central_inertia(parameters: FloatArray) -> FloatArray:
 
 
 def is_body(parameters: FloatArray) -> bool:
-    """Whether parameters ``(10,)`` belong to a body that can exist and is not flat.
+    """True if parameters ``(10,)`` are physically consistent, and the body is not flat.
 
-    Its central second moments decide: unlike the eigenvalues of the pseudo-inertia, their ratio depends neither on
-    units nor on the frame.
+    The ratio of the central second moments is checked. Unlike ratios of the pseudo-inertia's eigenvalues, it depends
+    neither on units nor on the frame.
     """
     if parameters[0] <= 0.0:
         return False
@@ -122,17 +122,17 @@ def is_body(parameters: FloatArray) -> bool:
 
 
 def nearest_body(parameters: FloatArray) -> FloatArray:
-    """The body ``(10,)`` with the mass (above zero) and the centre of mass of these parameters, and with second moments
-    about it that are at least those of a steel ball of this mass: nothing in a robot is denser."""
+    """Return the parameters ``(10,)`` of a body with the same mass (above zero) and centre of mass. Its central second
+    moments are raised to those of a steel ball of this mass, because nothing in a robot is denser."""
     mass = parameters[0]
     values, axes = np.linalg.eigh(_trace_complement(central_inertia(parameters), 0.5))
-    least = mass * least_gyration(mass) ** 2
-    second = (axes * np.maximum(values, least)) @ axes.T
-    return assemble(np.array(mass), centre_of_mass(parameters), _trace_complement(second, 1.0))
+    least_moment = mass * least_gyration(mass) ** 2
+    second_moments = (axes * np.maximum(values, least_moment)) @ axes.T
+    return assemble(np.array(mass), centre_of_mass(parameters), _trace_complement(second_moments, 1.0))
 
 
 def least_gyration(mass: float) -> float:
-    """The radius of gyration about a plane through its centre of a steel ball of this mass [m]."""
+    """Radius of gyration about a central plane of a steel ball of this mass [m]."""
     return float(np.sqrt(0.2) * np.cbrt(3.0 * mass / (4.0 * np.pi * _STEEL)))
 
 
@@ -145,20 +145,20 @@ def assemble(mass: FloatArray, centre: FloatArray, central: FloatArray) -> Float
 
 
 def quantities_of(parameters: FloatArray) -> FloatArray:
-    """Physical quantities ``(..., 10)`` of parameters ``(..., 10)``: mass [kg], centre of mass (x, y, z) [m], and the
-    entries of the inertia about the centre of mass [kg m^2], named by :data:`INERTIA_NAMES`, in the link's axes."""
+    """Convert parameters ``(..., 10)`` to physical quantities ``(..., 10)``: mass [kg], centre of mass (x, y, z) [m],
+    and central inertia [kg m^2] in the order :data:`INERTIA_NAMES`, in the link's axes."""
     central = inertia_entries(central_inertia(parameters))
     return np.concatenate([parameters[..., :1], centre_of_mass(parameters), central], axis=-1)
 
 
 def parameters_of(quantities: FloatArray) -> FloatArray:
-    """Parameters ``(..., 10)`` of physical quantities ``(..., 10)``: the inverse of :func:`quantities_of`."""
+    """Convert physical quantities ``(..., 10)`` to parameters ``(..., 10)``: the inverse of :func:`quantities_of`."""
     return assemble(quantities[..., 0], quantities[..., 1:4], inertia_matrix(quantities[..., 4:]))
 
 
 def equivalent_ellipsoid(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The uniform solid ellipsoid with the same mass and inertia: semi-axes ``(..., 3)`` [m] and axes ``(..., 3, 3)``,
-    as columns in the link's frame.
+    """Return the uniform solid ellipsoid of the same mass and inertia: semi-axes ``(..., 3)`` [m], and axes ``(..., 3,
+    3)`` as columns in the link's frame.
 
     A uniform ellipsoid with semi-axes s has central second moment ``m diag(s^2)/5``.
     """

@@ -1,10 +1,10 @@
-"""The affine-invariant geometry of symmetric positive-definite matrices, P(n).
+"""Affine-invariant geometry of symmetric positive definite matrices, P(n).
 
 Every function works on stacks: ``(..., n, n)``.
 
 The paper prints the metric (5) with a factor 1/2 and the distance (9) without it, so that the norm of the
-logarithm (8) would be the distance over sqrt(2). Here the metric is ``tr(P^-1 X P^-1 Y)``, without the factor: the
-distance is the one printed, and it is the norm of the logarithm. Minimisers do not depend on this choice.
+logarithm (8) would be the distance over sqrt(2). Here the metric is ``tr(P^-1 X P^-1 Y)``, without the factor. So
+the distance is the printed one and equals the norm of the logarithm. Minimisers do not depend on this choice.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ def _apply_to_eigenvalues(function: Callable[[FloatArray], FloatArray], matrix: 
 
 
 def composed(values: FloatArray, vectors: FloatArray) -> FloatArray:
-    """The symmetric matrices ``(..., n, n)`` with these eigenvalues ``(..., n)`` and orthonormal eigenvectors."""
+    """Return symmetric matrices ``(..., n, n)`` of eigenvalues ``(..., n)`` and orthonormal eigenvectors."""
     return np.asarray((vectors * values[..., None, :]) @ np.swapaxes(vectors, -1, -2))
 
 
 def sym_exp(matrix: FloatArray) -> FloatArray:
-    """Matrix exponential of symmetric matrices ``(..., n, n)``."""
+    """Return the matrix exponential of symmetric matrices ``(..., n, n)``."""
     return _apply_to_eigenvalues(np.exp, matrix)
 
 
 def spd_inv_sqrt(matrix: FloatArray) -> FloatArray:
-    """Inverse of the symmetric square root of SPD matrices ``(..., n, n)``."""
+    """Return inverse symmetric square roots of SPD matrices ``(..., n, n)``."""
     return _apply_to_eigenvalues(lambda values: 1.0 / np.sqrt(values), matrix)
 
 
 def congruence(factor: FloatArray, matrix: FloatArray) -> FloatArray:
-    """The group action ``G * P = G P G^T`` of GL(n), for stacks."""
+    """Apply the group action ``G * P = G P G^T`` of GL(n), for stacks."""
     return factor @ matrix @ np.swapaxes(factor, -1, -2)
 
 
@@ -53,8 +53,8 @@ def distance(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def exp_differences(values: FloatArray) -> FloatArray:
-    """Divided differences ``(..., n, n)`` of the exponential at eigenvalues ``(..., n)``: in the eigenvectors' basis,
-    the entries that the derivative of the matrix exponential multiplies a change by (Daleckii and Krein 1965)."""
+    """Divided differences ``(..., n, n)`` of the exponential at eigenvalues ``(..., n)``: the derivative of the matrix
+    exponential multiplies a change by them, entry by entry, in the eigenvectors' basis (Daleckii and Krein 1965)."""
     half = 0.5 * (values[..., :, None] - values[..., None, :])
     middle = 0.5 * (values[..., :, None] + values[..., None, :])
     small = np.abs(half) < 1e-6
@@ -66,9 +66,9 @@ def half_squared_distance_hessian(values: FloatArray, vectors: FloatArray) -> Fl
     """Hessian ``(..., 10, 10)`` of ``d(P, P_0)^2/2`` at P along geodesics, of 4x4 matrices, in whitened coordinates.
 
     ``values (..., 4)`` and ``vectors (..., 4, 4)`` are the eigenvalues and eigenvectors of ``log(P^-1/2 P_0 P^-1/2)``.
-    In this basis the Hessian is diagonal with the entries ``x coth x``, x half the difference of two eigenvalues
-    (Pennec 2006, "A Riemannian framework for tensor computing", gives the derivative of the logarithm it follows from);
-    it is never below the identity.
+    In this basis the Hessian is diagonal with the entries ``x coth x``, x half the difference of two eigenvalues. It
+    follows from the derivative of the logarithm in Pennec 2006, "A Riemannian framework for tensor computing". It is
+    never below the identity.
     """
     half = 0.5 * (values[..., symmetric.ROWS] - values[..., symmetric.COLUMNS])
     safe = np.where(np.abs(half) < 1e-6, 1.0, half)
@@ -78,12 +78,12 @@ def half_squared_distance_hessian(values: FloatArray, vectors: FloatArray) -> Fl
 
 
 def is_positive_definite(matrices: FloatArray) -> BoolArray:
-    """Which of the symmetric matrices ``(..., n, n)`` are positive definite: all pivots of Gauss's elimination are."""
-    left = matrices.copy()
+    """True where symmetric matrices ``(..., n, n)`` are positive definite: all pivots of Gaussian elimination are."""
+    remaining = matrices.copy()
     result = np.ones(matrices.shape[:-2], dtype=bool)
     for k in range(matrices.shape[-1]):
-        pivots = left[..., k, k]
+        pivots = remaining[..., k, k]
         result &= pivots > 0.0
-        column = left[..., k + 1 :, k] / np.where(result, pivots, 1.0)[..., None]
-        left[..., k + 1 :, k + 1 :] -= column[..., :, None] * left[..., k, None, k + 1 :]
+        column = remaining[..., k + 1 :, k] / np.where(result, pivots, 1.0)[..., None]
+        remaining[..., k + 1 :, k + 1 :] -= column[..., :, None] * remaining[..., k, None, k + 1 :]
     return result

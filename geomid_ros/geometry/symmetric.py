@@ -18,12 +18,12 @@ _FLAT = 4 * ROWS + COLUMNS
 
 
 def to_vector(matrix: FloatArray) -> FloatArray:
-    """Coordinates ``(..., 10)`` of symmetric matrices ``(..., 4, 4)``."""
+    """Return coordinates ``(..., 10)`` of symmetric matrices ``(..., 4, 4)``."""
     return np.asarray(matrix.reshape(*matrix.shape[:-2], 16).take(_FLAT, -1) * _SCALE)
 
 
 def to_matrix(vector: FloatArray) -> FloatArray:
-    """Symmetric matrices ``(..., 4, 4)`` of coordinates ``(..., 10)``."""
+    """Return symmetric matrices ``(..., 4, 4)`` of coordinates ``(..., 10)``."""
     matrix = np.empty((*vector.shape[:-1], 4, 4))
     entries = vector / _SCALE
     matrix[..., ROWS, COLUMNS] = entries
@@ -31,15 +31,15 @@ def to_matrix(vector: FloatArray) -> FloatArray:
     return matrix
 
 
-# Entry (a, b) of a congruence: of (i, j) = (ROWS, COLUMNS)[a] and (k, l) = (ROWS, COLUMNS)[b].
+# Entry (a, b) of a congruence: (i, j) = (ROWS, COLUMNS)[a] and (k, l) = (ROWS, COLUMNS)[b].
 _IK, _JL = 4 * ROWS[:, None] + ROWS, 4 * COLUMNS[:, None] + COLUMNS
 _IL, _JK = 4 * ROWS[:, None] + COLUMNS, 4 * COLUMNS[:, None] + ROWS
 _CONGRUENCE_SCALE = 0.5 * _SCALE[:, None] * _SCALE
 
 
 def congruence(factor: FloatArray) -> FloatArray:
-    """The matrices ``(..., 10, 10)`` that take the coordinates of X to those of ``G X G^T``, of G ``(..., 4, 4)``:
-    the symmetric Kronecker product of G with itself; orthogonal where G is, symmetric where G is."""
+    """Return the matrices ``(..., 10, 10)`` that map the coordinates of X to those of ``G X G^T``, for G ``(..., 4,
+    4)``: the symmetric Kronecker product of G with itself, which is orthogonal or symmetric if G is."""
     entries = factor.reshape(*factor.shape[:-2], 16)
     products = entries.take(_IK, -1) * entries.take(_JL, -1) + entries.take(_IL, -1) * entries.take(_JK, -1)
     return np.asarray(_CONGRUENCE_SCALE * products)

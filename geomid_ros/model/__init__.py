@@ -1,1 +1,1 @@
-"""Floor 1: the robot, what is measured on it, and the rows that measurements make."""
+"""Layer 1: the robot, its measured channels, and the linear rows of measurements."""

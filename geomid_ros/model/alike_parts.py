@@ -1,4 +1,4 @@
-"""Parts that are alike: links of different limbs whose inertia and geometry in the URDF are equal up to a mirror."""
+"""Alike parts: links of different limbs whose inertia and geometry in the URDF are equal up to a mirror."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from geomid_ros.model.robot import Body, Robot
 from geomid_ros.types import FloatArray, frozen
 
 OWN_SPREAD = 0.04
-"""Usual distance of a part from those that are alike: a fifth of that of a link from its CAD file. Links of a URDF that
-are no nearer to each other are not alike."""
-_REVOLUTE = "JointModelR"  # as the names of pinocchio's joints that turn begin, about whatever axis
+"""Default prior std (geodesic) of a part about those alike: a fifth of that of a link about its CAD file. Links of a
+URDF that are farther apart than this are not alike."""
+_REVOLUTE = "JointModelR"  # prefix of the names of pinocchio's revolute joints, about any axis
 _MIRRORS = np.array(list(product((1.0, -1.0), repeat=3)))
 
 
 @dataclass(frozen=True, eq=False)
 class AlikeParts:
-    """``names`` of links that are alike, their places ``members (n,)`` among the identified bodies, and the ``signs (n,
-    10)`` of their tangent coordinates, which the mirror that takes a link to the first one changes; ``motors``: whether
-    the URDF says how strong the motors are that move them, which is the same for all."""
+    """``names`` of links that are alike, their indices ``members (n,)`` among the identified bodies, and the ``signs
+    (n, 10)`` of their tangent coordinates under the mirror between the first link and each one; ``motors``: True if
+    the URDF gives an effort limit for their joints, which is the same for all."""
 
     names: tuple[str, ...]
     members: tuple[int, ...]
@@ -34,26 +34,26 @@ class AlikeParts:
 
 
 def alike_parts(robot: Robot, identified: Sequence[int]) -> tuple[AlikeParts, ...]:
-    """The groups of alike links among the ``identified`` bodies of a robot, two links or more each."""
+    """Find groups of two or more alike links among the ``identified`` bodies of a robot."""
     model, bodies = robot.pinocchio_model, [robot.bodies[index] for index in identified]
     groups: list[list[tuple[int, FloatArray]]] = []
-    for place, body in enumerate(bodies):
+    for link, body in enumerate(bodies):
         for group in groups:
             mirror = _mirror(model, bodies[group[0][0]], body)
             if mirror is not None and not any(_is_one_limb(model, bodies[other], body) for other, _ in group):
-                group.append((place, mirror))
+                group.append((link, mirror))
                 break
         else:
-            groups.append([(place, _MIRRORS[0])])
+            groups.append([(link, _MIRRORS[0])])
     return tuple(_parts(model, bodies, group) for group in groups if len(group) > 1)
 
 
 def _parts(model: pin.Model, bodies: Sequence[Body], group: Sequence[tuple[int, FloatArray]]) -> AlikeParts:
-    members = tuple(place for place, _ in group)
+    members = tuple(link for link, _ in group)
     mirrors = np.array([np.append(mirror, 1.0) for _, mirror in group])
     _, effort, _ = _motor(model, bodies[members[0]].joint)
     return AlikeParts(
-        names=tuple(bodies[place].name for place in members),
+        names=tuple(bodies[link].name for link in members),
         members=members,
         signs=frozen(mirrors[:, symmetric.ROWS] * mirrors[:, symmetric.COLUMNS]),
         motors=effort > 0.0,
@@ -61,48 +61,48 @@ def _parts(model: pin.Model, bodies: Sequence[Body], group: Sequence[tuple[int, 
 
 
 def said_alike(groups: Sequence[AlikeParts]) -> Iterator[str]:
-    """A sentence, if any links are alike."""
+    """Yield a sentence that lists the alike links, if there are any."""
     named = [", ".join(group.names) + " (motors of one type)" * group.motors for group in groups]
     if named:
         yield f"alike in the URDF, so their errors are taken for mostly the same (--alike none): {'; '.join(named)}"
 
 
 def _is_one_limb(model: pin.Model, first: Body, second: Body) -> bool:
-    """Whether one of two bodies moves the other, or both are fixed to each other."""
+    """True if one of two bodies supports the other, or both move with the same joint."""
     return first.joint in model.supports[second.joint] or second.joint in model.supports[first.joint]
 
 
 def _mirror(model: pin.Model, first: Body, second: Body) -> FloatArray | None:
-    """Signs ``(3,)`` of the axes of the mirror that takes a body to another; None if they are not alike.
+    """Find the axis signs ``(3,)`` of the mirror that maps a body to another; None if they are not alike.
 
-    Of several, as for a round body, the one that takes the place of the one joint to that of the other.
+    If several do, as for a round body, choose the one that maps the one joint's origin nearest to the other's.
     """
     joints = [body.joint for body in (first, second)]
     if 0 in joints or len({_motor(model, joint) for joint in joints}) > 1:
         return None
-    one, other = (model.jointPlacements[joint].translation for joint in joints)
-    nearest = np.argsort(np.linalg.norm(_MIRRORS * one - other, axis=1), kind="stable")
+    first_origin, second_origin = (model.jointPlacements[joint].translation for joint in joints)
+    nearest = np.argsort(np.linalg.norm(_MIRRORS * first_origin - second_origin, axis=1), kind="stable")
     return next((mirror for mirror in _MIRRORS[nearest] if _are_alike(model, first, second, mirror)), None)
 
 
 def _motor(model: pin.Model, joint: int) -> tuple[str, float, float]:
-    """What moves a joint, in which way, whatever its axis: with the largest effort and speed of the URDF."""
+    """Return type (revolute or not, regardless of axis), effort limit and speed limit of a joint in the URDF."""
     own = model.joints[joint]
     return own.shortname()[: len(_REVOLUTE)], float(model.effortLimit[own.idx_v]), float(model.velocityLimit[own.idx_v])
 
 
 def _are_alike(model: pin.Model, first: Body, second: Body, mirror: FloatArray) -> bool:
-    """Whether a mirror takes one body to another: its inertia, and the joints that it carries."""
+    """True if a mirror maps one body to another: its inertia, and the origins of its child joints."""
     signs = np.append(mirror, 1.0)
     matrices = pseudo_inertia.from_parameters(np.array([first.parameters, second.parameters]))
     matrices[0] *= np.outer(signs, signs)
     points = (ONE_BODY.point(pseudo_inertia.to_parameters(matrix)) for matrix in matrices)
     if ONE_BODY.distance(*points) > OWN_SPREAD:
         return False
-    carried = [[p.translation for p in _carried(model, body.joint)] for body in (first, second)]
-    if len(carried[0]) != len(carried[1]):
+    origins = [[p.translation for p in _carried(model, body.joint)] for body in (first, second)]
+    if len(origins[0]) != len(origins[1]):
         return False
-    return all(np.linalg.norm(mirror * a - b) <= OWN_SPREAD * np.linalg.norm(b) for a, b in zip(*carried, strict=True))
+    return all(np.linalg.norm(mirror * a - b) <= OWN_SPREAD * np.linalg.norm(b) for a, b in zip(*origins, strict=True))
 
 
 def _carried(model: pin.Model, joint: int) -> list[pin.SE3]:

@@ -1,4 +1,4 @@
-"""The measured numbers: which there are, in which order, what they are called, and what a wrench sensor's mean."""
+"""Channels, the measured numbers: their names and order, and the declaration of wrench sensors."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ ROLES = {
     "external": "a known load that the surroundings put on the robot (force plate, contact)",
     "mounted": "a sensor inside the chain: the load that the part before it puts on all that comes after it",
 }
-WORLD_FRAMES = ("world", "map", "odom")  # names of the frame in which the poses of a floating base are given
+WORLD_FRAMES = ("world", "map", "odom")  # names of the frame of a floating base's poses
 
 
 @dataclass(frozen=True)
 class WrenchSensor:
-    """A wrench topic with a declared meaning. Raises InputError for values that cannot be.
+    """A wrench topic with a declared meaning. Raises InputError for invalid values.
 
     Attributes:
-        topic: Where it is published.
-        frame: The URDF link in whose frame, and about whose origin, the wrench is expressed; for a force plate (a
-            fixed sensor under a floating base) one of :data:`WORLD_FRAMES`.
+        topic: ROS topic.
+        frame: URDF link in whose frame, and about whose origin, the wrench is expressed; for a force plate (a fixed
+            sensor under a floating base) one of :data:`WORLD_FRAMES`.
         role: One of :data:`ROLES`.
-        axes: Those of :data:`AXES` that are measured.
+        axes: Measured axes out of :data:`AXES`.
         sign: -1 if the sensor reports the opposite (reaction) wrench.
-        offset: Known constant error, force [N] and torque [N m] in the frame: sign times the reported wrench is the
-            true one plus this.
-        frame_id: The frame's name in messages, if it is not the link's.
+        offset: Known constant error, force [N] and torque [N m] in the frame: sign * reported wrench = true wrench +
+            offset.
+        frame_id: Name of the frame in messages, if not the link's.
     """
 
     topic: str
@@ -59,7 +59,7 @@ class WrenchSensor:
 
     @staticmethod
     def parse(text: str) -> WrenchSensor:
-        """From ``TOPIC:FRAME:ROLE[:AXES]``, axes separated by commas; a leading ``-`` of ROLE reverses the sign."""
+        """Parse ``TOPIC:FRAME:ROLE[:AXES]``, axes separated by commas; a leading ``-`` of ROLE reverses the sign."""
         parts = text.split(":")
         if len(parts) not in (3, 4) or not all(parts):
             form = "TOPIC:FRAME:ROLE[:AXES], e.g. /wrench:tool0:mounted:fz"
@@ -73,7 +73,7 @@ class WrenchSensor:
 class Channel:
     """One measured number: a ``joint``'s effort, or an ``axis`` of the wrench of a ``topic``.
 
-    ``columns``: the parameters that it can depend on."""
+    ``columns``: indices of the parameters that it can depend on."""
 
     name: str
     unit: str
@@ -85,8 +85,8 @@ class Channel:
 
 @dataclass(frozen=True)
 class ChannelLayout:
-    """The order of the channels: the joints' ``efforts``, all or none, the axes of ``wrenches`` by topic, and the six
-    of a floating ``base``, if what touches the ground is known."""
+    """Order of the channels: the joints' ``efforts`` (all or none), the axes of ``wrenches`` by topic, and the six
+    channels of a floating ``base`` whose contacts with the ground are declared."""
 
     efforts: range
     wrenches: Mapping[str, range]
@@ -94,7 +94,7 @@ class ChannelLayout:
 
     @staticmethod
     def of(joints: int, sensors: Sequence[WrenchSensor], base: int = 0) -> ChannelLayout:
-        """Of the efforts of so many joints, of sensors in their order, and of so many axes of the base."""
+        """Lay out the efforts of ``joints`` joints, then ``sensors`` in order, then ``base`` axes of the base."""
         wrenches, first = {}, joints
         for sensor in sensors:
             wrenches[sensor.topic] = range(first, first + len(sensor.axes))
@@ -103,25 +103,25 @@ class ChannelLayout:
 
 
 BASE = "base"
-"""The topic, so to say, of the channels of a floating base."""
+"""Name that stands for the topic in the channels of a floating base."""
 
 
 def unit_of_axis(axis: str) -> str:
-    """Of one of the axes of a wrench."""
+    """Return the unit of a wrench axis."""
     return "N" if axis[0] == "f" else "N m"
 
 
 def wrench_channel(topic: str, axis: str) -> str:
-    """The name of a channel of a wrench sensor; a joint's is that of the joint."""
+    """Return the channel name of a wrench axis. (An effort channel has the name of its joint.)"""
     return f"{topic.strip('/')}/{axis}"
 
 
 def is_wrench_channel(channel: str) -> bool:
-    """Whether the channel of that name is one of a wrench sensor."""
+    """True if ``channel`` is the name of a wrench channel."""
     topic, _, axis = channel.rpartition("/")
     return bool(topic) and axis in AXES
 
 
 def is_of(channel: str, place: str) -> bool:
-    """Whether the channel of that name is the effort of the joint ``place``, or of the sensor with that topic."""
+    """True if the channel is the effort of the joint ``place``, or belongs to the sensor with the topic ``place``."""
     return channel == place or channel.rpartition("/")[0] == place.strip("/")

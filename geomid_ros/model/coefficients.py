@@ -1,4 +1,4 @@
-"""Which effects act where on a robot: the places, what these are called, and the effects' coefficients there."""
+"""Places where effects act on a robot, their names, and the coefficients of the effects there."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from geomid_ros.model.effects.situation import pair_name
 from geomid_ros.model.robot import Robot
 
 Mechanism: TypeAlias = tuple[str, Place, int]
-"""What there is once, in whatever shape: an effect by its name, where it is, and the index of the coefficient."""
+"""A coefficient regardless of its effect's constants, as (effect name, place, coefficient index)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Coefficient:
-    """One of an effect's coefficients at a place, the one of ``index``, which is the ``parameter`` of that name;
-    ``optional``: whether it may be left out."""
+    """Coefficient number ``index`` of an effect at a place. It is the effect's ``parameter`` of that name;
+    ``optional``: True if the model may do without it."""
 
     effect: IdentifiedEffect
     place: Place
@@ -45,35 +45,35 @@ class Coefficient:
 
     @property
     def positive(self) -> bool:
-        """Whether it lives on P(1)."""
+        """True if it is on P(1), not on a real line."""
         return self.index < self.effect.own_positives
 
     @property
     def mechanism(self) -> Mechanism:
-        """What it is, whatever constants its effect has: of coefficients that are the same, a model has one."""
+        """Its mechanism: a model has one coefficient of each, whatever the constants of its effect."""
         return self.effect.name, self.place, self.index
 
     def parameters(self, value: float, std: float) -> dict[str, Quantity]:
-        """Its effect's parameters: the one that it is, and the constants."""
-        own = {self.parameter: Quantity(value, std, self.unit)}
+        """Return the parameters that follow from its ``value``: its own, and its effect's constants."""
+        parameter = {self.parameter: Quantity(value, std, self.unit)}
         constants = self.effect.constants([(value, std)], math.nan, 0.0)
         sliding = self.effect.parameters[0].units[0] != self.unit
         first = self.effect.parameters.index(self.effect.own[-1]) + 1
-        return own | quantities(self.effect.parameters[first:], constants, sliding=sliding)
+        return parameter | quantities(self.effect.parameters[first:], constants, sliding=sliding)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class EffectPlaces:
-    """The places on a ``robot``, and which effects are there.
+    """Places on a ``robot``, and the effects that act there.
 
     Attributes:
-        robot, links: its identified links by name.
-        sensors, layout: the wrench sensors that are predicted, and the channels.
+        robot, links: the robot, and the names of its identified links.
+        sensors, layout: predicted wrench sensors, and the channel layout.
         common: effects that act at every place of their kind.
-        local: those that act only at the place by whose name they are given.
-        candidates: those that may act at every usual place of their kind where none of the same name is known.
-        behind_gear: names of the joints whose efforts are measured behind the gear, where a motor is not felt.
-        commanded: whether efforts are those of commands, which may act late.
+        local: effects that act at one place only, by the name of the place.
+        candidates: effects that may act at every default place of their kind without a local effect of that name.
+        behind_gear: names of the joints with effort sensors on the link side of the gear, unaffected by the motor.
+        commanded: True if efforts are computed from commands, which may act late.
     """
 
     robot: Robot
@@ -87,15 +87,15 @@ class EffectPlaces:
     commanded: bool
 
     def of(self, effect: Effect) -> list[Place]:
-        """Where an effect may act."""
+        """Return the places where an effect may act."""
         match effect.place:
             case "joint":
                 return [AtJoint(joint) for joint in self.layout.efforts]
             case "joints":
                 return [AtJoints(*pair) for pair in self._chain] if self.layout.efforts else []
             case "robot":
-                felt = self.layout.efforts or effect.turns_gravity
-                return [OnRobot()] if felt and not self.robot.floating_base else []
+                has_efforts = self.layout.efforts or effect.turns_gravity
+                return [OnRobot()] if has_efforts and not self.robot.floating_base else []
             case "commands":
                 return [OnRobot()] if self.commanded else []
             case "link":
@@ -107,8 +107,8 @@ class EffectPlaces:
         return []
 
     def name(self, place: Place) -> str:
-        """What files and tables call a place: a joint, two as ``FIRST+SECOND``, the joint that moves a link, the topic
-        of a sensor; empty for the whole robot."""
+        """Return the name of a place in files and tables: a joint, two joints as ``FIRST+SECOND``, the joint that moves
+        a link, or a sensor's topic; empty for the whole robot."""
         match place:
             case AtSensor(topic, _):
                 return topic
@@ -117,50 +117,50 @@ class EffectPlaces:
         return "".join(self.robot.joint_names[joint] for joint in joints_of(place))
 
     def link(self, place: Place) -> str:
-        """The link of a place on one; empty for others."""
+        """Return the link of a place on a link; empty for other places."""
         return self.links[place.link] if isinstance(place, OnLink) else ""
 
     def named(self, effect: Effect, name: str) -> Place:
-        """The place of an effect that is called ``name``. Raises InputError with the valid names."""
+        """Return the place ``name`` of an effect. Raises InputError with the valid names."""
         places = {self.name(place): place for place in self.of(effect)}
         if name not in places:
             raise unknown_name(f"place of {effect.label}", name, places)
         return places[name]
 
     def is_usual(self, place: Place) -> bool:
-        """Whether effects are looked for at a place though nobody said that one acts there: two joints share a motor
-        by a gear between them, where their axes meet."""
+        """True if candidate effects are tried at a place by default. Two joints must have intersecting axes, because
+        only then does a gear between them make them share a motor."""
         return not isinstance(place, AtJoints) or self.robot.axes_meet(place.first, place.second)
 
     def slides(self, place: Place) -> bool:
-        """Whether the (first) joint of a place is prismatic."""
+        """True if the (first) joint of a place is prismatic."""
         joints = joints_of(place)
         return bool(joints) and self.robot.joints[joints[0]].unit == "N"
 
     def coefficients(self) -> tuple[Coefficient, ...]:
-        """The effects' coefficients at all places, the positive ones first."""
+        """Return the effects' coefficients at all places, positive ones first."""
         effects = dict.fromkeys([*self.common, *chain.from_iterable(self.local.values()), *self.candidates])
-        found = [
+        entries = [
             coefficient
             for effect in effects
             for place in self.of(effect)
-            if self._acts(effect, place) and self._is_felt(effect, place)
+            if self._acts(effect, place) and self._is_measured(effect, place)
             for coefficient in self._at(effect, place)
         ]
         names = [effect.name for effect in effects]
-        places = list(dict.fromkeys(coefficient.place for coefficient in found))
-        # What there is once stands together, whatever shapes it may have.
-        return tuple(sorted(found, key=lambda c: (not c.positive, names.index(c.effect.name), places.index(c.place))))
+        places = list(dict.fromkeys(coefficient.place for coefficient in entries))
+        # Coefficients of one mechanism are adjacent, whatever the constants of their effects.
+        return tuple(sorted(entries, key=lambda c: (not c.positive, names.index(c.effect.name), places.index(c.place))))
 
     def _acts(self, effect: IdentifiedEffect, place: Place) -> bool:
-        """Whether an effect is in the model at a place: one that is known there, or one that every place has unless it
-        is known there with other constants."""
+        """True if an effect is in the model at a place: it is local there, or it is common or a candidate and no local
+        effect has its name (with other constants)."""
         local = self.local.get(self.name(place), ())
         everywhere = effect in self.common or (effect in self.candidates and self.is_usual(place))
         return effect in local or (everywhere and effect.name not in {other.name for other in local})
 
-    def _is_felt(self, effect: IdentifiedEffect, place: Place) -> bool:
-        """Whether the sensors are on that side of the gear on which an effect acts."""
+    def _is_measured(self, effect: IdentifiedEffect, place: Place) -> bool:
+        """True if the effort sensors are on the side of the gear where an effect acts."""
         joints = {self.robot.joint_names[joint] for joint in joints_of(place)}
         return not (effect.before_gear and joints.intersection(self.behind_gear))
 
@@ -184,13 +184,13 @@ class EffectPlaces:
 
     @property
     def _chain(self) -> list[tuple[int, int]]:
-        """Pairs of joints of which the second moves on the first, nothing that moves between them."""
+        """Pairs of consecutive moving joints, the proximal one first."""
         movers = [(self.mover(joint.parent), joint.name) for joint in self.robot.tree.joints]
         names = self.robot.joint_names
         return [(above, names.index(name)) for above, name in movers if above is not None and name in names]
 
     def mover(self, link: str) -> int | None:
-        """The joint that moves a link, itself or one that follows it."""
+        """Return the joint that moves a link, itself or through a mimic joint; None if none does."""
         places = {f.joint.name: f.master for f in self.robot.followers}
         places |= {name: place for place, name in enumerate(self.robot.joint_names)}
         above = (joint.name for joint in self.robot.tree.joints_above(link))

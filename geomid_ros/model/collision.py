@@ -1,4 +1,4 @@
-"""Distances between a robot's links, and to what surrounds it, by coal."""
+"""Distances between a robot's links, and from links to obstacles, by coal."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ Obstacle: TypeAlias = ConvexShape | HalfSpace
 
 @dataclass(frozen=True)
 class Pair:
-    """Two bodies that may collide, by their names; ``is_obstacle``: the second is no link."""
+    """Names of two bodies that may collide; ``is_obstacle``: the second is an obstacle, not a link."""
 
     first: str
     second: str
@@ -49,24 +49,24 @@ class Pair:
 
 
 class CollisionModel:
-    """Distances of all pairs of shapes that can come closer: not those on one rigid body or on neighbours.
+    """Distances of all pairs of shapes that may collide; pairs on one rigid body or on neighbours are left out.
 
-    Several shapes of one link, and links that are fixed to each other, are one rigid body.
+    Shapes of one link, and of links that are fixed to each other, belong to one rigid body.
     """
 
     def __init__(
         self, robot: Robot, shapes: Mapping[str, Sequence[ConvexShape]], obstacles: Sequence[Obstacle] = ()
     ) -> None:
-        """``shapes`` by the link in whose frame they are."""
+        """Build the model; ``shapes`` by the link in whose frame they are expressed."""
         self._robot = robot
         self.shapes, self.obstacles = shapes, obstacles
         self._model = robot.pinocchio_model
         self._data = self._model.createData()
         self._geometry = pin.GeometryModel()
         self._owners: list[tuple[str, int, float]] = []  # name, joint, radius about the joint's origin
-        for link, own in shapes.items():
+        for link, link_shapes in shapes.items():
             frame = self._model.frames[self._model.getFrameId(link, pin.BODY)]
-            for shape in own:
+            for shape in link_shapes:
                 placed = shape.vertices @ frame.placement.rotation.T + frame.placement.translation
                 self._add(link, frame.parentJoint, _hull(placed), float(np.max(np.linalg.norm(placed, axis=1))))
         self._links = len(self._owners)
@@ -95,24 +95,24 @@ class CollisionModel:
         self.pairs = tuple(
             Pair(self._owners[i][0], self._owners[j][0], is_obstacle=j >= self._links) for i, j in self._indices
         )
-        """The pairs, in the order of all arrays."""
+        """Pairs of shapes, in the order of all arrays."""
         self.reach = np.array([self._reach(i, j) for i, j in self._indices]).reshape(-1, self._model.nv)
-        """How far a point of a pair's bodies moves at most relative to the other body by unit of each of pinocchio's
-        velocities ``(pairs, nv)`` [m/rad]."""
+        """Upper bound of the relative speed of a pair's points per unit of each of pinocchio's velocities ``(pairs,
+        nv)`` [m/rad]."""
 
     def _reach(self, first: int, second: int) -> FloatArray:
-        """Bounds of the relative speed of two shapes: the joints on the way between them, each times the longest lever
-        from it to the shape that it moves."""
+        """Bound the relative speed of two shapes ``(nv,)``: for each joint between them, the longest lever from the
+        joint to the shape that it moves."""
         one, other = self._chain(first), self._chain(second)
-        own = [joint for joint in (*one, *other) if (joint in one) != (joint in other)]
+        between = [joint for joint in (*one, *other) if (joint in one) != (joint in other)]
         bounds = np.zeros(self._model.nv)
-        for joint in own:
+        for joint in between:
             chain, shape = (one, first) if joint in one else (other, second)
             bounds[self._model.joints[joint].idx_v] = self._lever(joint, chain, self._owners[shape][2])
         return bounds
 
     def _chain(self, shape: int) -> list[int]:
-        """The joints that carry a shape, the nearest first."""
+        """Return the joints that support a shape, nearest first."""
         joint, chain = self._owners[shape][1], []
         while joint:
             chain.append(joint)
@@ -122,13 +122,13 @@ class CollisionModel:
     def _lever(self, joint: int, chain: Sequence[int], radius: float) -> float:
         if "JointModelP" in self._model.joints[joint].shortname():
             return 1.0
-        total = radius
+        lever = radius
         for other in chain[: chain.index(joint)]:
-            total += float(np.linalg.norm(self._model.jointPlacements[other].translation)) + self._travel(other)
-        return total
+            lever += float(np.linalg.norm(self._model.jointPlacements[other].translation)) + self._travel(other)
+        return lever
 
     def _travel(self, joint: int) -> float:
-        """How far a prismatic joint slides at most [m]."""
+        """Return the largest distance from zero of a prismatic joint [m]; 0 for other joints."""
         model = self._model.joints[joint]
         if "JointModelP" not in model.shortname():
             return 0.0
@@ -137,39 +137,39 @@ class CollisionModel:
 
     @property
     def coupling_sizes(self) -> FloatArray:
-        """How fast all of pinocchio's velocities are, by the size of those of the joints, ``(nv, joints)``."""
+        """Absolute values of :attr:`Robot.coupling` ``(nv, joints)``: pinocchio's velocities per joint velocity."""
         return np.abs(self._robot.coupling)
 
     def without(self, pairs: IntArray) -> None:
-        """Count these pairs, by their places, no more."""
-        left = np.setdiff1d(np.arange(len(self._indices)), pairs)
-        self._indices = [self._indices[place] for place in left.tolist()]
+        """Drop ``pairs``, by index."""
+        remaining = np.setdiff1d(np.arange(len(self._indices)), pairs)
+        self._indices = [self._indices[index] for index in remaining.tolist()]
         self._set_pairs()
 
     def distances(self, position: FloatArray) -> FloatArray:
-        """Distances ``(N, pairs)`` [m] at positions ``(N, joints)``; negative where shapes overlap."""
-        found = np.empty((len(position), len(self.pairs)))
-        for row, q in zip(found, self._robot.pinocchio_positions(position), strict=True):
+        """Compute distances ``(N, pairs)`` [m] at positions ``(N, joints)``; negative where shapes overlap."""
+        table = np.empty((len(position), len(self.pairs)))
+        for row, q in zip(table, self._robot.pinocchio_positions(position), strict=True):
             pin.computeDistances(self._model, self._data, self._geometry, self._geometry_data, q)
             row[:] = [result.min_distance for result in self._geometry_data.distanceResults]
-        return found
+        return table
 
     def gradients(self, position: FloatArray, pairs: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Distances ``(n,)`` of ``pairs (n,)`` at one ``position (joints,)``, and their derivatives ``(n, joints)``."""
+        """Compute distances of ``pairs (n,)`` at one ``position (joints,)``, and their gradients ``(n, joints)``."""
         (q,) = self._robot.pinocchio_positions(position[None])
         pin.computeJointJacobians(self._model, self._data, q)
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data)
         values, slopes = np.empty(len(pairs)), np.empty((len(pairs), len(position)))
         for row, pair in enumerate(pairs.tolist()):
-            result = pin.computeDistance(self._geometry, self._geometry_data, pair)
-            values[row] = result.min_distance
-            ends = result.getNearestPoint1(), result.getNearestPoint2()
-            moved = [self._point_jacobian(shape, end) for shape, end in zip(self._indices[pair], ends, strict=True)]
-            slopes[row] = (result.normal @ (moved[1] - moved[0])) @ self._robot.coupling
+            nearest = pin.computeDistance(self._geometry, self._geometry_data, pair)
+            values[row] = nearest.min_distance
+            ends = nearest.getNearestPoint1(), nearest.getNearestPoint2()
+            jacobians = [self._point_jacobian(shape, end) for shape, end in zip(self._indices[pair], ends, strict=True)]
+            slopes[row] = (nearest.normal @ (jacobians[1] - jacobians[0])) @ self._robot.coupling
         return values, slopes
 
     def _point_jacobian(self, shape: int, point: FloatArray) -> FloatArray:
-        """Jacobian ``(3, nv)`` of a point of a shape in the world."""
+        """Compute the Jacobian ``(3, nv)`` of a point of a shape, in the world frame."""
         joint = self._owners[shape][1]
         if joint == 0:
             return np.zeros((3, self._model.nv))
@@ -179,15 +179,15 @@ class CollisionModel:
 
 def _hull(vertices: FloatArray) -> coal.Convex:
     hull = ConvexHull(vertices)
-    places = np.full(len(vertices), -1)
-    places[hull.vertices] = np.arange(len(hull.vertices))
+    indices = np.full(len(vertices), -1)
+    indices[hull.vertices] = np.arange(len(hull.vertices))
     points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
     points.extend([vertices[index] for index in hull.vertices])
     centre = np.mean(vertices[hull.vertices], axis=0)
     for simplex in hull.simplices:
         a, b, c = vertices[simplex]
         outward = np.dot(np.cross(b - a, c - a), a - centre) > 0.0
-        triangles.append(coal.Triangle(*(int(places[index]) for index in (simplex if outward else simplex[::-1]))))
+        triangles.append(coal.Triangle(*(int(indices[index]) for index in (simplex if outward else simplex[::-1]))))
     return coal.Convex(points, triangles)
 
 

@@ -1,4 +1,4 @@
-"""The columns of effects that samples carry: computed before the filter, and filtered as the efforts are."""
+"""Effect columns in samples: computed before the filter, then filtered like the efforts."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ class JointFunction(Protocol):
     """A function of one joint's motion."""
 
     def column(self, motion: JointMotion) -> FloatArray:
-        """Its values ``(...)``, at each instant by itself."""
+        """Return its values ``(...)``, each instant independently."""
 
 
 @dataclass(frozen=True)
 class JointColumn:
-    """A function of every joint's own motion."""
+    """A per-joint function of the joint's motion."""
 
     function: JointFunction
 
@@ -42,23 +42,23 @@ class JointColumn:
         return self.function.column(motion)
 
     def reached(self, joints: int) -> tuple[int, ...]:
-        """The joints where it can be other than zero: all."""
+        """Return the joints where it can be nonzero: all."""
         return tuple(range(joints))
 
 
 @dataclass(frozen=True)
 class PlacedColumn:
-    """The efforts of an effect that acts on several joints at once."""
+    """Efforts of an effect that acts on several joints at once."""
 
     effect: MotionEffect
     place: Place
 
     def values(self, motion: Motion) -> FloatArray:
-        """Efforts ``(N, J)`` per unit of its coefficient."""
+        """Return efforts ``(N, J)`` per unit of its coefficient."""
         return self.effect.efforts(motion, self.place)
 
     def reached(self, joints: int) -> tuple[int, ...]:
-        """The joints where it can be other than zero."""
+        """Return the joints where it can be nonzero."""
         return reached_joints(self.place, joints)
 
 
@@ -66,20 +66,20 @@ Column: TypeAlias = JointColumn | PlacedColumn
 
 
 def column_of(effect: MotionEffect, place: Place) -> Column:
-    """The column in which an effect at a place is found."""
+    """Return the column of an effect at a place."""
     return JointColumn(effect) if isinstance(effect, JointEffect) else PlacedColumn(effect, place)
 
 
 def reached_joints(place: Place, joints: int) -> tuple[int, ...]:
-    """The joints at whose efforts an effect at a place is felt: all for one of the whole robot."""
+    """Return the joints whose efforts an effect at a place affects: all for an effect of the whole robot."""
     return tuple(range(joints)) if isinstance(place, OnRobot) else joints_of(place)
 
 
 @dataclass(frozen=True)
 class Entries:
-    """The entries of columns ``(joints, K)`` that can be other than zero: those of the joints that a column reaches,
-    one column after the other. Of columns with effects of two joints they are half; those of one such effect, which are
-    computed at once, come last, the entries of all first joints before those of the second ones."""
+    """Entries of columns ``(joints, K)`` that can be nonzero: those of the joints that each column reaches, column by
+    column. With effects of two joints they are half of all. Columns of one pair effect are computed at once;
+    their entries come last, those of all first joints before those of all second joints."""
 
     columns: tuple[Column, ...]
     joints: int
@@ -88,20 +88,20 @@ class Entries:
         return self._count
 
     def __contains__(self, column: Column) -> bool:
-        return column in self._places
+        return column in self._spans
 
     def of(self, column: Column) -> tuple[slice, tuple[int, ...]]:
-        """Where the entries of one of the columns are, and at which joints."""
-        return self._places[column]
+        """Return the slice of a column's entries, and the joints that they belong to."""
+        return self._spans[column]
 
     def at(self, column: Column, joint: int) -> int:
-        """The entry of one of the columns at a joint that it reaches."""
-        own, joints = self._places[column]
-        return int(own.start + own.step * joints.index(joint))
+        """Return the index of a column's entry at a joint that the column reaches."""
+        entries, joints = self._spans[column]
+        return int(entries.start + entries.step * joints.index(joint))
 
     def values(self, motion: Motion) -> FloatArray:
-        """``(N, entries)`` for a motion, each ``(N, joints)``."""
-        values = [column.values(motion)[:, joints] for column, joints in self._alone]
+        """Compute the values ``(N, entries)`` for a motion of arrays ``(N, joints)``."""
+        values = [column.values(motion)[:, joints] for column, joints in self._single]
         for effects, joints in self._pairs:
             first, second = map(motion.of, joints)
             values += [part for effect in effects for part in effect.columns(first, second)]
@@ -109,76 +109,76 @@ class Entries:
 
     @cached_property
     def remembering(self) -> Mapping[type[JointEffect], list[JointEffect]]:
-        """The effects whose columns depend on the motion before, too, by their class."""
-        found: dict[type[JointEffect], list[JointEffect]] = {}
+        """Effects whose columns depend on the past motion, by class."""
+        by_class: dict[type[JointEffect], list[JointEffect]] = {}
         for function in (column.function for column in self.columns if isinstance(column, JointColumn)):
             if isinstance(function, JointEffect) and function.remembers:
-                found.setdefault(type(function), []).append(function)
-        return found
+                by_class.setdefault(type(function), []).append(function)
+        return by_class
 
     @property
     def of_own_motion(self) -> Entries:
-        """Those of the columns that are functions of each joint's own motion."""
+        """Entries of the :class:`JointColumn` columns only."""
         return Entries(tuple(c for c in self.columns if isinstance(c, JointColumn)), self.joints)
 
     @cached_property
-    def _together(self) -> Mapping[Column | PairEffect, list[Column]]:
-        """The columns, those of an effect of two joints together, after all others."""
-        alone: dict[Column | PairEffect, list[Column]] = {}
+    def _groups(self) -> Mapping[Column | PairEffect, list[Column]]:
+        """Columns in groups: each alone, then the columns of each pair effect together."""
+        single: dict[Column | PairEffect, list[Column]] = {}
         pairs: dict[Column | PairEffect, list[Column]] = {}
         for column in self.columns:
             match column:
                 case PlacedColumn(PairEffect() as effect):
                     pairs.setdefault(effect, []).append(column)
                 case _:
-                    alone[column] = [column]
-        return alone | pairs
+                    single[column] = [column]
+        return single | pairs
 
     @cached_property
-    def _places(self) -> Mapping[Column, tuple[slice, tuple[int, ...]]]:
-        places, begin = dict[Column, tuple[slice, tuple[int, ...]]](), 0
-        for several in self._together.values():
-            reached = [column.reached(self.joints) for column in several]
+    def _spans(self) -> Mapping[Column, tuple[slice, tuple[int, ...]]]:
+        spans, begin = dict[Column, tuple[slice, tuple[int, ...]]](), 0
+        for group in self._groups.values():
+            reached = [column.reached(self.joints) for column in group]
             end = begin + sum(map(len, reached))
-            for place, (column, joints) in enumerate(zip(several, reached, strict=True), begin):
-                places[column] = slice(place, end, len(several)), joints
+            for start, (column, joints) in enumerate(zip(group, reached, strict=True), begin):
+                spans[column] = slice(start, end, len(group)), joints
             begin = end
-        return places
+        return spans
 
     @cached_property
     def _count(self) -> int:
-        return sum(len(joints) for _, joints in self._places.values())
+        return sum(len(joints) for _, joints in self._spans.values())
 
     @cached_property
     def _pairs(self) -> list[tuple[list[PairEffect], IntArray]]:
-        """Effects of the same pairs of joints, and these ``(2, columns)``."""
-        found = [
-            (effect, [column.reached(self.joints) for column in several])
-            for effect, several in self._together.items()
+        """Pair effects that act at the same pairs of joints, and these joints ``(2, columns)``."""
+        groups = [
+            (effect, [column.reached(self.joints) for column in columns])
+            for effect, columns in self._groups.items()
             if isinstance(effect, PairEffect)
         ]
         return [
-            ([effect for effect, _ in same], np.array(joints).T) for joints, same in groupby(found, key=itemgetter(1))
+            ([effect for effect, _ in same], np.array(joints).T) for joints, same in groupby(groups, key=itemgetter(1))
         ]
 
     @cached_property
-    def _alone(self) -> list[tuple[Column, slice | list[int]]]:
-        """The other columns, and the joints that each reaches: a slice if these are all."""
-        alone = [column for column in self._together if not isinstance(column, PairEffect)]
-        reached = [[*column.reached(self.joints)] for column in alone]
-        return [(c, slice(None) if len(own) == self.joints else own) for c, own in zip(alone, reached, strict=True)]
+    def _single(self) -> list[tuple[Column, slice | list[int]]]:
+        """All other columns, and the joints that each reaches: a full slice if it reaches all."""
+        columns = [column for column in self._groups if not isinstance(column, PairEffect)]
+        reached = [[*column.reached(self.joints)] for column in columns]
+        return [(c, slice(None) if len(at) == self.joints else at) for c, at in zip(columns, reached, strict=True)]
 
 
 NO_ENTRIES = Entries((), 0)
 
 
 def entries_of(effects: Iterable[tuple[MotionEffect, Place, float]], joints: int) -> tuple[Entries, FloatArray]:
-    """The entries of the columns of effects, each at a place with its coefficient; and what these add to the efforts of
-    all ``joints`` per unit of each ``(entries, joints)``."""
-    found = [(column_of(effect, place), place, value) for effect, place, value in effects]
-    entries = Entries(tuple(dict.fromkeys(column for column, _, _ in found)), joints)
+    """Return the entries of the columns of ``effects``, given as (effect, place, coefficient), and a matrix ``(entries,
+    joints)`` that turns their values into the effects' efforts at all ``joints``."""
+    columns = [(column_of(effect, place), place, value) for effect, place, value in effects]
+    entries = Entries(tuple(dict.fromkeys(column for column, _, _ in columns)), joints)
     strengths = np.zeros((len(entries), joints))
-    for column, place, value in found:
+    for column, place, value in columns:
         for joint in reached_joints(place, joints):
             strengths[entries.at(column, joint), joint] += value
     return entries, strengths

@@ -1,8 +1,8 @@
-"""Feet on the ground whose forces nobody measures: the efforts of their legs tell them.
+"""Feet on the ground without force sensors: ground forces follow from the efforts of the legs.
 
 A foot at the end of a leg obeys ``J^T f = Y phi - tau`` in the leg's joints. Solved for the force f and put into the
-six equations of the base, that leaves rows which hold whatever the ground does. Six joints tell the moment on a flat
-foot, too; at the end of fewer a foot touches in a point.
+six equations of the base, this leaves rows that hold whatever the ground forces are. A leg of six joints also
+determines the moment on a flat foot; with fewer joints a foot is a point contact.
 """
 
 from __future__ import annotations
@@ -19,24 +19,23 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray, IntArray
 
 DIRECTIONS = 3
-"""Of the force on a foot: so many joints tell it."""
+"""Components of the force on a foot, and so the least number of joints that determine it."""
 _NEARLY_SINGULAR = 0.1
-"""Smallest singular value of a leg's Jacobian as a share of the largest: beyond it noise of efforts is magnified."""
+"""Least ratio of smallest to largest singular value of a leg's Jacobian: below it effort noise is magnified."""
 _IN_A_LINE = 0.01
-"""The same of a base's motion by its feet: of those in a line nobody knows how the base turns about it."""
+"""Least such ratio for the base's motion from its feet: with feet in a line, rotation about the line is unknown."""
 
 
 @dataclass(frozen=True)
 class Contact:
-    """A foot on the ground: the URDF link ``frame`` has its centre at the origin, and it is round with a ``radius``
-    [m]."""
+    """A foot on the ground: a ball of a ``radius`` [m] around the origin of the URDF link ``frame``, or a point."""
 
     frame: str
     radius: float = 0.0
 
     @staticmethod
     def parse(text: str) -> Contact:
-        """From ``FRAME`` or ``FRAME:RADIUS``. Raises InputError for another form."""
+        """Parse ``FRAME`` or ``FRAME:RADIUS``. Raises InputError for any other form."""
         frame, colon, radius = text.partition(":")
         try:
             contact = Contact(frame, float(radius) if colon else 0.0)
@@ -53,19 +52,19 @@ class Legs:
     def __init__(self, robot: Robot, contacts: Sequence[Contact]) -> None:
         """
         Args:
-            robot: with a floating base.
-            contacts: the feet, one at each leg.
+            robot: robot with a floating base.
+            contacts: the feet, one per leg.
 
         Raises:
-            InputError: a foot is no link, is not behind three actuated joints, or shares a joint with another.
+            InputError: if a foot is not a link, moves with fewer than three joints, or shares a joint with another.
         """
         self._robot = robot
         self.contacts = tuple(contacts)
         self.joints = [self._joints(contact) for contact in contacts]
-        """The joints between base and foot, of each leg."""
+        """Joints between base and foot, for each leg."""
         for index, joints in enumerate(self.joints):
-            for other, others in enumerate(self.joints[:index]):
-                if shared := set(joints.tolist()) & set(others.tolist()):
+            for other, other_joints in enumerate(self.joints[:index]):
+                if shared := set(joints.tolist()) & set(other_joints.tolist()):
                     name = robot.joint_names[min(shared)]
                     feet = f"'{contacts[other].frame}' and '{contacts[index].frame}'"
                     raise InputError(f"contacts: {feet} both move with joint '{name}', expected one foot at each leg")
@@ -84,77 +83,78 @@ class Legs:
         return joints
 
     def loads(self, samples: Samples) -> FloatArray:
-        """Sizes of the :meth:`forces` on each foot ``(N, feet)``, as shares of what each bears when all stand."""
-        share = self._robot.weight / len(self.contacts)
-        return np.asarray(np.linalg.norm(self.forces(samples), axis=2) / share)
+        """Compute the size of the force on each foot ``(N, feet)``, as a fraction of weight / number of feet."""
+        weight_per_foot = self._robot.weight / len(self.contacts)
+        return np.asarray(np.linalg.norm(self.forces(samples), axis=2) / weight_per_foot)
 
     def carried(self, samples: Samples) -> FloatArray:
-        """The forces on all feet against gravity ``(N,)``, as shares of the robot's weight by the URDF."""
+        """Compute the total force of all feet against gravity ``(N,)``, as a fraction of the URDF's weight."""
         up = -self._robot.gravity / np.linalg.norm(self._robot.gravity)
         return np.asarray(np.sum(self.forces(samples), axis=1) @ up / self._robot.weight)
 
     def forces(self, samples: Samples) -> FloatArray:
-        """Forces of the ground on each foot ``(N, feet, 3)`` [N] in the world's axes, by the efforts and the URDF; NaN
-        where they are not known."""
+        """Compute ground forces on each foot ``(N, feet, 3)`` [N] in the world's axes, from the efforts and the URDF;
+        NaN where they are unknown."""
         q, v, a = self._robot.configuration(samples)
-        missing = self._robot.joint_efforts(q, v, a) - samples.effort
-        found = [
-            (inverse @ missing[:, joints, None])[:, :DIRECTIONS, 0]
+        ground_efforts = self._robot.joint_efforts(q, v, a) - samples.effort
+        per_foot = [
+            (inverse @ ground_efforts[:, joints, None])[:, :DIRECTIONS, 0]
             for joints, (_, inverse) in zip(self.joints, self._transmissions(q), strict=True)
         ]
-        return np.stack(found, axis=1)
+        return np.stack(per_foot, axis=1)
 
     def turning(self, samples: Samples) -> FloatArray:
-        """Angular velocities of the base ``(N, 3)`` [rad/s] in its own axes, by the joints alone, if all feet
-        stand; NaN where they do not tell."""
+        """Compute the base's angular velocity ``(N, 3)`` [rad/s] in the base frame from joint motion alone, assuming
+        that all feet stand; NaN where it is not determined."""
         q = self._robot.configuration(samples)[0]
         jacobians = np.concatenate([jacobian for jacobian, _ in self._transmissions(q)], axis=1)
         of_base, of_joints = np.split(jacobians, [6], axis=2)
         s = np.linalg.svd(of_base, compute_uv=False)
-        told = (s.shape[1] == 6) & (s[:, -1] > _IN_A_LINE * s[:, 0])
+        determined = (s.shape[1] == 6) & (s[:, -1] > _IN_A_LINE * s[:, 0])
         velocity = -np.linalg.pinv(of_base) @ (of_joints @ samples.velocity[:, :, None])
-        return np.asarray(np.where(told[:, None], velocity[:, 3:, 0], np.nan))
+        return np.asarray(np.where(determined[:, None], velocity[:, 3:, 0], np.nan))
 
     def eliminate(self, samples: Samples, base: IntArray, coefficients: FloatArray, targets: FloatArray) -> None:
-        """Put what the legs' rows say of the ground's forces into those of the base, in place; NaN in what that leaves
-        of the legs that stand.
+        """Eliminate ground forces: subtract the rows of standing legs from the base's rows, in place.
+
+        Targets of standing legs become NaN, and those of the base where a leg is nearly singular.
 
         Args:
-            samples: N instants.
+            samples: N samples.
             base: channels of the base ``(6,)``.
             coefficients: ``(N, channels, D)``.
             targets: ``(N, channels)``.
         """
         for joints, stands, onto_base in self.standing(samples):
-            at = stands[:, None]
+            rows = stands[:, None]
             singular = np.isnan(onto_base).any(axis=(1, 2))
-            onto_base[singular], targets[at[singular], base] = 0.0, np.nan
-            coefficients[at, base] -= onto_base @ coefficients[at, joints]
-            targets[at, base] -= (onto_base @ targets[at, joints][:, :, None])[:, :, 0]
-            targets[at, joints] = np.nan
+            onto_base[singular], targets[rows[singular], base] = 0.0, np.nan
+            coefficients[rows, base] -= onto_base @ coefficients[rows, joints]
+            targets[rows, base] -= (onto_base @ targets[rows, joints][:, :, None])[:, :, 0]
+            targets[rows, joints] = np.nan
 
     def standing(self, samples: Samples) -> list[tuple[IntArray, IntArray, FloatArray]]:
-        """Of each leg its joints, the instants ``(n,)`` at which it stands, and the matrix ``(n, 6, leg)`` that makes
-        the ground's wrench on the base of its joints' efforts; NaN where that magnifies noise."""
-        found = []
+        """Return for each leg its joints, the indices ``(n,)`` of samples where it stands, and the matrix ``(n, 6,
+        leg)`` from its joints' efforts to the ground's wrench on the base; NaN where that magnifies noise."""
+        legs = []
         transmissions = self._transmissions(self._robot.configuration(samples)[0])
         for joints, (jacobian, inverse), stands in zip(self.joints, transmissions, samples.standing.T, strict=False):
-            at = np.flatnonzero(stands)
-            found.append((joints, at, jacobian[at, :, :6].transpose(0, 2, 1) @ inverse[at]))
-        return found
+            rows = np.flatnonzero(stands)
+            legs.append((joints, rows, jacobian[rows, :, :6].transpose(0, 2, 1) @ inverse[rows]))
+        return legs
 
     def _transmissions(self, q: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-        """Of each foot the Jacobian ``(N, k, 6 + joints)`` of where it touches, in the world's axes, and the matrix
-        ``(N, k, leg)`` that makes forces, of six joints also moments, of the leg's efforts; NaN where it is nearly
-        singular."""
-        found = []
+        """Return for each foot the Jacobian ``(N, k, 6 + joints)`` of its contact point in the world's axes, and the
+        matrix ``(N, k, leg)`` from the leg's efforts to the force (with six joints also the moment); NaN where that is
+        nearly singular."""
+        transmissions = []
         for contact, joints in zip(self.contacts, self.joints, strict=True):
-            told = DIRECTIONS * min(len(joints) // DIRECTIONS, 2)
-            jacobian = self._robot.contact_jacobians(q, contact.frame, contact.radius)[:, :told]
+            components = DIRECTIONS * min(len(joints) // DIRECTIONS, 2)
+            jacobian = self._robot.contact_jacobians(q, contact.frame, contact.radius)[:, :components]
             leg = jacobian[:, :, 6 + joints]
             s = np.linalg.svd(leg[:, :DIRECTIONS], compute_uv=False)
             inverse: FloatArray = np.asarray(np.linalg.pinv(leg.transpose(0, 2, 1)))
             gain = np.linalg.norm(inverse[:, :DIRECTIONS], ord=2, axis=(1, 2))
             inverse[(s[:, -1] <= _NEARLY_SINGULAR * s[:, 0]) | (_NEARLY_SINGULAR * s[:, 0] * gain > 1.0)] = np.nan
-            found.append((jacobian, inverse))
-        return found
+            transmissions.append((jacobian, inverse))
+        return transmissions

@@ -1,4 +1,4 @@
-"""The controllers of motors that have no torque sensors: efforts from set-points."""
+"""Joint controllers of motors without torque sensors: efforts from set-points."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from geomid_ros.types import FloatArray
 
 @dataclass(frozen=True)
 class Gains:
-    """Of a joint's controller: ``kp`` [N m/rad, N/m] and ``kd`` [N m s/rad, N s/m]."""
+    """Gains of a joint's controller: ``kp`` [N m/rad, N/m] and ``kd`` [N m s/rad, N s/m]."""
 
     kp: float
     kd: float
 
     @staticmethod
     def parse(text: str) -> Gains:
-        """From ``KP:KD``. Raises InputError."""
+        """Parse ``KP:KD``. Raises InputError."""
         try:
             kp, kd = map(float, text.split(":"))
         except ValueError:
@@ -32,7 +32,7 @@ class Gains:
 
 @dataclass(frozen=True, eq=False)
 class Controller:
-    """The gains of all joints ``(joints,)``: effort = kp (q_c - q) + kd (v_c - v) + feed-forward.
+    """Gains of all joints ``(joints,)``: effort = kp (q_c - q) + kd (v_c - v) + feed-forward.
 
     Commands act ``delay`` [ns] after their stamps.
     """
@@ -43,26 +43,26 @@ class Controller:
 
     @staticmethod
     def of(gains: Mapping[str, Gains], joints: Sequence[str], delay: float) -> Controller | None:
-        """Of ``gains`` by joint, those of all others under an empty name, and a ``delay`` [s]; None without any.
+        """Build from ``gains`` by joint (an empty name: all other joints) and a ``delay`` [s]; None without gains.
 
-        Raises InputError for an unknown joint, or one without gains.
+        Raises InputError for an unknown joint or one without gains.
         """
         if not gains:
             return None
         for name in gains:
             if name and name not in joints:
                 raise unknown_name("joint with gains", name, joints)
-        own = [gains.get(joint, gains.get("")) for joint in joints]
-        if None in own:
-            raise InputError(f"joint '{joints[own.index(None)]}' has no gains; give KP:KD for all joints")
-        kp, kd = np.array([(each.kp, each.kd) for each in own if each is not None]).T
+        joint_gains = [gains.get(joint, gains.get("")) for joint in joints]
+        if None in joint_gains:
+            raise InputError(f"joint '{joints[joint_gains.index(None)]}' has no gains; give KP:KD for all joints")
+        kp, kd = np.array([(gain.kp, gain.kd) for gain in joint_gains if gain is not None]).T
         return Controller(kp, kd, round(1e9 * delay))
 
     def efforts(self, commands: FloatArray, position: FloatArray, velocity: FloatArray) -> FloatArray:
-        """Efforts ``(N, joints)`` by ``commands (N, 3, joints)`` of position, velocity and feed-forward."""
-        wanted, speed, forward = commands.swapaxes(0, 1)
-        return np.asarray(self.kp * (wanted - position) + self.kd * (speed - velocity) + forward)
+        """Compute efforts ``(N, joints)`` from ``commands (N, 3, joints)``: position, velocity, feed-forward."""
+        q_c, v_c, feedforward = commands.swapaxes(0, 1)
+        return np.asarray(self.kp * (q_c - position) + self.kd * (v_c - velocity) + feedforward)
 
     def rate(self, commands: FloatArray) -> FloatArray:
-        """By how much efforts ``(N, joints)`` change per second of set-points whose derivatives are ``commands``."""
+        """Effort rates ``(N, joints)`` [N m/s, N/s] due to the set-points, whose time derivatives are ``commands``."""
         return self.efforts(commands, np.zeros_like(commands[:, 0]), np.zeros_like(commands[:, 0]))

@@ -1,7 +1,7 @@
-"""An inertial measurement unit in place of the base's odometry.
+"""Inertial measurement unit (IMU) in place of the base's odometry.
 
-An accelerometer measures the specific force, acceleration less gravity, and the equations of motion ask for no more:
-which way is up changes nothing in them. It only says where a round foot touches the ground.
+An accelerometer measures the specific force, acceleration minus gravity. The equations of motion need no more: they do
+not depend on which way is up. The direction of up only determines where a round foot touches the ground.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Imu:
 
     @staticmethod
     def parse(text: str) -> Imu:
-        """From ``TOPIC:FRAME``. Raises InputError for another form."""
+        """Parse ``TOPIC:FRAME``. Raises InputError for any other form."""
         topic, _, frame = text.partition(":")
         if not topic or not frame or ":" in frame:
             raise InputError(f"imu '{text}' is not of the form TOPIC:FRAME, e.g. /imu:imu_link")
@@ -33,9 +33,9 @@ class Imu:
 
 @dataclass(frozen=True, eq=False)
 class ImuMount:
-    """Where an IMU is on the base, and the ``gravity (3,)`` of the world [m/s^2].
+    """Pose of an IMU on the base, and the ``gravity (3,)`` of the world [m/s^2].
 
-    ``rotation (3, 3)`` takes vectors from the IMU's axes to the base's, ``origin (3,)`` is its place there [m].
+    ``rotation (3, 3)`` takes vectors from the IMU's axes to the base's; ``origin (3,)`` is its position there [m].
     """
 
     rotation: FloatArray
@@ -43,16 +43,16 @@ class ImuMount:
     gravity: FloatArray
 
     def weighed(self, specific_force: FloatArray) -> FloatArray:
-        """Lengths of ``specific_force (N, 3)`` as multiples of gravity ``(N,)``: about one, on average over time."""
+        """Return lengths of ``specific_force (N, 3)`` as multiples of gravity ``(N,)``; about one on average."""
         return np.asarray(np.linalg.norm(specific_force, axis=1) / np.linalg.norm(self.gravity))
 
     def base_motion(
         self, angular_velocity: FloatArray, angular_acceleration: FloatArray, specific_force: FloatArray, up: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The base's motion as :class:`~geomid_ros.model.samples.Samples` have it.
+        """Compute the base's motion in the form of :class:`~geomid_ros.model.samples.Samples`.
 
-        The base stands upright as ``up`` says, with a heading and a place that do not matter, and does not move along;
-        its acceleration is such that gravity adds up to the specific force that was measured, whatever ``up`` is.
+        ``up`` gives the tilt; heading and position are arbitrary, and the linear velocity is zero. The acceleration
+        minus gravity gives the measured specific force at the IMU, whatever ``up`` is.
 
         Args:
             angular_velocity, angular_acceleration, specific_force: ``(N, 3)`` in the IMU's axes.
@@ -61,15 +61,15 @@ class ImuMount:
         Returns:
             Poses ``(N, 7)``, velocities and accelerations ``(N, 6)``.
         """
-        turning, tilting = angular_velocity @ self.rotation.T, angular_acceleration @ self.rotation.T
-        lever = np.cross(tilting, self.origin) + np.cross(turning, np.cross(turning, self.origin))
-        against = -self.gravity / np.linalg.norm(self.gravity)
-        quaternions = se3.shortest_rotation(up @ self.rotation.T, against)
-        falling = se3.turned_back(quaternions, self.gravity)
-        acceleration = specific_force @ self.rotation.T - lever + falling
-        still = np.zeros_like(turning)
+        rate, rate_change = angular_velocity @ self.rotation.T, angular_acceleration @ self.rotation.T
+        lever_acceleration = np.cross(rate_change, self.origin) + np.cross(rate, np.cross(rate, self.origin))
+        world_up = -self.gravity / np.linalg.norm(self.gravity)
+        quaternions = se3.shortest_rotation(up @ self.rotation.T, world_up)
+        gravity = se3.turned_back(quaternions, self.gravity)
+        acceleration = specific_force @ self.rotation.T - lever_acceleration + gravity
+        zeros = np.zeros_like(rate)
         return (
-            np.concatenate([still, quaternions], axis=1),
-            np.concatenate([still, turning], axis=1),
-            np.concatenate([acceleration, tilting], axis=1),
+            np.concatenate([zeros, quaternions], axis=1),
+            np.concatenate([zeros, rate], axis=1),
+            np.concatenate([acceleration, rate_change], axis=1),
         )

@@ -1,4 +1,4 @@
-"""The linear measurement model: samples to rows ``a . parameters = b``, one per channel and instant.
+"""Linear measurement model: turns samples into rows ``a . parameters = b``, one per channel and sample.
 
 A channel is one measured number: a joint's effort or one axis of a wrench sensor. The parameters are those of
 :class:`~geomid_ros.geometry.manifold.ParameterManifold`: ten per identified body, then the effects' positive
@@ -39,14 +39,14 @@ from geomid_ros.types import FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Rows of N instants: ``coefficients (N, channels, D)``, ``targets (N, channels)``, NaN where not measured."""
+    """Rows of N samples: ``coefficients (N, channels, D)``, ``targets (N, channels)``, NaN where not measured."""
 
     coefficients: FloatArray
     targets: FloatArray
 
 
 class MeasurementModel:
-    """Which parameters are unknown, which channels are measured, and the rows between them."""
+    """The unknown parameters, the measured channels, and the linear rows that relate them."""
 
     def __init__(
         self,
@@ -60,37 +60,37 @@ class MeasurementModel:
         contacts: Sequence[Contact] = (),
         commanded: bool = False,
     ) -> None:
-        """A model of a robot.
+        """Build the model of a robot.
 
         Args:
             robot: its bodies and joints.
-            effects: act at every place of their kind.
-            sensors: the wrench sensors.
-            links: the bodies to identify (all unless given); the others keep their URDF's inertia.
-            local_effects: act only at the place by whose name they are given.
-            behind_gear: names of the joints whose efforts are measured behind the gear, where a motor is not felt.
-            candidates: may act at every usual place of their kind where none of the same name is known.
-            contacts: the feet of a floating base, whose forces the efforts of their legs tell.
-            commanded: whether efforts are those of commands, which may act late.
+            effects: effects that act at every place of their kind.
+            sensors: wrench sensors.
+            links: bodies to identify (default all); the others keep the URDF's inertia.
+            local_effects: effects that act at one place only, by the name of the place.
+            behind_gear: names of the joints with effort sensors on the link side of the gear, unaffected by the motor.
+            candidates: effects that may act at every default place of their kind without a local effect of that name.
+            contacts: feet of a floating base; ground forces follow from the efforts of their legs.
+            commanded: True if efforts are computed from commands, which may act late.
 
         Raises:
-            InputError: for a link or sensor that does not fit the robot, or where nothing measured can be predicted.
+            InputError: if a link or sensor does not fit the robot, or no measured channel can be predicted.
         """
         self.robot = robot
         self.sensors = tuple(sensors)
         self.mounted = [sensor for sensor in sensors if sensor.role == "mounted"]
-        """The sensors inside the chain, in the order of their channels."""
+        """Sensors inside the chain, in the order of their channels."""
         self.external = [sensor for sensor in sensors if sensor.role == "external"]
-        """The sensors on what touches the robot from outside."""
+        """Sensors of the loads that the surroundings put on the robot."""
         self.identified = self._identified_bodies(links)
         self.body_names = tuple(robot.bodies[index].name for index in self.identified)
         """Names of the identified bodies."""
         self.loading = np.array([body.parameters for body in robot.bodies])
-        """What is known of all bodies ``(bodies, 10)``, for what the gears transmit."""
+        """Parameters of all bodies ``(bodies, 10)`` from which gear loads are computed: the URDF's, or known ones."""
         self.resisting: tuple[tuple[MotionEffect, Place, float], ...] = ()
-        """What else is known to act behind the gears."""
+        """Known effects on the link side of the gears, as (effect, place, coefficient); they add to the gear loads."""
         self.legs = Legs(robot, contacts) if contacts else None
-        """What stands on the ground, if its forces are found from efforts."""
+        """Legs, if ground forces are computed from their efforts; else None."""
         self._check_sensors()
         joints, base = len(robot.joints) if self._efforts_usable else 0, len(AXES) if self.legs else 0
         self.layout = ChannelLayout.of(joints, self._row_sensors, base)
@@ -157,23 +157,23 @@ class MeasurementModel:
 
     @property
     def _efforts_usable(self) -> bool:
-        """Whether all loads that reach the joints are known: not those of a force plate, which rest on some link, nor
-        those of a floating base without sensors."""
+        """True if all external loads on the joints are known. They are not with a force plate, whose load acts on an
+        unknown link, nor with a floating base that has neither sensors nor contacts."""
         on_robot = all(s.frame in self.robot.tree.links and len(s.axes) == 6 for s in self.external)
         return on_robot and (not self.robot.floating_base or bool(self.external) or self.legs is not None)
 
     def without_effects(self) -> MeasurementModel:
-        """The same channels and bodies, with no effects."""
+        """Return a model with the same channels and bodies, but no effects."""
         return self.with_coefficients(())
 
     def with_gravity(self, gravity: FloatArray) -> MeasurementModel:
-        """The same model under another ``gravity (3,)`` in the base frame [m/s^2]."""
+        """Return the model under another ``gravity (3,)`` in the base frame [m/s^2]."""
         robot = self.robot.with_gravity(gravity)
         return self._replaced(robot=robot, legs=self.legs and Legs(robot, self.legs.contacts))
 
     def with_known_loads(self, known: FloatArray | None) -> MeasurementModel:
-        """The same model, whose gears transmit what ``known (D,)`` parameters say, NaN where nothing is known: efforts
-        of the links, by the URDF unless they are known, and what else acts behind the gears."""
+        """Return the model with gear loads from ``known (D,)`` parameters, NaN where unknown. The loads are the efforts
+        of the links (the URDF's where unknown) and of known effects on the link side of the gears."""
         if known is None:
             return self
         first, loading = 10 * len(self.identified), self.loading.copy()
@@ -187,18 +187,18 @@ class MeasurementModel:
         return self._replaced(loading=loading, resisting=resisting)
 
     def with_carried(self, link: str) -> MeasurementModel:
-        """The same model with one body more, the last, which moves with the identified ``link`` and has its frame."""
+        """Return the model with a payload as its last body, fixed to the identified ``link`` and in its frame."""
         return self._replaced(
             identified=(*self.identified, self.identified[self.body_names.index(link)]),
             body_names=(*self.body_names, f"payload of {link}"),
         )
 
     def with_coefficients(self, chosen: Sequence[int]) -> MeasurementModel:
-        """The same model with these of its coefficients alone."""
+        """Return the model with only the ``chosen`` coefficients, by index."""
         return self._replaced(coefficients=tuple(self.coefficients[index] for index in chosen))
 
     def _replaced(self, **changes: Any) -> MeasurementModel:
-        """A copy with these attributes, and anew what depends on them."""
+        """Return a copy with changed attributes and everything that depends on them recomputed."""
         model = copy(self)
         for cached in ("columns", "_of_motion", "_of_loads", "_of_resistance", "_of_sensors", "usual_shapes"):
             vars(model).pop(cached, None)
@@ -207,55 +207,55 @@ class MeasurementModel:
         return model
 
     def _number(self) -> None:
-        """Count the parameters, and say which of them each channel depends on."""
+        """Count the parameters and list those that each channel depends on."""
         self.positives = sum(coefficient.positive for coefficient in self.coefficients)
-        """How many of the effects' coefficients are positive; they come first."""
+        """Number of positive effect coefficients; they come first."""
         self.dimension = 10 * len(self.identified) + len(self.coefficients)
-        """D, the number of parameters."""
+        """Number of parameters D."""
         self._reach = [self._reached(c.place) for c in self.coefficients]
         self.channels = (*self._joint_channels(), *self._wrench_channels(), *self._base_channels())
 
     @property
     def nominal_inertias(self) -> FloatArray:
-        """The URDF's parameters of the identified bodies, ``(10 bodies,)``."""
+        """URDF parameters of the identified bodies, ``(10 bodies,)``."""
         return np.array([self.robot.bodies[index].parameters for index in self.identified]).ravel()
 
     @property
     def nominal_parameters(self) -> FloatArray:
-        """The nominal model ``(D,)``: the URDF's inertias and no effects."""
+        """Nominal parameters ``(D,)``: the URDF's inertias and no effects."""
         return np.append(self.nominal_inertias, np.zeros(len(self.coefficients)))
 
     @cached_property
     def usual_shapes(self) -> dict[Mechanism, int]:
-        """The parameter, by its place among the D, that each effect is in its usual shape."""
+        """Index among the D parameters of each mechanism; of several instances of an effect, that of the default."""
         first = 10 * len(self.identified)
         return {c.mechanism: first + k for k, c in reversed([*enumerate(self.coefficients)])}
 
     @property
     def described_coefficients(self) -> FloatArray:
-        """What the URDF's ``<dynamics>`` says of each coefficient ``(coefficients,)``; zero where it says nothing."""
-        said = self.robot.described_dynamics
-        return np.array([said.get((c.place_name, c.effect.own[c.index].urdf), 0.0) for c in self.coefficients])
+        """Value of each coefficient in the URDF's ``<dynamics>`` ``(coefficients,)``; zero where there is none."""
+        described = self.robot.described_dynamics
+        return np.array([described.get((c.place_name, c.effect.own[c.index].urdf), 0.0) for c in self.coefficients])
 
     def manifold(self, scales: FloatArray) -> ParameterManifold:
-        """The manifold of the parameters, with the scales of the real coefficients."""
+        """Return the manifold of the parameters, with ``scales`` of the real coefficients."""
         return ParameterManifold(len(self.identified), self.positives, scales)
 
     def _reached(self, place: Place) -> tuple[int, ...]:
-        """The channels at which an effect at a place is felt."""
+        """Return the channels that an effect at a place affects."""
         return place.channels if isinstance(place, AtSensor) else reached_joints(place, len(self.layout.efforts))
 
     def _columns(self, channel: int, bodies: Sequence[int]) -> IntArray:
-        """The parameters that a channel depends on: those of these bodies, and of the effects that reach it."""
-        columns = [10 * place + k for place, body in enumerate(self.identified) if body in bodies for k in range(10)]
+        """Return the parameters that a channel depends on: those of ``bodies`` and of the effects that reach it."""
+        columns = [10 * index + k for index, body in enumerate(self.identified) if body in bodies for k in range(10)]
         first = 10 * len(self.identified)
         columns += [first + k for k, reached in enumerate(self._reach) if channel in reached]
         return np.array(columns, dtype=np.int64)
 
     def _joint_channels(self) -> list[Channel]:
-        carried = {joint.name: self.robot.subtree(joint.child) for joint in self.robot.tree.joints}
+        subtrees = {joint.name: self.robot.subtree(joint.child) for joint in self.robot.tree.joints}
         return [
-            Channel(name=joint.name, unit=joint.unit, columns=self._columns(index, carried[joint.name]), joint=index)
+            Channel(name=joint.name, unit=joint.unit, columns=self._columns(index, subtrees[joint.name]), joint=index)
             for index, joint in zip(self.layout.efforts, self.robot.joints, strict=False)
         ]
 
@@ -281,7 +281,7 @@ class MeasurementModel:
 
     @property
     def _row_sensors(self) -> list[WrenchSensor]:
-        """Sensors that make rows: every mounted one, and with a floating base the first external one for their sum."""
+        """Sensors with rows: every mounted one; for a floating base also the first external one, for their sum."""
         return self.mounted + (self.external[:1] if self.robot.floating_base else [])
 
     def _loaded_bodies(self, sensor: WrenchSensor) -> list[int]:
@@ -290,16 +290,16 @@ class MeasurementModel:
         return list(range(len(self.robot.bodies)))
 
     def rows(self, samples: Samples) -> Rows:
-        """The rows of N samples."""
+        """Compute the rows of N samples."""
         if len(samples) <= PIECE:
             return Rows(*self._rows(samples))
         coefficients = np.empty((len(samples), len(self.channels), self.dimension))
         targets = np.empty((len(samples), len(self.channels)))
         begin = 0
         for piece in samples.in_pieces():
-            own = slice(begin, begin + len(piece))
-            coefficients[own], targets[own] = self._rows(piece)
-            begin = own.stop
+            span = slice(begin, begin + len(piece))
+            coefficients[span], targets[span] = self._rows(piece)
+            begin = span.stop
         return Rows(coefficients, targets)
 
     def _rows(self, samples: Samples) -> tuple[FloatArray, FloatArray]:
@@ -315,49 +315,49 @@ class MeasurementModel:
         for index, (q, v, a) in enumerate(zip(*motion, strict=True) if self.sensors else ()):
             self.robot.update_motion(q, v, a)
             targets[index, :joints] += self._external_efforts(q, wrenches[index], joints)
-            self._put_wrench_rows(wrenches[index], bodies[index], targets[index])
+            self._fill_wrench_rows(wrenches[index], bodies[index], targets[index])
         coefficients, targets = self._assemble(samples, bodies, targets)
         if self.legs is not None:
             self.legs.eliminate(samples, np.array(base), coefficients, targets)
         return coefficients, targets
 
     def _measured_wrenches(self, samples: Samples) -> FloatArray:
-        """The wrenches ``(N, sensors, 6)`` with the sensors' signs, and zero where an axis is not measured."""
+        """Return wrenches ``(N, sensors, 6)`` with the sensors' signs applied, and zero on unmeasured axes."""
         wrenches = np.zeros(samples.wrenches.shape)
         for index, sensor in enumerate(self.sensors):
             wrenches[:, index, sensor.axis_indices] = sensor.sign * samples.wrenches[:, index, sensor.axis_indices]
         return wrenches
 
-    def _put_wrench_rows(self, wrenches: FloatArray, bodies: FloatArray, targets: FloatArray) -> None:
-        """Put the rows ``(channels, bodies, 10)`` and targets ``(channels,)`` of the sensors' channels in place."""
+    def _fill_wrench_rows(self, wrenches: FloatArray, bodies: FloatArray, targets: FloatArray) -> None:
+        """Fill in the rows ``(channels, bodies, 10)`` and targets ``(channels,)`` of the wrench sensors."""
         for sensor, loaded in self._loaded:
             channels, axes = self.layout.wrenches[sensor.topic], sensor.axis_indices
-            measured = self._total_external(wrenches) if sensor.role == "external" else self._of(sensor, wrenches)
+            measured = self._total_external(wrenches) if sensor.role == "external" else self._wrench(sensor, wrenches)
             bodies[channels], targets[channels] = self.robot.wrench_rows(loaded, sensor.frame)[axes], measured[axes]
 
     @cached_property
     def _loaded(self) -> list[tuple[WrenchSensor, list[int]]]:
-        """The sensors that make rows, and the bodies that each one feels."""
+        """Sensors with rows, and the bodies that load each."""
         return [(sensor, self._loaded_bodies(sensor)) for sensor in self._row_sensors]
 
-    def _of(self, sensor: WrenchSensor, wrenches: FloatArray) -> FloatArray:
+    def _wrench(self, sensor: WrenchSensor, wrenches: FloatArray) -> FloatArray:
         return np.asarray(wrenches[self.sensors.index(sensor)])
 
     def _total_external(self, wrenches: FloatArray) -> FloatArray:
-        """Sum of the external wrenches, in the frame of the first."""
+        """Sum the external wrenches in the frame of the first sensor, ``(6,)``."""
         first = self.robot.placement(self.external[0].frame)
         total = np.zeros(6)
         for sensor in self.external:
             move = first.actInv(self.robot.placement(sensor.frame)).toDualActionMatrix()
-            total += move @ self._of(sensor, wrenches)
+            total += move @ self._wrench(sensor, wrenches)
         return total
 
     def _external_efforts(self, q: FloatArray, wrenches: FloatArray, joints: int) -> FloatArray:
-        """What the known external loads add to the joints' side of the equation, ``J^T w``, ``(joints,)``."""
-        total = np.zeros(joints)
+        """Return the joint efforts of the measured external wrenches, ``J^T w``, ``(joints,)``."""
+        efforts = np.zeros(joints)
         for sensor in self.external if joints else ():
-            total += self.robot.frame_jacobian(q, sensor.frame).T @ self._of(sensor, wrenches)
-        return total
+            efforts += self.robot.frame_jacobian(q, sensor.frame).T @ self._wrench(sensor, wrenches)
+        return efforts
 
     def _assemble(self, samples: Samples, bodies: FloatArray, targets: FloatArray) -> tuple[FloatArray, FloatArray]:
         first = 10 * len(self.identified)
@@ -365,19 +365,19 @@ class MeasurementModel:
         coefficients[:, :, :first] = bodies[:, :, self.identified].reshape(*targets.shape, first)
         for index in set(range(len(self.robot.bodies))).difference(self.identified):
             targets -= bodies[:, :, index] @ self.robot.bodies[index].parameters
-        entries, channels, parameters, places = self._of_motion
-        coefficients[:, channels, parameters] = samples.values_of(entries)[:, places]
+        entries, channels, parameters, entry_indices = self._of_motion
+        coefficients[:, channels, parameters] = samples.values_of(entries)[:, entry_indices]
         if self._of_loads:
             loads, signs = self._loads(samples, bodies), samples.column(SIGN)
             for load, (joints, parameters) in self._of_loads.items():
                 coefficients[:, joints, parameters] = load.column(loads[:, joints], signs[:, joints])
         for (effect, place), (parameters, indices) in self._of_sensors.items():
             axes = np.array(self._reached(place))[:, None]
-            coefficients[:, axes, parameters] = self._sensed(samples, effect, place)[:, :, indices]
+            coefficients[:, axes, parameters] = self._sensor_columns(samples, effect, place)[:, :, indices]
         return coefficients, targets
 
     def _loads(self, samples: Samples, bodies: FloatArray) -> FloatArray:
-        """What the gears transmit ``(N, J)``, by what is known."""
+        """Compute gear loads ``(N, J)`` from the known bodies and effects."""
         loads = np.einsum("njbk,bk->nj", bodies[:, self.layout.efforts], self.loading)
         if self.resisting and self.layout.efforts:
             entries, strengths = self._of_resistance
@@ -385,8 +385,8 @@ class MeasurementModel:
         return self.with_ground(samples, loads)
 
     def with_ground(self, samples: Samples, loads: FloatArray) -> FloatArray:
-        """What the gears transmit ``(N, J)``, from that of the robot alone: of legs that stand the efforts, as the
-        ground loads them, too; zero where these are not measured."""
+        """Return gear loads ``(N, J)``, given those without ground forces. For standing legs these are the measured
+        efforts, because the ground loads them too; zero where efforts are not measured."""
         loads = loads.copy()
         for joints, stands in zip(self.legs.joints if self.legs else (), samples.standing.T, strict=False):
             loads[np.ix_(stands, joints)] = np.nan_to_num(samples.effort[np.ix_(stands, joints)])
@@ -394,77 +394,77 @@ class MeasurementModel:
 
     @cached_property
     def _of_motion(self) -> tuple[Entries, IntArray, IntArray, IntArray]:
-        """The entries of this model's columns; the channels and the parameters ``(n,)`` of rows that they are, and the
-        place of each among the entries."""
+        """Entries of this model's columns, and three arrays ``(n,)``: the channel and the parameter where the rows hold
+        an entry, and the index of that entry."""
         entries = Entries(self.columns, len(self.layout.efforts))
-        found = [
+        indices = [
             (joint, parameter, entries.at(column_of(c.effect, c.place), joint))
             for parameter, c in enumerate(self.coefficients, 10 * len(self.identified))
             if isinstance(c.effect, MotionEffect)
             for joint in self._reached(c.place)
         ]
-        channels, parameters, places = np.array(found, dtype=np.int64).reshape(-1, 3).T
-        return entries, channels, parameters, places
+        channels, parameters, entry_indices = np.array(indices, dtype=np.int64).reshape(-1, 3).T
+        return entries, channels, parameters, entry_indices
 
     @cached_property
     def _of_resistance(self) -> tuple[Entries, FloatArray]:
-        """The entries of what resists, and what these add to the efforts of all joints ``(entries, joints)``."""
+        """Entries of the known resisting effects, and all joints' efforts per unit of each ``(entries, joints)``."""
         return entries_of(self.resisting, len(self.layout.efforts))
 
     @cached_property
     def _of_loads(self) -> dict[LoadEffect, IntArray]:
-        """Of each effect of loads the joints and the parameters ``(2, n)``."""
-        found: dict[LoadEffect, list[tuple[int, int]]] = {}
+        """Joints and parameters ``(2, n)`` of each load effect."""
+        indices: dict[LoadEffect, list[tuple[int, int]]] = {}
         for parameter, c in enumerate(self.coefficients, 10 * len(self.identified)):
             if isinstance(c.effect, LoadEffect):
-                found.setdefault(c.effect, []).append((joint_of(c.place), parameter))
-        return {effect: np.array(own).T for effect, own in found.items()}
+                indices.setdefault(c.effect, []).append((joint_of(c.place), parameter))
+        return {effect: np.array(pairs).T for effect, pairs in indices.items()}
 
     @cached_property
     def _of_sensors(self) -> dict[tuple[SensorEffect, Place], IntArray]:
-        """Of each effect at a sensor the parameters, and the coefficients by their indices ``(2, n)``."""
-        found: dict[tuple[SensorEffect, Place], list[tuple[int, int]]] = {}
+        """Parameters and coefficient indices ``(2, n)`` of each effect at a sensor."""
+        indices: dict[tuple[SensorEffect, Place], list[tuple[int, int]]] = {}
         for parameter, c in enumerate(self.coefficients, 10 * len(self.identified)):
             if isinstance(c.effect, SensorEffect):
-                found.setdefault((c.effect, c.place), []).append((parameter, c.index))
-        return {key: np.array(own).T for key, own in found.items()}
+                indices.setdefault((c.effect, c.place), []).append((parameter, c.index))
+        return {key: np.array(pairs).T for key, pairs in indices.items()}
 
     def columns_of(
         self, samples: Samples, effect: MotionEffect | SensorEffect, place: Place, index: int
     ) -> dict[int, FloatArray]:
-        """What a unit of an effect's coefficient of this index adds to each channel that it reaches, ``(N,)``."""
+        """Return the column ``(N,)`` of an effect's coefficient ``index`` in each channel that it reaches."""
         channels = self._reached(place)
         if isinstance(effect, MotionEffect):
-            own = samples.column(column_of(effect, place))
-            return {channel: own[:, channel] for channel in channels}
-        columns = self._sensed(samples, effect, place)[:, :, index]
+            efforts = samples.column(column_of(effect, place))
+            return {channel: efforts[:, channel] for channel in channels}
+        columns = self._sensor_columns(samples, effect, place)[:, :, index]
         return {channel: column for channel, column in zip(channels, columns.T, strict=True) if np.any(column)}
 
     def eliminate_ground(self, samples: Samples, columns: Iterable[dict[int, FloatArray]]) -> None:
-        """Put into the base's channels, in place, what columns ``(N,)`` by channel say of the ground's forces in the
-        legs that stand, as :meth:`rows` has it of its own."""
-        for joints, at, onto_base in self.legs.standing(samples) if self.legs else ():
-            for own in columns:
-                for place in [place for place, joint in enumerate(joints) if joint in own]:
+        """Eliminate ground forces from ``columns``: subtract from the base's channels, in place, what the columns
+        ``(N,)`` add to the joints of standing legs. :meth:`rows` does the same with its rows."""
+        for joints, standing, onto_base in self.legs.standing(samples) if self.legs else ():
+            for column in columns:
+                for index in [index for index, joint in enumerate(joints) if joint in column]:
                     ground = np.zeros((len(samples), len(self.layout.base)))
-                    ground[at] = np.nan_to_num(onto_base[:, :, place]) * own[joints[place]][at, None]
+                    ground[standing] = np.nan_to_num(onto_base[:, :, index]) * column[joints[index]][standing, None]
                     for channel, of_axis in zip(self.layout.base, ground.T, strict=True):
-                        own[channel] = own.get(channel, 0.0) - of_axis
+                        column[channel] = column.get(channel, 0.0) - of_axis
 
-    def _sensed(self, samples: Samples, effect: SensorEffect, place: Place) -> FloatArray:
-        """What a unit of each of an effect's coefficients adds to each axis of a sensor ``(N, axes, coefficients)``."""
+    def _sensor_columns(self, samples: Samples, effect: SensorEffect, place: Place) -> FloatArray:
+        """Return a sensor effect's columns ``(N, axes, coefficients)``: reading per unit of each coefficient."""
         return effect.columns(samples.motion, [self.channels[channel].axis for channel in self._reached(place)])
 
     @cached_property
     def columns(self) -> tuple[Column, ...]:
-        """The columns of the effects, and of what tells how joints move, as samples carry them."""
-        own = [column_of(c.effect, c.place) for c in self.coefficients if isinstance(c.effect, MotionEffect)]
-        return tuple(dict.fromkeys([*own, *((SIGN, SMOOTH_SIGN, REST) if self.layout.efforts else ())]))
+        """Columns that samples must contain: those of the effects, and of the joints' direction and rest."""
+        effect_columns = [column_of(c.effect, c.place) for c in self.coefficients if isinstance(c.effect, MotionEffect)]
+        return tuple(dict.fromkeys([*effect_columns, *((SIGN, SMOOTH_SIGN, REST) if self.layout.efforts else ())]))
 
     def predict(self, samples: Samples, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Measured values of every channel ``(N, channels)``, and predicted ones at parameters ``(D,)``, or at several
-        ``(D, K)``: ``(N, channels, K)``."""
-        # Rows are many times as large as the samples that they are made of: not all at once.
+        """Return measured values ``(N, channels)`` and values predicted at parameters ``(D,)``; with several parameter
+        vectors ``(D, K)``, predictions are ``(N, channels, K)``."""
+        # Rows are many times as large as their samples, so they are not computed all at once.
         measured, predicted = [], []
         for piece in samples.in_pieces():
             rows = self.rows(piece)
@@ -473,8 +473,8 @@ class MeasurementModel:
         return np.concatenate(measured), np.concatenate(predicted)
 
     def predicted_efforts(self, samples: Samples, parameters: FloatArray) -> FloatArray:
-        """Efforts ``(N, joints)`` as they would be measured, with the links that are not identified and the known
-        external loads; NaN for joints whose effort is not measured."""
+        """Predict measured efforts ``(N, joints)``, including links that are not identified and measured external
+        loads; NaN for joints whose effort is not measured."""
         measured, predicted = self.predict(samples, parameters)
         efforts = np.full(samples.effort.shape, np.nan)
         if self.layout.efforts:

@@ -1,4 +1,4 @@
-"""A robot from its URDF: bodies to identify, joints to read, and their rigid-body dynamics by pinocchio."""
+"""Robot from a URDF: bodies to identify, joints to read, and rigid-body dynamics by pinocchio."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ _ROOT_JOINT = "floating base of geomid_ros"  # must not be the name of a joint o
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A rigid body to identify: a moving link with what is fixed to it.
+    """A rigid body to identify: a moving link and the links fixed to it.
 
     Attributes:
-        name: The URDF link in whose frame the parameters are given.
-        merged: Massive links that are fixed to it and counted in.
-        joint: Pinocchio's index of the joint that moves it; 0 for none: it is fixed to the world by a mounted sensor.
+        name: URDF link in whose frame the parameters are expressed.
+        merged: Links with a mass that are fixed to it; their inertias are included.
+        joint: Pinocchio's index of the joint that moves it; 0 if a mounted sensor fixes it to the world.
         parameters: ``(10,)`` in pinocchio's order.
-        to_joint: Takes parameters from the link's frame to that of the joint, ``(10, 10)``.
+        to_joint: Transform ``(10, 10)`` of parameters from the link's frame to the joint's frame.
     """
 
     name: str
@@ -46,7 +46,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Joint:
-    """A moving joint: ``q`` and ``v`` index pinocchio's configuration and velocity; ``unit`` is that of its effort."""
+    """A moving joint: ``q`` and ``v`` index pinocchio's configuration and velocity; ``unit`` is its effort's unit."""
 
     name: str
     q: int
@@ -57,8 +57,8 @@ class Joint:
 
 @dataclass(frozen=True)
 class Follower:
-    """A ``joint`` that mimics the one in the place ``master`` among the robot's: it moves ``factor`` times as far, and
-    stands at ``offset`` when that stands at zero."""
+    """A mimic ``joint``: its position is ``factor`` times that of its master plus ``offset``. ``master`` is an index
+    into :attr:`Robot.joints`."""
 
     joint: Joint
     master: int
@@ -69,8 +69,8 @@ class Follower:
 class Robot:
     """Bodies, joints and rigid-body quantities of one robot.
 
-    Joints that mimic others are not joints of their own: they follow, and what moves them is part of the master's
-    effort (the principle of virtual work).
+    A mimic joint is not among the joints. The effort that moves it is part of its master's effort (principle of
+    virtual work).
     """
 
     def __init__(
@@ -86,16 +86,16 @@ class Robot:
         """Build from URDF text.
 
         Args:
-            urdf: The text.
-            floating_base: Whether the root link moves freely.
-            cuts: Links at which a group of fixed links is divided (where a mounted sensor sits): the part from there
-                on is a body of its own.
-            locked_joints: Joints that count as fixed at zero.
+            urdf: URDF text.
+            floating_base: True if the root link moves freely.
+            cuts: Links at which a group of fixed links is divided (where a wrench sensor is mounted). The part distal
+                to a cut is a separate body.
+            locked_joints: Joints to treat as fixed at zero.
             gravity: ``(3,)`` in the base (world) frame [m/s^2].
-            source: Names the URDF in messages.
+            source: Name of the URDF in error messages.
 
         Raises:
-            InputError: Naming ``source`` and the link or joint.
+            InputError: The URDF cannot be used; the message names ``source`` and the link or joint.
         """
         self.source = source
         self.urdf = urdf
@@ -108,14 +108,14 @@ class Robot:
         self._model.gravity.linear = self.gravity
         self._data = self._model.createData()
         self.name = str(self._model.name)
-        """The robot's name in its URDF."""
+        """Robot name in the URDF."""
         moving = self._moving_joints()
         self.joints = tuple(joint for joint in moving if self._master(joint.name) is None)
         self.joint_names = tuple(joint.name for joint in self.joints)
         """Names of the moving joints, in the order of all joint arrays."""
         self.followers = self._followers(moving)
         self.repaired: dict[str, str] = {}
-        """What was changed of the inertias of links that the URDF has wrong, in a sentence, by link."""
+        """Description of each repair to an inconsistent URDF inertia, by link."""
         self.bodies = self._bodies(set(cuts))
         self.body_names = tuple(body.name for body in self.bodies)
         """Names of the bodies, in the order of the parameters."""
@@ -139,9 +139,9 @@ class Robot:
 
     @cached_property
     def described_dynamics(self) -> dict[tuple[str, str], float]:
-        """What the URDF says at a joint's ``<dynamics>``, by the joint and the attribute (``dynamics/damping``).
+        """Values of the URDF's ``<dynamics>`` elements, by joint and attribute (``dynamics/damping``).
 
-        Raises InputError for what is no number.
+        Raises InputError if a value is not a number.
         """
         return {
             (joint.get("name", ""), f"dynamics/{key}"): urdf_tree.read_numbers(
@@ -152,8 +152,8 @@ class Robot:
         }
 
     def _master(self, name: str) -> tuple[str, float, float] | None:
-        """The joint that another one follows in the end, with factor and offset; None for one that follows nobody, or
-        joints that there are not."""
+        """Return the final master of a mimic joint, with the overall factor and offset; None if the joint is not a
+        mimic joint or its master does not exist."""
         by_name = {joint.name: joint for joint in self.tree.joints}
         factor, offset, joint = 1.0, 0.0, by_name[name]
         for _ in self.tree.joints:
@@ -164,27 +164,27 @@ class Robot:
         raise InputError(f"{self.source}: joint '{name}' mimics itself")
 
     def _with_followers(self, locked: Sequence[str]) -> frozenset[str]:
-        """The joints to lock, and those that follow a joint which does not move."""
-        still = {*locked, *(joint.name for joint in self.tree.joints if joint.type == "fixed")}
+        """Return the joints to lock, including mimic joints whose master does not move."""
+        fixed = {*locked, *(joint.name for joint in self.tree.joints if joint.type == "fixed")}
         masters = {joint.name: self._master(joint.name) for joint in self.tree.joints if joint.type != "fixed"}
-        return frozenset([*locked, *(name for name, found in masters.items() if found and found[0] in still)])
+        return frozenset([*locked, *(name for name, master in masters.items() if master and master[0] in fixed)])
 
     def _followers(self, moving: Sequence[Joint]) -> tuple[Follower, ...]:
         masters = [(joint, self._master(joint.name)) for joint in moving]
         return tuple(
-            Follower(joint, self.joint_names.index(found[0]), *found[1:])
-            for joint, found in masters
-            if found is not None
+            Follower(joint, self.joint_names.index(master[0]), *master[1:])
+            for joint, master in masters
+            if master is not None
         )
 
     def _without_locked(self, model: pin.Model) -> pin.Model:
-        moving = {model.names[index]: index for index in range(self._first_joint, model.njoints)}
+        indices = {model.names[index]: index for index in range(self._first_joint, model.njoints)}
         for name in sorted(self._locked):
-            if name not in moving:
-                raise unknown_name("joint to lock", name, moving)
+            if name not in indices:
+                raise unknown_name("joint to lock", name, indices)
         if not self._locked:
             return model
-        return pin.buildReducedModel(model, [moving[name] for name in sorted(self._locked)], pin.neutral(model))
+        return pin.buildReducedModel(model, [indices[name] for name in sorted(self._locked)], pin.neutral(model))
 
     def _moving_joints(self) -> tuple[Joint, ...]:
         types = {joint.name: joint.type for joint in self.tree.joints}
@@ -209,19 +209,19 @@ class Robot:
 
     @property
     def massless(self) -> tuple[str, ...]:
-        """The moving links that are things and not frames, and have no mass, nor has what is fixed to them."""
+        """Moving links that are physical parts, not just frames, but have no mass, nor have the links fixed to them."""
         groups = [self._rigid_group(head, set(self._heads)) for head in self._heads]
         weightless = [group for group in groups if self.tree.inertials.keys().isdisjoint(group)]
-        return tuple(group[0] for group in weightless if self.tree.things & {*group} or self._reaches(group[0]))
+        return tuple(group[0] for group in weightless if self.tree.things & {*group} or self._has_extent(group[0]))
 
-    def _reaches(self, link: str) -> bool:
-        """Whether a moving link carries a joint elsewhere than at its own: something is between them."""
+    def _has_extent(self, link: str) -> bool:
+        """True if a moving link supports a joint away from its joint's origin, so it is a physical part."""
         model = self._model
-        after = model.children[self._frame(link).parentJoint]
-        return any(np.any(model.jointPlacements[joint].translation) for joint in after)
+        child_joints = model.children[self._frame(link).parentJoint]
+        return any(np.any(model.jointPlacements[joint].translation) for joint in child_joints)
 
     def _frame(self, link: str) -> pin.Frame:
-        """Pinocchio's frame of a link."""
+        """Return pinocchio's frame of a link."""
         return self._model.frames[self._model.getFrameId(link, pin.BODY)]
 
     def _is_fixed(self, joint: urdf_tree.UrdfJoint) -> bool:
@@ -242,7 +242,7 @@ class Robot:
         parameters = np.zeros(10)
         for link in massive:
             parameters += _transform(frame.placement.actInv(self._frame(link).placement)) @ self.tree.inertials[link]
-        parameters = self._possible(head, massive, parameters)
+        parameters = self._checked_parameters(head, massive, parameters)
         return Body(
             head,
             tuple(link for link in massive if link != head),
@@ -251,8 +251,8 @@ class Robot:
             frozen(_transform(frame.placement)),
         )
 
-    def _possible(self, head: str, massive: list[str], parameters: FloatArray) -> FloatArray:
-        """The parameters, repaired if they belong to no body but say a mass and a centre of mass."""
+    def _checked_parameters(self, head: str, massive: list[str], parameters: FloatArray) -> FloatArray:
+        """Return the parameters, repaired if their moments are inconsistent; refuse a mass that is not positive."""
         if pseudo_inertia.is_body(parameters):
             return parameters
         merged = "" if massive == [head] else f" (with {', '.join(massive)})"
@@ -273,56 +273,56 @@ class Robot:
 
     @property
     def effort_limits(self) -> FloatArray:
-        """The joints' largest efforts in the URDF ``(joints,)`` [N m, N], infinite where it has none."""
+        """Effort limits of the joints in the URDF ``(joints,)`` [N m, N]; infinite where there is none."""
         limits = np.asarray(self._model.effortLimit)[self._velocity_rows]
         return np.where(limits > 0.0, limits, np.inf)
 
     @property
     def speed_limits(self) -> FloatArray:
-        """The joints' largest speeds in the URDF ``(joints,)`` [rad/s, m/s], infinite where it has none."""
+        """Speed limits of the joints in the URDF ``(joints,)`` [rad/s, m/s]; infinite where there is none."""
         limits = np.asarray(self._model.velocityLimit)[self._velocity_rows]
         return np.where(limits > 0.0, limits, np.inf)
 
     @property
     def position_limits(self) -> FloatArray:
-        """The joints' lowest and highest positions in the URDF ``(joints, 2)`` [rad, m], infinite where it has none."""
+        """Position limits (low, high) in the URDF ``(joints, 2)`` [rad, m]; infinite where there is none."""
         model = self._model
         limits = np.full((len(self.joints), 2), (-np.inf, np.inf))
         for limit, joint in zip(limits, self.joints, strict=True):
-            own = model.lowerPositionLimit[joint.q], model.upperPositionLimit[joint.q]
-            if not joint.continuous and own[0] < own[1]:
-                limit[:] = own
+            bounds = model.lowerPositionLimit[joint.q], model.upperPositionLimit[joint.q]
+            if not joint.continuous and bounds[0] < bounds[1]:
+                limit[:] = bounds
         return limits
 
     def is_divided_at(self, link: str) -> bool:
-        """Whether the body of ``link`` begins there: it moves relative to its parent, or it is one of the cuts."""
+        """True if a body begins at ``link``: it moves relative to its parent, or it is one of the cuts."""
         return link in self._heads
 
     def subtree(self, frame: str) -> list[int]:
-        """Indices of the bodies at or after the link ``frame``."""
-        carried = set(self.tree.subtree(frame))
-        return [index for index, body in enumerate(self.bodies) if body.name in carried]
+        """Return the indices of the bodies in the subtree of the link ``frame``, itself included."""
+        links = set(self.tree.subtree(frame))
+        return [index for index, body in enumerate(self.bodies) if body.name in links]
 
     def chain(self, joint: int) -> list[int]:
-        """Places of the other joints that carry a joint, or are carried by it."""
-        above = {own.name: {each.name for each in self.tree.joints_above(own.child)} for own in self.tree.joints}
+        """Return the indices of all other joints proximal or distal to ``joint`` on its chain."""
+        proximal = {j.name: {above.name for above in self.tree.joints_above(j.child)} for j in self.tree.joints}
         name = self.joint_names[joint]
         return [
-            place
-            for place, other in enumerate(self.joint_names)
-            if other != name and (other in above[name] or name in above[other])
+            index
+            for index, other in enumerate(self.joint_names)
+            if other != name and (other in proximal[name] or name in proximal[other])
         ]
 
     def configuration(self, samples: Samples) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Pinocchio's q ``(N, nq)``, v and a ``(N, nv)`` of samples."""
+        """Return pinocchio's q ``(N, nq)``, v and a ``(N, nv)`` of samples."""
         q, v, a = self.moved(np.array([samples.position, samples.velocity, samples.acceleration]))
         if self.floating_base:
             q[:, :7], v[:, :6], a[:, :6] = samples.base_pose, samples.base_velocity, samples.base_acceleration
         return q, v, a
 
     def moved(self, motion: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The same at positions, velocities and accelerations ``(3, N, joints)``, where a floating base stands still in
-        the world's origin."""
+        """Return pinocchio's q ``(N, nq)``, v and a ``(N, nv)`` from joint positions, velocities and accelerations
+        ``(3, N, joints)``. A floating base is at rest at the world's origin."""
         positions, v, a = motion @ self.coupling.T
         positions += self._offsets
         q = np.empty((motion.shape[1], self._model.nq))
@@ -336,45 +336,45 @@ class Robot:
 
     @property
     def pinocchio_model(self) -> pin.Model:
-        """A copy of pinocchio's model."""
+        """Copy of pinocchio's model."""
         return self._model.copy()
 
     def pinocchio_positions(self, position: FloatArray) -> FloatArray:
-        """Pinocchio's q ``(N, nq)`` at positions ``(N, joints)``, with what follows them."""
-        still = np.zeros_like(position)
-        return self.moved(np.array([position, still, still]))[0]
+        """Return pinocchio's q ``(N, nq)`` at positions ``(N, joints)``, mimic joints included."""
+        zeros = np.zeros_like(position)
+        return self.moved(np.array([position, zeros, zeros]))[0]
 
     def joint_effort_rows(self, q: FloatArray, v: FloatArray, a: FloatArray, *, base: bool = False) -> FloatArray:
-        """Regressors of the joints' efforts at N instants, ``(N, joints, bodies, 10)``, in the bodies' link frames.
+        """Compute regressors of the joint efforts for N samples, ``(N, joints, bodies, 10)``, in the link frames.
 
-        With ``base`` six more follow, ``(N, joints + 6, bodies, 10)``: those of the wrench on a floating base, in the
-        axes and about the origin of the root link.
+        With ``base``, six rows follow, ``(N, joints + 6, bodies, 10)``: the regressor of the wrench on a floating base,
+        in the axes and about the origin of the root link.
         """
-        # Instant by instant only what pinocchio does: the rest takes twice as long, unless it is done for all at once.
+        # Only pinocchio's call is per sample; looping over the remaining steps would take twice as long.
         full = np.empty((len(q), self._model.nv, 10 * (self._model.njoints - 1)))
         for rows, *state in zip(full, q, v, a, strict=True):
-            # Of a robot with one joint pinocchio returns arrays that have lost a dimension.
+            # For a robot with one joint, pinocchio drops a dimension.
             rows[:] = pin.computeJointTorqueRegressor(self._model, self._data, *state).reshape(rows.shape)
-        rows = np.concatenate([self._of_joints(full), full[:, :6]], axis=1) if base else self._of_joints(full)
-        found = np.zeros((len(q), rows.shape[1], len(self.bodies), 10))
-        chosen = slice(None if base else np.count_nonzero(self.carries))
-        joints, bodies, moved_by, to_joints = (of_pairs[chosen] for of_pairs in self._felt)
+        rows = np.concatenate([self._joint_rows(full), full[:, :6]], axis=1) if base else self._joint_rows(full)
+        regressors = np.zeros((len(q), rows.shape[1], len(self.bodies), 10))
+        selected = slice(None if base else np.count_nonzero(self.carries))
+        joints, bodies, moved_by, to_joints = (of_pairs[selected] for of_pairs in self._row_body_pairs)
         pairs = rows.reshape(len(q), rows.shape[1], -1, 10)[:, joints, moved_by].transpose(1, 0, 2)
-        found[:, joints, bodies] = (pairs @ to_joints).transpose(1, 0, 2)
-        return found
+        regressors[:, joints, bodies] = (pairs @ to_joints).transpose(1, 0, 2)
+        return regressors
 
     @cached_property
-    def _felt(self) -> tuple[AnyArray, ...]:
-        """Of all pairs of a row and a body that it feels, the joints' rows before those of the base: the row, the body,
-        pinocchio's joint that moves it, and the transform to that joint's frame."""
+    def _row_body_pairs(self) -> tuple[AnyArray, ...]:
+        """All pairs of a row and a body that affects it, joint rows before base rows: arrays of the row, the body,
+        pinocchio's joint that moves the body, and the transform to that joint's frame."""
         rows, bodies = np.nonzero(np.concatenate([self.carries, np.tile(self._moved_by >= 0, (6, 1))]))
         return rows, bodies, self._moved_by[bodies], self._to_joints[bodies]
 
     @cached_property
     def carries(self) -> BoolArray:
-        """Whether each joint, or what follows it, moves each body ``(joints, bodies)``."""
+        """True where a joint, or one of its mimic joints, moves a body ``(joints, bodies)``."""
         carries = np.zeros((len(self.joints), len(self.bodies)), dtype=np.bool_)
-        moving = {joint.name: place for place, joint in enumerate(self.joints)}
+        moving = {joint.name: index for index, joint in enumerate(self.joints)}
         moving |= {follower.joint.name: follower.master for follower in self.followers}
         for joint in self.tree.joints:
             if joint.name in moving:
@@ -382,53 +382,53 @@ class Robot:
         return carries
 
     def body_effort_rows(self, q: FloatArray, v: FloatArray, a: FloatArray, body: int) -> FloatArray:
-        """Regressor ``(joints, 10)`` of the joints' efforts by the inertia of one moving ``body``, at one instant."""
-        model, data, moved = self._model, self._data, self.bodies[body]
+        """Compute the regressor ``(joints, 10)`` of the joint efforts for one moving ``body``, at one instant."""
+        model, data, moving_body = self._model, self._data, self.bodies[body]
         pin.forwardKinematics(model, data, q, v, a)
         pin.computeJointJacobians(model, data)
-        jacobian = pin.getJointJacobian(model, data, moved.joint, pin.LOCAL)
-        against_gravity = data.a[moved.joint] - data.oMi[moved.joint].actInv(model.gravity)
-        regressor = pin.bodyRegressor(data.v[moved.joint], against_gravity)
-        return np.asarray(self.coupling.T @ jacobian.reshape(6, model.nv).T @ regressor @ moved.to_joint)
+        jacobian = pin.getJointJacobian(model, data, moving_body.joint, pin.LOCAL)
+        against_gravity = data.a[moving_body.joint] - data.oMi[moving_body.joint].actInv(model.gravity)
+        regressor = pin.bodyRegressor(data.v[moving_body.joint], against_gravity)
+        return np.asarray(self.coupling.T @ jacobian.reshape(6, model.nv).T @ regressor @ moving_body.to_joint)
 
     def joint_efforts(
         self, q: FloatArray, v: FloatArray, a: FloatArray, inertias: FloatArray | None = None
     ) -> FloatArray:
-        """The joints' efforts ``(N, joints)`` at N instants by the recursive Newton-Euler algorithm, with ``inertias
-        (all bodies, 10)``; those of the URDF if None."""
+        """Compute joint efforts ``(N, joints)`` by the recursive Newton-Euler algorithm, with ``inertias (all bodies,
+        10)``, or the URDF's if None."""
         if inertias is None:
             return self.efforts_of(self._model, self._data, q, v, a)
         model = self.with_inertias(inertias, range(len(inertias)))
         return self.efforts_of(model, model.createData(), q, v, a)
 
     def efforts_of(self, model: pin.Model, data: pin.Data, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """The same with the inertias of a ``model`` of :meth:`with_inertias`."""
+        """Compute joint efforts ``(N, joints)`` with the inertias of a ``model`` from :meth:`with_inertias`."""
         efforts = [pin.rnea(model, data, *state) for state in zip(q, v, a, strict=True)]
         return np.array(efforts).reshape(len(q), model.nv) @ self.coupling
 
     @cached_property
     def coupling(self) -> FloatArray:
-        """How fast all of pinocchio's ``nv`` velocities are, by those of the joints, ``(nv, joints)``."""
-        return frozen(self._of_joints(np.eye(self._model.nv)).T)
+        """Derivative ``(nv, joints)`` of pinocchio's velocities by the joint velocities; mimic joints add entries."""
+        return frozen(self._joint_rows(np.eye(self._model.nv)).T)
 
-    def _of_joints(self, rows: FloatArray) -> FloatArray:
-        """The rows ``(..., joints, k)`` of the robot's joints, of those ``(..., nv, k)`` of all that moves."""
+    def _joint_rows(self, rows: FloatArray) -> FloatArray:
+        """Reduce rows ``(..., nv, k)`` of all velocities to rows ``(..., joints, k)``, mimic joints folded in."""
         if self._velocity_rows == [*range(rows.shape[-2])]:
             return rows
-        own = rows[..., self._velocity_rows, :]
+        joint_rows = rows[..., self._velocity_rows, :]
         for follower in self.followers:
-            own[..., follower.master, :] += follower.factor * rows[..., follower.joint.v, :]
-        return own
+            joint_rows[..., follower.master, :] += follower.factor * rows[..., follower.joint.v, :]
+        return joint_rows
 
     def update_motion(self, q: FloatArray, v: FloatArray, a: FloatArray) -> None:
-        """Compute placements, velocities and accelerations for :meth:`placement` and :meth:`wrench_rows`."""
+        """Compute the kinematics that :meth:`placement` and :meth:`wrench_rows` read, at one instant."""
         pin.forwardKinematics(self._model, self._data, q, v, a)
 
     def wrench_rows(self, bodies: Iterable[int], frame: str) -> FloatArray:
-        """Regressor ``(6, bodies, 10)`` of the wrench that moves ``bodies`` against gravity, (25) and (26).
+        """Compute the regressor ``(6, bodies, 10)`` of the wrench that moves ``bodies`` against gravity, (25) and (26).
 
-        Force and torque in the axes and about the origin of ``frame``, after :meth:`update_motion`; bodies that are not
-        listed have zeros.
+        Force and torque are in the axes and about the origin of ``frame``. Call :meth:`update_motion` first. Entries of
+        bodies that are not listed are zero.
         """
         rows = np.zeros((6, len(self.bodies), 10))
         to_frame = self.placement(frame).inverse()
@@ -441,42 +441,42 @@ class Robot:
         return rows
 
     def placement(self, frame: str) -> pin.SE3:
-        """Placement of a link's frame in the world after :meth:`update_motion`; the identity for the world itself."""
+        """Return the placement of a link's frame in the world, after :meth:`update_motion`; identity for the world."""
         if frame not in self.tree.links:
             return pin.SE3.Identity()
-        own = self._frame(frame)
-        return self._data.oMi[own.parentJoint] * own.placement
+        link_frame = self._frame(frame)
+        return self._data.oMi[link_frame.parentJoint] * link_frame.placement
 
     def carrier(self, frame: str) -> str:
-        """The body that a link is fixed to. Raises InputError for a link that there is not, or that does not move."""
+        """Return the body that a link is fixed to. Raises InputError if the link does not exist or does not move."""
         if frame not in self.tree.links:
             raise unknown_name("link", frame, self.tree.links)
         joint = self._frame(frame).parentJoint
-        found = [body.name for body in self.bodies if body.joint == joint]
-        if not found:
+        bodies = [body.name for body in self.bodies if body.joint == joint]
+        if not bodies:
             raise InputError(f"{self.source}: link '{frame}' is fixed to no moving link with a mass")
-        return found[-1]
+        return bodies[-1]
 
     def fixed_placement(self, link: str, frame: str) -> FloatArray:
-        """The homogeneous matrix ``(4, 4)`` from a link's coordinates to those of ``frame``, which is fixed to it."""
+        """Return the homogeneous transform ``(4, 4)`` from a link's coordinates to ``frame``, which is fixed to it."""
         return np.asarray(self._frame(frame).placement.actInv(self._frame(link).placement).homogeneous)
 
     def link_frames(self, pose: Samples) -> dict[str, tuple[FloatArray, FloatArray]]:
-        """Rotation ``(3, 3)`` and origin ``(3,)`` in the world of every link's frame, at the one sample ``pose``."""
+        """Return rotation ``(3, 3)`` and origin ``(3,)`` of every link's frame in the world, at the sample ``pose``."""
         (q,), (v,), (a,) = self.configuration(pose)
         self.update_motion(q, v, a)
         placements = {link: self.placement(link) for link in self.tree.links}
         return {link: (np.array(m.rotation), np.array(m.translation)) for link, m in placements.items()}
 
     def parallel_joints(self, joint: int) -> list[int]:
-        """The places of the joints that carry one and whose axes are parallel to its own where all stand at zero."""
+        """Return the proximal joints whose axes are parallel to that of ``joint`` when all joints are at zero."""
         child = next(j.child for j in self.tree.joints if j.name == self.joint_names[joint])
         axes = self.frame_jacobian(pin.neutral(self._model), child)[3:]
-        alike = np.abs(axes[:, joint] @ axes) > _PARALLEL
-        return [other for other in np.flatnonzero(alike).tolist() if other != joint]
+        parallel = np.abs(axes[:, joint] @ axes) > _PARALLEL
+        return [other for other in np.flatnonzero(parallel).tolist() if other != joint]
 
     def axes_meet(self, first: int, second: int) -> bool:
-        """Whether the axes of two joints have a point in common, where all joints stand at zero."""
+        """True if the axes of two joints intersect when all joints are at zero."""
         pin.computeJointJacobians(self._model, self._data, pin.neutral(self._model))
         (v, w), (other_v, other_w) = (np.split(self._data.J[:, self.joints[j].v], 2) for j in (first, second))
         sine = np.linalg.norm(np.cross(w, other_w))
@@ -484,36 +484,36 @@ class Robot:
         return bool(crossing and abs(w @ other_v + other_w @ v) < _MEETING * sine)
 
     def parent_body(self, link: str) -> str | None:
-        """The nearest body above ``link``; the root link if there is none, None for the root itself."""
+        """Return the nearest body proximal to ``link``; the root link if there is none, None for the root itself."""
         above = [joint.parent for joint in self.tree.joints_above(link)]
         return next((parent for parent in above if parent in self.body_names), above[-1] if above else None)
 
     def frame_jacobian(self, q: FloatArray, frame: str) -> FloatArray:
-        """Jacobian ``(6, joints)`` of a link's frame, in its own axes (linear, angular)."""
+        """Compute the Jacobian ``(6, joints)`` of a link's frame, in that frame's axes (linear, angular)."""
         index = self._model.getFrameId(frame, pin.BODY)
         jacobian = pin.computeFrameJacobian(self._model, self._data, q, index, pin.LOCAL)
-        return self._of_joints(jacobian.reshape(6, self._model.nv).T).T
+        return self._joint_rows(jacobian.reshape(6, self._model.nv).T).T
 
     def contact_jacobians(self, q: FloatArray, frame: str, radius: float) -> FloatArray:
-        """Jacobians ``(N, 6, 6 + joints)`` of the lowest point of a ball around the origin of a link, how it moves and
-        turns in the world's axes: by the velocity of a floating base, in its own axes, and by those of the joints."""
+        """Compute Jacobians ``(N, 6, 6 + joints)`` of the lowest point of a ball around a link's origin: linear and
+        angular in the world's axes, by the velocity of a floating base in the base frame, then by the joints'."""
         index = self._model.getFrameId(frame, pin.BODY)
         full = np.empty((len(q), 6, self._model.nv))
         for jacobian, state in zip(full, q, strict=True):
             jacobian[:] = pin.computeFrameJacobian(self._model, self._data, state, index, pin.LOCAL_WORLD_ALIGNED)
         down = radius * self.gravity / np.linalg.norm(self.gravity)
         full[:, :3] -= pin.skew(down) @ full[:, 3:]
-        return np.concatenate([full[:, :, :6], self._of_joints(full.transpose(0, 2, 1)).transpose(0, 2, 1)], axis=2)
+        return np.concatenate([full[:, :, :6], self._joint_rows(full.transpose(0, 2, 1)).transpose(0, 2, 1)], axis=2)
 
     @property
     def weight(self) -> float:
-        """Of all links by the URDF [N]."""
+        """Weight of all links according to the URDF [N]."""
         return float(sum(body.parameters[0] for body in self.bodies) * np.linalg.norm(self.gravity))
 
     def base_placement(self, frame: str) -> FloatArray:
-        """The homogeneous matrix ``(4, 4)`` from the coordinates of a link to those of the root, to which it is fixed.
+        """Return the homogeneous transform ``(4, 4)`` from a link's coordinates to the root's, to which it is fixed.
 
-        Raises InputError for a link that there is not, or that moves against the root.
+        Raises InputError if the link does not exist or moves relative to the root.
         """
         if frame not in self.tree.links:
             raise unknown_name("link", frame, self.tree.links)
@@ -522,7 +522,7 @@ class Robot:
         return self.fixed_placement(frame, self.tree.root)
 
     def with_gravity(self, gravity: FloatArray) -> Robot:
-        """The same robot under another ``gravity (3,)`` in the base (world) frame [m/s^2]."""
+        """Return a copy of the robot under another ``gravity (3,)`` in the base (world) frame [m/s^2]."""
         robot: Robot = copy(self)
         robot.gravity = frozen(gravity)
         robot._model = self._model.copy()
@@ -531,7 +531,7 @@ class Robot:
         return robot
 
     def with_inertias(self, inertias: FloatArray, bodies: Iterable[int]) -> pin.Model:
-        """A copy of pinocchio's model with ``inertias (all bodies, 10)`` of the listed bodies; all else is massless."""
+        """Return a copy of pinocchio's model with ``inertias (all bodies, 10)`` of the listed bodies only."""
         model = self._model.copy()
         joints = np.zeros((model.njoints, 10))
         for index in bodies:

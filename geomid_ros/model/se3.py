@@ -1,4 +1,4 @@
-"""Logarithm, exponential and composition of poses, ``(7,)`` as position and quaternion xyzw."""
+"""Logarithm, exponential and composition of poses ``(7,)``: position and quaternion xyzw."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import pinocchio as pin
 from geomid_ros.types import FloatArray
 
 _SMALL_ANGLE = 0.1
-_OPPOSITE = 1e-9  # of a cosine
+_OPPOSITE = 1e-9  # distance of a cosine from -1
 
 
 def relative_log(reference: FloatArray, poses: FloatArray) -> FloatArray:
-    """``log(reference^-1 pose)`` of each of ``poses (N, 7)``, ``(N, 6)`` as (linear, angular)."""
+    """Compute ``log(reference^-1 pose)`` of ``poses (N, 7)``: twists ``(N, 6)`` as (linear, angular)."""
     from scipy.spatial.transform import Rotation  # noqa: PLC0415 of floating bases alone
 
-    back = Rotation.from_quat(reference[3:]).inv()
-    angular = (back * Rotation.from_quat(poses[:, 3:])).as_rotvec()
-    displacement = back.apply(poses[:, :3] - reference[:3])
+    inverse = Rotation.from_quat(reference[3:]).inv()
+    angular = (inverse * Rotation.from_quat(poses[:, 3:])).as_rotvec()
+    displacement = inverse.apply(poses[:, :3] - reference[:3])
     across = np.cross(angular, displacement)
     coefficient = _second_coefficient(np.linalg.norm(angular, axis=1))
     linear = displacement - 0.5 * across + coefficient[:, None] * np.cross(angular, across)
@@ -25,36 +25,36 @@ def relative_log(reference: FloatArray, poses: FloatArray) -> FloatArray:
 
 
 def _second_coefficient(angle: FloatArray) -> FloatArray:
-    """``(1 - (angle/2) cot(angle/2)) / angle^2``, the coefficient of the squared bracket in the logarithm, ``(N,)``."""
+    """Compute ``(1 - (angle/2) cot(angle/2)) / angle^2 (N,)``, the coefficient of the squared bracket in the log."""
     square = angle**2
     series = 1.0 / 12.0 + square / 720.0 + square**2 / 30240.0 + square**3 / 1209600.0
-    safe = np.maximum(angle, _SMALL_ANGLE)
-    closed = (1.0 - 0.5 * safe / np.tan(0.5 * safe)) / safe**2
-    return np.where(angle < _SMALL_ANGLE, series, closed)
+    clipped = np.maximum(angle, _SMALL_ANGLE)
+    exact = (1.0 - 0.5 * clipped / np.tan(0.5 * clipped)) / clipped**2
+    return np.where(angle < _SMALL_ANGLE, series, exact)
 
 
 def compose_exp(reference: FloatArray, twist: FloatArray) -> FloatArray:
-    """The pose ``reference exp(twist)`` ``(7,)``, for a twist ``(6,)``."""
+    """Compute the pose ``reference exp(twist)`` ``(7,)``, for a twist ``(6,)``."""
     return np.array(pin.SE3ToXYZQUAT(pin.XYZQUATToSE3(reference) * pin.exp6(twist)))
 
 
 def rotations(vectors: FloatArray) -> FloatArray:
-    """The rotations ``(N, 3, 3)`` by rotation vectors ``(N, 3)`` [rad]."""
+    """Return rotation matrices ``(N, 3, 3)`` of rotation vectors ``(N, 3)`` [rad]."""
     from scipy.spatial.transform import Rotation  # noqa: PLC0415 of floating bases alone
 
     return np.asarray(Rotation.from_rotvec(vectors).as_matrix())
 
 
 def turned_back(quaternions: FloatArray, vector: FloatArray) -> FloatArray:
-    """A ``vector (3,)`` in each of the axes that quaternions ``(N, 4)``, xyzw, are turned by: ``(N, 3)``."""
+    """Rotate a ``vector (3,)`` by the inverses of quaternions ``(N, 4)``, xyzw: into the rotated axes, ``(N, 3)``."""
     from scipy.spatial.transform import Rotation  # noqa: PLC0415 of floating bases alone
 
     return np.asarray(Rotation.from_quat(quaternions).inv().as_matrix() @ vector)
 
 
 def shortest_rotation(vectors: FloatArray, onto: FloatArray) -> FloatArray:
-    """Unit quaternions ``(N, 4)``, xyzw, of the smallest rotations that take unit ``vectors (N, 3)`` to the unit vector
-    ``onto (3,)``; about any axis across where they are opposite."""
+    """Return unit quaternions ``(N, 4)``, xyzw, of the smallest rotations from unit ``vectors (N, 3)`` to the unit
+    vector ``onto (3,)``; if they are opposite, about any perpendicular axis."""
     axis, cosine = np.cross(vectors, onto), vectors @ onto
     opposite = cosine < -1.0 + _OPPOSITE
     axis[opposite], cosine[opposite] = np.cross(onto, np.eye(3)[np.argmin(np.abs(onto))]), -1.0
@@ -63,5 +63,5 @@ def shortest_rotation(vectors: FloatArray, onto: FloatArray) -> FloatArray:
 
 
 def quaternion(axes: FloatArray) -> FloatArray:
-    """The quaternion xyzw ``(4,)`` of a rotation, of which ``axes (3, 3)`` has the axes as columns."""
+    """Return the quaternion xyzw ``(4,)`` of a rotation matrix ``axes (3, 3)``, with the axes as columns."""
     return np.array(pin.Quaternion(axes).coeffs())

@@ -1,6 +1,6 @@
-"""A prior from shapes and one weight: the same density everywhere, found from the total mass.
+"""Prior inertias from the links' shapes and the total mass: one density for all links.
 
-This is the prior of the paper (its Sec. V-B), for robots whose URDF has no inertials that could serve.
+This is the prior of the paper (Sec. V-B), for robots whose URDF has no usable inertials.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from geomid_ros.types import FloatArray, IntArray
 
 MISSING, ZERO, UNREADABLE, IMPOSSIBLE = "missing", "zero mass", "unreadable", "impossible"
 OUTSIDE, POINT, DENSE, LIGHT = "mass beyond its shape", "nearly a point mass", "far too dense", "far too light"
-# Links differ in material, and shapes are not exact: an inertial is implausible only if it is off by so much.
-_REACH = 2.0  # of the mass, in sizes of the shape
-_POINT = 0.1  # radius of gyration, as a share of the shape's
-_DENSITY = 10.0  # ratio to the robot's
+# Links differ in material, and shapes are not exact: an inertial is implausible only beyond these limits.
+_REACH = 2.0  # extent of the mass, in sizes of the shape
+_POINT = 0.1  # radius of gyration, as a fraction of the shape's
+_DENSITY = 10.0  # ratio to the robot's density
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """The solid of a link, in its frame.
+    """Solid of a link, in the link's frame.
 
     Attributes:
         moments: ``(4, 4)`` as in :mod:`shapes`.
-        vertices, triangles: Its surface: corners ``(V, 3)`` [m] and their indices ``(T, 3)``.
-        shape: Where it comes from, in words.
+        vertices, triangles: Surface mesh: corners ``(V, 3)`` [m] and their indices ``(T, 3)``.
+        shape: Description of its source.
     """
 
     moments: FloatArray
@@ -44,26 +44,26 @@ class Solid:
 
 @dataclass(frozen=True, eq=False)
 class UrdfInertial:
-    """A link's inertial in the URDF: its ``parameters (10,)`` if it has a mass, and the ``problem`` with it, empty if
-    there is none."""
+    """A link's inertial in the URDF: ``parameters (10,)``, None if none with a mass can be read, and its ``problem``,
+    empty if there is none."""
 
     parameters: FloatArray | None
     problem: str
 
     @property
     def mass(self) -> float:
-        """In kg, 0 where none can be read."""
+        """Mass [kg]; 0 if none can be read."""
         return 0.0 if self.parameters is None else float(self.parameters[0])
 
 
 @dataclass(frozen=True, eq=False)
 class LinkPrior:
-    """A link before and after.
+    """Inertia of a link in the URDF and in the prior.
 
     Attributes:
-        name, solid, before: The link, its solid and the inertial it had.
-        parameters: ``(10,)`` from its shape; None where its inertial stays.
-        verdict: What is wrong with the inertial it had, empty if nothing.
+        name, solid, before: The link, its solid, and its inertial in the URDF.
+        parameters: ``(10,)`` from its shape; None if its inertial stays.
+        verdict: Problem of its inertial in the URDF; empty if there is none.
     """
 
     name: str
@@ -74,34 +74,34 @@ class LinkPrior:
 
     @property
     def mass(self) -> float:
-        """The link's mass in the prior [kg]."""
+        """Mass of the link in the prior [kg]."""
         return self.before.mass if self.parameters is None else float(self.parameters[0])
 
 
 @dataclass(frozen=True, eq=False)
 class ShapePrior:
-    """The links in the file's order, and the density [kg/m^3] of those that follow their shapes."""
+    """Links in the file's order, and the density [kg/m^3] of those with inertias from shapes."""
 
     links: tuple[LinkPrior, ...]
     density: float
 
     @property
     def mass_before(self) -> float:
-        """What all links weighed in the URDF [kg]."""
+        """Mass of all links in the URDF [kg]."""
         return sum(link.before.mass for link in self.links)
 
     @property
     def mass(self) -> float:
-        """What all links weigh [kg]."""
+        """Mass of all links in the prior [kg]."""
         return sum(link.mass for link in self.links)
 
 
 def shape_prior(
     inertials: Mapping[str, UrdfInertial], solids: Mapping[str, Solid], total_mass: float, source: str
 ) -> ShapePrior:
-    """Inertias of the links with ``solids``, so that all links weigh ``total_mass`` [kg].
+    """Compute inertias of the links with ``solids``, so that the mass of all links is ``total_mass`` [kg].
 
-    ``inertials`` of all links, in the file's order; those without a solid stay, and count with the mass that they have.
+    ``inertials`` are those of all links, in the file's order. Those without a solid stay, with the mass that they have.
     Raises InputError naming ``source``.
     """
     kept_mass = sum(inertial.mass for name, inertial in inertials.items() if name not in solids)
@@ -123,10 +123,10 @@ def shape_prior(
 
 
 def verdict(before: UrdfInertial, solid: Solid | None, density: float) -> str:
-    """What is wrong with an inertial: no body has it, or none of this shape; empty if nothing is wrong.
+    """Return the problem with an inertial: impossible for any body, or for this shape; empty if there is none.
 
-    The variance along an axis of a body between a and b is at most ``(b - c)(c - a)`` about its centre c (Bhatia and
-    Davis 2000): an inertial with a larger one has mass elsewhere.
+    If a body lies between a and b along an axis, its variance about its centre c is at most ``(b - c)(c - a)`` (Bhatia
+    and Davis 2000). An inertial with a larger variance has mass outside.
     """
     if before.parameters is None or before.problem or solid is None:
         return before.problem
@@ -147,14 +147,14 @@ def verdict(before: UrdfInertial, solid: Solid | None, density: float) -> str:
 
 
 def _centre_and_variances(pseudo: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Centre ``(3,)`` and variances along the axes ``(3,)`` of the mass of a pseudo-inertia ``(4, 4)``."""
+    """Return the mass distribution's centre ``(3,)`` and axis variances ``(3,)`` of a pseudo-inertia ``(4, 4)``."""
     centre = pseudo[:3, 3] / pseudo[3, 3]
     return centre, np.diag(pseudo)[:3] / pseudo[3, 3] - centre**2
 
 
 def massless_links(tree: UrdfTree, masses: Mapping[str, float]) -> tuple[list[str], list[str]]:
-    """Moving links that have no mass, nor have the links fixed to them: those that carry mass further on, and those
-    that do not. The former are right between the axes of one joint; the latter leave their joint nothing to move."""
+    """Find moving links without mass, themselves or fixed to them: those with mass distal to them, and those without.
+    The former are correct between the axes of one joint; the latter leave their joint nothing to move."""
     moving = [joint.child for joint in tree.joints if joint.type != "fixed"]
     massless = [link for link in moving if not _mass(tree, masses, link, through_joints=False)]
     between = [link for link in massless if _mass(tree, masses, link, through_joints=True)]
@@ -162,22 +162,22 @@ def massless_links(tree: UrdfTree, masses: Mapping[str, float]) -> tuple[list[st
 
 
 def _mass(tree: UrdfTree, masses: Mapping[str, float], link: str, *, through_joints: bool) -> float:
-    """Mass [kg] of a link and of what is fixed to it, or of all that comes after it."""
-    after = [joint.child for joint in tree.children(link) if through_joints or joint.type == "fixed"]
-    return masses[link] + sum(_mass(tree, masses, child, through_joints=through_joints) for child in after)
+    """Return the mass [kg] of a link with the links fixed to it, or with its whole subtree."""
+    children = [joint.child for joint in tree.children(link) if through_joints or joint.type == "fixed"]
+    return masses[link] + sum(_mass(tree, masses, child, through_joints=through_joints) for child in children)
 
 
 class ShapedUrdf:
-    """A URDF whose inertials need not be usable.
+    """A URDF whose inertials may be unusable.
 
     Attributes:
-        links: The ``<link>`` elements by name.
-        inertials: What their inertials say, by name.
+        links: ``<link>`` elements by name.
+        inertials: Their inertials by name.
         tree: The tree without inertials.
     """
 
     def __init__(self, text: str, source: str) -> None:
-        """Raises InputError naming ``source`` where anything but an inertial is not usable."""
+        """Read the URDF. Raises InputError naming ``source`` if anything but an inertial is unusable."""
         robot = urdf_tree.read_xml(text, source)
         self.source = source
         self.tree = _tree_without_inertials(robot, source)
@@ -185,7 +185,7 @@ class ShapedUrdf:
         self.inertials = {name: _inertial(link, source) for name, link in self.links.items()}
 
     def check_staying(self, shaped: Collection[str]) -> None:
-        """Raise InputError for an inertial that no body may have and that no shape replaces."""
+        """Refuse an unreadable inertial or a negative mass that no shape replaces (InputError)."""
         for name in self.inertials.keys() - set(shaped):
             parameters = urdf_tree.inertial_parameters(self.links[name], self.source)
             if parameters is not None and parameters[0] < 0.0:

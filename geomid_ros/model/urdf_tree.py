@@ -1,4 +1,4 @@
-"""The URDF's tree of links and joints, read without meshes, and checked before pinocchio sees it."""
+"""Tree of a URDF's links and joints, read without meshes, and checked before pinocchio reads it."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.types import FloatArray
 
 MOST_BYTES = 5_000_000
-"""Of a robot description."""
+"""Size limit of a robot description."""
 
 _MAX_NESTING = 64
 _MAX_ELEMENTS = 200_000
 _MAX_LINKS = 1000
 LARGEST_NUMBER = 1e50
-"""Of what files say: products of three still fit."""
+"""Bound of numbers in files: the product of three still fits a float."""
 _MAX_AXES = 128  # pinocchio's memory grows with their cube
-# Python alone would read 1_000 and digits of other scripts, too.
+# Python's float() would also accept 1_000 and digits of other scripts.
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 _OF_RIGID_BODIES = {"link": ("inertial",), "joint": ("parent", "child", "origin", "axis", "limit")}
 _OF_THINGS = ("visual", "collision", "inertial")
@@ -50,7 +50,7 @@ class Mimic:
 
 @dataclass(frozen=True)
 class UrdfJoint:
-    """One ``<joint>``: its name, type, parent and child links, and whom it follows, if anybody."""
+    """One ``<joint>``: its name, type, parent and child links, and its ``<mimic>``, if any."""
 
     name: str
     type: str
@@ -61,13 +61,13 @@ class UrdfJoint:
 
 @dataclass(frozen=True)
 class UrdfTree:
-    """The tree of links and joints.
+    """Tree of links and joints.
 
     Attributes:
         links, joints: In the file's order.
-        root: The root link.
+        root: Root link.
         inertials: Parameters ``(10,)`` of the links with a mass, in pinocchio's order about the link frame's origin.
-        things: Links with a shape or an <inertial>; others may be frames.
+        things: Links with a shape or an <inertial>; others may be mere frames.
     """
 
     links: tuple[str, ...]
@@ -77,18 +77,18 @@ class UrdfTree:
     things: frozenset[str]
 
     def children(self, link: str) -> list[UrdfJoint]:
-        """The joints that leave ``link``."""
+        """Return the child joints of ``link``."""
         return self._children.get(link, [])
 
     def subtree(self, link: str) -> list[str]:
-        """``link`` and all links after it, each behind its parent."""
+        """Return ``link`` and all links distal to it, each listed after its parent."""
         links = [link]
         for member in links:
             links += [joint.child for joint in self.children(member)]
         return links
 
     def joints_above(self, link: str) -> list[UrdfJoint]:
-        """The joints between ``link`` and the root, nearest first."""
+        """Return the joints between ``link`` and the root, nearest first."""
         joints = []
         while link in self._joint_of:
             joints.append(self._joint_of[link])
@@ -108,12 +108,12 @@ class UrdfTree:
 
 
 def parse(text: str, source: str) -> UrdfTree:
-    """Read a URDF's tree. Raises InputError naming ``source`` and the element when it is not usable."""
+    """Read a URDF's tree. Raises InputError naming ``source`` and the element if it is not usable."""
     return tree(read_xml(text, source), source)
 
 
 def tree(robot: Element, source: str) -> UrdfTree:
-    """The tree of a ``<robot>``, as :func:`parse` reads it."""
+    """Read the tree of a ``<robot>`` element, with the errors of :func:`parse`."""
     for kind in ("link", "joint"):
         if (count := len(robot.findall(kind))) > _MAX_LINKS:
             raise InputError(f"{source}: {count} {kind}s, more than the maximum of {_MAX_LINKS}")
@@ -131,7 +131,7 @@ def tree(robot: Element, source: str) -> UrdfTree:
 
 
 def read_xml(text: str, source: str) -> Element:
-    """The ``<robot>`` element of a URDF. Raises InputError naming ``source``."""
+    """Return the ``<robot>`` element of a URDF. Raises InputError naming ``source``."""
     if len(text.encode(errors="replace")) > MOST_BYTES:
         raise InputError(f"{source}: larger than {MOST_BYTES // 1_000_000} MB, not a robot description")
     try:
@@ -158,7 +158,7 @@ def _is_xacro(source: str) -> InputError:
 
 
 class _Builder(TreeBuilder):
-    """Stops at elements that are too many or nested too deep. Raises ValueError."""
+    """Refuse too many or too deeply nested elements (ValueError)."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -179,18 +179,18 @@ class _Builder(TreeBuilder):
 
 
 def without_shapes(text: str, source: str) -> str:
-    """The URDF reduced to what rigid bodies need: its reader opens no mesh and fails at no colour."""
+    """Return the URDF with rigid-body elements only, so that its reader opens no mesh and fails at no colour."""
     robot = read_xml(text, source)
     pruned = Element("robot", name=robot.get("name", ""))
     for child in robot:
         if child.tag in _OF_RIGID_BODIES:
-            kept = SubElement(pruned, child.tag, child.attrib)
-            kept.extend(inner for inner in child if inner.tag in _OF_RIGID_BODIES[child.tag])
+            copy = SubElement(pruned, child.tag, child.attrib)
+            copy.extend(grandchild for grandchild in child if grandchild.tag in _OF_RIGID_BODIES[child.tag])
     return tostring(pruned, encoding="unicode")
 
 
 def _root(links: tuple[str, ...], joints: tuple[UrdfJoint, ...], source: str) -> str:
-    """The link from which joints lead to every other link in exactly one way."""
+    """Return the root link. Refuse joints that do not form one tree (InputError)."""
     moved_by: dict[str, str] = {}
     for joint in joints:
         for link in (joint.parent, joint.child):
@@ -257,7 +257,7 @@ def _refuse_duplicates(names: Iterable[str], kind: str, source: str) -> None:
 
 
 def inertial_parameters(link: Element, source: str) -> FloatArray | None:
-    """Parameters ``(10,)`` of a link's <inertial> in the link's frame; None without one or without a mass."""
+    """Read parameters ``(10,)`` of a link's <inertial> in the link's frame; None without one or with zero mass."""
     inertial = link.find("inertial")
     if inertial is None:
         return None
@@ -274,13 +274,13 @@ def inertial_parameters(link: Element, source: str) -> FloatArray | None:
 
 
 def origin_of(element: Element, where: str) -> tuple[FloatArray, FloatArray]:
-    """Position ``(3,)`` [m] and axes ``(3, 3)`` of an ``<origin>``. Raises InputError beginning with ``where``."""
+    """Read position ``(3,)`` [m] and axes ``(3, 3)`` of an ``<origin>``. Raises InputError starting with ``where``."""
     position, angles = (read_numbers(element, "origin", (key,), [0.0] * 3, where) for key in ("xyz", "rpy"))
     return np.array(position), axes_of(angles)
 
 
 def axes_of(angles: Sequence[float]) -> FloatArray:
-    """Rotation matrix ``(3, 3)`` of URDF's roll, pitch and yaw [rad]: about fixed axes, x first."""
+    """Return the rotation matrix ``(3, 3)`` of URDF roll, pitch and yaw [rad]: about fixed axes, x first."""
     (r, p, y), (s_r, s_p, s_y) = np.cos(angles), np.sin(angles)
     return np.array(
         [
@@ -294,7 +294,7 @@ def axes_of(angles: Sequence[float]) -> FloatArray:
 def read_numbers(
     parent: Element, tag: str, keys: tuple[str, ...], default: list[float] | None, where: str
 ) -> list[float]:
-    """The finite numbers of an element's attributes; ``default`` if it or they are absent, an error if that is None."""
+    """Read finite numbers from attributes of a child element; ``default`` if absent (InputError if that is None)."""
     element = parent.find(tag)
     texts = [element.get(key) for key in keys] if element is not None else [None]
     if default is not None and texts == [None]:
@@ -303,7 +303,7 @@ def read_numbers(
     parts = [part for text in texts for part in (text or "").split()]
     numbers = [float(part) for part in parts] if all(map(_NUMBER.fullmatch, parts)) else []
     if len(numbers) != expected or not np.all(np.abs(numbers) < LARGEST_NUMBER):
-        said = (f"no {key}" if text is None else f'{key}="{text}"' for key, text in zip(keys, texts, strict=False))
-        found = "is absent" if element is None else f"has {', '.join(said)}"
-        raise InputError(f"{where}: its <{tag}> {found}; expected {expected} finite numbers as {', '.join(keys)}")
+        given = (f"no {key}" if text is None else f'{key}="{text}"' for key, text in zip(keys, texts, strict=False))
+        problem = "is absent" if element is None else f"has {', '.join(given)}"
+        raise InputError(f"{where}: its <{tag}> {problem}; expected {expected} finite numbers as {', '.join(keys)}")
     return numbers

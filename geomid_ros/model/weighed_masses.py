@@ -1,4 +1,4 @@
-"""Weighed masses: rows of the least-squares problem like the measured ones, with a known error."""
+"""Weighed masses: additional rows of the least-squares problem, with a known error."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray
 
-TOTAL = "total"  # the whole robot, what does not move included
-# No scale is more precise, and narrower valleys take solvers too many steps.
+TOTAL = "total"  # the whole robot, fixed links included
+# No scale is more precise, and a smaller std costs solvers too many steps.
 _MOST_PRECISE = 1e-5
 
 
@@ -28,15 +28,15 @@ class WeighedMass:
 
     @staticmethod
     def parse(text: str) -> WeighedMass:
-        """From ``total=23.4:0.05`` or ``link1+link2=2.1:0.01``. Raises InputError."""
+        """Parse ``total=23.4:0.05`` or ``link1+link2=2.1:0.01``. Raises InputError."""
         names, _, numbers = text.rpartition("=")
         links = tuple(name.strip() for name in names.split("+"))
         try:
             mass, std = (float(number) for number in numbers.split(":"))
         except ValueError:
             mass = std = np.nan
-        right = 0.0 < mass < np.inf and _MOST_PRECISE * mass <= std < np.inf
-        if not right or not all(links) or len(set(links)) < len(links):
+        valid = 0.0 < mass < np.inf and _MOST_PRECISE * mass <= std < np.inf
+        if not valid or not all(links) or len(set(links)) < len(links):
             raise InputError(
                 f"the weighed mass '{text}' is not of the form LINK=MASS:STD, LINK+LINK=MASS:STD or {TOTAL}=MASS:STD "
                 f"with positive numbers in kg, STD not below {_MOST_PRECISE:g} MASS, and every link once"
@@ -45,21 +45,21 @@ class WeighedMass:
 
     @property
     def name(self) -> str:
-        """Its links."""
+        """Names of its links."""
         return " + ".join(self.links)
 
 
 @dataclass(frozen=True, eq=False)
 class WeighedRows:
-    """``rows (K, D) . parameters = targets (K,)`` with standard deviation 1: first those of weighed ``masses``, then
-    what was known before, a prior."""
+    """``rows (K, D) . parameters = targets (K,)`` with standard deviation 1: first the rows of weighed ``masses``, then
+    those of a prior."""
 
     rows: FloatArray
     targets: FloatArray
     masses: tuple[WeighedMass, ...] = ()
 
     def plus(self, other: WeighedRows | None) -> WeighedRows:
-        """These rows and others that are of no masses."""
+        """Append prior rows; ``other`` has no masses."""
         if other is None:
             return self
         rows, targets = np.concatenate([self.rows, other.rows]), np.append(self.targets, other.targets)
@@ -67,27 +67,27 @@ class WeighedRows:
 
     @property
     def weighed(self) -> WeighedRows:
-        """Those of the masses alone."""
+        """Rows of the masses only."""
         count = len(self.masses)
         return WeighedRows(self.rows[:count], self.targets[:count], self.masses)
 
     @property
     def prior_rows(self) -> FloatArray:
-        """The rows of a prior."""
+        """Rows of the prior only."""
         return self.rows[len(self.masses) :]
 
 
 def weighed_rows(model: MeasurementModel, weighed: Sequence[WeighedMass]) -> WeighedRows:
-    """The rows of weighed masses: sums of the masses of identified bodies.
+    """Build the rows of weighed masses: sums of the masses of identified bodies.
 
-    Bodies that are not identified, and for the whole robot the links that do not move, count with the URDF's masses.
-    Raises InputError for what does not fit the model.
+    The URDF's masses of bodies that are not identified (for ``total`` also of fixed links) are subtracted from the
+    targets. Raises InputError if a weighed mass does not fit the model.
     """
     rows = np.zeros((len(weighed), model.dimension))
     targets = np.empty(len(weighed))
     for index, given in enumerate(weighed):
         bodies = _weighed_bodies(model.robot, given)
-        columns = [10 * place for place, body in enumerate(model.identified) if body in bodies]
+        columns = [10 * position for position, body in enumerate(model.identified) if body in bodies]
         unknown = given.mass - _known_mass(model, given, bodies)
         if not columns:
             raise InputError(f"the mass of {given.name} is given, but none of that is identified")
@@ -108,7 +108,7 @@ def _weighed_bodies(robot: Robot, given: WeighedMass) -> list[int]:
 
 
 def _body(robot: Robot, link: str) -> int:
-    """The body of a link; a link that is fixed to another is no body of its own."""
+    """Return the body of a link. Refuse a link that is part of another body, or does not move (InputError)."""
     names = robot.body_names
     if link in names:
         return names.index(link)
@@ -126,16 +126,16 @@ def _body(robot: Robot, link: str) -> int:
 
 
 def _carrier(robot: Robot, link: str) -> str | None:
-    """The body that a link is part of, with a mass or without."""
+    """Return the body that a link belongs to, whether the link has a mass or not; None if there is none."""
     merged = (body.name for body in robot.bodies if link in body.merged)
     fixed = takewhile(lambda joint: joint.type == "fixed", robot.tree.joints_above(link))
     return next(chain(merged, (joint.parent for joint in fixed if joint.parent in robot.body_names)), None)
 
 
 def _known_mass(model: MeasurementModel, given: WeighedMass, bodies: Sequence[int]) -> float:
-    """Mass [kg] of what is weighed and not identified, by the URDF."""
+    """Return the URDF's mass [kg] of weighed links that are not identified."""
     masses = [float(body.parameters[0]) for body in model.robot.bodies]
     if given.links == (TOTAL,):
-        every = sum(float(parameters[0]) for parameters in model.robot.tree.inertials.values())
-        return every - sum(masses[body] for body in model.identified)
+        total = sum(float(parameters[0]) for parameters in model.robot.tree.inertials.values())
+        return total - sum(masses[body] for body in model.identified)
     return sum(masses[body] for body in bodies if body not in model.identified)

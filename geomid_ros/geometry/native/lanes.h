@@ -1,8 +1,8 @@
 /* Eight symmetric 4x4 matrices at once.
  *
- * Entry by entry the eight lie side by side (lanes) and nothing branches, so that the compiler turns each operation into
- * one on eight numbers: ten times as fast as one LAPACK call each. The ten entries of a matrix are in the order of
- * symmetric.py: the diagonal, then the upper triangle row by row. Coordinates have a factor sqrt(2) off the diagonal.
+ * Each entry of the eight matrices is stored side by side (in lanes), and nothing branches. So the compiler vectorises
+ * each operation over eight numbers, ten times as fast as one LAPACK call each. The ten entries of a matrix are in the
+ * order of symmetric.py: diagonal, then upper triangle row by row. Coordinates have a factor sqrt(2) off the diagonal.
  */
 #ifndef GEOMID_LANES_H
 #define GEOMID_LANES_H
@@ -16,7 +16,7 @@
 #define ROOT_TWO 1.41421356237309504880
 #define INLINE static inline __attribute__((always_inline))
 
-/* A function of which the loader takes the version for this processor. */
+/* The loader picks the version of such a function that fits the processor. */
 #if defined(__x86_64__) && defined(__GLIBC__) && __GNUC__ >= 12 && !defined(__clang__)
 #define FOR_EACH_PROCESSOR __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
 #else
@@ -24,7 +24,7 @@
 #endif
 
 typedef double Lane[LANES];
-typedef double Vector __attribute__((vector_size(8 * LANES))); /* the same in registers */
+typedef double Vector __attribute__((vector_size(8 * LANES))); /* a Lane in registers */
 
 INLINE Vector loaded(const double *lane) {
     Vector result;
@@ -41,14 +41,14 @@ static const int ROW[10] = {0, 1, 2, 3, 0, 0, 0, 1, 1, 2};
 static const int COLUMN[10] = {0, 1, 2, 3, 1, 2, 3, 2, 3, 3};
 static const int PLACE[4][4] = {{0, 4, 5, 6}, {4, 1, 7, 8}, {5, 7, 2, 9}, {6, 8, 9, 3}};
 
-/* The rotation in the plane of p and q that makes the entry pq zero; k and m are the two other rows. */
+/* Rotate in the plane of p and q so that the entry pq becomes zero; k and m are the two other rows. */
 INLINE void rotate(Eigen *e, int p, int q, int k, int m) {
     Lane *a = e->values;
     const int pp = PLACE[p][p], qq = PLACE[q][q], pq = PLACE[p][q];
     const int kp = PLACE[k][p], kq = PLACE[k][q], mp = PLACE[m][p], mq = PLACE[m][q];
     for (int i = 0; i < LANES; i++) {
         const double apq = a[pq][i], half = 0.5 * (a[qq][i] - a[pp][i]);
-        const double size = sqrt(half * half + apq * apq) + TINY; /* of nothing there is nothing to turn */
+        const double size = sqrt(half * half + apq * apq) + TINY; /* avoids 0/0 where the entries are zero */
         const double tangent = apq / (half + copysign(size, half));
         const double c = 1.0 / sqrt(tangent * tangent + 1.0), s = tangent * c;
         const double akp = a[kp][i], akq = a[kq][i], amp = a[mp][i], amq = a[mq][i];
@@ -67,8 +67,8 @@ INLINE void rotate(Eigen *e, int p, int q, int k, int m) {
     }
 }
 
-/* Diagonalise the entries by cyclic Jacobi rotations (Golub & Van Loan, "Matrix Computations", section 8.5): eigenvalues
- * to rounding relative to the matrix's norm. All lanes take as many sweeps as the slowest. */
+/* Diagonalise the entries by cyclic Jacobi rotations (Golub & Van Loan, "Matrix Computations", section 8.5). The
+ * eigenvalues are exact up to rounding relative to the matrix's norm. All lanes take as many sweeps as the slowest. */
 INLINE void diagonalise(Eigen *e) {
     memset(e->vectors, 0, sizeof e->vectors);
     for (int k = 0; k < 4; k++)
@@ -91,7 +91,7 @@ INLINE void diagonalise(Eigen *e) {
     }
 }
 
-/* The entries of the matrices with these eigenvalues and the eigenvectors of e. */
+/* Entries of the matrices with eigenvalues `sizes` and the eigenvectors of e. */
 INLINE void composed(const Eigen *e, Lane sizes[4], Lane result[10]) {
     for (int a = 0; a < 10; a++)
         for (int i = 0; i < LANES; i++) {
@@ -101,7 +101,7 @@ INLINE void composed(const Eigen *e, Lane sizes[4], Lane result[10]) {
         }
 }
 
-/* The entries of G X G for symmetric G and X. */
+/* Entries of G X G for symmetric G and X. */
 INLINE void congruent(Lane g[10], Lane x[10], Lane result[10]) {
     Lane half[4][4];
     for (int r = 0; r < 4; r++)
@@ -119,14 +119,14 @@ INLINE void congruent(Lane g[10], Lane x[10], Lane result[10]) {
         }
 }
 
-/* Matrices (4, 4) of up to eight links, from the first on, side by side; the identity in lanes that are left over. */
+/* Load matrices (4, 4) of up to eight links into lanes; unused lanes get the identity. */
 INLINE void gather(const double *matrices, int links, Lane result[10]) {
     for (int a = 0; a < 10; a++)
         for (int i = 0; i < LANES; i++)
             result[a][i] = i < links ? matrices[16 * i + 4 * ROW[a] + COLUMN[a]] : (double)(a < 4);
 }
 
-/* The same of coordinates (10,); zero in lanes that are left over. */
+/* Load coordinates (10,) of up to eight links into lanes as entries; unused lanes get zero. */
 INLINE void gather_coordinates(const double *coordinates, int links, Lane result[10]) {
     for (int a = 0; a < 10; a++)
         for (int i = 0; i < LANES; i++)

@@ -1,4 +1,4 @@
-/* What the fits evaluate thousands of times, and the step between; objective.py and manifold.py have the formulas. */
+/* Objective of the fits, evaluated thousands of times, and the solver's step; see objective.py and manifold.py. */
 #include <Python.h>
 
 #include "native.h"
@@ -7,7 +7,7 @@
 
 static const double SHRINKS_STRAIGHT = 0.5, SMALLEST_FACTOR = 0.05;
 
-/* Pseudo-inertias (links, 4, 4) at the ends of straight lines, with tangent coordinates `steps` (links, 10) at `base`. */
+/* Compute pseudo-inertias (links, 4, 4) at the ends of straight lines from `base` with tangents `steps` (links, 10). */
 FOR_EACH_PROCESSOR static void straight_lines(const double *base, const double *steps, int links, double *ends) {
     for (int first = 0; first < links; first += LANES) {
         const int some = links - first < LANES ? links - first : LANES;
@@ -20,7 +20,7 @@ FOR_EACH_PROCESSOR static void straight_lines(const double *base, const double *
         composed(&own, roots, root);
         gather_coordinates(steps + 10 * first, some, step.values);
         memcpy(change, step.values, sizeof change);
-        int longest = 0; /* of others no eigenvalue is long */
+        int longest = 0; /* no eigenvalue of shorter steps can be beyond */
         for (int i = 0; i < some; i++) {
             double square = 0.0;
             for (int a = 0; a < 10; a++) square += (a < 4 ? 1.0 : 2.0) * change[a][i] * change[a][i];
@@ -47,8 +47,8 @@ FOR_EACH_PROCESSOR static void straight_lines(const double *base, const double *
     }
 }
 
-/* Coordinates of the orthonormal v_k v_k^T and (v_k v_m^T + v_m v_k^T) / sqrt(2) of the columns v of a matrix; for a
- * symmetric matrix G these are the rows of what takes coordinates of X to those of G X G. */
+/* Compute coordinates of v_k v_k^T and (v_k v_m^T + v_m v_k^T) / sqrt(2) for the columns v of a matrix. For a symmetric
+ * matrix G they are the rows of the matrix from the coordinates of X to those of G X G. */
 INLINE void pairs(double v[4][4], double basis[10][10]) {
     for (int a = 0; a < 10; a++) {
         const int k = ROW[a], m = COLUMN[a];
@@ -60,17 +60,16 @@ INLINE void pairs(double v[4][4], double basis[10][10]) {
     }
 }
 
-enum { MEASURED, KNOWN, KINDS }; /* of rows */
+enum { MEASURED, KNOWN, KINDS }; /* kinds of rows */
 
-/* Rows of one kind, by their derivative (D,) and the products (D + 1, D + 1) of their columns, whose last row and column
- * are unused. `basis` takes a link's coordinates to the parameters that they are stated in; that of the next link stands
- * so many numbers further. */
+/* Rows of one kind: their derivative (D,), and products (D + 1, D + 1) of the columns; the last row and column are
+ * unused. `basis` maps a link's coordinates to the rows' parameters; the next link's is `next` numbers further. */
 typedef struct {
     const double *basis, *slope, *products;
     long next;
 } Rows;
 
-/* Half the squared distance to the prior by links: the logarithms' coordinates, the Hessians along geodesics, and the
+/* Terms of half the squared distance to the prior, per link: coordinates of the logarithm, Hessian along geodesics, and
  * Jacobians of each kind's parameters by tangent coordinates. */
 typedef struct {
     double logarithm[10], bends[10][10], jacobian[KINDS][10][10];
@@ -126,7 +125,7 @@ INLINE void links_terms(
     }
 }
 
-/* The second derivative of tr(X exp(Q)) by the coordinates of Q, of the coordinates (10,) of X. */
+/* Compute the second derivative of tr(X exp(Q)) by the coordinates of Q; x (10,) are the coordinates of X. */
 INLINE void of_lines(const double *x, double result[10][10]) {
     double matrix[4][4];
     for (int r = 0; r < 4; r++)
@@ -144,7 +143,7 @@ INLINE void of_lines(const double *x, double result[10][10]) {
         }
 }
 
-/* Whether links have no products: no channel knows both. */
+/* True if two links have no products, because no channel depends on both. */
 INLINE int apart(const double *products, long stride) {
     for (int r = 0; r < 10; r++)
         for (int c = 0; c < 10; c++)
@@ -152,7 +151,7 @@ INLINE int apart(const double *products, long stride) {
     return 1;
 }
 
-/* Onto a block the products of two links, by their tangent coordinates. */
+/* Add to a block the products of two links, in their tangent coordinates. */
 INLINE void add_products(
     const double *products, long stride, const double left[10][10], const double right[10][10], double block[10][10]) {
     double half[10][10] = {{0.0}};
@@ -168,7 +167,7 @@ INLINE void add_products(
 typedef struct {
     int links, positives, size;
     const double *inertias, *priors; /* (links, 4, 4) */
-    const double *rest, *prior_rest, *scales; /* coefficients; the scales of the real ones */
+    const double *rest, *prior_rest, *scales; /* coefficients; scales of the real ones */
     const double *weights; /* (D,) */
     Rows rows[KINDS];
     double *gradient, *information, *hessian; /* (D,), (D, D), (D, D) */
@@ -254,9 +253,9 @@ FOR_EACH_PROCESSOR static double second_order(const Problem *p) {
     return value;
 }
 
-/* Of each channel the products (width, width) of all of its columns, one channel after the other, and some of these up
- * to its end: their `rows` there, and their `places` among all that are taken. Neighbours in both stand next to each
- * other up to the end of their run. */
+/* Products (width, width) of each channel's columns, one channel after the other. Columns in use, up to the channel's
+ * `ends`: `rows` are their indices in its products, `places` indices among all in use. In a run, which ends
+ * at `runs`, columns are neighbours in both. */
 typedef struct {
     const double *products;
     const long long *widths, *rows, *places, *runs, *ends;
@@ -264,11 +263,11 @@ typedef struct {
 
 enum { TILE = 32 };
 
-/* The sum of squares that says how large a channel's noise is. */
-INLINE double noise(double square, double least) { return square < least ? least : square; /* not a number stays that */ }
+/* Sum of squares that determines a channel's noise, with a lower bound. */
+INLINE double noise(double square, double least) { return square < least ? least : square; /* NaN stays NaN */ }
 
-/* The sums of squares at `vector` (size,), and the sum of the products with each channel's count over them, of which each
- * is at `least` so large, if that is asked for. */
+/* Compute the channels' sums of squares at `vector` (size,). Unless `total` is NULL, also sum the products, weighted by
+ * each channel's count over its sum of squares (bounded from below by `least`). */
 FOR_EACH_PROCESSOR static void weigh(
     const Packed *packed, const double *restrict vector, const double *counts, const double *least, int channels, int size,
     double *restrict own, double *squares, double *restrict total) {
@@ -307,15 +306,15 @@ FOR_EACH_PROCESSOR static void weigh(
         }
         products += width * width;
     }
-    for (int row = 0; total && row < size; row += TILE) /* by tiles, which stay in the nearest memory */
+    for (int row = 0; total && row < size; row += TILE) /* by tiles, which fit into the cache */
         for (int column = 0; column <= row; column += TILE)
             for (int i = row; i < size && i < row + TILE; i++)
                 for (int j = column; j < i && j < column + TILE; j++)
                     total[(long)i * size + j] = total[(long)j * size + i];
 }
 
-/* What profile_objective.py minimises, and room for an evaluation: `problem` has what does not depend on the point. What
- * is known is stated at the prior. */
+/* Objective of profile_objective.py, and buffers for an evaluation. `problem` holds everything that does not depend on
+ * the point. Known rows are given at the prior. */
 typedef struct {
     Problem problem;
     int channels;
@@ -338,7 +337,7 @@ INLINE double dot(const double *x, const double *y, int count) {
     return sum;
 }
 
-/* Parameters (D,) of links and coefficients, of one kind of rows. */
+/* Compute parameters (D,) of links and coefficients, for one kind of rows. */
 static void parameters_of(
     const Problem *p, const Rows *rows, const double *inertias, const double *rest, double *result) {
     for (int link = 0; link < p->links; link++)
@@ -383,7 +382,7 @@ FOR_EACH_PROCESSOR static void evaluate(const Profile *profile, State *at) {
     at->value = value + second_order(&problem);
 }
 
-/* Where a step along a straight line leads. */
+/* Take a step along a straight line. */
 static void stepped(const Problem *p, const State *from, const double *tangent, State *to) {
     const int inertial = 10 * p->links;
     straight_lines(from->inertias, tangent, p->links, to->inertias);
@@ -402,17 +401,17 @@ static int is_finite(const State *at, int size) {
     return isfinite(sum);
 }
 
-/* `onto` less so many times what is `taken`. */
+/* Subtract `times` the vector `taken` from `onto`. */
 INLINE void less(double *restrict onto, const double *restrict taken, double times, int count) {
     for (int k = 0; k < count; k++) onto[k] -= times * taken[k];
 }
 
-enum { TOGETHER = 4 }; /* rows that are eliminated at once */
+enum { TOGETHER = 4 }; /* rows eliminated at once */
 
-/* The lower triangle L (size, size) with L^T L = `matrix`, in its place; 0 where that is not positive definite.
+/* Overwrite `matrix` by the lower triangle L (size, size) with L^T L = `matrix`; return 0 if not positive definite.
  *
- * From the last row to the first: coefficients come after the links, and links after those that carry them, so that a
- * row is left with what has channels in common with it, and what is zero stays zero. */
+ * Rows are eliminated from the last to the first. Coefficients come after the links, and links after their proximal
+ * links. So a row only gets entries of columns with which it shares channels, and entries that are zero stay zero. */
 INLINE int factored(double *matrix, int size) {
     for (int end = size; end > 0; end -= TOGETHER) {
         const int begin = end > TOGETHER ? end - TOGETHER : 0;
@@ -440,7 +439,7 @@ INLINE int factored(double *matrix, int size) {
     return 1;
 }
 
-/* x of L^T x = x, for a lower triangle L (size, size), where no x from `count` on is other than zero. */
+/* Solve L^T y = x in place, for a lower triangle L (size, size); x is zero from `count` on. */
 INLINE void backward(const double *lower, int size, int count, double *x) {
     for (int k = count - 1; k >= 0; k--) {
         if (x[k] == 0.0) continue;
@@ -450,8 +449,8 @@ INLINE void backward(const double *lower, int size, int count, double *x) {
     }
 }
 
-/* x = -(H + damping 1)^-1 g by Cholesky's decomposition, and x (H + damping 1)^-1 x; 0 where that is not positive
- * definite. `lower` (size, size) and `room` (size,) are overwritten. */
+/* Compute x = -(H + damping 1)^-1 g by Cholesky decomposition, and x (H + damping 1)^-1 x; return 0 if it is not
+ * positive definite. `lower` (size, size) and `room` (size,) are overwritten. */
 FOR_EACH_PROCESSOR static int damped(
     const double *hessian, const double *gradient, int size, double damping, double *lower, double *room, double *x,
     double *bend) {
@@ -470,8 +469,8 @@ FOR_EACH_PROCESSOR static int damped(
     return 1;
 }
 
-/* The first rows, so many, of R (count, size) with R R^T the inverse of `lower` (size, size), which is overwritten, and
- * the logarithm of its determinant; 0 where that is not positive definite. */
+/* Compute R (count, size) with R R^T the first block of the inverse of `lower` (size, size), which is overwritten, and
+ * the logarithm of its determinant; return 0 if it is not positive definite. */
 FOR_EACH_PROCESSOR static int roots(double *lower, int size, int count, double *result, double *volume) {
     if (!factored(lower, size)) return 0;
     *volume = 0.0;
@@ -484,7 +483,7 @@ FOR_EACH_PROCESSOR static int roots(double *lower, int size, int count, double *
     return 1;
 }
 
-/* The minimiser of the quadratic model within a ball, see solvers.py, and its length. */
+/* Find the minimiser of the quadratic model in a ball (see solvers.py); return its length. */
 static double minimiser(const State *at, int size, double radius, double *factor, double *room, double *x, double *best) {
     const double nearly = 0.99, close = 1e-10;
     const double steepest = sqrt(dot(at->gradient, at->gradient, size)) / radius;
@@ -512,8 +511,8 @@ static double minimiser(const State *at, int size, double radius, double *factor
 
 enum { UNFINISHED, FLAT, SETTLED, ROUNDED, INFINITE };
 
-/* Newton's steps in a trust region, as in solvers.py, from states[0] on; `limits`: of the gradient's norm, the first
- * radius, and the least decrease. Where it ends is states[*end]. */
+/* Minimise by Newton steps in a trust region, as in solvers.py, from states[0] to states[*end]. `limits`: largest final
+ * norm of the gradient, first radius, and least decrease. */
 static int descend(
     const Profile *profile, State states[2], const double *limits, int most, double *values, int *steps, int *end,
     double *factor, double *room, double *x, double *tangent) {

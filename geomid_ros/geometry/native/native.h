@@ -1,5 +1,5 @@
-/* The functions of the module, and what they share. Arguments are contiguous buffers of doubles (places: of 64-bit
- * integers) whose shapes the callers in Python have made fit each other. */
+/* Functions of the module, and shared code. Arguments are contiguous buffers of doubles (indices: of 64-bit integers);
+ * the callers in Python ensure that their shapes match. */
 #ifndef GEOMID_NATIVE_H
 #define GEOMID_NATIVE_H
 

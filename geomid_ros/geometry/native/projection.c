@@ -1,4 +1,4 @@
-/* Projections of a point on many hyperplanes; projection.py has the formulas and the names. */
+/* Projection of a point on many hyperplanes; see projection.py for the formulas and the notation. */
 #include <Python.h>
 
 #include "native.h"
@@ -9,7 +9,7 @@ enum { FOUND, NONE_LOW, NONE_HIGH };
 
 #define MOST_STEPS 100
 #define DEGREE 28
-#define TOGETHER 4 /* lanes: a link's eigenvalues; positive coefficients fill as many */
+#define TOGETHER 4 /* lanes per group: a link's eigenvalues; positive coefficients are padded to groups */
 
 static const double E = 2.71828182845904523536, NEAR = 3.0 / 2.71828182845904523536;
 static const double NOISE = 1e-14, RELATIVE_TOLERANCE = 1e-14, BRANCH_GAP = 1e-9, CLOSE = -0.3659;
@@ -17,11 +17,11 @@ static const double NOISE = 1e-14, RELATIVE_TOLERANCE = 1e-14, BRANCH_GAP = 1e-9
 typedef struct {
     Eigen eigen;
     Lane basis[10][10]; /* coordinates of v_k v_k^T and (v_k v_m^T + v_m v_k^T) / sqrt(2) of the eigenvectors */
-    Lane sums[10][10];  /* of the rows' curvatures, the upper triangle */
+    Lane sums[10][10];  /* of the rows' curvatures; upper triangle */
 } Block;
 
-/* One row: its eigenvalues s in lanes, block by block of those it touches, then the positive coefficients; W(L s) and
- * s exp(-W) of each; and what C(L) is made of besides. */
+/* One row: eigenvalues s in lanes, for each block that it touches, then the positive coefficients; W(L s) and s exp(-W)
+ * of each; and the other terms of C(L). */
 typedef struct {
     int groups;
     Lane *values, *lambert, *moved;
@@ -31,10 +31,10 @@ typedef struct {
     double total, slope, bend, size; /* C, its derivatives, and the size of its terms */
 } Row;
 
-/* Lanes one after the other. */
+/* Lanes as one array of numbers. */
 INLINE double *flat(Lane *lanes) { return (double *)lanes; }
 
-/* How many lanes numbers fill. */
+/* Number of lanes, in whole groups, for so many numbers. */
 INLINE int groups_of(int numbers) { return (numbers + TOGETHER * LANES - 1) / (TOGETHER * LANES) * TOGETHER; }
 
 /* W of z above NEAR: Halley's iteration (Corless et al., "On the Lambert W function", 1996). */
@@ -50,10 +50,10 @@ static double lambert_far(double z) {
     return w;
 }
 
-/* C at a multiplier. */
+/* Evaluate C, its derivatives and the size of its terms at a multiplier. */
 INLINE void constrain(Row *row, double multiplier) {
     const double inverse = multiplier != 0.0 ? 1.0 / multiplier : 0.0;
-    const double one = -multiplier / (E * row->low), other = -multiplier / (E * row->high); /* the extremes of L s */
+    const double one = -multiplier / (E * row->low), other = -multiplier / (E * row->high); /* extremes of L s */
     const int far = fmax(one, other) > NEAR || fmin(one, other) < CLOSE;
     Lane total = {0.0}, size = {0.0}, slope = {0.0}, bend = {0.0};
     for (int first = 0; first < row->groups; first += TOGETHER) {
@@ -65,7 +65,7 @@ INLINE void constrain(Row *row, double multiplier) {
             const double shifted = E * z / (1.0 + sqrt(inside > 0.0 ? inside : 0.0));
             power[i] = shifted > -1.0 ? shifted : -1.0;
         }
-        for (int k = 0; k < TOGETHER; k++) { /* one waits for the other no longer */
+        for (int k = 0; k < TOGETHER; k++) { /* interleaved, so that none waits for another */
             v[k] = loaded(power + LANES * k);
             series[k] = v[k] * row->polynomial[DEGREE] + row->polynomial[DEGREE - 1];
         }
@@ -85,7 +85,7 @@ INLINE void constrain(Row *row, double multiplier) {
                 if (z > NEAR) {
                     lambert[i] = lambert_far(z);
                     moved[i] = lambert[i] / multiplier;
-                } else if (z < CLOSE) { /* there W is known less exactly than what the exponential makes of it */
+                } else if (z < CLOSE) { /* near the branch point the exponential is more accurate than W/L */
                     moved[i] = values[i] * exp(-lambert[i]);
                 }
             }
@@ -111,7 +111,7 @@ INLINE void constrain(Row *row, double multiplier) {
     }
 }
 
-/* The ends of the interval of multipliers; values that are zero but for rounding become zero. */
+/* Compute the interval of multipliers; set eigenvalues to zero that are zero up to rounding. */
 INLINE void find_interval(Row *row) {
     double largest = 0.0, smallest = 0.0;
     for (int k = 0; k < LANES * row->groups; k++) {
@@ -126,7 +126,7 @@ INLINE void find_interval(Row *row) {
     row->high = smallest < -noise ? -1.0 / (E * smallest) : INFINITY;
 }
 
-/* The root of C by Halley's method inside a shrinking bracket; the row is left as it is there. */
+/* Find the root of C by Halley's method inside a shrinking bracket; the row keeps its values there. */
 INLINE double find_root(Row *row, int *status) {
     find_interval(row);
     constrain(row, 0.0);
@@ -135,7 +135,7 @@ INLINE double find_root(Row *row, int *status) {
         if (row->total != 0.0) *status = row->total < 0.0 ? NONE_LOW : NONE_HIGH;
         return 0.0;
     }
-    /* With one sign of eigenvalues only and no flat direction C falls to -b's own value at infinity. */
+    /* If all eigenvalues have one sign and there is no flat direction, C falls to its constant part at infinity. */
     if (row->total > 0.0 && row->high == INFINITY && row->flat == 0.0 && row->offset >= 0.0) *status = NONE_HIGH;
     if (row->total < 0.0 && row->low == -INFINITY && row->flat == 0.0 && row->offset <= 0.0) *status = NONE_LOW;
     if (*status != FOUND) return 0.0;
@@ -156,7 +156,7 @@ INLINE double find_root(Row *row, int *status) {
                 }
                 tried = 1;
             }
-            candidate = 0.5 * (low + high); /* finite: towards an infinite end C is convex and Newton stays inside */
+            candidate = 0.5 * (low + high); /* finite: towards an infinite end C is convex, so steps stay inside */
         }
         multiplier = candidate;
         constrain(row, multiplier);
@@ -168,7 +168,7 @@ INLINE double find_root(Row *row, int *status) {
     return multiplier;
 }
 
-/* Eigenvalues of a row's X-bar, and eigenvectors of the blocks that it touches, listed in `touched`. */
+/* Compute eigenvalues of a row's X-bar, and eigenvectors of the blocks that it touches; list these in `touched`. */
 INLINE void decompose(const double *x, int size, int links, int positives, Block *blocks, int *touched, Row *row) {
     row->groups = 0;
     for (int first = 0; first < links; first += LANES) {
@@ -190,7 +190,7 @@ INLINE void decompose(const double *x, int size, int links, int positives, Block
     for (int k = 10 * links + positives; k < size; k++) row->flat += x[k] * x[k];
 }
 
-/* The dual function at the multiplier; at a root the excess is zero but for rounding. */
+/* Dual function at the multiplier; at a root the excess is zero up to rounding. */
 INLINE double half_squared(const Row *row, double multiplier) {
     double half = 0.5 * multiplier * multiplier * row->flat + multiplier * row->total;
     for (int k = 0; k < LANES * row->groups; k++) half += 0.5 * flat(row->lambert)[k] * flat(row->lambert)[k];
@@ -208,7 +208,7 @@ INLINE void make_basis(Block *block) {
     }
 }
 
-/* The coordinates of sum sizes_k v_k v_k^T of a block's links, into result (10 each). */
+/* Write the coordinates of sum sizes_k v_k v_k^T of a block's links into result (10 each). */
 INLINE void along_eigenvectors(const Block *block, Lane *sizes, int some, double *result) {
     for (int b = 0; b < 10; b++) {
         Lane sum;
@@ -226,7 +226,7 @@ INLINE void pair_curvatures(Lane *values, Lane *lambert, double weight, Lane ben
             const double s = values[ROW[a]][i], t = values[COLUMN[a]][i];
             const double w = lambert[ROW[a]][i], u = lambert[COLUMN[a]][i], middle = 0.5 * (w + u);
             const int apart = fabs(s - t) > 1e-7 * (fabs(s) + fabs(t));
-            const int above = middle > -1.0; /* two extreme eigenvalues beyond the end: a kink */
+            const int above = middle > -1.0; /* else a kink: two extreme eigenvalues beyond the end */
             const double limit = above ? middle : 0.0, divisor = above ? 1.0 + middle : 1.0;
             bends[a][i] = weight * (apart ? 0.5 * (s + t) * (w - u) : limit) / (apart ? s - t : divisor);
         }
@@ -251,7 +251,7 @@ typedef struct {
     long long *status;                                      /* (N,) */
     Block *blocks;
     int *touched;
-    Lane *room;    /* five times the most groups of values */
+    Lane *room;    /* five times most_groups */
     double *moves; /* two vectors (D,) */
 } Task;
 
@@ -259,8 +259,8 @@ INLINE int most_groups(const Task *task) {
     return groups_of(4 * task->links) + groups_of(task->positives);
 }
 
-/* The multiplier of a row, whose half squared distance and status it notes. Both of the functions below call this one
- * code, which inside each would be rounded differently. */
+/* Return the multiplier of a row; store its half squared distance and its status. Both functions below call this code,
+ * because rounding would differ if it were compiled into each. */
 FOR_EACH_PROCESSOR static double solve(const Task *task, int index, Row *row) {
     const int most = most_groups(task);
     int status;
@@ -283,7 +283,7 @@ static void measure(const Task *task) {
     for (int index = 0; index < task->rows; index++) solve(task, index, &row);
 }
 
-/* The part of the Hessian that arises because the end of the interval moves with the extreme eigenvalue. */
+/* Add the part of the Hessian due to the end of the interval, which moves with the extreme eigenvalue. */
 INLINE void bend_with_the_end(const Task *task, const Row *row, const double *x, int extreme, double multiplier, double weight) {
     const int size = task->size, links = task->links, inertial = 10 * links;
     const int in_links = row->groups - groups_of(task->positives);
@@ -337,7 +337,7 @@ FOR_EACH_PROCESSOR static void project(const Task *task) {
         for (int k = 0; k < LANES * row.groups; k++) {
             const double w = flat(row.lambert)[k];
             flat(toward)[k] = -w;
-            /* The same in both parts of the Hessian: their infinities cancel. */
+            /* One bound in both parts of the Hessian, so that their infinities cancel. */
             flat(row.lambert)[k] = w > BRANCH_GAP - 1.0 ? w : BRANCH_GAP - 1.0;
             flat(along)[k] = flat(row.moved)[k] / (1.0 + flat(row.lambert)[k]);
             steepness += flat(along)[k] * flat(row.moved)[k];
@@ -345,7 +345,7 @@ FOR_EACH_PROCESSOR static void project(const Task *task) {
         }
         if (status != FOUND && row.groups) {
             flat(toward)[extreme] += multiplier * excess;
-            flat(row.lambert)[extreme] -= multiplier * excess; /* minus the gradient: what curvature between a pair is made of */
+            flat(row.lambert)[extreme] -= multiplier * excess; /* negative gradient, for curvatures between pairs */
         }
         const int beyond = status != FOUND && multiplier != 0.0;
         const double share = status == FOUND && steepness > 0.0 ? 1.0 / sqrt(steepness) : 0.0;
@@ -384,7 +384,7 @@ FOR_EACH_PROCESSOR static void project(const Task *task) {
                     task->blocks[link / LANES].sums[r][c][link % LANES];
 }
 
-/* Room for what a task works on, and the work itself without Python's lock; 0 where there is no memory. */
+/* Allocate a task's buffers and run the work without Python's lock; return 0 if memory is lacking. */
 static int run(Task *task, void (*work)(const Task *)) {
     const int blocks = (task->links + LANES - 1) / LANES;
     task->blocks = PyMem_Calloc(blocks + 1, sizeof(Block));

@@ -1,4 +1,4 @@
-"""Physical effects, one class each: what the files of this folder define is known everywhere."""
+"""Physical effects, one class each. Effects defined in the files of this folder are registered automatically."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ DEFAULT_EFFECTS = (
     "imu_offset",
     "command_delay",
 )
-"""Names of the effects that are identified at every joint and sensor unless the user says otherwise."""
+"""Names of the effects identified at every joint and sensor by default."""
 
 DEFAULT_CANDIDATES = (
     "load_friction",
@@ -55,7 +55,7 @@ DEFAULT_CANDIDATES = (
     "coupled_coulomb_friction",
     "coupled_rotor_inertia",
 )
-"""Names of the effects that are identified where the data ask for them, unless the user says otherwise."""
+"""Names of the effects identified by default where the data support them."""
 
 _FIRST = (
     *("viscous_friction", "rotor_inertia", "effort_offset", "spring"),
@@ -65,17 +65,17 @@ _FIRST = (
     *("saturating_friction", "quadratic_friction", "presliding", "coupled_viscous_friction"),
     *("coupled_coulomb_friction", "coupled_rotor_inertia"),
 )
-"""The order in which effects are tried: these, then those of other files."""
+"""Order in which effects are tried: these first, then all others."""
 
 EFFECTS: dict[str, type[Effect]] = {}
-"""All effects, by name, in the order in which they are tried."""
+"""All effects by name, in the order in which they are tried."""
 
 
 def register(effect: type[Effect]) -> type[Effect]:
-    """Make an effect known everywhere; may be used as a decorator.
+    """Register an effect everywhere; usable as a decorator.
 
     Raises:
-        TypeError: there is another of its name, or the effect contradicts itself.
+        TypeError: if another effect has its name, or its declaration is inconsistent.
     """
     if effect.adds_up and effect.variants()[0].scanned:
         raise TypeError(f"{effect} has a constant to choose: two at one place do not add up, adds_up must be False")
@@ -86,8 +86,8 @@ def register(effect: type[Effect]) -> type[Effect]:
 
 
 def _defined() -> Iterator[type[Effect]]:
-    """The effects that the files of this folder define."""
-    for file in sorted(own.name for own in iter_modules(__path__)):
+    """Yield the effects that the files of this folder define."""
+    for file in sorted(module_info.name for module_info in iter_modules(__path__)):
         module = import_module(f"geomid_ros.model.effects.{file}")
         for cls in vars(module).values():
             if isinstance(cls, type) and cls.__module__ == module.__name__ and issubclass(cls, Effect):
@@ -99,26 +99,26 @@ for _effect in sorted(_defined(), key=lambda cls: _FIRST.index(cls.name) if cls.
 
 
 def effect_class(name: str) -> type[Effect]:
-    """The effect of that name. Raises InputError with the valid names for an unknown one."""
+    """Return the effect of that name. Raises InputError with the valid names for an unknown one."""
     if name not in EFFECTS:
         raise unknown_name("effect", name, EFFECTS)
     return EFFECTS[name]
 
 
 def values_of(known: KnownEffect) -> dict[str, float]:
-    """An effect's parameters without their units; what may be left out is zero."""
+    """Return the values of an effect's parameters; optional ones default to zero."""
     optional = {form.name: 0.0 for form in effect_class(known.effect).parameters if form.optional}
     return optional | {name: quantity.value for name, quantity in known.parameters.items()}
 
 
 def identifiable() -> dict[str, IdentifiedEffect]:
-    """The effects that can be identified along with the inertias, by name: linear in their coefficients."""
+    """Return the effects that can be identified with the inertias, by name: linear in their coefficients."""
     return {name: cls() for name, cls in EFFECTS.items() if issubclass(cls, IdentifiedEffect)}
 
 
 def identified_effect(name: str) -> IdentifiedEffect:
-    """The effect of that name that can be identified. Raises InputError with the valid names for an unknown one."""
-    found = EFFECTS.get(name)
-    if found is None or not issubclass(found, IdentifiedEffect):
+    """Return the identifiable effect of that name. Raises InputError with the valid names for an unknown one."""
+    effect = EFFECTS.get(name)
+    if effect is None or not issubclass(effect, IdentifiedEffect):
         raise unknown_name("effect", name, identifiable())
-    return found()
+    return effect()

@@ -1,4 +1,4 @@
-"""Between motor and link: rotor inertia, springs, gears that give or have play, and motors that turn two joints."""
+"""Drive train: rotor inertia, springs, elastic gears, backlash, and motors that turn two joints."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from geomid_ros.types import FloatArray
 
 
 class RotorInertia(JointEffect):
-    """Inertia of motor and gears as felt at the joint (armature): effort ``c a``."""
+    """Reflected inertia of motor and gears at the joint (armature): effort ``c a``."""
 
     name = "rotor_inertia"
     label = "rotor inertia"
@@ -36,11 +36,11 @@ class RotorInertia(JointEffect):
         return motion.acceleration
 
 
-_LARGEST_TURN = 12.6  # [rad] between the zero of a joint and the rest of its spring
+_LARGEST_TURN = 12.6  # [rad] between the zero of a joint and its spring's equilibrium
 
 
 class Spring(JointEffect):
-    """A spring or counterbalance: effort ``k q``; the offset that it comes with, ``-k q_0``, says where it rests."""
+    """A spring or counterbalance: effort ``k q``. Its other part, an offset ``-k q_0``, gives the equilibrium q_0."""
 
     name = "spring"
     label = "a spring"
@@ -58,51 +58,51 @@ class Spring(JointEffect):
 
     @property
     def positives(self) -> int:
-        """The stiffness, as it is found; a file may say a spring that pushes away."""
+        """1: an estimated stiffness is positive. (A file may contain a negative one.)"""
         return 1
 
     @property
     def parts(self) -> tuple[Effect, ...]:
-        """The stiffness, and the offset."""
+        """Itself (the stiffness), and the offset."""
         return self, EffortOffset()
 
     def column(self, motion: JointMotion) -> FloatArray:
         return motion.position
 
     def is_absurd(self, coefficients: FloatArray) -> bool:
-        """Whether it rests more than two turns away."""
+        """True if the equilibrium is more than two turns away."""
         return bool(abs(coefficients[1]) > _LARGEST_TURN * coefficients[0])
 
     def transformed(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Stiffness, and the position at which the effort is zero."""
+        """Return stiffness and equilibrium, the position of zero effort, with their derivatives."""
         stiffness, offset = coefficients
         derivative = [[1.0, 0.0], [offset / stiffness**2, -1.0 / stiffness]]
         return np.array([stiffness, -offset / stiffness]), np.array(derivative)
 
     @classmethod
     def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:  # noqa: ARG003
-        """The stiffness, and the offset of a spring that rests elsewhere than at zero."""
-        found: dict[Effect, tuple[float, ...]] = {cls(): (values["stiffness"],)}
+        """Return the stiffness, and an offset unless the equilibrium is at zero."""
+        by_part: dict[Effect, tuple[float, ...]] = {cls(): (values["stiffness"],)}
         if values["equilibrium"]:
-            found[EffortOffset()] = (-values["stiffness"] * values["equilibrium"],)
-        return found
+            by_part[EffortOffset()] = (-values["stiffness"] * values["equilibrium"],)
+        return by_part
 
     @classmethod
     def refined(cls, known: Quantities, found: ByEffect) -> tuple[Quantities, ByEffect]:
-        """The estimated offset has that of the spring in it; the spring keeps its equilibrium."""
-        own, left = super().refined(known, found)
-        if not {cls.name, EffortOffset.name} <= found.keys() or "equilibrium" not in own:
-            return own, left
-        offset = left[EffortOffset.name]["offset"]
-        rest = offset.value + own["stiffness"].value * own["equilibrium"].value
-        return own, {**left, EffortOffset.name: {"offset": replace(offset, value=rest)}}
+        """Keep the spring's equilibrium, and remove the spring's offset from the estimated one."""
+        updated, others = super().refined(known, found)
+        if not {cls.name, EffortOffset.name} <= found.keys() or "equilibrium" not in updated:
+            return updated, others
+        offset = others[EffortOffset.name]["offset"]
+        remaining = offset.value + updated["stiffness"].value * updated["equilibrium"].value
+        return updated, {**others, EffortOffset.name: {"offset": replace(offset, value=remaining)}}
 
 
-_DAMPING_RATIO = 0.05  # of the link on the elastic gear, the motor held
+_DAMPING_RATIO = 0.05  # of the link on the elastic gear, with the motor fixed
 
 
 class JointElasticity(SituationEffect):
-    """A gear that gives: the link is behind the measured position by ``c tau``, c the compliance [rad/(N m)]."""
+    """An elastic gear: the link lags the measured position by ``c tau``, c the compliance [rad/(N m)]."""
 
     name = "joint_elasticity"
     label = "an elastic gear"
@@ -115,7 +115,7 @@ class JointElasticity(SituationEffect):
 
     @property
     def positives(self) -> int:
-        """The compliance."""
+        """1: the compliance."""
         return 1
 
     def columns(self, situation: Situation, place: Place) -> FloatArray:
@@ -124,30 +124,30 @@ class JointElasticity(SituationEffect):
         return situation.behind(joint, *(load[:, joint] for load in loads))
 
     def transformed(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The stiffness."""
+        """Return the stiffness and its derivative by the compliance."""
         return 1.0 / coefficients, np.array([[-1.0 / coefficients[0] ** 2]])
 
     @classmethod
     def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:  # noqa: ARG003
-        """The compliance."""
+        """Return the compliance."""
         return {cls(): (1.0 / values["stiffness"],)}
 
     @classmethod
     def hinge(cls, values: Values, carried: float) -> Hinge:
-        """A spring between the motor and the link."""
+        """Return a spring between motor and link, lightly damped."""
         stiffness = values["stiffness"]
         damping = 2.0 * _DAMPING_RATIO * float(np.sqrt(stiffness * carried))
         return Hinge("elasticity", stiffness=stiffness, damping=damping)
 
 
 CROSSINGS = tuple(float(time) for time in np.geomspace(0.003, 0.2, 15).round(4))
-"""Times [s] that the usual load takes from one side of the play to the other, against the drag in the gear."""
+"""Times in which the typical load pushes the link across the gap against the drag in the gear [s]."""
 
 
 @dataclass(frozen=True)
 class Backlash(SituationEffect):
-    """Play: the link is behind the measured position by half of c [rad], on the side to which the load has pushed it;
-    it crosses the play in :data:`CROSSINGS` of ``crossing``."""
+    """Backlash: the link is off the measured position by half of the gap c [rad], to the side where the load has pushed
+    it. It crosses the gap in a time of :data:`CROSSINGS`, at the index ``crossing``."""
 
     crossing: int = len(CROSSINGS) // 2
 
@@ -164,62 +164,62 @@ class Backlash(SituationEffect):
 
     @classmethod
     def variants(cls) -> tuple[Effect, ...]:
-        """One for each of :data:`CROSSINGS`."""
-        return tuple(cls(place) for place in range(len(CROSSINGS)))
+        """Return one for each of :data:`CROSSINGS`."""
+        return tuple(cls(crossing) for crossing in range(len(CROSSINGS)))
 
     @property
     def scanned(self) -> float:
-        """The time of a crossing [s]."""
+        """Time of a crossing [s]."""
         return CROSSINGS[self.crossing]
 
     @property
     def positives(self) -> int:
-        """The gap."""
+        """1: the gap."""
         return 1
 
     def columns(self, situation: Situation, place: Place) -> FloatArray:
         joint = joint_of(place)
-        side, rate, acceleration = (each[:, joint, self.crossing] for each in situation.of_load(sides))
-        return 0.5 * situation.behind(joint, side, rate, acceleration)
+        position, rate, acceleration = (values[:, joint, self.crossing] for values in situation.of_load(sides))
+        return 0.5 * situation.behind(joint, position, rate, acceleration)
 
     def constants(self, found: Sequence[Found], unsure: float, usual_load: float) -> list[Found]:
-        """The drag, against which the usual load crosses the gap in the time that was scanned."""
+        """Return the drag against which the typical load crosses the gap in the chosen time."""
         ((gap, std),) = found
         drag = usual_load * self.scanned / gap
         return [(drag, drag * float(np.hypot(unsure, std / gap)))]
 
     @classmethod
     def from_values(cls, values: Values, usual_load: float = 0.0) -> Backlash:
-        """The one whose crossing takes most nearly as long as against this drag."""
+        """Return the instance whose crossing time is nearest to the time given by drag, gap and load."""
         if usual_load <= 0.0 or values["drag"] <= 0.0:
             return cls()
-        wanted = values["drag"] * values["gap"] / usual_load
-        return cls(int(np.argmin(np.abs(np.log(np.array(CROSSINGS) / wanted)))))
+        time = values["drag"] * values["gap"] / usual_load
+        return cls(int(np.argmin(np.abs(np.log(np.array(CROSSINGS) / time)))))
 
     @classmethod
     def hinge(cls, values: Values, carried: float) -> Hinge:  # noqa: ARG003
-        """A hinge with ends, and with the drag between them."""
+        """Return a hinge with end stops, damped by the drag."""
         return Hinge("backlash", damping=values["drag"], half_range=0.5 * values["gap"])
 
 
 def sides(load: FloatArray, period: float) -> FloatArray:
-    """On which side of their play the gears are.
+    """Compute the position of links within their backlash.
 
-    The load pushes the link through the play against a drag: its speed is in proportion to the load.
+    The load pushes the link across the gap against a drag, at a speed proportional to the load.
 
     Args:
-        load: of the gears ``(N, J)``, sampled every ``period`` [s].
+        load: gear loads ``(N, J)``, sampled every ``period`` [s].
 
     Returns:
-        from -1 to 1 ``(N, J, K)``, for each of :data:`CROSSINGS`.
+        positions from -1 to 1 ``(N, J, K)``, for each of :data:`CROSSINGS`.
     """
-    usual = np.maximum(np.std(load, axis=0), 1e-12)
-    steps: FloatArray = (load / usual)[:, :, None] * (2.0 * period / np.array(CROSSINGS))
+    typical = np.maximum(np.std(load, axis=0), 1e-12)
+    steps: FloatArray = (load / typical)[:, :, None] * (2.0 * period / np.array(CROSSINGS))
     result = np.empty_like(steps)
-    side = np.sign(steps[0])
+    position = np.sign(steps[0])
     for index, step in enumerate(steps):
-        side = np.minimum(np.maximum(side + step, -1.0), 1.0)
-        result[index] = side
+        position = np.minimum(np.maximum(position + step, -1.0), 1.0)
+        result[index] = position
     return result
 
 
@@ -228,8 +228,8 @@ _RATIO = ParameterForm("ratio", ("-", "-"), mjcf="tendon/coef")
 
 @dataclass(frozen=True)
 class _CoupledMotor(PairEffect):
-    """An effect of a motor that turns by ``q_1 + ratio q_2`` and so is felt at both joints, at the second ``ratio``
-    times; ``ratio`` is 1, or -1 where the joints turn against each other."""
+    """An effect of a motor that turns by ``q_1 + ratio q_2``: it acts on the first joint, and ``ratio`` times on the
+    second. ``ratio`` is 1, or -1 if the joints turn against each other."""
 
     ratio: float = 1.0
 
@@ -239,29 +239,29 @@ class _CoupledMotor(PairEffect):
 
     @classmethod
     def variants(cls) -> tuple[Effect, ...]:
-        """Both directions."""
+        """Return both directions."""
         return cls(1.0), cls(-1.0)
 
     @classmethod
     def trials(cls) -> tuple[Effect, ...]:
-        """Both directions."""
+        """Return both directions."""
         return cls.variants()
 
     @abstractmethod
     def of_motor(self, motor: JointMotion) -> FloatArray:
-        """Effort ``(...)`` of the motor per unit of the coefficient."""
+        """Return the motor's effort ``(...)`` per unit of the coefficient."""
 
     def columns(self, first: JointMotion, second: JointMotion) -> tuple[FloatArray, FloatArray]:
         effort = self.of_motor(JointMotion(first.states + self.ratio * second.states))
         return effort, self.ratio * effort
 
     def constants(self, found: object, unsure: float, usual_load: float) -> list[tuple[float, float]]:  # noqa: ARG002
-        """The ratio."""
+        """Return the ratio, which is exact."""
         return [(self.ratio, 0.0)]
 
     @classmethod
     def from_values(cls, values: Values, usual_load: float = 0.0) -> _CoupledMotor:  # noqa: ARG003
-        """With its ratio."""
+        """Return the instance with this ratio."""
         return cls(values["ratio"])
 
 

@@ -1,7 +1,7 @@
-"""The contract of physical effects. A subclass in a file of this folder holds all that is known of one effect.
+"""Interface of physical effects. A subclass in a file of this folder defines everything about one effect.
 
-Results, reports, files, the search for missing effects and the simulation of what was found ask the effect; no other
-file knows its name. Everything has a default, so that an effect says only what is peculiar to it.
+Results, reports, files, the search for missing effects and the simulation of results query the class; no other file
+knows its name. Every member has a default, so an effect defines only what is special about it.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from geomid_ros.model.effects.situation import JointMotion, Motion, Place, Place
 from geomid_ros.types import FloatArray
 
 FRICTION_DRIFT = 0.2
-"""Friction changes with heat, grease and rest: so far apart do halves of recordings of ten robots find it, beside what
-each half says of itself (``benchmarks.exchanged``)."""
+"""Relative change of friction between motions, due to heat, grease and rest: the difference between halves of
+recordings of ten robots, in addition to the standard deviations of each half (``benchmarks.exchanged``)."""
 
 
 @dataclass(frozen=True)
 class Hinge:
-    """A second hinge (or slide) behind a joint's own, for a gear that gives, as MJCF attributes.
+    """A second hinge (or slide) on the link side of a joint, for an elastic gear or backlash, as MJCF attributes.
 
     ``stiffness`` [N m/rad], 0 for none; ``damping`` [N m s/rad]; ``half_range`` [rad], 0 for no ends.
     """
@@ -38,17 +38,17 @@ class Hinge:
 class Effect(ABC):
     """A physical effect; instances differ in the constants that enter nonlinearly.
 
-    What it says of itself, within a sentence:
+    Texts and tables:
 
     Attributes:
-        name: in files and on the command line.
-        label: what it is called.
+        name: name in files and on the command line.
+        label: name in sentences and tables.
         meaning: its equation, in terms of its ``parameters``, of a joint's position q, velocity v and acceleration a,
-            and of the effort tau that its gear transmits to the link.
-        parameters: their names, units and ranges. The coefficients' come first, then those of the constants.
-        settled_by: the recording that tells it from its rivals.
-        place: where it acts.
-        said_first: how many of its parameters a sentence says; None for all.
+            and of the effort tau that the joint's gear transmits to the link.
+        parameters: names, units and ranges of its parameters: those of the coefficients, then those of the constants.
+        settled_by: recording that distinguishes it from rival effects.
+        place: kind of place where it acts.
+        said_first: number of parameters that a sentence states; None for all.
     """
 
     name: ClassVar[str]
@@ -60,138 +60,138 @@ class Effect(ABC):
     said_first: ClassVar[int | None] = None
 
     def __eq__(self, other: object) -> bool:
-        """Whether it is the same effect with the same constants."""
+        """True for the same effect with the same constants."""
         return type(self) is type(other) and vars(self) == vars(other)
 
     def __hash__(self) -> int:
         return hash((self.name, *vars(self).values()))
 
-    # How it stands to other effects.
+    # Relations to other effects.
     contains: ClassVar[str] = ""
-    """The effect that is a special case of it: of the two the simpler is right unless the richer one is needed."""
+    """Effect that is a special case of it; the simpler one is preferred unless the data require the richer one."""
     like_a_payload: ClassVar[bool] = False
-    """Whether a payload may be found in its place."""
+    """True if a payload may be identified instead of it, because their columns are similar."""
     far: ClassVar[tuple[float, ...]] = ()
-    """Changes of its coefficients after which the columns of all effects are others; empty if none does that."""
+    """Changes of its coefficients beyond which all effects' columns must be recomputed; empty if never."""
     before_gear: ClassVar[bool] = False
-    """Whether it acts on the motor's side alone, so that a sensor behind the gear does not feel it."""
+    """True if it acts on the motor side of the gear only, so a sensor on the link side does not measure it."""
     is_dry_friction: ClassVar[bool] = False
-    """Whether its coefficient counts in full in the dry friction just beside standstill."""
+    """True if its coefficient counts in full in the dry friction at very low speed."""
     levels_off: ClassVar[bool] = False
-    """Whether it is friction that ends at a level as speed grows."""
+    """True if it is friction that tends to a constant level as speed grows."""
     turns_gravity: ClassVar[bool] = False
-    """Whether it turns gravity, which wrench sensors feel, too."""
+    """True if it rotates gravity, which affects wrench sensors too."""
     adds_up: ClassVar[bool] = True
-    """Whether two at one place are one with the sums of their parameters; else the second takes the first's place. An
-    effect with a constant to choose does not."""
+    """True if two at one place equal one with the sums of their parameters; else the second replaces the first. Must be
+    False for an effect with a constant to choose."""
 
-    # How it is fitted.
+    # Fitting.
     count: ClassVar[int] = 1
-    """How many coefficients its own columns have."""
+    """Number of coefficients of its columns, without those of its other :attr:`parts`."""
     constant: ClassVar[str] = ""
-    """The parameter that enters nonlinearly, a field of the instances, in which the :meth:`variants` differ."""
+    """Parameter that enters nonlinearly: the field of the instances in which the :meth:`variants` differ."""
     usual_constant: ClassVar[str] = ""
-    """Another field and parameter of this kind, which files leave out where it is as usual, the class's own."""
+    """Another such field and parameter, which files leave out if it has the class's default."""
     absorbed: ClassVar[bool] = False
-    """Whether what was found of it is built into the model (gravity, time, scale), and only its change is a column."""
+    """True if its estimate is built into the model (gravity, time, scale); its column is then for the change only."""
     largest: ClassVar[float] = np.inf
-    """The largest coefficient, its sign apart, of a robot that works."""
+    """Largest plausible absolute coefficient of a robot that works."""
     of_sensor: ClassVar[bool] = False
-    """Whether it is an error of what is measured, which moves nothing: no file of a robot has to hold it."""
+    """True if it is a measurement error without effect on the motion, so robot files need not contain it."""
     expected_share: ClassVar[float | None] = None
-    """Its prior standard deviation about zero, as a share of what its channel measures; None where its prior is a first
-    fit."""
+    """Prior standard deviation about zero, as a fraction of its channel's measurements; None if its prior comes from a
+    first fit."""
     usual: ClassVar[tuple[float, ...]] = ()
-    """Prior standard deviations of its own coefficients, which any robot may have; empty where these go with what is
-    measured."""
+    """Default prior standard deviations of its coefficients, the same for any robot; empty if they scale with the
+    measurements."""
     remembers: ClassVar[bool] = False
-    """Whether it depends on the motion before, too, as friction at rest does."""
+    """True if it depends on the past motion too, as friction at rest does."""
     scales_measurement: ClassVar[bool] = False
-    """Whether it acts on what is measured after everything else."""
+    """True if it acts on the measurement, after all other effects."""
     drift: ClassVar[float] = 0.0
-    """Standard deviation of its coefficients from one motion to the next, as a share of each: the robot's own change,
-    of which no scatter within one motion tells."""
+    """Relative standard deviation of its coefficients between motions. The robot itself changes; the scatter within one
+    motion does not show it."""
 
     @classmethod
     def variants(cls) -> tuple[Effect, ...]:
-        """The instances to choose from when its constants are unknown, in the order of its constant."""
+        """Return the instances to choose from if its constants are unknown, in the order of its constant."""
         return (cls(),)
 
     @classmethod
     def is_one_number(cls) -> bool:
-        """Whether its coefficient says all of it, if its other constants are as usual."""
+        """True if one coefficient describes it completely, given default constants."""
         return len(cls.parameters) == (2 if cls.usual_constant else 1)
 
     @classmethod
     def trials(cls) -> tuple[Effect, ...]:
-        """The few instances that an identification tries beside the default effects."""
+        """Return the few instances that an identification tries in addition to the default effects."""
         return (cls(),)
 
     @property
     def scanned(self) -> float:
-        """What variants differ in, which must be above zero; 0 if there is nothing to choose."""
+        """Value of the constant in which variants differ, above zero; 0 if there is nothing to choose."""
         return float(getattr(self, self.constant)) if self.constant else 0.0
 
     @property
     def positives(self) -> int:
-        """How many of its coefficients, the first ones, cannot be negative."""
+        """Number of its coefficients, the first ones, that cannot be negative."""
         return 0
 
     @property
     def own_positives(self) -> int:
-        """How many of those of its own columns cannot, where they are identified along with the inertias."""
+        """Number of coefficients of its own columns that cannot be negative when identified with the inertias."""
         return self.positives
 
     @property
     def parts(self) -> tuple[Effect, ...]:
-        """The effects of one coefficient that it is made of, in the order of its coefficients."""
+        """Effects of one coefficient that it is composed of, in the order of its coefficients."""
         return (self,)
 
     @property
     def own(self) -> tuple[ParameterForm, ...]:
-        """The parameters that its own coefficients are; those of its other parts are said by these."""
+        """Parameters of the coefficients of its own columns; its other parts define theirs."""
         first = self.parts.index(self)
         return self.parameters[first : first + self.count]
 
     @property
     def nothing(self) -> float:
-        """The value of its sizes that says that there is none."""
+        """Value of its sizes when the effect is absent."""
         return 1.0 if self.scales_measurement else 0.0
 
     def sizes(self, parameters: Mapping[str, Quantity]) -> dict[str, Quantity]:
-        """Those of its ``parameters`` that say how large it is: no constants; all of a body."""
+        """Return those of its ``parameters`` that measure its size: all but constants; for a body, all."""
         count = sum(part.count for part in self.parts)
         constants = {form.name for form in self.parameters[count:]} if count else set[str]()
         return {name: quantity for name, quantity in parameters.items() if name not in constants}
 
     @classmethod
     def within_motion(cls, size: Quantity) -> float:
-        """The standard deviation of one motion, of a size whose own includes the drift to others, unless it is less."""
+        """Return the std of a ``size`` within one motion, without the drift between motions if its std includes it."""
         squared = size.std**2 - (cls.drift * size.value) ** 2
         return float(np.sqrt(squared)) if squared >= 0.0 else size.std
 
     def is_absurd(self, coefficients: FloatArray) -> bool:
-        """Whether no robot that works has it with these ``coefficients (k,)``, signs apart."""
+        """True if the ``coefficients (k,)`` are out of range for a robot that works, whatever their signs."""
         return bool(np.any(np.abs(coefficients) > self.largest))
 
     def is_borne_out(self, beside: Mapping[Effect, float]) -> bool:  # noqa: ARG002
-        """Whether the effects at its place, it among them, with their coefficients, together do what it stands for."""
+        """True if all effects at its place, given with coefficients, together show the behaviour it stands for."""
         return True
 
     def linearised_at(self, coefficients: FloatArray) -> FloatArray:
-        """The ``coefficients (k,)`` at which columns may be computed."""
+        """Return the nearest coefficients ``(k,)`` at which columns may be computed."""
         return coefficients
 
-    # From coefficients to parameters and back.
+    # Coefficients to parameters and back.
 
     def transformed(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The first parameters ``(p,)`` and their derivatives by the ``coefficients (k,)``, ``(p, k)``."""
+        """Return the first parameters ``(p,)`` and their derivatives ``(p, k)`` by the ``coefficients (k,)``."""
         return coefficients, np.eye(len(coefficients))
 
     def values(self, coefficients: FloatArray) -> dict[str, float]:
-        """The first parameters by name, from the ``coefficients (k,)``."""
-        found = self.transformed(coefficients)[0]
-        return {form.name: float(value) for form, value in zip(self.parameters, found, strict=False)}
+        """Return the first parameters by name, from the ``coefficients (k,)``."""
+        parameters = self.transformed(coefficients)[0]
+        return {form.name: float(value) for form, value in zip(self.parameters, parameters, strict=False)}
 
     def quantities(
         self,
@@ -202,25 +202,24 @@ class Effect(ABC):
         unsure: float = 0.0,
         usual_load: float = 0.0,
     ) -> dict[str, Quantity]:
-        """Its parameters by name.
+        """Return its parameters by name.
 
         Args:
-            coefficients: as they were fitted ``(k,)``, with their ``covariance (k, k)``.
-            sliding: whether its joint is prismatic.
-            unsure: standard deviation of the logarithm of the scanned constant.
-            usual_load: standard deviation of what the joint's gear transmits [N m or N].
+            coefficients: fitted coefficients ``(k,)``, with their ``covariance (k, k)``.
+            sliding: True if its joint is prismatic.
+            unsure: standard deviation of the logarithm of the chosen constant.
+            usual_load: standard deviation of the joint's gear load [N m or N].
 
-        Where a coefficient is zero, its parameter may be infinite or not a number: a spring of no stiffness rests
-        nowhere.
+        If a coefficient is zero, its parameter may be infinite or NaN: a spring without stiffness has no equilibrium.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             values, jacobian = self.transformed(coefficients)
             stds = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian), 0.0))
-        found = [(float(value), float(std)) for value, std in zip(values, stds, strict=True)]
-        return quantities(self.parameters, [*found, *self.constants(found, unsure, usual_load)], sliding=sliding)
+        first = [(float(value), float(std)) for value, std in zip(values, stds, strict=True)]
+        return quantities(self.parameters, [*first, *self.constants(first, unsure, usual_load)], sliding=sliding)
 
     def constants(self, found: Sequence[Found], unsure: float, usual_load: float) -> list[Found]:  # noqa: ARG002
-        """Values and standard deviations of the parameters that are constants, from those ``found`` before."""
+        """Return values and stds of the parameters that are constants, given those of the first parameters."""
         constants = [(self.scanned, unsure * self.scanned)] if self.constant else []
         name = self.usual_constant
         if name and getattr(self, name) != getattr(type(self), name):
@@ -229,7 +228,7 @@ class Effect(ABC):
 
     @classmethod
     def from_values(cls, values: Values, usual_load: float = 0.0) -> Self:  # noqa: ARG003
-        """The instance with the constants of these parameters."""
+        """Return the instance with the constants in ``values``."""
         given = {cls.constant: values[cls.constant]} if cls.constant else {}
         if values.get(cls.usual_constant):
             given[cls.usual_constant] = values[cls.usual_constant]
@@ -237,129 +236,129 @@ class Effect(ABC):
 
     @classmethod
     def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:
-        """What parameters say of the coefficients, by the parts (:attr:`parts`) that these belong to."""
-        own = cls.from_values(values, usual_load)
-        return {own: tuple(values[form.name] for form in own.own)}
+        """Convert parameters to coefficients, by the :attr:`parts` that they belong to."""
+        instance = cls.from_values(values, usual_load)
+        return {instance: tuple(values[form.name] for form in instance.own)}
 
     @classmethod
     def refined(cls, known: Quantities, found: ByEffect) -> tuple[Quantities, ByEffect]:
-        """Its parameters brought up to date by what was estimated at its place.
+        """Update its parameters with the estimates at its place.
 
         Args:
-            known: its parameters before.
-            found: the parameters of the estimated effects, by the effects' names.
+            known: its previous parameters.
+            found: parameters of the estimated effects, by the effects' names.
 
         Returns:
-            its parameters, and what is left of ``found`` for other effects.
+            its parameters, and the entries of ``found`` that remain for other effects.
         """
         if cls.name not in found or cls.corrected_in_samples:
             return known, found
-        own = {form.name: found[cls.name][form.name] for form in cls().own if form.name in found[cls.name]}
-        return {**known, **own}, {name: other for name, other in found.items() if name != cls.name}
+        updated = {form.name: found[cls.name][form.name] for form in cls().own if form.name in found[cls.name]}
+        return {**known, **updated}, {name: other for name, other in found.items() if name != cls.name}
 
     @classmethod
     def together(cls, first: Quantities, second: Quantities) -> Quantities:
-        """The parameters of one effect that does what two at one place do, the ``second`` found beside the first."""
+        """Combine the parameters of two at one place into one; ``second`` was found in addition to ``first``."""
         if not cls.adds_up:
             return second
         added = second.keys() & first.keys() - {cls.usual_constant}
         return {**first, **{name: first[name].plus(q) if name in added else q for name, q in second.items()}}
 
-    # What it does to the world and to the sensors; the defaults do nothing.
+    # Action on the world and on sensors; the defaults do nothing.
 
     corrected_in_samples: ClassVar[bool] = False
-    """Whether signals are freed of it where it is known, by the hooks below."""
+    """True if samples are corrected for it where it is known, by the hooks below."""
 
     @classmethod
     def turned_gravity(cls, gravity: FloatArray, values: Values) -> FloatArray:  # noqa: ARG003
-        """Gravity ``(3,)`` in the base frame, from that of a base that stands straight."""
+        """Return gravity ``(3,)`` in the base frame, given that of a level base."""
         return gravity
 
     @classmethod
     def effort_scale(cls, values: Values) -> float:  # noqa: ARG003
-        """Factor from true efforts to measured ones at its joint."""
+        """Return the factor from true to measured efforts at its joint."""
         return 1.0
 
     @classmethod
     def effort_shift(cls, values: Values) -> float:  # noqa: ARG003
-        """What measured efforts at its joint show beside the scaled true ones [N m or N]."""
+        """Return the offset of measured efforts at its joint from the scaled true ones [N m or N]."""
         return 0.0
 
     @classmethod
     def effort_lag(cls, values: Values) -> float:  # noqa: ARG003
-        """How long after the motion efforts are measured [s]."""
+        """Return the delay of effort measurements after the motion [s]."""
         return 0.0
 
     @classmethod
     def wrench_shift(cls, values: Values) -> dict[str, float]:  # noqa: ARG003
-        """What its wrench sensor shows beside the true wrench, by axis [N, N m]."""
+        """Return the offset of its wrench sensor from the true wrench, by axis [N, N m]."""
         return {}
 
-    # What friction the motion and the load bring, beside what URDF and MJCF say.
+    # Friction by motion and load, in addition to that in URDF and MJCF.
 
     @classmethod
     def dry_friction(cls, coefficient: float, load: FloatArray) -> FloatArray:  # noqa: ARG003
-        """Size ``(N,)`` of the friction whose sign is unknown about standstill, under the gear's ``load (N,)``."""
+        """Return the size ``(N,)`` of friction of unknown sign near standstill, under the gear's ``load (N,)``."""
         return np.zeros(load.shape)
 
     @classmethod
     def friction_by_load(cls, values: Values) -> float:  # noqa: ARG003
-        """Friction per effort that the gear transmits."""
+        """Return the friction per unit of gear load."""
         return 0.0
 
     @classmethod
     def holding_friction(cls, values: Values) -> float:  # noqa: ARG003
-        """Friction that holds a joint at rest beside what the MJCF says [N m or N]."""
+        """Return the friction that holds a joint at rest, in addition to that in the MJCF [N m or N]."""
         return 0.0
 
     def unsaid_efforts(self, values: Values, motion: Motion, place: Place) -> FloatArray | float:  # noqa: ARG002
-        """Efforts ``(..., J)`` of a moving robot that the MJCF does not say."""
+        """Return efforts ``(..., J)`` of a moving robot that the MJCF does not contain."""
         return 0.0
 
     @classmethod
     def hinge(cls, values: Values, carried: float) -> Hinge | None:  # noqa: ARG003
-        """The hinge behind the joint that the MJCF needs for it; ``carried``: inertia behind the joint [kg m^2, kg]."""
+        """Return the additional hinge that the MJCF needs; ``carried``: inertia distal to the joint [kg m^2, kg]."""
         return None
 
 
 class MotionEffect(Effect):
     """An effect of one coefficient that adds ``coefficient * efforts(motion)`` to the joints' efforts.
 
-    It can be identified along with the inertias. Its column is computed before the filter and filtered as efforts are.
+    It can be identified with the inertias. Its column is computed before the filter, then filtered like the efforts.
     """
 
     @property
     def positives(self) -> int:
-        """1 if the coefficient lives on P(1) (it cannot change sign, the metric is dc^2/c^2), 0 if on a real line: a
-        parameter that must be above zero does the former."""
+        """1 if the coefficient is on P(1) (it cannot change sign, the metric is dc^2/c^2), because its parameter must
+        be above zero; 0 if it is on a real line."""
         return int(self.parameters[0].above == 0.0)
 
     @abstractmethod
     def efforts(self, motion: Motion, place: Place) -> FloatArray:
-        """Efforts ``(..., J)`` per unit of the coefficient, at each instant by itself."""
+        """Return efforts ``(..., J)`` per unit of the coefficient, each instant independently."""
 
     def unsaid_efforts(self, values: Values, motion: Motion, place: Place) -> FloatArray | float:
-        """All of it, unless the MJCF says it."""
+        """Return all of its efforts, unless the MJCF contains the effect."""
         if any(form.mjcf for form in self.parameters):
             return 0.0
         return values[self.own[0].name] * self.efforts(motion, place)
 
 
 class JointEffect(MotionEffect):
-    """A function of one joint's motion, with one coefficient per joint."""
+    """Function of one joint's motion, with one coefficient per joint."""
 
     @abstractmethod
     def column(self, motion: JointMotion) -> FloatArray:
-        """Effort ``(...)`` at the joint per unit of the coefficient, at each instant by itself."""
+        """Return the joint's effort ``(...)`` per unit of the coefficient, each instant independently."""
 
     @classmethod
     def states(cls, effects: Sequence[Self], moved: FloatArray, before: FloatArray) -> FloatArray:  # noqa: ARG003
-        """What each of n ``effects`` of this class remembers ``(N, n, J)`` after each of the steps by which joints have
-        ``moved (N, J)``, from what it did ``before`` them ``(n, J)``."""
+        """Return the states ``(N, n, J)`` of n ``effects`` of this class after each of the position steps ``moved (N,
+        J)``, from their states ``before (n, J)``."""
         return np.zeros((len(moved), *before.shape))
 
     def efforts(self, motion: Motion, place: Place) -> FloatArray:
-        """Those of the one joint."""
+        """Return efforts ``(..., J)`` per unit, nonzero at the one joint."""
         joint = joint_of(place)
         efforts = np.zeros(motion.position.shape)
         efforts[..., joint] = self.column(motion.of(joint))
@@ -367,16 +366,16 @@ class JointEffect(MotionEffect):
 
 
 class PairEffect(MotionEffect):
-    """A function of two joints' motion, with one coefficient per pair."""
+    """Function of two joints' motion, with one coefficient per pair."""
 
     place = "joints"
 
     @abstractmethod
     def columns(self, first: JointMotion, second: JointMotion) -> tuple[FloatArray, FloatArray]:
-        """Efforts ``(...)`` at either joint per unit of the coefficient, at each instant by itself."""
+        """Return efforts ``(...)`` of the two joints per unit of the coefficient, each instant independently."""
 
     def efforts(self, motion: Motion, place: Place) -> FloatArray:
-        """Those of the two joints."""
+        """Return efforts ``(..., J)`` per unit, nonzero at the two joints."""
         first, second = joints_of(place)
         efforts = np.zeros(motion.position.shape)
         efforts[..., first], efforts[..., second] = self.columns(motion.of(first), motion.of(second))
@@ -384,15 +383,15 @@ class PairEffect(MotionEffect):
 
 
 class RobotEffect(MotionEffect):
-    """A function of all joints' motion, with one coefficient for the robot."""
+    """Function of all joints' motion, with one coefficient for the robot."""
 
     place = "robot"
 
 
 class SensorEffect(Effect):
-    """An effect of a wrench sensor: adds ``columns(motion, axes) . coefficients`` to what the sensor shows.
+    """An effect of a wrench sensor: adds ``columns(motion, axes) . coefficients`` to the sensor's reading.
 
-    Its parameters are named after the axes, fx to tz, that they are coefficients of, one each.
+    It has one parameter per axis, named after it, fx to tz: the axis's coefficient.
     """
 
     place: ClassVar[PlaceKind] = "sensor"
@@ -401,35 +400,35 @@ class SensorEffect(Effect):
 
     @abstractmethod
     def columns(self, motion: Motion, axes: Sequence[str]) -> FloatArray:
-        """Wrench ``(..., axes, coefficients)`` in the sensor's frame per unit of each axis's coefficient."""
+        """Return wrenches ``(..., axes, coefficients)`` in the sensor's frame per unit of each axis's coefficient."""
 
 
 class SituationEffect(Effect):
-    """An effect that depends on what a model says of the motion: adds ``columns(situation, place) . coefficients`` to
-    the channels, to first order in the coefficients."""
+    """An effect that depends on the model's state: adds ``columns(situation, place) . coefficients`` to the channels,
+    to first order in the coefficients."""
 
     @abstractmethod
     def columns(self, situation: Situation, place: Place) -> FloatArray:
-        """Change of the channels per unit of each coefficient, ``(N, C, k)``."""
+        """Return the change of the channels per unit of each coefficient, ``(N, C, k)``."""
 
 
 class LoadEffect(SituationEffect):
-    """A function of the motion of one joint and of the effort that its gear transmits, with one coefficient per joint.
+    """Function of one joint's direction of motion and of its gear load, with one coefficient per joint.
 
-    It can be identified along with the inertias: its column is then that of what is known before, which is the URDF's
-    rigid bodies alone unless there is a model.
+    It can be identified with the inertias. Its column then uses the gear load known beforehand: that of the URDF's
+    rigid bodies, or of a given model.
     """
 
     @abstractmethod
     def column(self, load: FloatArray, sign: FloatArray) -> FloatArray:
-        """Effort ``(...)`` at the joint per unit of the coefficient, from the ``load`` that the gear transmits and the
-        direction of motion."""
+        """Return the joint's effort ``(...)`` per unit of the coefficient, from the gear's ``load`` and the ``sign`` of
+        motion."""
 
     def columns(self, situation: Situation, place: Place) -> FloatArray:
-        """Those of the one joint."""
+        """Return the columns ``(N, C, 1)``, nonzero at the one joint."""
         joint = joint_of(place)
         return situation.column_of(joint, self.column(situation.transmitted[:, joint], situation.sign[:, joint]))
 
 
 IdentifiedEffect: TypeAlias = MotionEffect | SensorEffect | LoadEffect
-"""What a measurement model can have: linear in coefficients, with columns that no estimate changes."""
+"""Effects that a measurement model may contain: linear in coefficients, with columns independent of the estimate."""

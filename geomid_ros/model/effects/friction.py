@@ -1,4 +1,4 @@
-"""Friction of a joint: as a function of speed, of the load, and of how far it has slid since a reversal."""
+"""Joint friction as a function of speed, of load, and of the distance since a reversal."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from geomid_ros.types import FloatArray
 
 
 class ViscousFriction(JointEffect):
-    """Friction in proportion to speed: effort ``c v``."""
+    """Friction proportional to speed: effort ``c v``."""
 
     name = "viscous_friction"
     label = "viscous friction"
@@ -38,17 +38,17 @@ class ViscousFriction(JointEffect):
 
 
 SMOOTHINGS = (0.003, 0.01, 0.02, 0.05, 0.1, 0.2)
-"""[rad/s or m/s] over which dry friction may change its sign."""
+"""Speeds over which dry friction may change its sign [rad/s or m/s]."""
 SMOOTHING = ParameterForm("smoothing", ("rad/s", "m/s"), above=0.0, optional=True)
-"""The same as a parameter."""
+"""The smoothing speed as a parameter."""
 
 
 @dataclass(frozen=True)
 class CoulombFriction(JointEffect):
     """Dry friction: effort ``c tanh(v / e)``, the sign of the velocity smoothed over the speed e [rad/s or m/s].
 
-    Within e of standstill friction depends on the load and on the past; the smooth sign keeps the equation linear in c
-    and lets such instants count little.
+    At speeds below e friction depends on the load and on the past. The smooth sign keeps the equation linear in c and
+    gives such samples little weight.
     """
 
     smoothing: float = 0.02
@@ -69,12 +69,12 @@ class CoulombFriction(JointEffect):
 
     @classmethod
     def variants(cls) -> tuple[Effect, ...]:
-        """One for each of :data:`SMOOTHINGS`."""
+        """Return one for each of :data:`SMOOTHINGS`."""
         return tuple(cls(smoothing) for smoothing in SMOOTHINGS)
 
     @classmethod
     def trials(cls) -> tuple[Effect, ...]:
-        """The same: the shape of dry friction is not known before."""
+        """Return all variants, because the shape of dry friction is not known beforehand."""
         return cls.variants()
 
     def column(self, motion: JointMotion) -> FloatArray:
@@ -82,32 +82,32 @@ class CoulombFriction(JointEffect):
 
     @classmethod
     def dry_friction(cls, coefficient: float, load: FloatArray) -> FloatArray:
-        """Its level."""
+        """Return its level, regardless of load."""
         return np.full(load.shape, abs(coefficient))
 
 
 SPEEDS = tuple(float(speed) for speed in np.geomspace(0.03, 0.6, 25).round(4))
-"""[rad/s or m/s] to choose Stribeck's speed from."""
+"""Grid of Stribeck speeds [rad/s or m/s]."""
 _TRIED = (0.03, 0.06, 0.12, 0.25)  # [rad/s or m/s]
 _CURVE = np.geomspace(SMOOTHINGS[0], 2.0 * SPEEDS[-1], 100)  # [rad/s or m/s]
-_LARGEST_EXCESS = 4.0  # of the friction of a fast joint
+_LARGEST_EXCESS = 4.0  # in units of the friction of a fast joint
 
 
 def dry_friction(beside: Mapping[Effect, float]) -> FloatArray:
-    """What the effects at a joint that level off, with their coefficients, add up to over a range of speeds."""
-    still = np.zeros(len(_CURVE))
-    motion = JointMotion(np.array([still, _CURVE, still]))
+    """Sum the friction of a joint's effects that level off, given with coefficients, over a range of speeds."""
+    zeros = np.zeros(len(_CURVE))
+    motion = JointMotion(np.array([zeros, _CURVE, zeros]))
     dry = [c * e.column(motion) for e, c in beside.items() if isinstance(e, JointEffect) and e.levels_off]
-    return np.asarray(np.sum([still, *dry], axis=0))
+    return np.asarray(np.sum([zeros, *dry], axis=0))
 
 
 @dataclass(frozen=True)
 class StribeckFriction(JointEffect):
-    """Dry friction that is larger at slow motion: effort ``sign(v) (level + excess exp(-(v / v_s)^2))``, v_s the
-    ``speed`` [rad/s or m/s].
+    """Dry friction that is larger at slow motion: effort ``sign(v) (level + excess exp(-(v / v_s)^2))``, where v_s is
+    the ``speed`` [rad/s or m/s].
 
-    Its own column is that of the excess; it comes with :class:`CoulombFriction` of the same smooth sign, whose
-    coefficient is the level.
+    Its column is for the excess. The level is the coefficient of its other part, a :class:`CoulombFriction` with the
+    same smooth sign.
     """
 
     speed: float = 0.1
@@ -118,7 +118,7 @@ class StribeckFriction(JointEffect):
     meaning = "effort sign(v) (level + excess exp(-(v/speed)^2)); smoothing as in coulomb_friction"
     parameters = (
         ParameterForm("level", EFFORT, above=0.0, optional=True, urdf="dynamics/friction", mjcf="joint/frictionloss"),
-        ParameterForm("excess", EFFORT),  # the coefficient: positive and in units as the level
+        ParameterForm("excess", EFFORT),  # the coefficient: positive, in the unit of the level
         ParameterForm("speed", ("rad/s", "m/s"), above=0.0),
         SMOOTHING,
     )
@@ -134,36 +134,36 @@ class StribeckFriction(JointEffect):
 
     @classmethod
     def variants(cls) -> tuple[Effect, ...]:
-        """One for each of :data:`SPEEDS`, with the sharpest sign."""
+        """Return one for each of :data:`SPEEDS`, with the sharpest sign."""
         return tuple(cls(speed, SMOOTHINGS[0]) for speed in SPEEDS)
 
     @classmethod
     def trials(cls) -> tuple[Effect, ...]:
-        """Some speeds, with the smooth sign that :class:`CoulombFriction` has by itself."""
+        """Return a few speeds, with the default smooth sign of :class:`CoulombFriction`."""
         return tuple(cls(speed) for speed in _TRIED)
 
     @property
     def parts(self) -> tuple[Effect, ...]:
-        """Coulomb friction, and the excess."""
+        """Coulomb friction (the level), and itself (the excess)."""
         return CoulombFriction(self.smoothing), self
 
     @property
     def positives(self) -> int:
-        """Level and excess."""
+        """2: level and excess."""
         return 2
 
     @property
     def own_positives(self) -> int:
-        """The excess: dry friction that sets in gradually is :class:`SaturatingFriction`."""
+        """1, the excess. (Dry friction that sets in gradually is :class:`SaturatingFriction`.)"""
         return 1
 
     def is_absurd(self, coefficients: FloatArray) -> bool:
-        """Whether the excess is many times the level."""
+        """True if the excess is many times the level."""
         return bool(coefficients[1] > _LARGEST_EXCESS * coefficients[0])
 
     def is_borne_out(self, beside: Mapping[Effect, float]) -> bool:
-        """Whether dry friction falls with speed by more than half of the excess: otherwise it changes its shape near
-        rest, or makes up for another friction."""
+        """True if dry friction falls with speed by more than half of the excess. Otherwise the excess only reshapes
+        friction near rest, or compensates another friction."""
         friction = dry_friction(beside)
         return bool(np.max(np.maximum.accumulate(friction) - friction) > 0.5 * beside[self])
 
@@ -172,35 +172,35 @@ class StribeckFriction(JointEffect):
 
     @classmethod
     def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:  # noqa: ARG003
-        """The level, if there is one, is Coulomb friction, the excess its own."""
-        own = cls.from_values(values)
-        found: dict[Effect, tuple[float, ...]] = {own: (values["excess"],)}
+        """Return the excess as its coefficient, and a nonzero level as that of Coulomb friction."""
+        instance = cls.from_values(values)
+        by_part: dict[Effect, tuple[float, ...]] = {instance: (values["excess"],)}
         if values["level"]:
-            found[CoulombFriction(own.smoothing)] = (values["level"],)
-        return found
+            by_part[CoulombFriction(instance.smoothing)] = (values["level"],)
+        return by_part
 
     @classmethod
     def refined(cls, known: Quantities, found: ByEffect) -> tuple[Quantities, ByEffect]:
-        """The estimated Coulomb friction is the level."""
+        """Take the estimated Coulomb friction as the level."""
         if not {cls.name, CoulombFriction.name} <= found.keys():
             return known, found
-        own, left = super().refined(known, found)
-        level = left[CoulombFriction.name]
-        return {**own, **level}, {name: other for name, other in left.items() if other is not level}
+        updated, others = super().refined(known, found)
+        level = others[CoulombFriction.name]
+        return {**updated, **level}, {name: other for name, other in others.items() if other is not level}
 
     @classmethod
     def holding_friction(cls, values: Values) -> float:
-        """All of the excess holds a joint at rest. One below zero, of an older file, takes off nothing."""
+        """Return the excess; 0 if it is negative, as in older files."""
         return max(values["excess"], 0.0)
 
     def unsaid_efforts(self, values: Values, motion: Motion, place: Place) -> FloatArray:
-        """What the motion takes off :meth:`holding_friction`."""
+        """Return the (negative) change of :meth:`holding_friction` due to motion."""
         full = self.holding_friction(values) * CoulombFriction(self.smoothing).efforts(motion, place)
         return full * np.expm1(-((motion.velocity / self.speed) ** 2))
 
 
 class LoadFriction(LoadEffect):
-    """Friction in proportion to the effort that the gear transmits: effort ``c |tau| sign(v)``."""
+    """Friction proportional to the gear load: effort ``c |tau| sign(v)``."""
 
     name = "load_friction"
     label = "load-dependent friction"
@@ -208,11 +208,11 @@ class LoadFriction(LoadEffect):
     parameters = (ParameterForm("coefficient", ("-", "-"), above=0.0, below=1.0),)
     settled_by = "the same motion with and without a known payload"
     drift = FRICTION_DRIFT
-    largest = 1.0  # nothing of the effort would pass
+    largest = 1.0  # at 1 the gear transmits nothing
 
     @property
     def positives(self) -> int:
-        """It is no motor."""
+        """1: friction dissipates energy, so the coefficient is positive."""
         return 1
 
     def column(self, load: FloatArray, sign: FloatArray) -> FloatArray:
@@ -220,25 +220,24 @@ class LoadFriction(LoadEffect):
 
     @classmethod
     def dry_friction(cls, coefficient: float, load: FloatArray) -> FloatArray:
-        """In proportion to the load."""
+        """Return friction proportional to the load."""
         return abs(coefficient) * np.abs(load)
 
     @classmethod
     def friction_by_load(cls, values: Values) -> float:
-        """The coefficient."""
+        """Return the coefficient."""
         return values["coefficient"]
 
 
 SETTING_IN = (0.15, 0.3, 0.6, 1.2)
-"""[rad/s or m/s] over which it may set in: slower than dry friction does."""
+"""Speeds over which saturating friction may set in, more gradually than dry friction [rad/s or m/s]."""
 
 
 @dataclass(frozen=True)
 class SaturatingFriction(JointEffect):
     """Friction that grows with speed and levels off: effort ``level tanh(v / v_s)``, v_s the ``speed`` [rad/s or m/s].
 
-    Lubricant that grows thinner with speed, and seals, rub like this: viscous at slow motion, nearly constant at fast
-    motion.
+    Typical of seals, and of lubricant that thins with speed: viscous at slow motion, nearly constant at fast motion.
     """
 
     speed: float = 0.6
@@ -255,8 +254,8 @@ class SaturatingFriction(JointEffect):
 
     @classmethod
     def variants(cls) -> tuple[Effect, ...]:
-        """Of :data:`SETTING_IN` those at which it is neither nearly dry nor nearly viscous friction: of one of these a
-        change goes by the simpler name."""
+        """Return the speeds of :data:`SETTING_IN` at which it is neither nearly dry nor nearly viscous friction. A
+        change of these should be reported under the simpler name."""
         return tuple(cls(speed) for speed in SETTING_IN[2:])
 
     @classmethod
@@ -268,9 +267,9 @@ class SaturatingFriction(JointEffect):
 
 
 class QuadraticFriction(JointEffect):
-    """Friction in proportion to the square of speed: effort ``c v |v|``.
+    """Friction proportional to the square of speed: effort ``c v |v|``.
 
-    Drag makes c positive; lubricant that grows thinner with speed makes it negative, beside viscous friction.
+    Drag makes c positive. Lubricant that thins with speed makes it negative, in addition to viscous friction.
     """
 
     name = "quadratic_friction"
@@ -285,17 +284,17 @@ class QuadraticFriction(JointEffect):
 
 
 DISTANCES = (3e-3, 1e-2, 3e-2)
-"""[rad or m] over which dry friction may change its sign."""
+"""Distances over which dry friction may change its sign [rad or m]."""
 
 
 @dataclass(frozen=True)
 class Presliding(JointEffect):
-    """Dry friction that keeps its sign after a reversal until the joint has slid, and at rest: ``level (z - sign(v))``
-    beside the friction of a joint that slides, with ``dz/dq = (1 - z sign(v)) / distance`` [1/rad or 1/m].
+    """Dry friction that keeps its sign at rest, and after a reversal until the joint has slid: ``level (z - sign(v))``
+    in addition to sliding friction, with ``dz/dq = (1 - z sign(v)) / distance`` [1/rad or 1/m].
 
-    Surfaces bend before they slide (Dahl, "A solid friction model", 1968): z is how far, as a share. Where the motion
-    before is not known, the joint has speeded up with the acceleration a from a reversal on, and has moved by
-    ``v^2 / (2 a)`` since; or it slows down, and slides.
+    Surfaces deflect before they slide (Dahl, "A solid friction model", 1968); z in [-1, 1] is the relative deflection.
+    If the past motion is unknown, a joint that speeds up is assumed to have done so at its acceleration a since a
+    reversal, so over a distance of ``v^2 / (2 a)``; a joint that slows down is assumed to slide.
     """
 
     distance: float = 1e-2
@@ -312,36 +311,36 @@ class Presliding(JointEffect):
 
     @classmethod
     def variants(cls) -> tuple[Effect, ...]:
-        """One for each of :data:`DISTANCES`."""
+        """Return one for each of :data:`DISTANCES`."""
         return tuple(cls(distance) for distance in DISTANCES)
 
     @classmethod
     def trials(cls) -> tuple[Effect, ...]:
-        """The same."""
+        """Return all variants."""
         return cls.variants()
 
     def is_borne_out(self, beside: Mapping[Effect, float]) -> bool:
-        """Whether the joint has as much dry friction as keeps its sign, but for the drift of both."""
+        """True if the joint's dry friction is at least as large, up to drift, as the part that keeps its sign."""
         return bool(beside[self] <= (1.0 + self.drift) * np.max(dry_friction(beside)))
 
     @classmethod
     def states(cls, effects: Sequence[Self], moved: FloatArray, before: FloatArray) -> FloatArray:
-        """How far surfaces are bent, z."""
-        left = np.exp(-np.abs(moved)[:, None] / np.array([[effect.distance] for effect in effects]))
-        bent = (1.0 - left) * np.sign(moved)[:, None]
-        for own, share in zip(bent, left, strict=True):
-            own[:] = before = own + share * before
-        return np.asarray(bent)
+        """Return the relative deflections z ``(N, n, J)`` of the surfaces."""
+        remaining = np.exp(-np.abs(moved)[:, None] / np.array([[effect.distance] for effect in effects]))
+        deflection = (1.0 - remaining) * np.sign(moved)[:, None]
+        for state, kept in zip(deflection, remaining, strict=True):
+            state[:] = before = state + kept * before
+        return np.asarray(deflection)
 
     def column(self, motion: JointMotion) -> FloatArray:
-        way = np.tanh(motion.velocity / SMOOTHINGS[0])
-        bent = motion.past.get(self)
-        return np.asarray(-2.0 * way * self._left(motion) if bent is None else bent - way)
+        sign = np.tanh(motion.velocity / SMOOTHINGS[0])
+        z = motion.past.get(self)
+        return np.asarray(-2.0 * sign * self._remaining_deflection(motion) if z is None else z - sign)
 
-    def _left(self, motion: JointMotion) -> FloatArray:
-        """The share of the way from one side to the other by which surfaces are still to be bent, if the joint slid one
-        way before."""
+    def _remaining_deflection(self, motion: JointMotion) -> FloatArray:
+        """Return the fraction of the deflection from one side to the other that remains, if the joint slid the other
+        way before the reversal."""
         v, a, slid = motion.velocity, motion.acceleration, np.full(motion.velocity.shape, np.inf)
         np.divide(v**2, 2.0 * self.distance * np.abs(a), out=slid, where=a * v > 0.0)
-        left: FloatArray = np.exp(-slid)
-        return left
+        remaining: FloatArray = np.exp(-slid)
+        return remaining

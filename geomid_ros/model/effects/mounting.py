@@ -1,4 +1,4 @@
-"""How the robot is mounted, and what its links carry."""
+"""Mounting of the robot, and payloads of its links."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class GravityTilt(SituationEffect):
     settled_by = "slow motion of the first joint over its range, with the arm stretched out"
     place = "robot"
     count = 2
-    largest = 0.5  # [rad] a base that is farther from level is mounted otherwise
+    largest = 0.5  # [rad] a base tilted further is mounted so on purpose
     like_a_payload = True
     far = (0.03, 0.03)
     turns_gravity = True
@@ -43,12 +43,12 @@ class GravityTilt(SituationEffect):
 
     @classmethod
     def turned_gravity(cls, gravity: FloatArray, values: Values) -> FloatArray:
-        """``R^T g``."""
+        """Return ``R^T g``."""
         return _turned(gravity, np.array([values[name] for name in _NAMES]))
 
 
 def _turned(gravity: FloatArray, tilt: FloatArray) -> FloatArray:
-    """By Rodrigues' formula for the opposite rotation."""
+    """Return gravity rotated by Rodrigues' formula for the opposite rotation."""
     angle = float(np.linalg.norm(tilt))
     if angle == 0.0:
         return gravity
@@ -64,7 +64,7 @@ _URDF, _MJCF = "link/inertial", "body/inertial"
 
 
 class CarriedBody(Effect):
-    """A body that a link carries; it is fitted as the bodies are, on its own pseudo-inertia."""
+    """Payload of a link; it is fitted like the bodies, as a separate pseudo-inertia."""
 
     name = "payload"
     label = "a payload"
@@ -82,5 +82,5 @@ class CarriedBody(Effect):
 
     @property
     def parts(self) -> tuple[Effect, ...]:
-        """None: its body has no coefficients."""
+        """Empty, because a body has no coefficients."""
         return ()

@@ -1,4 +1,4 @@
-"""The parameters of an effect: how they are called, their units and ranges, and what is known of one."""
+"""Parameters of an effect: names, units and ranges, and values with standard deviations."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ Values: TypeAlias = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Quantity:
-    """A parameter's value with its standard deviation, NaN where it is not known, and unit."""
+    """A parameter's value with its standard deviation (NaN if unknown) and unit."""
 
     value: float
     std: float = math.nan
     unit: str = ""
 
     def scaled(self, factor: float) -> Quantity:
-        """The quantity times an exact ``factor``."""
+        """Return the quantity times an exact ``factor``."""
         return Quantity(factor * self.value, abs(factor) * self.std, self.unit)
 
     def plus(self, other: Quantity) -> Quantity:
-        """Sum of two independent estimates; where the uncertainty of one is not known, the other's."""
-        known = [quantity.std for quantity in (self, other) if math.isfinite(quantity.std)]
-        return Quantity(self.value + other.value, math.hypot(*known) if known else math.nan, other.unit)
+        """Add an independent estimate. If the std of one is unknown, the sum has the std of the other."""
+        stds = [quantity.std for quantity in (self, other) if math.isfinite(quantity.std)]
+        return Quantity(self.value + other.value, math.hypot(*stds) if stds else math.nan, other.unit)
 
 
 Quantities: TypeAlias = Mapping[str, Quantity]
@@ -41,7 +41,7 @@ ByEffect: TypeAlias = Mapping[str, Quantities]
 
 
 def quantities(forms: Iterable[ParameterForm], found: Iterable[Found], *, sliding: bool = False) -> dict[str, Quantity]:
-    """The first of some parameters by name, from their values and standard deviations; ``sliding``: at a prismatic
+    """Return the first parameters by name, from their values and standard deviations; ``sliding``: True at a prismatic
     joint."""
     return {
         form.name: Quantity(float(value), float(std), form.units[sliding])
@@ -51,14 +51,14 @@ def quantities(forms: Iterable[ParameterForm], found: Iterable[Found], *, slidin
 
 @dataclass(frozen=True)
 class KnownEffect:
-    """An effect with the values of its parameters: what was found, or what is read of it from a file.
+    """An effect with the values of its parameters, as estimated or read from a file.
 
     Attributes:
         effect: its name.
-        joint: the joint it acts at, two as ``FIRST+SECOND``, the one that moves the link of a payload, or the topic of
-            a wrench sensor; empty for the whole robot.
-        link: the link that carries a payload, else empty.
-        parameters: their values with standard deviations and units, by name.
+        joint: joint where it acts, two joints as ``FIRST+SECOND``, the joint that moves a payload's link, or the topic
+            of a wrench sensor; empty for the whole robot.
+        link: link that carries a payload; else empty.
+        parameters: values with standard deviations and units, by name.
     """
 
     effect: str
@@ -69,16 +69,16 @@ class KnownEffect:
 
 @dataclass(frozen=True)
 class ParameterForm:
-    """What a parameter is, apart from its value.
+    """Declaration of a parameter: everything but its value.
 
     Attributes:
         name: its name in files and tables.
-        units: at a revolute and at a prismatic joint.
+        units: its units at a revolute and at a prismatic joint.
         above, below: its range, ends excluded.
-        optional: whether files may leave it out; it is zero then.
-        urdf, mjcf: where these files say it, too, as ``ELEMENT/ATTRIBUTE``; empty where they cannot. What stands at
+        optional: True if files may omit it; it is zero then.
+        urdf, mjcf: where these files contain it, as ``ELEMENT/ATTRIBUTE``; empty if they cannot. A parameter at
             ``dynamics`` of a URDF's joint, or at the ``joint`` of an MJCF, is added to the attribute's value.
-        drake, gazebo: where these read it in a URDF.
+        drake, gazebo: where Drake and Gazebo read it in a URDF.
     """
 
     name: str
@@ -92,11 +92,11 @@ class ParameterForm:
     gazebo: str = ""
 
     def said_by(self, files: Iterable[str]) -> bool:
-        """Whether one of ``files`` says it: a name of these attributes, or an element there, ``mjcf/joint``."""
+        """True if one of ``files`` can contain it: ``urdf``, ``mjcf``, ..., or an element in one, ``mjcf/joint``."""
         return bool(self.place_in(files))
 
     def place_in(self, files: Iterable[str]) -> str:
-        """Where one of these files says it, as ``ELEMENT/ATTRIBUTE``; empty where none does."""
-        said = {name: getattr(self, name) for name in ("urdf", "mjcf", "drake", "gazebo") if getattr(self, name)}
-        places = [at for own in files for name, at in said.items() if f"{name}/{at}/".startswith(f"{own}/")]
+        """Return where one of ``files`` contains it, as ``ELEMENT/ATTRIBUTE``; empty if none does."""
+        locations = {name: getattr(self, name) for name in ("urdf", "mjcf", "drake", "gazebo") if getattr(self, name)}
+        places = [at for file in files for name, at in locations.items() if f"{name}/{at}/".startswith(f"{file}/")]
         return places[0] if places else ""

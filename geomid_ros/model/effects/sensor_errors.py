@@ -21,7 +21,7 @@ class EffortOffset(JointEffect):
     parameters = (ParameterForm("offset", EFFORT),)
     like_a_payload = True
     of_sensor = True
-    # Gravity is of the same form where a joint turns little: a wider prior lets an offset stand in for a mass.
+    # If a joint moves little, gravity looks like an offset: with a wider prior an offset could absorb a mass.
     expected_share = 0.05
     settled_by = "a recording in which gravity loads the joint in both directions"
 
@@ -30,19 +30,19 @@ class EffortOffset(JointEffect):
 
     @classmethod
     def effort_shift(cls, values: Values) -> float:
-        """The offset."""
+        """Return the offset."""
         return values["offset"]
 
     def unsaid_efforts(self, values: Values, motion: Motion, place: Place) -> float:  # noqa: ARG002
-        """It is an error of the sensor, no effort."""
+        """Return 0, because it is a sensor error, not an effort."""
         return 0.0
 
 
-_USED = (-0.7, 2.0)  # errors of scale at which a model may be built
+_USED = (-0.7, 2.0)  # range of scale errors at which a model may be built
 
 
 class EffortGain(SituationEffect):
-    """An effort sensor's error of scale: measured ``(1 + c)`` times the true effort."""
+    """Scale error of an effort sensor: the measured effort is ``(1 + c)`` times the true one."""
 
     name = "effort_gain"
     label = "a wrong gain of the measured effort"
@@ -57,7 +57,7 @@ class EffortGain(SituationEffect):
     corrected_in_samples = True
 
     def is_absurd(self, coefficients: FloatArray) -> bool:
-        """Whether a model may not be built there."""
+        """True if no model may be built at these coefficients."""
         return bool(np.any(coefficients != self.linearised_at(coefficients)))
 
     def linearised_at(self, coefficients: FloatArray) -> FloatArray:
@@ -68,30 +68,30 @@ class EffortGain(SituationEffect):
         return situation.column_of(joint, situation.predicted[:, joint])
 
     def transformed(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The gain."""
+        """Return the gain."""
         return 1.0 + coefficients, np.eye(1)
 
     @classmethod
     def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:  # noqa: ARG003
-        """The gain's distance from 1."""
+        """Return the gain minus 1."""
         return {cls(): (values["gain"] - 1.0,)}
 
     @classmethod
     def together(cls, first: Quantities, second: Quantities) -> Quantities:
-        """Gains are multiplied."""
+        """Multiply the gains."""
         return {"gain": second["gain"].scaled(first["gain"].value)}
 
     @classmethod
     def effort_scale(cls, values: Values) -> float:
-        """The gain."""
+        """Return the gain."""
         return values["gain"]
 
 
 class EffortDelay(SituationEffect):
     """All efforts are measured too late by c [s]: measured(t) = true(t - c).
 
-    It is told from what the rigid bodies need. Dry friction follows a reversal later than any function of the speed
-    says (pre-sliding), and by its large steps passes for a delay of some milliseconds.
+    Only the efforts of the rigid bodies identify it. Dry friction changes sign later after a reversal than any function
+    of speed (presliding); with its large steps this looks like a delay of some milliseconds.
     """
 
     name = "effort_delay"
@@ -111,12 +111,12 @@ class EffortDelay(SituationEffect):
 
     @classmethod
     def effort_lag(cls, values: Values) -> float:
-        """The delay."""
+        """Return the delay."""
         return values["delay"]
 
 
 class WrenchOffset(SensorEffect):
-    """A constant error of a wrench sensor: one more number for each of its axes."""
+    """A constant error of a wrench sensor: one coefficient for each of its axes."""
 
     name = "wrench_offset"
     label = "an offset of the wrench sensor"
@@ -134,14 +134,14 @@ class WrenchOffset(SensorEffect):
 
     @classmethod
     def wrench_shift(cls, values: Values) -> dict[str, float]:
-        """The offset."""
+        """Return the offset."""
         return dict(values)
 
 
 class ImuOffset(SensorEffect):
-    """A constant error of an IMU's acceleration across gravity, times the robot's mass: a bias, or the IMU is turned.
+    """Constant error of an IMU's acceleration perpendicular to gravity, times the robot's mass: a bias or a tilt.
 
-    Along gravity it cannot be distinguished from mass.
+    Parallel to gravity it cannot be distinguished from mass.
     """
 
     name = "imu_offset"
@@ -159,7 +159,7 @@ class ImuOffset(SensorEffect):
 class CommandDelay(MotionEffect):
     """Commands act c [s] after their stamps, to first order in c: effort(t) = gains (command(t - c) - measured(t)).
 
-    Its column is the rate of the commands, which samples carry; no motion has it.
+    Its column is the rate of the commands in the samples; it does not follow from the motion.
     """
 
     name = "command_delay"

@@ -1,5 +1,5 @@
-"""What effects' columns are functions of: where an effect acts, and what a robot does, and what a model says of it, at
-some instants."""
+"""Arguments of effect columns: the place of an effect, the motion of the robot, and the state of a model, for N
+samples."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ PlaceKind: TypeAlias = Literal["joint", "joints", "robot", "link", "sensor", "ba
 
 @dataclass(frozen=True)
 class AtJoint:
-    """At one joint, by its index."""
+    """Place at one joint, by its index."""
 
     joint: int
 
 
 @dataclass(frozen=True)
 class AtJoints:
-    """At two joints, by their indices."""
+    """Place at two joints, by their indices."""
 
     first: int
     second: int
@@ -31,12 +31,12 @@ class AtJoints:
 
 @dataclass(frozen=True)
 class OnRobot:
-    """On the whole robot."""
+    """Place on the whole robot."""
 
 
 @dataclass(frozen=True)
 class OnLink:
-    """On an identified link, by its place among these; ``joint`` moves it, None for a base that none moves."""
+    """Place on an identified link, by its index among these; ``joint`` moves it (None for a base)."""
 
     link: int
     joint: int | None
@@ -44,8 +44,8 @@ class OnLink:
 
 @dataclass(frozen=True)
 class AtSensor:
-    """At a wrench sensor, by its topic, or on a floating base: some of its axes are the ``channels`` (range of indices)
-    of the measurement model."""
+    """Place at a wrench sensor, by its topic, or on a floating base: its axes are these ``channels`` of the measurement
+    model (range of indices)."""
 
     topic: str
     channels: tuple[int, ...]
@@ -55,7 +55,7 @@ Place: TypeAlias = AtJoint | AtJoints | OnRobot | OnLink | AtSensor
 
 
 def joints_of(place: Place) -> tuple[int, ...]:
-    """The joints at which a place is: none for the whole robot and for sensors."""
+    """Return the joints of a place: none for the whole robot and for sensors."""
     match place:
         case AtJoint(joint):
             return (joint,)
@@ -67,8 +67,8 @@ def joints_of(place: Place) -> tuple[int, ...]:
 
 
 def place_named(kind: PlaceKind, name: str, joints: Sequence[str]) -> Place | None:
-    """The place of effects of joints or of the whole robot that files call ``name``, among ``joints``; None if there
-    is none."""
+    """Return the place with a ``name`` as in files, for effects of ``joints`` or of the whole robot; None if there is
+    none."""
     if kind == "joint" and name in joints:
         return AtJoint(joints.index(name))
     pairs = ((a, b) for a in range(len(joints)) for b in range(len(joints)) if a != b)
@@ -78,63 +78,63 @@ def place_named(kind: PlaceKind, name: str, joints: Sequence[str]) -> Place | No
 
 
 def pair_name(first: str, second: str) -> str:
-    """What files and tables call a place at two joints."""
+    """Return the name of a place at two joints in files and tables."""
     return f"{first}+{second}"
 
 
 def joint_of(place: Place) -> int:
-    """The joint of a place at one joint."""
+    """Return the joint of a place at one joint."""
     (joint,) = joints_of(place)
     return joint
 
 
 @dataclass(frozen=True, eq=False)
 class JointMotion:
-    """One joint's motion: its position, velocity and acceleration ``(3, ...)`` in rad, rad/s, rad/s^2 (or m, m/s,
-    m/s^2); and what effects remember of the motion before, by the effect, where that is known."""
+    """One joint's motion: position, velocity and acceleration ``(3, ...)`` in rad, rad/s, rad/s^2 (or m, m/s, m/s^2);
+    and ``past``: states of effects that depend on the past motion, by effect, where known."""
 
     states: FloatArray
     past: Mapping[Any, FloatArray] = field(default_factory=dict)
 
     @property
     def position(self) -> FloatArray:
-        """``(...)`` [rad or m]."""
+        """Position ``(...)`` [rad or m]."""
         return np.asarray(self.states[0])
 
     @property
     def velocity(self) -> FloatArray:
-        """``(...)`` [rad/s or m/s]."""
+        """Velocity ``(...)`` [rad/s or m/s]."""
         return np.asarray(self.states[1])
 
     @property
     def acceleration(self) -> FloatArray:
-        """``(...)`` [rad/s^2 or m/s^2]."""
+        """Acceleration ``(...)`` [rad/s^2 or m/s^2]."""
         return np.asarray(self.states[2])
 
 
 class Motion(JointMotion):
-    """All J joints' motion ``(3, ..., J)``: that of one joint, for all at once."""
+    """Motion of all J joints ``(3, ..., J)``, in the form of :class:`JointMotion`."""
 
     def of(self, joint: int | IntArray) -> JointMotion:
-        """The motion of one joint, or of several, ``(..., n)``."""
+        """Return the motion of one joint, or of several ``(..., n)``."""
         past = {effect: state.take(joint, axis=-1) for effect, state in self.past.items()}
         return JointMotion(self.states.take(joint, axis=-1), past)
 
     @property
     def joints(self) -> int:
-        """J."""
+        """Number of joints J."""
         return int(self.states.shape[-1])
 
 
 OfLoad: TypeAlias = Callable[[FloatArray, float], FloatArray]
-"""Makes ``(n, J, K)`` of the gears' load ``(n, J)`` at all instants of a recording, which are one period [s] apart."""
+"""Function of a recording's gear loads ``(n, J)``, sampled with a period [s]; returns ``(n, J, K)``."""
 Derivatives: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
-"""Values and their first and second derivatives by time, filtered as the samples are, each ``(N, J, K)``."""
+"""Values and their first and second time derivatives, filtered like the samples, each ``(N, J, K)``."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """Derivatives of C channels at N instants by the links' motion, ``(N, C, J)``, and by gravity in the base frame,
+    """Derivatives of C channels for N samples: by the links' motion ``(N, C, J)``, and by gravity in the base frame
     ``(N, C, 3)``."""
 
     by_position: FloatArray
@@ -145,16 +145,16 @@ class Sensitivity:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Situation(Sensitivity):
-    """What a model says of N instants, J joints and C channels, of which the first J are the joints' efforts.
+    """State of a model for N samples, J joints and C channels; the first J channels are the joint efforts.
 
     Attributes:
         sign: direction of motion ``(N, J)``.
-        predicted: the channels' values, effects included ``(N, C)``.
-        load, load_rate, load_acceleration: efforts that move the rigid bodies and their derivatives by time ``(N, J)``.
-        transmitted: all that the gears transmit ``(N, J)``: the same efforts, friction and springs behind the gears.
-        gravity: gravity in the frame of a base that stands straight ``(3,)`` [m/s^2].
-        coefficients: those of the effects that the model has, by the effect's name and place.
-        of_load: what a function makes of the load's history, at the N instants.
+        predicted: predicted channels, effects included ``(N, C)``.
+        load, load_rate, load_acceleration: efforts that move the rigid bodies, and their time derivatives ``(N, J)``.
+        transmitted: gear loads ``(N, J)``: the same efforts plus friction and springs on the link side of the gears.
+        gravity: gravity in the frame of a level base ``(3,)`` [m/s^2].
+        coefficients: coefficients of the model's effects, by the effect's name and place.
+        of_load: applies a function to the load's history, and returns its values for the N samples.
     """
 
     sign: FloatArray
@@ -168,14 +168,14 @@ class Situation(Sensitivity):
     of_load: Callable[[OfLoad], Derivatives]
 
     def column_of(self, joints: int | slice, efforts: FloatArray) -> FloatArray:
-        """A column ``(N, C, 1)`` of which only the ``efforts`` of these joints are not zero."""
+        """Return a column ``(N, C, 1)`` with ``efforts`` at these joints and zero elsewhere."""
         column = np.zeros((*self.predicted.shape, 1))
         column[:, joints, 0] = efforts
         return column
 
     def behind(self, joint: int, moved: FloatArray, rate: FloatArray, acceleration: FloatArray) -> FloatArray:
-        """The column ``(N, C, 1)`` of a joint's link that is behind the measured position by ``moved (N,)``, whose
-        derivatives by time are ``rate`` and ``acceleration``."""
+        """Return the column ``(N, C, 1)`` of a link that lags its joint's measured position by ``moved (N,)``, with
+        the time derivatives ``rate`` and ``acceleration`` of that lag."""
         return -(
             self.by_position[:, :, joint, None] * moved[:, None, None]
             + self.by_velocity[:, :, joint, None] * rate[:, None, None]
@@ -183,5 +183,5 @@ class Situation(Sensitivity):
         )
 
     def usual_load(self, place: Place) -> float:
-        """Standard deviation of what the gear of a place's (first) joint transmits [N m or N]; 0 without a joint."""
+        """Return the std of the rigid-body load of a place's (first) joint [N m or N]; 0 without a joint."""
         return float(np.std(self.load[:, joints_of(place)[0]])) if joints_of(place) else 0.0
