@@ -211,7 +211,7 @@ class TestPrior:
     ) -> None:
         beside = KnownEffect("load_friction", JOINTS[2], "", {"coefficient": Quantity(LOAD, std, "-")})
         records = Records.make([TRAIN], planted.CUTOFF)
-        prior, _ = workflow._with_beside(BARE, records, self.prior(), [beside])
+        prior, _ = workflow._with_other_effects(BARE, records, self.prior(), [beside])
         np.testing.assert_allclose(prior.values, [LOAD])
         np.testing.assert_allclose(prior.spreads, [expected * LOAD])
 
