@@ -55,7 +55,7 @@ class Judged:
         Args:
             mended: with the candidate undone.
             units: ``(C,)`` one standard deviation of the measured numbers, in its efforts.
-            found: its evidence in these units; by default, that nothing else is wrong.
+            found: its evidence in these units, by default without further unknowns.
             **estimated: see :class:`Judged`.
         """
         found = mended.in_units(units).nominal if found is None else found

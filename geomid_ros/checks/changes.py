@@ -103,8 +103,8 @@ def _kinds(subject: Subject) -> Iterator[_Kind]:
     def offset(gain: Gain, when: str) -> _Named | None:
         main = _main(gain.coefficients)
         steps = gain.coefficients * subject.spread
-        said = ", ".join(f"'{names[c]}' by {steps[c]:+.3g} {subject.units[c]}" for c in main)
-        return Cause.of("offset", [names[c] for c in main], sizes=said, when=when), main
+        sizes_text = ", ".join(f"'{names[c]}' by {steps[c]:+.3g} {subject.units[c]}" for c in main)
+        return Cause.of("offset", [names[c] for c in main], sizes=sizes_text, when=when), main
 
     yield _Kind(lambda of: by_channel(np.broadcast_to(of.spread[None, :, None], (*of.measured.shape, 1))), offset, True)
 
@@ -138,13 +138,13 @@ def _kinds(subject: Subject) -> Iterator[_Kind]:
     def slip(gain: Gain, when: str) -> _Named | None:
         main = _main(gain.coefficients)
         sizes = -TILT * gain.coefficients
-        said = ", ".join(
+        sizes_text = ", ".join(
             f"'{names[c]}' by {1000.0 * sizes[c]:+.0f} mm"
             if subject.units[c] == "N"
             else f"'{names[c]}' by {np.degrees(sizes[c]):+.0f} degrees"
             for c in main
         )
-        return Cause.of("slip", [names[c] for c in main], sizes=said, when=when), ...
+        return Cause.of("slip", [names[c] for c in main], sizes=sizes_text, when=when), ...
 
     yield _Kind(lambda of: TILT * _by_position(of), slip, True)
 

@@ -71,12 +71,12 @@ class JudgementTask:
         wrong = (self._wrench(sensor, excerpt) for sensor in self.model.mounted)
         return replace(judged, findings=tuple(chain.from_iterable(wrong)))
 
-    def _joints(self, kept: Kept, whole: bool, standing: Samples | None) -> Judgement:
+    def _joints(self, kept: Kept, continuous: bool, standing: Samples | None) -> Judgement:
         robot, legs = self.model.robot, self.model.legs
-        if self.controller and (others := wrong_gains(self.controller, kept.samples, robot.joint_names)):
-            return Judgement(others)
+        if self.controller and (gain_findings := wrong_gains(self.controller, kept.samples, robot.joint_names)):
+            return Judgement(gain_findings)
         if efforts_alone(self.model):
-            return judge_efforts(self.model, kept, self.gains, whole=whole)
+            return judge_efforts(self.model, kept, self.gains, whole=continuous)
         if legs is None:
             return Judgement()
         findings = (*carried_weight(legs, kept.samples), *unnamed_feet(robot, legs, kept.samples))
@@ -182,18 +182,18 @@ def judge_efforts(model: MeasurementModel, kept: Kept, gains: FloatArray, *, who
     return replace(judged, findings=(*findings, *judged.findings))
 
 
-def _judged(subject: Subject, whole: bool) -> Judgement:
+def _judged(subject: Subject, continuous: bool) -> Judgement:
     """Check efforts that change."""
     plain = impossible_description(subject) or frozen_position(subject)
     if plain is not None:
         return Judgement((Finding(cause=plain),))
     remarks: tuple[str, ...] = (MODEL,) if is_model(subject) else ()
     held = tuple(Finding(cause=cause) for cause in held_efforts(subject))
-    decision = _decided(subject, whole)
+    decision = _decided(subject, continuous)
     if decision.finding is None and decision.level is not None:
         remarks += (decision.level.sentence,)
         subject = subject.under(np.array(decision.level.settings["gravity"]))
-        decision = _decided(subject, whole)
+        decision = _decided(subject, continuous)
     named = held if decision.finding is None else (*held, decision.finding)
     findings = named or _unexplained(subject) or contradicted(decision.doubted, decision.count)
     if not findings and decision.doubted:
@@ -202,12 +202,12 @@ def _judged(subject: Subject, whole: bool) -> Judgement:
     return Judgement(findings, remarks)
 
 
-def _decided(subject: Subject, whole: bool) -> Decision:
+def _decided(subject: Subject, continuous: bool) -> Decision:
     """Decide which cause explains the efforts better than a correct recording."""
     throughout, count = transforms(subject)
-    others = [*(changes(subject) if whole else ()), *lags(subject)]
-    tried = [Tried.of(candidate, subject) for candidate in (*throughout, *others)]
-    decision = decide(tried, count + len(others), subject.nominal)
+    timed = [*(changes(subject) if continuous else ()), *lags(subject)]
+    tried = [Tried.of(candidate, subject) for candidate in (*throughout, *timed)]
+    decision = decide(tried, count + len(timed), subject.nominal)
     if np.all(decision.sigmas > FOLLOWS):
         return replace(decision, finding=Finding(cause=Cause.of("unrelated", subject.names)), level=None)
     return decision

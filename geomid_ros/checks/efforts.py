@@ -26,8 +26,8 @@ def _signs(subject: Subject) -> Iterator[Candidate]:
     """The efforts of all joints are reversed, or those of one."""
     every = range(len(subject.joints))
     for joints in [every, *([joint] for joint in every if len(every) > 1)]:
-        names, whole = [subject.names[joint] for joint in joints], len(joints) == len(every)
-        cause = Cause.of("sign", names, gain_settings(names, -subject.gains[list(joints)], whole), every=whole)
+        names, is_all = [subject.names[joint] for joint in joints], len(joints) == len(every)
+        cause = Cause.of("sign", names, gain_settings(names, -subject.gains[list(joints)], is_all), every=is_all)
         yield _linear(np.diag(np.where(np.isin(every, joints), -1.0, 1.0)), cause, joints)
 
 
@@ -161,15 +161,15 @@ def _common_factor(subject: Subject, slopes: FloatArray, r_squared: FloatArray) 
 
 def _other_unit(subject: Subject, joints: Sequence[int], factor: float) -> Cause:
     """Efforts of these joints must be multiplied by a factor."""
-    names, whole = [subject.names[joint] for joint in joints], len(joints) == len(subject.joints)
-    settings = gain_settings(names, subject.gains[list(joints)] * factor, whole)
+    names, is_all = [subject.names[joint] for joint in joints], len(joints) == len(subject.joints)
+    settings = gain_settings(names, subject.gains[list(joints)] * factor, is_all)
     ratio = f"1/{factor:.3g}" if factor > 1.0 else f"{1.0 / factor:.3g} times"
     units = {"in mN m": (0.5e-3, 2e-3), "in kN m? or masses of the URDF in grams": (250.0, 4000.0)}
     unit = next((unit for unit, (low, high) in units.items() if low < factor < high), "")
     unit = unit or (
         "in A, on the motor side of the gear, or a share of what they are rated for" if factor > 1.0 else ""
     )
-    return Cause.of("gain", names, settings, every=whole, ratio=ratio, unit=f" ({unit}?)" if unit else "")
+    return Cause.of("gain", names, settings, every=is_all, ratio=ratio, unit=f" ({unit}?)" if unit else "")
 
 
 def _gravities(subject: Subject) -> Iterator[Candidate]:

@@ -124,14 +124,14 @@ class Unknowns:
     def with_target(self, target: FloatArray, units: FloatArray) -> ChannelProducts:
         """Products of the columns and of a ``target (N, C)``, those of links in ``units (C,)`` of the channels."""
         size, blocks = int(self.places[-1][-1]) + 1, []
-        for channel, (felt, own, products) in enumerate(zip(self.felt, self.columns, self.products, strict=True)):
+        for channel, (felt, columns, products) in enumerate(zip(self.felt, self.columns, self.products, strict=True)):
             scales = np.ones(len(products) + 1)
             scales[: len(felt)] /= units[channel]
             block, measured = np.empty((len(scales), len(scales))), target[:, channel]
             block[:-1, :-1], block[-1, -1] = products, measured @ measured
-            block[-1, :-1] = block[:-1, -1] = measured @ own
+            block[-1, :-1] = block[:-1, -1] = measured @ columns
             blocks.append(scales[:, None] * block * scales)
-        return ChannelProducts(size + 1, tuple(np.append(own, size) for own in self.places), tuple(blocks))
+        return ChannelProducts(size + 1, tuple(np.append(columns, size) for columns in self.places), tuple(blocks))
 
 
 def evidence(

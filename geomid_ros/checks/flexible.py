@@ -111,8 +111,8 @@ class FlexibleFit:
         return sums
 
     def _promise(self, crossed: FloatArray) -> float:
-        known, squared, target = np.split(crossed, [len(self._whitener), len(crossed) - 1])
-        coupling = self._whitener @ known
+        with_known, squared, target = np.split(crossed, [len(self._whitener), len(crossed) - 1])
+        coupling = self._whitener @ with_known
         sizes, axes = np.linalg.eigh(squared - coupling.T @ coupling)
         precisions = 1.0 + np.maximum(sizes, 0.0)  # rounding makes sizes of tiny efforts negative
         quadratic = float(np.sum((axes.T @ (target[0] - self._explained @ coupling)) ** 2 / precisions))

@@ -35,8 +35,8 @@ def unnamed_feet(robot: Robot, legs: Legs, samples: Samples) -> tuple[Finding, .
     bearing = {}
     for tip in _unnamed_tips(robot, legs):
         shares = Legs(robot, [Contact(tip)]).carried(samples)
-        if np.any(known := np.isfinite(shares)):
-            bearing[tip] = float(np.mean(shares[known]))
+        if np.any(finite := np.isfinite(shares)):
+            bearing[tip] = float(np.mean(shares[finite]))
     named = [f"{100.0 * share:.0f} % at '{tip}'" for tip, share in bearing.items() if share > LIFTED]
     if not named:
         return ()
@@ -132,10 +132,10 @@ def displaced_imu(model: MeasurementModel, batches: Sequence[Samples], parameter
     samples = Samples.concatenate(list(batches))
     measured, predicted = model.predict(samples, parameters)
     residual = (measured - predicted)[:, model.layout.base[:3]]
-    known = np.flatnonzero(np.isfinite(residual).all(axis=1))
-    turning, tilting = (_crossing(rates[known, 3:]) for rates in (samples.base_velocity, samples.base_acceleration))
+    finite = np.flatnonzero(np.isfinite(residual).all(axis=1))
+    turning, tilting = (_crossing(rates[finite, 3:]) for rates in (samples.base_velocity, samples.base_acceleration))
     levers = -_mass(model, parameters) * (tilting + turning @ turning)
-    halves = np.array_split(known, 2), np.array_split(levers, 2)
+    halves = np.array_split(finite, 2), np.array_split(levers, 2)
     places = [
         np.linalg.lstsq(half.reshape(-1, 3), residual[rows].ravel(), rcond=None)[0]
         for rows, half in zip(*halves, strict=True)
@@ -189,13 +189,13 @@ def gyroscope(legs: Legs, stretch: Samples) -> tuple[Finding, ...]:
     """Report a fault of the base's gyroscope, if both halves of a ``stretch`` on all feet show it."""
     measured, seconds = stretch.base_velocity[:, 3:], stretch.seconds
     turning = legs.turning(stretch)
-    known = np.flatnonzero(_interior(stretch) & np.isfinite(turning).all(axis=1))
-    if len(known) < 2 * FEWEST:
+    usable = np.flatnonzero(_interior(stretch) & np.isfinite(turning).all(axis=1))
+    if len(usable) < 2 * FEWEST:
         return ()
     moved = np.array(
-        [[np.interp(seconds[known] + 1e-9 * shift, seconds, axis) for axis in measured.T] for shift in _SHIFTS]
+        [[np.interp(seconds[usable] + 1e-9 * shift, seconds, axis) for axis in measured.T] for shift in _SHIFTS]
     ).transpose(0, 2, 1)
-    parts = [(turning[known[half]], moved[:, half]) for half in np.array_split(np.arange(len(known)), 2)]
+    parts = [(turning[usable[half]], moved[:, half]) for half in np.array_split(np.arange(len(usable)), 2)]
     if not all(np.any(by_legs) and np.all(np.any(shifted, axis=(1, 2))) for by_legs, shifted in parts):
         return ()  # they can be compared only where both measure a rotation
     halves = [_compared(*part) for part in parts]
@@ -214,8 +214,8 @@ def gyroscope(legs: Legs, stretch: Samples) -> tuple[Finding, ...]:
     return ()
 
 
-def _finding(what: str) -> Finding:
-    sentence = f"the IMU does not turn as the base does by legs that all stand: {what}"
+def _finding(fault: str) -> Finding:
+    sentence = f"the IMU does not turn as the base does by legs that all stand: {fault}"
     return Finding(cause=Cause(kind="imu", sentence=sentence))
 
 

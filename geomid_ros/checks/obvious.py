@@ -34,7 +34,7 @@ def impossible_description(subject: Subject) -> Cause | None:
     distances = np.linalg.norm(bodies[:, 1:4], axis=1) / bodies[:, 0]
     radii = np.sqrt([0.5 * np.trace(pseudo_inertia.central_inertia(body)) / body[0] for body in bodies])
     length, total = _length(subject), float(np.sum(bodies[:, 0]))
-    whole = f"though all links together are {length:.3g} m long"
+    extent_text = f"though all links together are {length:.3g} m long"
     total_mass = f"the links weigh {total:.3g} kg in total, and "
     if np.median(_denser_than_steel(bodies)) > 0.0:
         return _lengths([], f"{total_mass}most of its links would be denser than steel", "the masses", "grams", "kg")
@@ -45,7 +45,7 @@ def impossible_description(subject: Subject) -> Cause | None:
     ):  # fmt: skip
         most = int(np.argmax(sizes))
         if 0.0 < REASON**2 * length < sizes[most]:
-            text = f"{what.format(robot.body_names[most], sizes[most])}, {whole}"
+            text = f"{what.format(robot.body_names[most], sizes[most])}, {extent_text}"
             return _lengths([robot.body_names[most]], text, quantity, unit, right)
     if length > REASON**2 * float(np.sum(radii)) > 0.0:
         text = f"all links together are {length:.3g} m long, though their mass is within {np.max(radii):.3g} m"
@@ -59,8 +59,8 @@ def impossible_description(subject: Subject) -> Cause | None:
     return None
 
 
-def _lengths(links: list[str], what: str, quantity: str, unit: str, right: str) -> Cause:
-    return Cause.of("description", links, said="lengths", what=what, quantity=quantity, unit=unit, right=right)
+def _lengths(links: list[str], problem: str, quantity: str, unit: str, right: str) -> Cause:
+    return Cause.of("description", links, said="lengths", what=problem, quantity=quantity, unit=unit, right=right)
 
 
 def _length(subject: Subject) -> float:
@@ -170,10 +170,10 @@ def wrong_gains(controller: Controller, samples: Samples, joints: Sequence[str])
         errors = np.column_stack([wanted - samples.position[:, joint], speed - samples.velocity[:, joint]])
         given = np.array([controller.kp[joint], controller.kd[joint]])
         effort = reported - forward
-        known = np.isfinite(effort)
-        if np.count_nonzero(known) <= errors.shape[1] or not np.any(effort[known]):
+        finite = np.isfinite(effort)
+        if np.count_nonzero(finite) <= errors.shape[1] or not np.any(effort[finite]):
             continue
-        errors, effort = errors[known], effort[known]
+        errors, effort = errors[finite], effort[finite]
         fitted = np.linalg.lstsq(errors, effort, rcond=None)[0]
         rest = [float(np.linalg.norm(effort - errors @ gains) / np.linalg.norm(effort)) for gains in (given, fitted)]
         if rest[1] < LEAST_SIGMA < rest[0]:

@@ -334,10 +334,10 @@ class Subject:
         indicates efforts with the wrong sign where links explain a good part of them."""
         return np.asarray(self._compared(found)[1] < -np.sqrt(1.0 - FOLLOWS**2))
 
-    def _compared(self, found: Evidence) -> tuple[FloatArray, FloatArray]:
+    def _compared(self, fit: Evidence) -> tuple[FloatArray, FloatArray]:
         """Slope of the fitted links' efforts over the URDF's, and their correlation, which is zero where these links
         explain little of the measurement ``(C,)``."""
-        fitted, nominal = self.regressor @ self.links(found), self.predicted
+        fitted, nominal = self.regressor @ self.links(fit), self.predicted
         fitted, nominal = fitted - np.mean(fitted, axis=0), nominal - np.mean(nominal, axis=0)
         crossed, size = np.sum(fitted * nominal, axis=0), np.maximum(np.sum(nominal**2, axis=0), 1e-30)
         correlations = crossed / np.maximum(np.sqrt(size * np.sum(fitted**2, axis=0)), 1e-30)

@@ -79,7 +79,7 @@ def _in_unit(
     subject: Subject,
     scales: FloatArray,
     unit: str,
-    said: str,
+    positions_text: str,
     joint: int | None = None,
     *,
     settled: bool = False,
@@ -87,7 +87,7 @@ def _in_unit(
     robot = subject.robot
     names = subject.names if joint is None else [robot.joint_names[joint]]
     right = "m and m/s" if unit in UNITS["N"] else "rad and rad/s"
-    cause = Cause.of("position", names, positions=said, unit=unit, right=right)
+    cause = Cause.of("position", names, positions=positions_text, unit=unit, right=right)
     return _of_motion(lambda samples: _moved(samples, np.diag(scales)), cause, settled=settled)
 
 

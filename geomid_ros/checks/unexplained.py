@@ -132,12 +132,12 @@ def unexplained(
     findings = (
         badly_explained(
             channels,
-            left[:, 0],
+            rms_pair[:, 0],
             variation,
             lambda *of: _ELSE if recorded is None else hint(Subject.of_all(model.robot, recorded), *of),
-            before=left[:, 1],
+            before=rms_pair[:, 1],
         )
-        for left, _ in residuals
+        for rms_pair, _ in residuals
     )
     return next(filter(None, findings), ())
 
@@ -173,14 +173,14 @@ def _residual_rms(
 
 def rms(residuals: FloatArray) -> FloatArray:
     """RMS ``(C,)`` of residuals ``(N, C)`` where they are known, zero where too few are."""
-    known = np.isfinite(residuals)
-    squares, counts = np.sum(np.where(known, residuals, 0.0) ** 2, axis=0), np.count_nonzero(known, axis=0)
+    finite = np.isfinite(residuals)
+    squares, counts = np.sum(np.where(finite, residuals, 0.0) ** 2, axis=0), np.count_nonzero(finite, axis=0)
     return np.asarray(np.where(counts < FEWEST, 0.0, np.sqrt(squares / np.maximum(counts, 1))))
 
 
 def deviations(efforts: FloatArray) -> FloatArray:
     """Standard deviations of efforts ``(N, C)`` where they are known ``(C,)``, zero where fewer than two are."""
-    known = np.isfinite(efforts)
-    counts = np.maximum(np.count_nonzero(known, axis=0), 1)
-    centred = np.where(known, efforts - np.sum(np.where(known, efforts, 0.0), axis=0) / counts, 0.0)
+    finite = np.isfinite(efforts)
+    counts = np.maximum(np.count_nonzero(finite, axis=0), 1)
+    centred = np.where(finite, efforts - np.sum(np.where(finite, efforts, 0.0), axis=0) / counts, 0.0)
     return np.asarray(np.sqrt(np.sum(centred**2, axis=0) / counts))

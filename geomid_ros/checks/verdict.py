@@ -166,9 +166,9 @@ def _worse(model: MeasurementModel, errors: FloatArray, nominal: FloatArray) -> 
     """Channels whose mean squared errors in blocks ``(blocks, channels)`` are larger than the URDF's."""
     worse = []
     for channel, after, before in zip(model.channels, errors.T, nominal.T, strict=True):
-        known = np.isfinite(after) & np.isfinite(before)
-        rise = after[known] - before[known]
-        if len(rise) < BLOCKS // 2 or not np.mean(after[known]) > WORSE**2 * np.mean(before[known]):
+        finite = np.isfinite(after) & np.isfinite(before)
+        rise = after[finite] - before[finite]
+        if len(rise) < BLOCKS // 2 or not np.mean(after[finite]) > WORSE**2 * np.mean(before[finite]):
             continue
         if np.mean(rise) > STDS_OF_95 * np.std(rise, ddof=1) / np.sqrt(len(rise)):
             worse.append(channel.name)

@@ -312,8 +312,8 @@ def _flexible_noise(
 
 
 def _noise(residual: FloatArray, valid: BoolArray, records: Records) -> tuple[Autoregression, ...]:
-    known = valid & np.isfinite(residual)
-    channels = zip(residual.T, known.T, strict=True)
+    usable = valid & np.isfinite(residual)
+    channels = zip(residual.T, usable.T, strict=True)
     return tuple(Autoregression.fit(values, runs_of(mask, records.segment)) for values, mask in channels)
 
 

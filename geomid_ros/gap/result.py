@@ -118,9 +118,9 @@ class LinkChange:
             return f"link '{self.link}' has changed: first moment {', '.join(changes)} (mass by {by_mass})"
         less = "less" if self.mass.value < 0.0 else "more"
         size = f"{abs(self.mass.value):.3g} ± {self.mass.std:.2g} kg"
-        said = f"link '{self.link}' weighs {size} {less} than the {self.was:.3g} kg of the model"
+        text = f"link '{self.link}' weighs {size} {less} than the {self.was:.3g} kg of the model"
         centre = ", ".join(f"{axis} {q.value:.3g} ± {q.std:.2g}" for axis, q in self.centre.items())
-        return f"{said}; the difference is centred at {centre} m" if centre else said
+        return f"{text}; the difference is centred at {centre} m" if centre else text
 
 
 @dataclass(frozen=True)

@@ -268,31 +268,31 @@ def _term(coefficient: Coefficient) -> EffectTerm:
 
 
 def _with_other_effects(
-    model: MeasurementModel, records: Records, prior: NamesPrior, beside: Sequence[KnownEffect]
+    model: MeasurementModel, records: Records, prior: NamesPrior, others: Sequence[KnownEffect]
 ) -> tuple[NamesPrior, list[tuple[Candidate, KnownEffect]]]:
-    """Return the prior with the effects ``beside`` the model's coefficients, and each of these with its candidate."""
-    if not beside:
+    """Return the prior with these effects in addition to the coefficients, and each effect with its candidate."""
+    if not others:
         return prior, []
     situation = LinearisedProblem(model, records, total_model(model, unfitted(prior))).situation
     candidates, values, spreads = [], list(prior.values), list(prior.spreads)
-    for known in beside:
-        cls, numbers = effect_class(known.effect), values_of(known)
-        place = model.places.named(cls(), known.joint)
+    for effect in others:
+        cls, numbers = effect_class(effect.effect), values_of(effect)
+        place = model.places.named(cls(), effect.joint)
         load = situation.usual_load(place)
         candidate, coefficients = Candidate.of(cls.from_values(numbers, load), place), cls.coefficients(numbers, load)
-        candidates.append((candidate, known))
+        candidates.append((candidate, effect))
         sizes = [coefficients[term.effect][term.index] for term in candidate.terms]
         values += sizes
-        spreads += [max(_SPREAD_OF_EFFECTS, _relative_std(candidate, known)) * abs(value) for value in sizes]
+        spreads += [max(_SPREAD_OF_EFFECTS, _relative_std(candidate, effect)) * abs(value) for value in sizes]
     terms = chain.from_iterable(candidate.terms for candidate, _ in candidates)
     extended = replace(prior, terms=(*prior.terms, *terms), values=np.array(values), spreads=np.array(spreads))
     return extended, candidates
 
 
-def _relative_std(candidate: Candidate, known: KnownEffect) -> float:
+def _relative_std(candidate: Candidate, known_effect: KnownEffect) -> float:
     """Relative standard deviation of an effect in a file."""
     effect = candidate.effect
-    sizes = effect.sizes(known.parameters).values()
+    sizes = effect.sizes(known_effect.parameters).values()
     known_sizes = (size for size in sizes if size.value and np.isfinite(size.std))
     return max((effect.within_motion(size) / abs(size.value) for size in known_sizes), default=0.0)
 
@@ -322,8 +322,8 @@ def _as_simulated(
     return replace(prior, inertias=inertias, terms=likely.terms, values=values, spreads=spreads, known=None, alike=())
 
 
-def _coefficients(model: MeasurementModel, prior: NamesPrior, said: Collection[EffectTerm]) -> FloatArray:
-    """The model's coefficients as given ``(coefficients,)``; NaN where it had none or the term is in ``said``."""
+def _coefficients(model: MeasurementModel, prior: NamesPrior, named_terms: Collection[EffectTerm]) -> FloatArray:
+    """The model's coefficients as given ``(coefficients,)``; NaN where absent or in ``named_terms``."""
     terms = [_term(coefficient) for coefficient in model.coefficients]
-    is_kept = [term in prior.terms and term not in said for term in terms]
+    is_kept = [term in prior.terms and term not in named_terms for term in terms]
     return np.array([prior.value(term) if kept else np.nan for term, kept in zip(terms, is_kept, strict=True)])

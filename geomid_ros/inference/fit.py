@@ -187,7 +187,7 @@ def _free_fit(
     products = design.gather(bodies, terms)
     scales = design.scales(terms)
     manifold = StraightManifold(len(prior.inertias) // 10 + len(bodies), 0, scales)
-    known = _known(manifold, prior, bodies)
+    prior_point = _known(manifold, prior, bodies)
     payloads_at = len(prior.inertias)
     prior_stds = {term: std for c in chosen for term, std in zip(c.terms, c.usual, strict=True)}
     stds = [prior_stds.get(term, 0.0) or USUAL_SHARE * scale for term, scale in zip(terms, scales, strict=True)]
@@ -198,16 +198,16 @@ def _free_fit(
     places = manifold.real.start + np.flatnonzero(held)
     weights[places] = (scales[: len(held)][held] / prior.spreads[held]) ** 2
     rows, cost = _known_rows(prior, chosen, manifold)
-    zero = _constraint_rows(constraints, manifold, known)
-    earlier, zeros = (_products(manifold.rows_off(known, own[:, :-1]), own[:, -1]) for own in (rows, zero))
+    zero = _constraint_rows(constraints, manifold, prior_point)
+    earlier, zeros = (_products(manifold.rows_off(prior_point, own[:, :-1]), own[:, -1]) for own in (rows, zero))
     from_scratch = start is None or set(bodies) != set(start.bodies)
     fixed = spread is not None
     inflation = 1.0 if fixed or start is None else start.inflation
     spreads = np.full(payloads_at // 10, prior.link_spreads if spread is None else spread)
     if start is not None and not (fixed or from_scratch):
         spreads = start.spreads
-    profile = Profile(manifold, products, design.counts, known, design.floors)
-    point = _first_point(manifold, known, None if from_scratch else start, bodies, terms)
+    profile = Profile(manifold, products, design.counts, prior_point, design.floors)
+    point = _first_point(manifold, prior_point, None if from_scratch else start, bodies, terms)
 
     own_spreads = prior.own_spreads if start is None else start.own_spreads
     ends = [len(spreads), len(spreads) + 1]
@@ -219,10 +219,10 @@ def _free_fit(
         return ProfileObjective(profile, precision, earlier / inflation + zeros + _products(held, np.zeros(len(held))))
 
     def likely(point: Point, hessian: FloatArray, previous: FloatArray) -> FloatArray:
-        tangent, root = manifold.log(known, point)[:payloads_at], definite.roots(hessian, payloads_at)
+        tangent, root = manifold.log(prior_point, point)[:payloads_at], definite.roots(hessian, payloads_at)
         spreads = likely_spreads(tangent, np.sum(root**2, axis=1), prior.link_spreads, prior.certainty)
         individual = likely_own(prior.alike, np.split(previous, ends)[2], tangent, root)
-        return np.concatenate([spreads, [priors.inflation_of(rows, manifold, point, known, root)], individual])
+        return np.concatenate([spreads, [priors.inflation_of(rows, manifold, point, prior_point, root)], individual])
 
     begin = np.concatenate([spreads, [inflation], own_spreads])
     if from_scratch and bodies:
@@ -274,11 +274,11 @@ def _known_rows(prior: Prior[Term], chosen: Sequence[Chosen], manifold: Paramete
     return prior.known.of_now(manifold.dimension, int(manifold.real.start), others)
 
 
-def _constraint_rows(constraints: FloatArray | None, manifold: ParameterManifold, known: Point) -> FloatArray:
+def _constraint_rows(constraints: FloatArray | None, manifold: ParameterManifold, prior: Point) -> FloatArray:
     """Rows for all parameters; the last column has their residuals at the prior ``(r, D + 1)``."""
     if constraints is None:
         return np.zeros((0, manifold.dimension + 1))
-    return np.column_stack([np.zeros((len(constraints), manifold.real.start)), constraints, constraints @ known.reals])
+    return np.column_stack([np.zeros((len(constraints), manifold.real.start)), constraints, constraints @ prior.reals])
 
 
 def unfitted(prior: Prior[Term]) -> JointFit[Any, Term]:
@@ -311,22 +311,22 @@ def _known(manifold: ParameterManifold, prior: Prior[Any], bodies: Sequence[int]
 
 def _first_point(
     manifold: ParameterManifold,
-    known: Point,
+    prior_point: Point,
     start: JointFit[Chosen, Term] | None,
     bodies: Sequence[int],
     terms: Sequence[Term],
 ) -> Point:
     if start is None:
-        return known
+        return prior_point
     links = manifold.links - len(bodies)
     payloads = [
         start.point.pseudo_inertias[links + start.bodies.index(body)]
         if body in start.bodies
-        else known.pseudo_inertias[links + place]
+        else prior_point.pseudo_inertias[links + place]
         for place, body in enumerate(bodies)
     ]
     fitted = set(start.terms)
-    reals = [start.value(t) if t in fitted else float(known.reals[i]) for i, t in enumerate(terms)]
+    reals = [start.value(t) if t in fitted else float(prior_point.reals[i]) for i, t in enumerate(terms)]
     inertias = [*start.point.pseudo_inertias[:links], *payloads]
     return Point(np.array(inertias), np.zeros(0), np.array(reals))
 

@@ -121,13 +121,13 @@ class Supports(Generic[Chosen, Term]):
     def _of_size(self, candidate: Chosen) -> float:
         """Loss of score if its size is zero, from the size alone; for a body from mass and first moment, whose prior is
         almost flat."""
-        found = self._found
-        values, places = found.changes[candidate], _places(found, candidate)
+        current = self._found
+        values, places = current.changes[candidate], _places(current, candidate)
         narrowed = 0.0
         if candidate.payload is not None:
             values, places = values[:4], places[:4]
         else:
-            narrowed = -float(np.linalg.slogdet(found.inverse[np.ix_(places, places)] * found.weights[places])[1])
+            narrowed = -float(np.linalg.slogdet(current.inverse[np.ix_(places, places)] * current.weights[places])[1])
         square = float(values @ np.linalg.solve(self._covariance[np.ix_(places, places)], values))
         wider = 1.0 + self.doubt(candidate) ** 2 * square  # of the covariance's determinant
         size, price = square / wider, narrowed - float(np.log(wider)) + candidate.cost
@@ -151,27 +151,27 @@ def relative_doubt(
     return _doubt(design, found, _remainder_along(design, found), columns, values)
 
 
-def _remainder_along(design: Design, found: JointFit[Any, Any]) -> FloatArray:
+def _remainder_along(design: Design, joint_fit: JointFit[Any, Any]) -> FloatArray:
     """Sum of squares ``(C,)`` of the part of each channel's remainder that may lie along any columns."""
-    return np.array([_ALONG**2 * lack.power for lack in found.remainders(design)])
+    return np.array([_ALONG**2 * lack.power for lack in joint_fit.remainders(design)])
 
 
 def _doubt(
     design: Design,
-    found: JointFit[Any, Any],
+    joint_fit: JointFit[Any, Any],
     along: FloatArray,
     columns: Hypothesis[Any] | int,
     values: FloatArray,
 ) -> float:
     """Relative doubt for given sums of squares ``along (C,)`` of the remainder's part that may lie along columns."""
-    powers = np.maximum(design.powers(columns, values) / found.squares, 0.0)  # rounding may leave less
-    error = float(np.sum(np.sqrt(along / found.squares * powers)))
+    powers = np.maximum(design.powers(columns, values) / joint_fit.squares, 0.0)  # rounding may leave less
+    error = float(np.sum(np.sqrt(along / joint_fit.squares * powers)))
     return error / max(float(np.sum(powers)), 1e-300)
 
 
-def _places(found: JointFit[Chosen, Term], candidate: Chosen) -> list[int]:
+def _places(joint_fit: JointFit[Chosen, Term], candidate: Chosen) -> list[int]:
     """Indices ``(k,)`` of a hypothesis's parameters."""
     if candidate.payload is None:
-        return [found.place(term) for term in candidate.terms]
-    first = 10 * (found.manifold.links - len(found.bodies) + found.bodies.index(candidate.payload))
+        return [joint_fit.place(term) for term in candidate.terms]
+    first = 10 * (joint_fit.manifold.links - len(joint_fit.bodies) + joint_fit.bodies.index(candidate.payload))
     return list(range(first, first + 10))

@@ -78,15 +78,15 @@ class StandingRemainder:
 
     def beside(self, features: Sequence[Features]) -> list[Features]:
         """Return the features with these coefficients, unless they depend on time or their channel is uninformative."""
-        known = []
+        result = []
         for channel, mean, triangle in zip(features, self.means, self.triangles, strict=True):
             if not len(mean):
-                known.append(channel)
+                result.append(channel)
                 continue
             lasting = np.array([name != TIME for name in channel.depends_on])[channel.block]
             unsure = triangle * lasting
-            known.append(replace(channel, mean=lasting * mean, unsure=unsure.T @ unsure))
-        return known
+            result.append(replace(channel, mean=lasting * mean, unsure=unsure.T @ unsure))
+        return result
 
 
 def features(model: MeasurementModel, records: Records, situation: Situation, channel: int, basis: Basis) -> Features:
@@ -139,8 +139,8 @@ def _other_blocks(model: MeasurementModel, records: Records, situation: Situatio
         q = samples.position[:, other]
         columns = [samples.velocity[:, other], situation.sign[:, other], np.sin(q), np.cos(q)]
         if joint is not None:
-            own = samples.position[:, joint]
-            columns += [np.sin(q + own), np.cos(q + own), np.sin(q - own), np.cos(q - own)]
+            position = samples.position[:, joint]
+            columns += [np.sin(q + position), np.cos(q + position), np.sin(q - position), np.cos(q - position)]
         yield model.robot.joint_names[other], np.stack(columns, axis=1), True
 
 

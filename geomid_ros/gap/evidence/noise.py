@@ -144,9 +144,9 @@ def noise_by_repeats(model: MeasurementModel, records: Records) -> Repeats:
             continue
         from scipy.interpolate import CubicSpline  # noqa: PLC0415 of repeats alone, takes long to load
 
-        times, others = first.seconds, second.seconds
-        overlap = (times + delay >= others[0]) & (times + delay <= others[-1])
-        repeated = CubicSpline(others, values[1][:, measured])(times[overlap] + delay)
+        times, second_times = first.seconds, second.seconds
+        overlap = (times + delay >= second_times[0]) & (times + delay <= second_times[-1])
+        repeated = CubicSpline(second_times, values[1][:, measured])(times[overlap] + delay)
         squares[measured] += 0.5 * np.sum((repeated - values[0][overlap][:, measured]) ** 2, axis=0)
         counts[measured] += np.count_nonzero(overlap)
     independent = len(records.samples) / max(1, sum(len(part) for part in records.dense))

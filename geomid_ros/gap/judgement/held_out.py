@@ -45,8 +45,8 @@ class HeldOut:
         uncertainty = self._times_floor(np.sqrt(variance))
         fits = (self._untouched, self._analysis.bare, names)
         before, bare, after = (self.times_floor(fit) for fit in fits)
-        known = (len(rows.depends_on) if rows.mean is not None else 0 for rows in self._analysis.problem.features)
-        return GapErrors(before, bare, after, np.sqrt(1.0 + uncertainty**2 + USUAL * np.array([*known])))
+        blocks = (len(rows.depends_on) if rows.mean is not None else 0 for rows in self._analysis.problem.features)
+        return GapErrors(before, bare, after, np.sqrt(1.0 + uncertainty**2 + USUAL * np.array([*blocks])))
 
     @cached_property
     def on_all(self) -> GapErrors:
@@ -77,7 +77,7 @@ class HeldOut:
         """Measured values and predictions."""
         samples, measured = self._records.samples, self._records.rows(self._model).targets
         fits = (self._untouched, self._analysis.bare, self._analysis.names)
-        before, middle, after = (measured - self._residual(found) for found in fits)
+        before, middle, after = (measured - self._residual(fit) for fit in fits)
         return Trace(
             stamps=samples.stamps,
             position=samples.position,

@@ -39,24 +39,24 @@ def known_before(model: MeasurementModel, prior: NamesPrior, candidate: Candidat
     if not candidate.terms or not set(candidate.terms) <= set(prior.terms):
         return {}
     values = np.array([prior.value(term) for term in candidate.terms])
-    found = _quantities(model, candidate, values, np.diag(np.zeros(len(values))), 0.0, usual_load)
-    return {name: quantity.value for name, quantity in found.items()}
+    quantities_before = _quantities(model, candidate, values, np.diag(np.zeros(len(values))), 0.0, usual_load)
+    return {name: quantity.value for name, quantity in quantities_before.items()}
 
 
-def _of_payload(found: NamesFit, effect: Effect, link: int) -> dict[str, Quantity]:
-    values, covariance = _payload(found, link)
+def _of_payload(fit: NamesFit, effect: Effect, link: int) -> dict[str, Quantity]:
+    values, covariance = _payload(fit, link)
     return quantities(effect.parameters, zip(values, np.sqrt(np.maximum(np.diag(covariance), 0.0)), strict=True))
 
 
-def _payload(found: NamesFit, link: int) -> tuple[FloatArray, FloatArray]:
+def _payload(fit: NamesFit, link: int) -> tuple[FloatArray, FloatArray]:
     """Mass, centre of mass and inertia of a link's payload ``(10,)``, and their covariance ``(10, 10)``, including the
     unknown common gain of the efforts, which scales mass and inertia."""
-    place = found.manifold.links - len(found.bodies) + found.bodies.index(link)
-    rows = found.manifold.link(place)
-    values = pseudo_inertia.quantities_of(pseudo_inertia.to_parameters(found.point.pseudo_inertias[place]))
-    derivative = physical_sensitivity(found.point)[place]
+    place = fit.manifold.links - len(fit.bodies) + fit.bodies.index(link)
+    rows = fit.manifold.link(place)
+    values = pseudo_inertia.quantities_of(pseudo_inertia.to_parameters(fit.point.pseudo_inertias[place]))
+    derivative = physical_sensitivity(fit.point)[place]
     by_gain = GAIN * np.concatenate([values[:1], np.zeros(3), values[4:]])
-    return values, derivative @ found.inverse[rows, rows] @ derivative.T + np.outer(by_gain, by_gain)
+    return values, derivative @ fit.inverse[rows, rows] @ derivative.T + np.outer(by_gain, by_gain)
 
 
 def first_moment(found: NamesFit, candidate: Candidate) -> dict[str, Quantity]:

@@ -119,7 +119,7 @@ class _Refit:
                 found = self._fit(problem, design, named, ordinary, found)
                 if (dropped := self._to_drop(found, ordinary)) is None:
                     break
-                named, ordinary = ([c for c in own if c is not dropped] for own in (named, ordinary))
+                named, ordinary = ([c for c in group if c is not dropped] for group in (named, ordinary))
             total = total_model(self.model, found)
         return found
 
@@ -130,13 +130,13 @@ class _Refit:
         places = {(term.effect, term.place) for term in kept if isinstance(term, EffectTerm)}
         return replace(total, effects=tuple(item for item in total.effects if item[:2] in places))
 
-    def _to_drop(self, found: NamesFit, ordinary: Collection[Candidate]) -> Candidate | None:
+    def _to_drop(self, joint_fit: NamesFit, ordinary: Collection[Candidate]) -> Candidate | None:
         """Return an effect out of range, else the least significant ordinary effect if it may be nothing, else None."""
-        out_of_range = [c for c in found.chosen if self.analysis.search.is_out_of_range(found, c)]
+        out_of_range = [c for c in joint_fit.chosen if self.analysis.search.is_out_of_range(joint_fit, c)]
         if out_of_range or not ordinary:
             return min(out_of_range, key=lambda c: c not in ordinary, default=None)
-        least = min(ordinary, key=lambda c: _evidence(found, c))
-        return least if _evidence(found, least) < CLEARLY else None
+        least = min(ordinary, key=lambda c: _evidence(joint_fit, c))
+        return least if _evidence(joint_fit, least) < CLEARLY else None
 
     def _ordinary_beside(self, sure: Sequence[Candidate]) -> list[Candidate]:
         """Ordinary effects of all joints and sensors, if nothing is known of them."""
@@ -165,16 +165,16 @@ class _Refit:
         return _as_uncertain(result, free)
 
 
-def _as_uncertain(found: NamesFit, free: NamesFit) -> NamesFit:
+def _as_uncertain(joint_fit: NamesFit, free: NamesFit) -> NamesFit:
     """Enlarge a fit's standard deviations to those of one whose links are as uncertain as in other recordings."""
-    factors = np.sqrt(np.maximum(np.diag(free.inverse) / np.diag(found.inverse), 1.0))
-    return replace(found, packed=Packed.of(found.information / np.outer(factors, factors)))
+    factors = np.sqrt(np.maximum(np.diag(free.inverse) / np.diag(joint_fit.inverse), 1.0))
+    return replace(joint_fit, packed=Packed.of(joint_fit.information / np.outer(factors, factors)))
 
 
-def _evidence(found: NamesFit, candidate: Candidate) -> float:
+def _evidence(joint_fit: NamesFit, candidate: Candidate) -> float:
     """Second-order loss of score without it: its squared deviation from zero in standard deviations."""
-    values = np.array([found.value(term) for term in candidate.terms])
-    return float(values @ np.linalg.solve(found.covariance_of(candidate.terms), values))
+    values = np.array([joint_fit.value(term) for term in candidate.terms])
+    return float(values @ np.linalg.solve(joint_fit.covariance_of(candidate.terms), values))
 
 
 def _with_ordinary(
@@ -194,9 +194,9 @@ def _with_ordinary(
     )
 
 
-def _known(model: MeasurementModel, found: NamesFit, candidate: Candidate) -> KnownEffect:
+def _known(model: MeasurementModel, joint_fit: NamesFit, candidate: Candidate) -> KnownEffect:
     """Effect in the form of files."""
-    parameters = sentences.parameters(model, found, candidate)
+    parameters = sentences.parameters(model, joint_fit, candidate)
     return KnownEffect(candidate.name, model.places.name(candidate.place), "", parameters)
 
 
@@ -208,7 +208,7 @@ def _as_given(prior: NamesPrior, sure: Sequence[Candidate]) -> NamesPrior:
 
 
 def _findings_as_written(
-    model: MeasurementModel, analysis: Analysis, found: NamesFit, findings: Sequence[tuple[Candidate, Finding]]
+    model: MeasurementModel, analysis: Analysis, joint_fit: NamesFit, findings: Sequence[tuple[Candidate, Finding]]
 ) -> Iterator[Finding]:
     """Yield the findings with the written sizes. A sure effect that is impossible without the unsure ones is no surer
     than the likeliest of these. None is sure if its written size may be nothing."""
@@ -216,13 +216,13 @@ def _findings_as_written(
     for candidate, finding in findings:
         if finding.confidence != "confident":
             yield finding
-        elif candidate in found.chosen:
+        elif candidate in joint_fit.chosen:
             load = analysis.problem.situation.usual_load(candidate.place) if candidate.effect.scanned else 0.0
-            parameters = sentences.parameters(model, found, candidate, usual_load=load)
+            parameters = sentences.parameters(model, joint_fit, candidate, usual_load=load)
             widened = beside_remainder(analysis, candidate, parameters, finding.was)
             sized = {**finding.parameters, **candidate.effect.sizes(widened)}
             listed = analysis.search.prior.identified and finding.moment  # in a URDF the links' are as uncertain
-            moment = sentences.first_moment(found, candidate) if listed else {}
+            moment = sentences.first_moment(joint_fit, candidate) if listed else {}
             probability = min(finding.probability, probability_by_size(candidate, moment or parameters, finding.was))
             yield _with_sentence(replace(finding, parameters=sized, moment=moment, probability=probability))
         else:
@@ -236,12 +236,12 @@ def _with_sentence(finding: Finding) -> Finding:
     return replace(finding, sentence=text)
 
 
-def _as_written(link: LinkChange, model: MeasurementModel, analysis: Analysis, found: NamesFit) -> LinkChange:
+def _as_written(link: LinkChange, model: MeasurementModel, analysis: Analysis, joint_fit: NamesFit) -> LinkChange:
     """Return a changed link with the fitted size, and no surer than this size; an unsure link keeps its size."""
     if link.confidence != "confident":
         return link
     place = model.body_names.index(link.link)
-    change: FloatArray = found.inertias[place] - analysis.search.prior.inertias.reshape(-1, 10)[place]
+    change: FloatArray = joint_fit.inertias[place] - analysis.search.prior.inertias.reshape(-1, 10)[place]
     sized = replace(
         link,
         mass=_moved(link.mass, float(change[0])),
@@ -278,12 +278,12 @@ def folded(problem: LinearisedProblem, found: NamesFit) -> dict[tuple[str, str],
 
 
 def _changes(
-    problem: LinearisedProblem, found: NamesFit, joint: int, stored: Sequence[EffectTerm], others: Sequence[EffectTerm]
+    problem: LinearisedProblem, fitted: NamesFit, joint: int, stored: Sequence[EffectTerm], others: Sequence[EffectTerm]
 ) -> list[float]:
     from scipy.optimize import nnls  # noqa: PLC0415 seldom needed
 
     columns = problem.columns((), [*stored, *others])
-    values = np.array([found.value(term) for term in (*stored, *others)])
+    values = np.array([fitted.value(term) for term in (*stored, *others)])
     stacked = np.stack([columns[term].get(joint, np.zeros(len(problem.records.samples))) for term in columns], axis=1)
     least, _ = nnls(stacked[:, : len(stored)], stacked @ values)
     changes: list[float] = (least - values[: len(stored)]).tolist()
