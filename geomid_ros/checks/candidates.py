@@ -208,9 +208,9 @@ def decide(tried: Iterable[Tried], count: int, nominal: Evidence) -> Decision:
 
 
 def contradicted(doubted: Iterable[Tried], count: int) -> tuple[Finding, ...]:
-    """Report an unknown fault if a cause that repeats is probable from the joints alone whose efforts count on this
-    robot. It may explain others worse, or be explained by one that does not repeat: whatever it is, a correct recording
-    does not explain these.
+    """Report an unknown fault if a repeating cause is probable on the joints whose efforts count on this robot. It may
+    explain other joints worse, or be hidden by a cause that does not repeat. Whatever it is, a correct recording does
+    not explain these efforts.
 
     Args:
         doubted: causes that are not believed, and those hidden by them.

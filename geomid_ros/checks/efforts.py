@@ -23,7 +23,7 @@ _SIDE = re.compile(r"(?<![a-z])(left|right|l|r)(?![a-z])", re.IGNORECASE)
 
 
 def _signs(subject: Subject) -> Iterator[Candidate]:
-    """The efforts of all joints are reversed, or those of one."""
+    """Yield candidates for reversed efforts, of all joints or of one."""
     every = range(len(subject.joints))
     for joints in [every, *([joint] for joint in every if len(every) > 1)]:
         names, is_all = [subject.names[joint] for joint in joints], len(joints) == len(every)
@@ -32,7 +32,7 @@ def _signs(subject: Subject) -> Iterator[Candidate]:
 
 
 def _linear(matrix: FloatArray, cause: Cause, concerned: Sequence[int]) -> Candidate:
-    """Efforts times a ``matrix (C, C)`` are those of this robot."""
+    """Candidate whose efforts, times a ``matrix (C, C)``, are those of this robot."""
     channels, sizes = np.arange(len(matrix)), np.abs(matrix)
     sources = np.where(sizes[channels, channels] > 0.0, channels, np.argmax(sizes, axis=1))
     return Candidate(
@@ -45,7 +45,7 @@ def _linear(matrix: FloatArray, cause: Cause, concerned: Sequence[int]) -> Candi
 
 
 def _orders(subject: Subject) -> Iterator[Candidate]:
-    """The efforts of two joints are swapped."""
+    """Yield candidates for swapped efforts of two joints."""
     for pairs in exchanges(subject.names):
         if len(pairs) == 1:
             pair = list(pairs[0])
@@ -55,10 +55,10 @@ def _orders(subject: Subject) -> Iterator[Candidate]:
 
 
 def _couplings(subject: Subject) -> Iterator[Candidate]:
-    """One joint's motor also delivers the effort of another, in either direction.
+    """Yield candidates for a motor that also delivers the effort of another joint, in either direction.
 
-    This is not named, because sound recordings of some seconds may look like it. But it explains what would be taken
-    for a sign or a gain: the joint is then reported as unexplained, with a hint at the coupling.
+    They are not named, because sound recordings of some seconds may look like them. But they explain what would be
+    taken for a sign or a gain: the joint is then reported as unexplained, with a hint at the coupling.
     """
     for pairs in exchanges(subject.names):
         for joint, other in (*pairs, *(pair[::-1] for pair in pairs)) if len(pairs) == 1 else ():
@@ -70,7 +70,7 @@ def _couplings(subject: Subject) -> Iterator[Candidate]:
 
 
 def _frictions(subject: Subject) -> Iterator[Candidate]:
-    """Weights and inertias are right in the efforts, but friction drives joints."""
+    """Yield a candidate for friction that drives joints, while weights and inertias are right in the efforts."""
     fitted = subject.evidence(either_sign=True)
     friction = subject.rubbed(fitted)
     power = np.mean(friction * subject.samples.velocity[:, subject.joints], axis=0)
@@ -86,8 +86,8 @@ def _frictions(subject: Subject) -> Iterator[Candidate]:
 
 
 def _magnitudes(subject: Subject) -> Iterator[Candidate]:
-    """Efforts are magnitudes: they never change sign where the prediction does, or the velocity if friction
-    dominates."""
+    """Yield a candidate for efforts that lost their sign: it never changes where the prediction's does, or the
+    velocity's if friction dominates."""
     concerned = _without_sign(subject)
     if not concerned:
         return
@@ -124,7 +124,7 @@ def _expected(subject: Subject, channel: int) -> FloatArray:
 
 
 def _gains(subject: Subject) -> Iterator[Candidate]:
-    """Another unit of all joints together, or fractions of rated efforts, and of each joint alone."""
+    """Yield candidates for another unit, or fractions of rated efforts, of all joints together and of each alone."""
     every = range(len(subject.joints))
     slopes, r_squared = subject.slopes()
     common, settled = _common_factor(subject, slopes, r_squared)
@@ -142,7 +142,7 @@ def _gains(subject: Subject) -> Iterator[Candidate]:
 
 
 def _gain(matrix: FloatArray, cause: Cause, concerned: Sequence[int], settled: bool) -> Candidate:
-    """Another unit of efforts; the resemblance to the prediction does not depend on it."""
+    """Candidate for another unit of efforts, on which their resemblance to the prediction does not depend."""
     linear = _linear(matrix, cause, concerned)
     return replace(linear, settled=settled, read=None, undo=linear.judged)
 
@@ -160,7 +160,7 @@ def _common_factor(subject: Subject, slopes: FloatArray, r_squared: FloatArray) 
 
 
 def _other_unit(subject: Subject, joints: Sequence[int], factor: float) -> Cause:
-    """Efforts of these joints must be multiplied by a factor."""
+    """Cause if the efforts of these joints must be multiplied by a factor."""
     names, is_all = [subject.names[joint] for joint in joints], len(joints) == len(subject.joints)
     settings = gain_settings(names, subject.gains[list(joints)] * factor, is_all)
     ratio = f"1/{factor:.3g}" if factor > 1.0 else f"{1.0 / factor:.3g} times"
@@ -173,7 +173,7 @@ def _other_unit(subject: Subject, joints: Sequence[int], factor: float) -> Cause
 
 
 def _gravities(subject: Subject) -> Iterator[Candidate]:
-    """Best-fitting directions of gravity, and efforts without gravity."""
+    """Yield candidates for the best-fitting directions of gravity, and for efforts without gravity."""
     nominal = subject.robot.gravity
     size = float(np.linalg.norm(nominal))
     right = abs(size - STANDARD_GRAVITY) < 0.1 * STANDARD_GRAVITY

@@ -1,5 +1,4 @@
-"""Checks of a moving base: the weight on its legs, the position of its IMU, and the agreement of its gyroscope with the
-legs.
+"""Checks of a moving base: weight on its legs, place of its IMU, agreement of its gyroscope with the legs.
 
 Feet on the ground determine how the base rotates, from the encoders alone: their contact points do not move. No mass
 and no effort is used, so that nothing that is identified can hide a fault.

@@ -37,7 +37,7 @@ TIMES = (0.5, 2.0, 1e-3, 1e3)
 
 
 def _names(subject: Subject) -> Iterator[Candidate]:
-    """The positions and efforts of two joints are swapped."""
+    """Yield candidates for swapped names: positions and efforts of one joint are those of another."""
     for pairs in exchanges(subject.names):
         sources = np.arange(len(subject.joints))
         for first, second in pairs:
@@ -55,8 +55,8 @@ def _names(subject: Subject) -> Iterator[Candidate]:
 
 
 def positions(subject: Subject) -> Iterator[Candidate]:
-    """Positions and speeds of all joints that rotate, or of one joint, are in another unit; in a smaller one only if
-    they exceed limits, or a turn."""
+    """Yield candidates for another unit of positions and speeds, of all rotary joints or of one joint. A smaller unit
+    is tried only if positions exceed limits, or a turn."""
     robot = subject.robot
     turning = np.array([joint.unit != "N" for joint in robot.joints])
     low, high = robot.position_limits.T
@@ -99,7 +99,7 @@ def _of_motion(
     sources: IntArray | EllipsisType = ...,
     settled: bool = False,
 ) -> Candidate:
-    """The recording with changed samples is that of this robot."""
+    """Candidate whose changed samples are those of this robot."""
 
     return Candidate(
         read=lambda subject: subject.with_samples(change(subject.samples)),
@@ -127,7 +127,8 @@ def _moved(samples: Samples, matrix: FloatArray, zero: FloatArray | float = 0.0,
 
 
 def _times(subject: Subject) -> Iterator[Candidate]:
-    """Stamps run too fast or too slow, or someone else moves the robot: inertia does not fit gravity in the efforts."""
+    """Yield candidates for stamps that are too fast or too slow, or a robot that is moved by someone else: inertia does
+    not fit gravity in the efforts."""
     yield _at_rate(subject, 0.0, Cause.of("guided", subject.names))
     for rate in TIMES:
         speed = f"{1.0 / rate:g} times as slow" if rate < 1.0 else f"{rate:g} times as fast"
@@ -146,13 +147,13 @@ def _at_rate(subject: Subject, rate: float, cause: Cause) -> Candidate:
 
 
 def _zeros(subject: Subject) -> Iterator[Candidate]:
-    """A rotary joint counts from another zero: fits start where efforts resemble the prediction most."""
+    """Yield candidates for another zero of a rotary joint, fitted from where efforts resemble the prediction most."""
     for joint in _turning(subject):
         yield _zero(subject, joint, 1.0, _best_start(subject.few, joint, 1.0))
 
 
 def _axes(subject: Subject) -> Iterator[Candidate]:
-    """A joint counts in the opposite direction, from any zero, or includes the angle of a parallel joint."""
+    """Yield candidates for a joint that counts in the opposite direction, or includes the angle of a parallel joint."""
     robot = subject.robot
     turning = _turning(subject)
     for joint in range(len(robot.joints)):
@@ -185,15 +186,15 @@ def _absolute(subject: Subject, joint: int, other: int, share: float) -> Candida
 
 
 def _reversed_motion(subject: Subject, joint: int) -> Candidate:
-    """Position and speed of a joint have the opposite sign, but not its effort."""
+    """Candidate for a joint whose position and speed have the opposite sign, but not its effort."""
     cause = Cause.of("axis", [subject.robot.joint_names[joint]], reversed="position and velocity", zero="")
     signs = np.where(np.arange(len(subject.robot.joints)) == joint, -1.0, 1.0)
     return _of_motion(lambda samples: _moved(samples, np.diag(signs)), cause)
 
 
 def _zero(subject: Subject, joint: int, sign: float, start: float) -> Candidate:
-    """A joint counts from another zero, fitted near ``start`` [rad], and in the opposite direction if ``sign`` is
-    negative.
+    """Candidate for a joint that counts from another zero, fitted near ``start`` [rad], and in the opposite direction
+    if ``sign`` is negative.
 
     A wrong zero is one more unknown, ``tau(q + c) = tau(q) + dtau/dq c``: its evidence comes from the linearisation at
     the fitted links, repeated at its result.

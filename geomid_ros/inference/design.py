@@ -176,8 +176,8 @@ class Design:
 
     @cached_property
     def floors(self) -> FloatArray:
-        """Least noise of each channel ``(C,)``, relative to the measurement, not to what the remainder leaves of it.
-        That is no measure of rounding: the better an effect fits, the larger its remainder may be, and few rows leave
+        """Least noise of each channel ``(C,)``, a fraction of the measurement. What the remainder leaves of it is no
+        reference for rounding: the better an effect fits, the larger the remainder may be, and few rows leave
         nothing."""
         return np.array([np.sqrt(LEAST_SHARE * c.products[-2, -2] / max(c.count, 1)) for c in self.channels])
 

@@ -264,8 +264,8 @@ def _products(rows: FloatArray, residuals: FloatArray) -> FloatArray:
 
 
 def _known_rows(prior: Prior[Term], chosen: Sequence[Chosen], manifold: ParameterManifold) -> tuple[FloatArray, float]:
-    """Rows of other recordings and their cost, see :meth:`OtherRecordings.of_now`; coefficients of chosen candidates
-    are different now. No rows without other recordings."""
+    """Rows of other recordings and their cost, none without any; see :meth:`OtherRecordings.of_now`. Coefficients of
+    the chosen candidates have changed since then."""
     if prior.known is None:
         return np.zeros((0, manifold.dimension + 1)), 0.0
     named = {term for c in chosen for term in c.terms}

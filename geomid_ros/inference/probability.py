@@ -74,7 +74,7 @@ class Supports(Generic[Chosen, Term]):
         return Support(loss, worth, self.doubt(candidate), ordered, float(shares([0.0, *against])[0]))
 
     def _common(self, candidate: Chosen) -> float:
-        """Twice the log of how much more common hypotheses like this one are than their prior odds: by the Beta
+        """Twice the log factor by which hypotheses like this one are more common than their prior odds: by the Beta
         distribution of these odds, as if seen once before, and the number of others found (Scott and Berger, "Bayes and
         empirical-Bayes multiplicity adjustment in the variable-selection problem", 2010)."""
         alike = self._groups_of_odds[candidate.odds]

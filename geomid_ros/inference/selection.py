@@ -133,7 +133,7 @@ class Selection(Generic[Chosen, Term]):
         self, current: JointFit[Chosen, Term], least: float, instead_of: Chosen | None = None
     ) -> list[Trial[Chosen]]:
         """Return the hypotheses that are worth an exact fit, best first: those that the score test prefers, and bodies,
-        if it promises them more than ``least``."""
+        each with a gain above ``least``."""
         trials = [t for t in self.ranked(current) if t.gain > least and t.candidate.payload is None]
         trials = [t for t in trials if instead_of is None or t.candidate is not instead_of][:_SHORTLIST]
         if not current.bodies and (instead_of is None or instead_of.confusable_with_payload):
