@@ -1,1 +1,1 @@
-"""Whether a recording as a whole is that of this robot: signs, units, order of joints, gravity, wrench sensors."""
+"""Plausibility checks: is a recording of this robot? Signs, units, order of joints, gravity, wrench sensors."""

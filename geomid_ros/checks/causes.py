@@ -1,4 +1,4 @@
-"""What may be wrong with a recording: kinds of causes, a sentence for each, and findings."""
+"""Causes of what is wrong with a recording: their kinds, a sentence for each, and findings."""
 
 from __future__ import annotations
 
@@ -61,25 +61,25 @@ _SENTENCES = {
     "that pose: check the encoder, and whether the driver repeats an old value. Leave that part out",
     "lengths": "in the URDF {what}: {quantity} may be in {unit}; they must be in {right}",
 }
-"""What is said of each kind, or of what is more special."""
+"""Sentence of each kind, or of a special case."""
 MODEL = (
     "the efforts equal those of the URDF's own model, without friction or errors: they come from a simulation or a "
     "controller's model. To identify a real robot, record its measured efforts"
 )
-"""What efforts are that nobody measures."""
+"""Remark on efforts that nobody measured."""
 BIT_BY_BIT = "gradually during the recording"
-"""When something changes that does so all of the time."""
+"""Time of a gradual change."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cause:
-    """What a recording seems to be.
+    """A possible cause of what is wrong with a recording.
 
     Attributes:
-        kind: of the sentences, or another word.
+        kind: key of the sentences, or another word.
         sentence: what is wrong, and what to do.
-        settings: the parameters that mend it, by full name; empty if none does.
-        places: the joints, or the topic, that it is about.
+        settings: the parameters that correct it, by full name; empty if none does.
+        places: the joints, or the topic, that it concerns.
     """
 
     kind: str
@@ -97,14 +97,14 @@ class Cause:
         every: bool = False,
         **values: Any,
     ) -> Cause:
-        """A cause in the sentence of its kind.
+        """Create a cause with the sentence of its kind.
 
         Args:
-            kind: of the sentences, or another word.
+            kind: key of the sentences, or another word.
             places: names of joints.
-            settings: the parameters that mend it.
-            said: the sentence, if it is not the kind's.
-            every: whether these are all joints.
+            settings: the parameters that correct it.
+            said: key of the sentence, if it is not the kind's.
+            every: True if these are all joints.
             **values: of the sentence's other fields.
         """
         quoted = [f"'{place}'" for place in places]
@@ -123,11 +123,11 @@ class Cause:
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """What is wrong with a recording.
+    """A fault of a recording.
 
     Attributes:
-        cause: what explains it best.
-        sure: whether the cause is named; otherwise it is suspected.
+        cause: the best explanation.
+        sure: True if the cause is named; otherwise it is suspected.
         rivals: other causes that explain it as well.
     """
 
@@ -137,7 +137,7 @@ class Finding:
 
     @property
     def sentence(self) -> str:
-        """All of it."""
+        """Sentence of the cause, with its rivals."""
         if not self.sure:
             return f"Possibly: {self.cause.sentence}"
         others = "; or: ".join(rival.sentence for rival in self.rivals)
@@ -145,17 +145,17 @@ class Finding:
 
 
 def written(settings: Mapping[str, Any]) -> str:
-    """Parameters as a configuration has them."""
+    """Format parameters as in a configuration."""
     return ", ".join(f"{name}: {value}" for name, value in settings.items())
 
 
 def gain_settings(joints: Sequence[str], gains: Iterable[float], every: bool) -> dict[str, Any]:
-    """The parameters that give joints these gains.
+    """Return the parameters that set the gains of joints.
 
     Args:
         joints: their names.
         gains: factors from messages' efforts to N m.
-        every: whether these are all joints.
+        every: True if these are all joints.
     """
     rounded = [float(f"{gain:.3g}") for gain in gains]
     if every and len(set(rounded)) == 1:

@@ -1,7 +1,7 @@
-"""Candidates of what begins during a recording, or comes late: offsets, gains, loads, gravity, positions, delays.
+"""Candidates for changes during a recording, and for delays: offsets, gains, loads, gravity, positions.
 
-Each is fitted as it would be from some instant on, or as it would grow, beside all that links, friction and curves
-explain of the whole recording. What a robot does where its friction follows another law is explained by those.
+Each is fitted as a step or as gradual growth, given all that links, friction and curves explain of the whole recording.
+Friction that follows another law is explained by these curves.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from geomid_ros.checks.subject import STRETCHES, Subject
 from geomid_ros.estimation.uncertain_inertia import STDS_OF_95
 from geomid_ros.types import BoolArray, FloatArray
 
-_PLACES = np.linspace(0.0, 1.0, STRETCHES, endpoint=False)[1:]  # from which on something may be another
-_LEAST_LAG, _MOST_LAG = 0.03, 0.3  # [s] less hardly matters behind the filter; where more fits, it is no lag
+_PLACES = np.linspace(0.0, 1.0, STRETCHES, endpoint=False)[1:]  # fractions of the recording at which a change may begin
+_LEAST_LAG, _MOST_LAG = 0.03, 0.3  # [s]; less hardly matters after the filter; if more fits, it is no lag
 
 Columns: TypeAlias = Callable[[Subject], FloatArray]
-"""Makes the efforts ``(N, C, k)`` of a subject, by standard deviations of what may be wrong."""
+"""Makes the effort columns ``(N, C, k)`` of a subject, per standard deviation of a possible fault."""
 _Named: TypeAlias = tuple[Cause, list[int] | EllipsisType]
 Said: TypeAlias = Callable[[Gain, str], _Named | None]
-"""What is said of what was fitted and when it began, and the channels that it is about; None if it is too small."""
+"""Makes the cause, and the channels that it concerns, from a fit and its time of beginning; None if it is too small."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Kind:
-    """Something that may change: its ``columns``, what is ``said`` of it, whether it may ``grow`` bit by bit, and
-    whether it is so ``first``, until some instant."""
+    """A possible change: its ``columns``, the text ``said`` of it; True if it may ``grow`` gradually, or if it is there
+    ``first``, until some sample."""
 
     columns: Columns
     said: Said
@@ -44,7 +44,7 @@ class _Kind:
 
 
 def changes(subject: Subject) -> Iterator[Candidate]:
-    """What may change, as far as it explains anything."""
+    """Yield the changes that explain anything."""
     yield from switches(subject)
     fit = subject.flexible
     for kind in _kinds(subject):
@@ -57,15 +57,15 @@ def changes(subject: Subject) -> Iterator[Candidate]:
             place, when, promise = np.nan, BIT_BY_BIT, growing
         if promise <= 0.0:
             continue
-        gain = fit.gain(_begun(subject, kind, place))
-        said = kind.said(gain, when)
-        if said is not None:
-            yield _candidate(kind, place, int(np.argmax(np.abs(gain.coefficients))), *said)
+        gain = fit.gain(_onset(subject, kind, place))
+        described = kind.said(gain, when)
+        if described is not None:
+            yield _candidate(kind, place, int(np.argmax(np.abs(gain.coefficients))), *described)
 
 
 def _candidate(kind: _Kind, place: float, main: int, cause: Cause, concerned: list[int] | EllipsisType) -> Candidate:
     def undo(subject: Subject) -> Judged:
-        gain, always = subject.flexible.gain(_begun(subject, kind, place)), subject.flexible.gain(kind.columns(subject))
+        gain, always = subject.flexible.gain(_onset(subject, kind, place)), subject.flexible.gain(kind.columns(subject))
         beyond = gain.beyond(always) if always.per_instant > 0.0 else gain
         return _judged(subject, beyond, slice(main, main + 1))
 
@@ -73,7 +73,7 @@ def _candidate(kind: _Kind, place: float, main: int, cause: Cause, concerned: li
 
 
 def _judged(subject: Subject, gain: Gain, main: slice) -> Judged:
-    """What a gain over the flexible fit is worth, with the sizes of its ``main`` columns."""
+    """Evaluate a gain over the flexible fit, with the sizes of its ``main`` columns."""
     nominal = subject.nominal
     return Judged(
         log=nominal.log + gain.per_instant * len(subject.samples),
@@ -91,8 +91,8 @@ def _share(subject: Subject) -> FloatArray:
     return subject.shares[:, None, None]
 
 
-def _begun(subject: Subject, kind: _Kind, place: float) -> FloatArray:
-    """The columns from a place on, or as they grow if it is NaN."""
+def _onset(subject: Subject, kind: _Kind, place: float) -> FloatArray:
+    """Columns from a place on, or growing gradually if it is NaN."""
     weight = _share(subject) if np.isnan(place) else _later(subject, place, kind.first)
     return np.asarray(weight * kind.columns(subject))
 
@@ -103,8 +103,8 @@ def _kinds(subject: Subject) -> Iterator[_Kind]:
     def offset(gain: Gain, when: str) -> _Named | None:
         main = _main(gain.coefficients)
         steps = gain.coefficients * subject.spread
-        said = ", ".join(f"'{names[c]}' by {steps[c]:+.3g} {subject.units[c]}" for c in main)
-        return Cause.of("offset", [names[c] for c in main], sizes=said, when=when), main
+        sizes_text = ", ".join(f"'{names[c]}' by {steps[c]:+.3g} {subject.units[c]}" for c in main)
+        return Cause.of("offset", [names[c] for c in main], sizes=sizes_text, when=when), main
 
     yield _Kind(lambda of: by_channel(np.broadcast_to(of.spread[None, :, None], (*of.measured.shape, 1))), offset, True)
 
@@ -125,8 +125,8 @@ def _kinds(subject: Subject) -> Iterator[_Kind]:
     yield _Kind(lambda of: by_channel(SPREAD * of.flexible.rigid[:, :, None]), drift, True)
 
     def switched(gain: Gain, when: str) -> _Named | None:
-        gone = round(float(gain.coefficients[0])) == -1
-        return (Cause.of("switched", names, when=when), ...) if gone else None
+        is_gone = round(float(gain.coefficients[0])) == -1
+        return (Cause.of("switched", names, when=when), ...) if is_gone else None
 
     for first in (False, True):
         yield _Kind(lambda of: of.weight[:, :, None], switched, first=first)
@@ -138,19 +138,19 @@ def _kinds(subject: Subject) -> Iterator[_Kind]:
     def slip(gain: Gain, when: str) -> _Named | None:
         main = _main(gain.coefficients)
         sizes = -TILT * gain.coefficients
-        said = ", ".join(
+        sizes_text = ", ".join(
             f"'{names[c]}' by {1000.0 * sizes[c]:+.0f} mm"
             if subject.units[c] == "N"
             else f"'{names[c]}' by {np.degrees(sizes[c]):+.0f} degrees"
             for c in main
         )
-        return Cause.of("slip", [names[c] for c in main], sizes=said, when=when), ...
+        return Cause.of("slip", [names[c] for c in main], sizes=sizes_text, when=when), ...
 
     yield _Kind(lambda of: TILT * _by_position(of), slip, True)
 
 
 def _load(subject: Subject, place: int, link: str, factor: FloatArray) -> _Kind:
-    """Something that a link takes up or puts down."""
+    """Load that a link picks up or puts down."""
 
     def said(gain: Gain, when: str) -> _Named | None:
         mass = float(factor[0] @ gain.coefficients)
@@ -161,34 +161,34 @@ def _load(subject: Subject, place: int, link: str, factor: FloatArray) -> _Kind:
 
 
 def _by_position(subject: Subject) -> FloatArray:
-    """Derivatives of the URDF's efforts by the positions of the joints ``(N, C, C)``."""
-    found = []
+    """Derivatives of the URDF's efforts by joint positions ``(N, C, C)``."""
+    columns = []
     for joint in subject.joints:
         position = subject.samples.position.copy()
         position[:, joint] += STEP
         moved = subject.with_samples(replace(subject.samples, position=position))
-        found.append((moved.predicted - subject.predicted) / STEP)
-    return np.stack(found, axis=2)
+        columns.append((moved.predicted - subject.predicted) / STEP)
+    return np.stack(columns, axis=2)
 
 
 def _main(sizes: FloatArray) -> list[int]:
-    """The channels whose size is not small beside the largest."""
+    """Channels whose size is not small compared with the largest."""
     return [*np.flatnonzero(np.abs(sizes) >= HALF * float(np.max(np.abs(sizes))))]
 
 
 def switches(subject: Subject) -> Iterator[Candidate]:
-    """Efforts of all joints that are in another unit, or have the other sign, from some instant on."""
-    both = [(place, factor) for place in _PLACES[1::2] for factor in _factors(subject.moving, place)]
-    if len(subject.moving.samples) < FEWEST or not both:
+    """Yield switches of the efforts of all joints to another unit, or the opposite sign, at some sample."""
+    switches = [(place, factor) for place in _PLACES[1::2] for factor in _factors(subject.moving, place)]
+    if len(subject.moving.samples) < FEWEST or not switches:
         return
-    tried = {(place, factor): _switched(subject, place, factor).log for place, factor in both}
+    tried = {(place, factor): _switched(subject, place, factor).log for place, factor in switches}
     place, factor = max(tried, key=lambda one: tried[one])
     near = [(place + by, factor) for by in (-_PLACES[0], _PLACES[0])]
-    tried |= {each: _switched(subject, *each).log for each in near}
+    tried |= {switch: _switched(subject, *switch).log for switch in near}
     place, factor = max(tried, key=lambda one: tried[one])
-    what = "the opposite sign" if factor == -1.0 else f"{factor:.2g} times the earlier value"
+    change = "the opposite sign" if factor == -1.0 else f"{factor:.2g} times the earlier value"
     when = f"from about {elapsed(subject.samples.stamps, place):.0f} s on"
-    cause = Cause.of("stream", subject.names, factor=what, when=when)
+    cause = Cause.of("stream", subject.names, factor=change, when=when)
     yield Candidate(
         undo=lambda of: _switched(of, place, factor),
         cause=cause,
@@ -197,8 +197,7 @@ def switches(subject: Subject) -> Iterator[Candidate]:
 
 
 def _factors(subject: Subject, place: float) -> list[float]:
-    """What efforts may be multiplied by from a place on: the other sign, and where they become that large or small
-    another unit."""
+    """Possible factors on the efforts from a place on: the opposite sign, or a unit, if they change as much."""
     later = subject.shares >= place
 
     def size(part: np.ndarray) -> FloatArray:
@@ -211,13 +210,13 @@ def _factors(subject: Subject, place: float) -> list[float]:
     return [-1.0] if 1.0 / REASON <= factor <= REASON else [factor, -factor]
 
 
-def _switched(whole: Subject, place: float, factor: float) -> Judged:
-    """The better of two readings, efforts are in N m before the place or after it, by the instants in motion: at rest
-    stiction holds whatever it likes."""
-    subject = whole.moving
+def _switched(recording: Subject, place: float, factor: float) -> Judged:
+    """Evaluate the better of two readings, with efforts in N m before the place or after it, on the samples in motion:
+    stiction is arbitrary at rest."""
+    subject = recording.moving
     later = subject.shares >= place
     readings = []
-    # Of efforts that are reversed the opposite of the one reading is the other.
+    # If efforts are reversed, each reading is the opposite of the other.
     for sign in {1.0, 1.0 if factor == -1.0 else float(np.sign(factor))}:
         for part, size in ((later, 1.0 / factor), (~later, factor)):
             gains = np.where(part, size, 1.0) * sign
@@ -227,39 +226,40 @@ def _switched(whole: Subject, place: float, factor: float) -> Judged:
             judged = Judged.mended(mended, mended.spread)
             readings.append(replace(judged, log=judged.log + volume))
     best = max(readings, key=lambda judged: judged.log)
-    log = whole.nominal.log + best.log - subject.nominal.log
-    return replace(best, log=log, sigmas=np.minimum(best.sigmas, whole.nominal.sigmas))
+    log = recording.nominal.log + best.log - subject.nominal.log
+    return replace(best, log=log, sigmas=np.minimum(best.sigmas, recording.nominal.sigmas))
 
 
 def lags(subject: Subject) -> Iterator[Candidate]:
-    """Efforts that belong to the motion of a little earlier or later.
+    """Yield delays of the efforts against the motion.
 
-    To first order a lag adds the derivative of the efforts, times the lag. What the links take tells it: friction turns
-    about at once, and what is left unexplained there looks like a lag. So it is fitted beside the curves of friction.
+    To first order a lag adds the derivative of the efforts, times the lag. It is identified from the efforts of the
+    links: friction reverses at once, and its unexplained part looks like a lag. So the lag is fitted given the curves
+    of friction.
     """
     count = len(subject.joints)
-    common, each = (subject.flexible.gain(columns) for columns in (_rates(subject), by_channel(_rates(subject))))
+    common, separate = (subject.flexible.gain(columns) for columns in (_rates(subject), by_channel(_rates(subject))))
     lag = _MOST_LAG * float(common.coefficients[0])
     if _matters(common)[0] and abs(lag) < _MOST_LAG:
         yield _late(subject, [*range(count)], np.full(count, lag), _rates)
-    # Where more fits it is no lag, so it may be none elsewhere.
-    told = np.abs(each.coefficients) > np.maximum(STDS_OF_95 * each.deviations, 1.0)
-    main = [*np.flatnonzero(_matters(each))]
-    if main and count > 1 and common.per_instant <= HALF * each.per_instant and not np.any(told):
-        lags = _MOST_LAG * each.coefficients[main]
+    # If a longer lag fits at a joint, it is no lag there, and perhaps nowhere.
+    too_long = np.abs(separate.coefficients) > np.maximum(STDS_OF_95 * separate.deviations, 1.0)
+    main = [*np.flatnonzero(_matters(separate))]
+    if main and count > 1 and common.per_instant <= HALF * separate.per_instant and not np.any(too_long):
+        lags = _MOST_LAG * separate.coefficients[main]
         yield _late(subject, main, lags, lambda of: by_channel(_rates(of))[:, :, main])
 
 
 def _matters(gain: Gain) -> BoolArray:
-    """Whether lags are surely large enough ``(k,)``."""
+    """True for lags that are certainly large enough ``(k,)``."""
     return np.asarray(_MOST_LAG * (np.abs(gain.coefficients) - STDS_OF_95 * gain.deviations) > _LEAST_LAG)
 
 
 def _late(subject: Subject, main: list[int], lags: FloatArray, columns: Columns) -> Candidate:
     every, names = len(main) == len(subject.joints), [subject.names[c] for c in main]
     times = [f"{1000.0 * abs(lag):.0f} ms {'late' if lag > 0.0 else 'early'}" for lag in lags]
-    each = ", ".join(f"that of '{name}' about {time}" for name, time in zip(names, times, strict=True))
-    cause = Cause.of("late", names, sizes=f"all are about {times[0]}" if len(set(times)) == 1 and every else each)
+    by_joint = ", ".join(f"that of '{name}' about {time}" for name, time in zip(names, times, strict=True))
+    cause = Cause.of("late", names, sizes=f"all are about {times[0]}" if len(set(times)) == 1 and every else by_joint)
 
     def undo(of: Subject) -> Judged:
         gain = of.flexible.gain(columns(of))
@@ -269,7 +269,7 @@ def _late(subject: Subject, main: list[int], lags: FloatArray, columns: Columns)
 
 
 def _rates(subject: Subject) -> FloatArray:
-    """By how much the efforts of the fitted links change in a usual lag ``(N, C, 1)``."""
+    """Change of the fitted links' efforts for a lag of ``_MOST_LAG``, ``(N, C, 1)``."""
     links = subject.linked(subject.flexible.links)
     times = (subject.later.stamps - subject.samples.stamps) * 1e-9
     change = subject.with_samples(subject.later).regressor @ links - subject.flexible.rigid

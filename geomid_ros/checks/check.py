@@ -1,4 +1,4 @@
-"""The check of a recording as a whole: takes samples as they come, and says what the recording seems to be."""
+"""Check of a recording as a whole: collects samples as they come, and reports what is wrong with the recording."""
 
 from __future__ import annotations
 
@@ -30,9 +30,8 @@ from geomid_ros.types import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Excerpt:
-    """What is kept of recordings: a few instants of all of them; a ``stretch``, the last instants at which something
-    moved, None if there were none, and another one at which all feet stood; and whether they are ``whole``, no
-    positions leap."""
+    """Excerpt of recordings: ``kept``, a few samples of all of them; ``stretch``, the last samples in motion, None
+    without any; ``standing``, such a stretch with all feet on the ground; ``whole``: True if no positions jump."""
 
     kept: Kept
     stretch: Samples | None
@@ -42,7 +41,7 @@ class Excerpt:
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """What seems to be wrong with a recording, and what to know of one that may be right, in sentences."""
+    """Findings on what seems wrong with a recording, and remarks on one that may be right, as sentences."""
 
     findings: tuple[Finding, ...] = ()
     remarks: tuple[str, ...] = ()
@@ -50,13 +49,13 @@ class Judgement:
 
 @dataclass(frozen=True, eq=False)
 class JudgementTask:
-    """What a recording is judged by.
+    """Inputs of the check of a recording.
 
     Attributes:
         model: of the robot.
-        gains: ``(joints,)`` factors that the messages' efforts are multiplied by.
+        gains: ``(joints,)`` factors on the messages' efforts.
         sensors: the names of the wrench sensors in the configuration, by topic.
-        controller: that efforts were computed with, if they were.
+        controller: with which efforts were computed, if they were.
     """
 
     model: MeasurementModel
@@ -65,23 +64,23 @@ class JudgementTask:
     controller: Controller | None = None
 
     def judge(self, excerpt: Excerpt) -> Judgement:
-        """What a recording seems to be, by an excerpt of it."""
+        """Check an excerpt of a recording."""
         judged = self._joints(excerpt.kept, excerpt.whole, excerpt.standing)
-        if judged.findings:  # a motion that is not the robot's would be the sensors' fault, too
+        if judged.findings:  # a wrong motion makes the wrench sensors look wrong, too
             return judged
         wrong = (self._wrench(sensor, excerpt) for sensor in self.model.mounted)
         return replace(judged, findings=tuple(chain.from_iterable(wrong)))
 
-    def _joints(self, kept: Kept, whole: bool, standing: Samples | None) -> Judgement:
+    def _joints(self, kept: Kept, continuous: bool, standing: Samples | None) -> Judgement:
         robot, legs = self.model.robot, self.model.legs
-        if self.controller and (others := wrong_gains(self.controller, kept.samples, robot.joint_names)):
-            return Judgement(others)
+        if self.controller and (gain_findings := wrong_gains(self.controller, kept.samples, robot.joint_names)):
+            return Judgement(gain_findings)
         if efforts_alone(self.model):
-            return judge_efforts(self.model, kept, self.gains, whole=whole)
+            return judge_efforts(self.model, kept, self.gains, whole=continuous)
         if legs is None:
             return Judgement()
-        found = (*carried_weight(legs, kept.samples), *unnamed_feet(robot, legs, kept.samples))
-        return Judgement(found or (() if standing is None else gyroscope(legs, standing)))
+        findings = (*carried_weight(legs, kept.samples), *unnamed_feet(robot, legs, kept.samples))
+        return Judgement(findings or (() if standing is None else gyroscope(legs, standing)))
 
     def _wrench(self, sensor: WrenchSensor, excerpt: Excerpt) -> tuple[Finding, ...]:
         if excerpt.stretch is None or not can_be_judged(sensor):
@@ -91,7 +90,7 @@ class JudgementTask:
 
 
 def efforts_alone(model: MeasurementModel) -> bool:
-    """Whether links and gravity alone decide on the efforts: not what the surroundings do to the robot."""
+    """True if links and gravity alone determine the efforts, not the surroundings."""
     external = len(model.sensors) > len(model.mounted)
     return bool(model.layout.efforts) and not model.robot.floating_base and not external
 
@@ -100,7 +99,7 @@ Judge: TypeAlias = Callable[[JudgementTask, Excerpt], Judgement]
 
 
 class RecordingCheck:
-    """Keeps a few instants of what was recorded, and judges them when asked.
+    """Keep a few samples of the recording, and check them on request.
 
     One thread may call :meth:`add` while another asks.
     """
@@ -108,8 +107,8 @@ class RecordingCheck:
     def __init__(self, task: JudgementTask, judge: Judge = JudgementTask.judge) -> None:
         """
         Args:
-            task: what is judged by.
-            judge: judges; in another process, for example.
+            task: inputs of the check.
+            judge: does the check; in another process, for example.
         """
         self._task = task
         self._judge = judge
@@ -120,7 +119,7 @@ class RecordingCheck:
         """What to know of a recording that may be right, once it has been judged."""
 
     def add(self, samples: Samples) -> None:
-        """Take samples, in the order of time of each recording."""
+        """Add samples, in the order of time of each recording."""
         needed = samples.with_columns([SIGN, SMOOTH_SIGN])
         self._instants.add(needed)
         self._stretch.add(needed)
@@ -128,17 +127,17 @@ class RecordingCheck:
             self._standing.add(on_all_feet(self._task.model.legs, needed))
 
     def begin_recording(self) -> None:
-        """The samples to come are of another recording, which has to show the same."""
+        """Begin another recording, which has to show the same."""
         self._instants.begin_recording()
 
     @property
     def due(self) -> bool:
-        """Whether half of what is known came after it was judged last: seldom, as time goes on."""
+        """True if half of the samples came after the last check: it is done more and more rarely."""
         return len(self._instants) >= FEWEST and self._instants.taken > 2.0 * self._judged_at
 
     def findings(self, *, whole: bool = True) -> tuple[Finding, ...]:
-        """What seems to be wrong with the recording; not what begins meanwhile, if it is not ``whole``: where positions
-        leap another recording begins, which may be of another robot."""
+        """Return what seems wrong with the recording, without changes during it unless it is ``whole``: where positions
+        jump, another recording begins, perhaps of another robot."""
         kept, self._judged_at = self._instants.kept, self._instants.taken
         if kept is None:
             return ()
@@ -148,82 +147,81 @@ class RecordingCheck:
 
     @property
     def recorded(self) -> Samples | None:
-        """The instants that are kept; None if there are none."""
+        """Kept samples; None if there are none."""
         kept = self._instants.kept
         return None if kept is None else kept.samples
 
     @property
     def unmeasured(self) -> list[str]:
-        """The joints whose efforts are missing at half of the instants or more."""
+        """Joints whose efforts are missing in more than half of the samples."""
         samples, model = self.recorded, self._task.model
         if samples is None or not model.layout.efforts:
             return []
-        there = np.mean(np.isfinite(samples.effort), axis=0) >= HALF
-        return [name for name, is_told in zip(model.robot.joint_names, there, strict=True) if not is_told]
+        measured = np.mean(np.isfinite(samples.effort), axis=0) >= HALF
+        return [name for name, is_measured in zip(model.robot.joint_names, measured, strict=True) if not is_measured]
 
 
 def judge_efforts(model: MeasurementModel, kept: Kept, gains: FloatArray, *, whole: bool = True) -> Judgement:
-    """What the efforts of a recording seem to be.
+    """Check the efforts of a recording.
 
     Args:
         model: of the robot.
-        kept: a few instants of the recording.
-        gains: ``(joints,)`` factors that the messages' efforts were multiplied by.
-        whole: whether something may begin meanwhile.
+        kept: a few samples of the recording.
+        gains: ``(joints,)`` factors on the messages' efforts.
+        whole: True if something may change during the recording.
     """
     subject = Subject.of(model.robot, kept, gains)
     moves = np.std(kept.samples.velocity, axis=0) > STILL
     constant = moves & (np.mean(np.isfinite(kept.samples.effort), axis=0) >= HALF)
     constant[subject.joints] = False
     names = [model.robot.joint_names[joint] for joint in np.flatnonzero(constant)]
-    found = (Finding(cause=Cause.of("constant", names)),) if names else ()
+    findings = (Finding(cause=Cause.of("constant", names)),) if names else ()
     if np.count_nonzero(subject.is_moving) < FEWEST:
-        return Judgement(found)
+        return Judgement(findings)
     judged = _judged(subject, whole)
-    return replace(judged, findings=(*found, *judged.findings))
+    return replace(judged, findings=(*findings, *judged.findings))
 
 
-def _judged(subject: Subject, whole: bool) -> Judgement:
-    """What is wrong with efforts that change, and what to know of them."""
+def _judged(subject: Subject, continuous: bool) -> Judgement:
+    """Check efforts that change."""
     plain = impossible_description(subject) or frozen_position(subject)
     if plain is not None:
         return Judgement((Finding(cause=plain),))
     remarks: tuple[str, ...] = (MODEL,) if is_model(subject) else ()
     held = tuple(Finding(cause=cause) for cause in held_efforts(subject))
-    decision = _decided(subject, whole)
+    decision = _decided(subject, continuous)
     if decision.finding is None and decision.level is not None:
         remarks += (decision.level.sentence,)
         subject = subject.under(np.array(decision.level.settings["gravity"]))
-        decision = _decided(subject, whole)
+        decision = _decided(subject, continuous)
     named = held if decision.finding is None else (*held, decision.finding)
-    found = named or _unexplained(subject) or contradicted(decision.doubted, decision.count)
-    if not found and decision.doubted:
-        said = decision.doubted[0].cause.sentence
-        remarks += (f"in a part of the recording, or at some joints, only: {said}",)
-    return Judgement(found, remarks)
+    findings = named or _unexplained(subject) or contradicted(decision.doubted, decision.count)
+    if not findings and decision.doubted:
+        sentence = decision.doubted[0].cause.sentence
+        remarks += (f"in a part of the recording, or at some joints, only: {sentence}",)
+    return Judgement(findings, remarks)
 
 
-def _decided(subject: Subject, whole: bool) -> Decision:
-    """What explains efforts better than that they are as they should be."""
+def _decided(subject: Subject, continuous: bool) -> Decision:
+    """Decide which cause explains the efforts better than a correct recording."""
     throughout, count = transforms(subject)
-    others = [*(changes(subject) if whole else ()), *lags(subject)]
-    tried = [Tried.of(candidate, subject) for candidate in (*throughout, *others)]
-    decision = decide(tried, count + len(others), subject.nominal)
+    timed = [*(changes(subject) if continuous else ()), *lags(subject)]
+    tried = [Tried.of(candidate, subject) for candidate in (*throughout, *timed)]
+    decision = decide(tried, count + len(timed), subject.nominal)
     if np.all(decision.sigmas > FOLLOWS):
         return replace(decision, finding=Finding(cause=Cause.of("unrelated", subject.names)), level=None)
     return decision
 
 
 def _unexplained(subject: Subject) -> tuple[Finding, ...]:
-    """The joints whose efforts no links and no friction explain, and curves of their motion hardly do, whatever the
-    reason."""
+    """Report joints whose efforts neither links and friction nor curves of their motion explain, for any reason."""
     curved = subject.flexible.nominal.sigmas > FOLLOWS
-    left = np.where(curved, subject.measured - subject.explained(subject.nominal), np.nan)
+    residual = np.where(curved, subject.measured - subject.explained(subject.nominal), np.nan)
     channels = [*zip(subject.names, subject.units, strict=True)]
-    return badly_explained(channels, rms(left), subject.spread, partial(hint, subject), allowed=FOLLOWS)
+    return badly_explained(channels, rms(residual), subject.spread, partial(hint, subject), allowed=FOLLOWS)
 
 
 def is_model(subject: Subject) -> bool:
-    """Whether efforts are what the URDF predicts: without friction, without any error."""
-    left = np.sqrt(np.mean((subject.measured - subject.predicted) ** 2, axis=0))
-    return bool(np.all(left < HALF * LEAST_SIGMA * subject.spread))
+    """True if efforts are the prediction of the URDF, without friction or errors."""
+    residual_rms = np.sqrt(np.mean((subject.measured - subject.predicted) ** 2, axis=0))
+    return bool(np.all(residual_rms < HALF * LEAST_SIGMA * subject.spread))

@@ -1,4 +1,4 @@
-"""Transforms of efforts that may have happened throughout: sign, order, unit, friction, and gravity in them."""
+"""Transforms of efforts throughout a recording: sign, order, unit, friction, and gravity in them."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from geomid_ros.checks.subject import Subject
 from geomid_ros.model.robot import STANDARD_GRAVITY
 from geomid_ros.types import FloatArray
 
-_PAIRS = 8  # joints of which all pairs are tried; of more, neighbours
-_NEARLY = 0.02  # of instants, and of the largest effort: what a filter leaves beyond zero
+_PAIRS = 8  # most joints of which all pairs are tried; of more joints, neighbours
+_NEARLY = 0.02  # fraction of samples, and of the largest effort, that a filter leaves beyond zero
 _SIDES = {"left": "right", "right": "left", "l": "r", "r": "l"}
 _SIDE = re.compile(r"(?<![a-z])(left|right|l|r)(?![a-z])", re.IGNORECASE)
 
 
 def _signs(subject: Subject) -> Iterator[Candidate]:
-    """The efforts of all joints are reversed, or of one."""
+    """Yield candidates for reversed efforts, of all joints or of one."""
     every = range(len(subject.joints))
     for joints in [every, *([joint] for joint in every if len(every) > 1)]:
-        names, whole = [subject.names[joint] for joint in joints], len(joints) == len(every)
-        cause = Cause.of("sign", names, gain_settings(names, -subject.gains[list(joints)], whole), every=whole)
+        names, is_all = [subject.names[joint] for joint in joints], len(joints) == len(every)
+        cause = Cause.of("sign", names, gain_settings(names, -subject.gains[list(joints)], is_all), every=is_all)
         yield _linear(np.diag(np.where(np.isin(every, joints), -1.0, 1.0)), cause, joints)
 
 
 def _linear(matrix: FloatArray, cause: Cause, concerned: Sequence[int]) -> Candidate:
-    """Efforts times a ``matrix (C, C)`` are those of this robot."""
+    """Candidate whose efforts, times a ``matrix (C, C)``, are those of this robot."""
     channels, sizes = np.arange(len(matrix)), np.abs(matrix)
     sources = np.where(sizes[channels, channels] > 0.0, channels, np.argmax(sizes, axis=1))
     return Candidate(
@@ -45,7 +45,7 @@ def _linear(matrix: FloatArray, cause: Cause, concerned: Sequence[int]) -> Candi
 
 
 def _orders(subject: Subject) -> Iterator[Candidate]:
-    """The efforts of two joints are exchanged."""
+    """Yield candidates for swapped efforts of two joints."""
     for pairs in exchanges(subject.names):
         if len(pairs) == 1:
             pair = list(pairs[0])
@@ -55,10 +55,10 @@ def _orders(subject: Subject) -> Iterator[Candidate]:
 
 
 def _couplings(subject: Subject) -> Iterator[Candidate]:
-    """One joint's motor carries the effort of another, too, in either direction.
+    """Yield candidates for a motor that also delivers the effort of another joint, in either direction.
 
-    That is not named, as sound recordings of some seconds may look like it, but explains what would be taken for a sign
-    or a gain: then the joint is said not to be explained, with a hint at it.
+    They are not named, because sound recordings of some seconds may look like them. But they explain what would be
+    taken for a sign or a gain: the joint is then reported as unexplained, with a hint at the coupling.
     """
     for pairs in exchanges(subject.names):
         for joint, other in (*pairs, *(pair[::-1] for pair in pairs)) if len(pairs) == 1 else ():
@@ -70,13 +70,13 @@ def _couplings(subject: Subject) -> Iterator[Candidate]:
 
 
 def _frictions(subject: Subject) -> Iterator[Candidate]:
-    """Weights and inertias are in the efforts as they should be, but friction drives joints."""
-    found = subject.evidence(either_sign=True)
-    friction = subject.rubbed(found)
+    """Yield a candidate for friction that drives joints, while weights and inertias are right in the efforts."""
+    fitted = subject.evidence(either_sign=True)
+    friction = subject.rubbed(fitted)
     power = np.mean(friction * subject.samples.velocity[:, subject.joints], axis=0)
     drives = (power < 0.0) & (np.sqrt(np.mean(friction**2, axis=0)) > LEAST_SIGMA)
     concerned = np.flatnonzero(drives).tolist()
-    if concerned and not np.any(subject.opposite(found)):
+    if concerned and not np.any(subject.opposite(fitted)):
         cause = Cause.of("friction", [subject.names[joint] for joint in concerned])
 
         def undo(subject: Subject) -> Judged:
@@ -86,8 +86,8 @@ def _frictions(subject: Subject) -> Iterator[Candidate]:
 
 
 def _magnitudes(subject: Subject) -> Iterator[Candidate]:
-    """Efforts are the magnitudes of what they should be: those that never change their sign where what is predicted, or
-    the velocity of a joint that mainly rubs, does."""
+    """Yield a candidate for efforts that lost their sign: it never changes where the prediction's does, or the
+    velocity's if friction dominates."""
     concerned = _without_sign(subject)
     if not concerned:
         return
@@ -100,13 +100,13 @@ def _magnitudes(subject: Subject) -> Iterator[Candidate]:
             measured[:, concerned] = np.copysign(measured[:, concerned], explained)
             mended = subject.with_efforts(measured)
             explained = mended.explained(mended.nominal)[:, concerned]
-        return Judged.mended(mended, mended.spread)  # signs make numbers larger, not less probable
+        return Judged.mended(mended, mended.spread)  # restored signs make numbers vary more, not less probable
 
     yield Candidate(undo=undo, cause=cause, concerned=concerned)
 
 
 def _without_sign(subject: Subject) -> list[int]:
-    """The channels that have lost their sign."""
+    """Channels that have lost their sign."""
     low, high = np.quantile(subject.measured, (_NEARLY, 1.0 - _NEARLY), axis=0)
     one_sided = np.minimum(-low, high) <= _NEARLY * np.maximum(-low, high)
     shares = [np.mean(_expected(subject, channel) > 0.0) for channel in range(len(subject.joints))]
@@ -114,8 +114,8 @@ def _without_sign(subject: Subject) -> list[int]:
 
 
 def _expected(subject: Subject, channel: int) -> FloatArray:
-    """What an effort follows, of what is predicted and the speed of its joint ``(N,)``: by its magnitude. One that is
-    always about as large, and mostly a weight, as of a vertical axis, hardly changes with either."""
+    """Prediction or velocity ``(N,)``, whichever an effort follows by its magnitude. An effort that is always about as
+    large, and mostly a weight, as of a vertical axis, hardly changes with either."""
     effort, speed = np.abs(subject.measured[:, channel]), subject.samples.velocity[:, subject.joints[channel]]
     predicted = subject.predicted[:, channel]
     if min(np.abs(np.mean(predicted)), np.quantile(effort, _NEARLY)) > HALF * np.mean(effort):
@@ -124,34 +124,34 @@ def _expected(subject: Subject, channel: int) -> FloatArray:
 
 
 def _gains(subject: Subject) -> Iterator[Candidate]:
-    """Another unit of all joints together, or shares of what they are rated for, and of each by itself."""
+    """Yield candidates for another unit, or fractions of rated efforts, of all joints together and of each alone."""
     every = range(len(subject.joints))
-    slopes, told = subject.slopes()
-    common, settled = _common_factor(subject, slopes, told)
+    slopes, r_squared = subject.slopes()
+    common, settled = _common_factor(subject, slopes, r_squared)
     if not 1.0 / REASON <= common <= REASON:
         yield _gain(common * np.eye(len(every)), _other_unit(subject, every, common), every, settled)
     by_size = np.std(subject.predicted, axis=0) / subject.spread
-    factors = np.where((told > 1.0 - FOLLOWS**2) & (slopes > 0.0), 1.0 / np.maximum(slopes, 1e-30), by_size)
-    own = np.abs(np.log(np.maximum(factors / (common if settled else 1.0), 1e-30))) > np.log(REASON)
-    unlike = np.abs(np.log(np.maximum(factors, 1e-30))) > np.log(REASON)
+    factors = np.where((r_squared > 1.0 - FOLLOWS**2) & (slopes > 0.0), 1.0 / np.maximum(slopes, 1e-30), by_size)
+    unlike_common = np.abs(np.log(np.maximum(factors / (common if settled else 1.0), 1e-30))) > np.log(REASON)
+    unlike_nominal = np.abs(np.log(np.maximum(factors, 1e-30))) > np.log(REASON)
     loads = np.quantile(np.abs(subject.measured), 0.99, axis=0) / subject.robot.effort_limits[subject.joints]
-    for joint in np.flatnonzero(own & unlike & (factors > 0.0)).tolist() if len(every) > 1 else ():
-        factor, absurd = float(factors[joint]), bool(loads[joint] > REASON**2)
+    for joint in np.flatnonzero(unlike_common & unlike_nominal & (factors > 0.0)).tolist() if len(every) > 1 else ():
+        factor, beyond_rating = float(factors[joint]), bool(loads[joint] > REASON**2)
         matrix = np.diag(np.where(np.isin(every, joint), factor, 1.0))
-        yield _gain(matrix, _other_unit(subject, [joint], factor), [joint], absurd)
+        yield _gain(matrix, _other_unit(subject, [joint], factor), [joint], beyond_rating)
 
 
 def _gain(matrix: FloatArray, cause: Cause, concerned: Sequence[int], settled: bool) -> Candidate:
-    """Another unit of efforts, which are as much like what is predicted in one unit as in the other."""
+    """Candidate for another unit of efforts, on which their resemblance to the prediction does not depend."""
     linear = _linear(matrix, cause, concerned)
     return replace(linear, settled=settled, read=None, undo=linear.judged)
 
 
-def _common_factor(subject: Subject, slopes: FloatArray, told: FloatArray) -> tuple[float, bool]:
-    """The factor that makes all efforts those of the URDF, and whether it is sure without any evidence: where the
-    links that were fitted are all as much too light or too heavy."""
+def _common_factor(subject: Subject, slopes: FloatArray, r_squared: FloatArray) -> tuple[float, bool]:
+    """Factor that makes all efforts those of the URDF, and True if it is certain without any evidence: if the fitted
+    links are all too light or too heavy by the same factor."""
     fitted, follows = subject.fitted_slopes(subject.nominal)
-    for ratios, sure in ((slopes, (told > 1.0 - FOLLOWS**2) & (slopes > 0.0)), (fitted, follows)):
+    for ratios, sure in ((slopes, (r_squared > 1.0 - FOLLOWS**2) & (slopes > 0.0)), (fitted, follows)):
         if np.count_nonzero(sure) >= 2:
             factor = 1.0 / float(np.median(ratios[sure]))
             return factor, bool(np.median(np.abs(np.log(ratios[sure] * factor))) < np.log(REASON))
@@ -160,20 +160,20 @@ def _common_factor(subject: Subject, slopes: FloatArray, told: FloatArray) -> tu
 
 
 def _other_unit(subject: Subject, joints: Sequence[int], factor: float) -> Cause:
-    """Efforts of these joints have to be multiplied by a factor."""
-    names, whole = [subject.names[joint] for joint in joints], len(joints) == len(subject.joints)
-    settings = gain_settings(names, subject.gains[list(joints)] * factor, whole)
+    """Cause if the efforts of these joints must be multiplied by a factor."""
+    names, is_all = [subject.names[joint] for joint in joints], len(joints) == len(subject.joints)
+    settings = gain_settings(names, subject.gains[list(joints)] * factor, is_all)
     ratio = f"1/{factor:.3g}" if factor > 1.0 else f"{1.0 / factor:.3g} times"
     units = {"in mN m": (0.5e-3, 2e-3), "in kN m? or masses of the URDF in grams": (250.0, 4000.0)}
     unit = next((unit for unit, (low, high) in units.items() if low < factor < high), "")
     unit = unit or (
         "in A, on the motor side of the gear, or a share of what they are rated for" if factor > 1.0 else ""
     )
-    return Cause.of("gain", names, settings, every=whole, ratio=ratio, unit=f" ({unit}?)" if unit else "")
+    return Cause.of("gain", names, settings, every=is_all, ratio=ratio, unit=f" ({unit}?)" if unit else "")
 
 
 def _gravities(subject: Subject) -> Iterator[Candidate]:
-    """The directions of gravity that fit best, and that it is not in the efforts."""
+    """Yield candidates for the best-fitting directions of gravity, and for efforts without gravity."""
     nominal = subject.robot.gravity
     size = float(np.linalg.norm(nominal))
     right = abs(size - STANDARD_GRAVITY) < 0.1 * STANDARD_GRAVITY
@@ -212,23 +212,23 @@ def _turned(subject: Subject, gravity: FloatArray) -> Candidate:
 
 
 def weightless(subject: Subject) -> Subject:
-    """There is no gravity."""
+    """Return the subject without gravity."""
     return subject.under(np.zeros(3))
 
 
 def compensated(subject: Subject) -> Subject:
-    """Weights, as of the URDF's links, are taken off."""
+    """Add the weights of the URDF's links to efforts that are compensated for them."""
     return subject.with_efforts(subject.measured + subject.weight)
 
 
 def exchanges(names: Sequence[str]) -> list[list[tuple[int, int]]]:
-    """The exchanges that may well happen: of two joints, and of all of the left side with those of the right.
+    """Return plausible exchanges: of two joints, and of all joints on the left with those on the right.
 
     Args:
         names: of joints, in the robot's order.
 
     Returns:
-        Of each exchange the pairs of places ``(first, second)`` that change their names.
+        For each exchange, the pairs of indices ``(first, second)`` that swap names.
     """
     places = {name: place for place, name in enumerate(names)}
     mirrored = [(place, places.get(_mirrored(name), place)) for name, place in places.items()]

@@ -1,6 +1,6 @@
-"""The most that links, friction and curves of each joint's own motion explain, beside which anything else is fitted.
+"""Fit of links, friction and curves of each joint's motion, given which anything else is fitted.
 
-Curves are what springs, cables and frictions of other laws add: what they explain is no evidence of a fault.
+Curves stand for springs, cables and other friction laws: what they explain is no evidence of a fault.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from geomid_ros.geometry import definite
 from geomid_ros.model.samples import STILL
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
-_SLOW = 0.05  # of a joint's largest speed: below it stiction holds whatever it likes
+_SLOW = 0.05  # fraction of a joint's largest speed, below which stiction is arbitrary
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Gain:
-    """What more columns explain.
+    """Improvement by additional columns.
 
     Attributes:
-        per_instant: gain of log evidence [nats].
-        ratios: ``(C,)`` of what is left, over what is left without the columns.
+        per_instant: gain of log evidence per sample [nats].
+        ratios: ``(C,)`` residual over that without the columns.
         coefficients, deviations: ``(k,)`` of the columns.
-        rigid: ``(N, C)`` what the links take beside them.
+        rigid: ``(N, C)`` efforts of the links given these columns.
     """
 
     per_instant: float
@@ -37,12 +37,12 @@ class Gain:
     rigid: FloatArray
 
     def beyond(self, other: Gain) -> Gain:
-        """What these columns explain more than others do."""
+        """Return the improvement by these columns over that by others."""
         return replace(self, per_instant=self.per_instant - other.per_instant, ratios=self.ratios / other.ratios)
 
 
 class FlexibleFit:
-    """Links, friction and curves fitted to the efforts of C joints at the instants at which each of them moves."""
+    """Links, friction and curves fitted to the efforts of C joints at the samples at which each of them moves."""
 
     def __init__(
         self,
@@ -58,9 +58,9 @@ class FlexibleFit:
         """
         Args:
             measured, predicted: ``(N, C)`` the efforts, and those of the URDF's links.
-            links: what the links' errors add.
-            friction: ``(N, C, 5)`` those of friction.
-            tolerated: ``(C, 5)`` standard deviations of friction's coefficients.
+            links: columns of the links' errors.
+            friction: ``(N, C, 5)`` columns of friction.
+            tolerated: ``(C, 5)`` prior standard deviations of friction's coefficients.
             position, velocity: ``(N, C)`` of the joints.
         """
         self.measured, self._predicted = measured, predicted
@@ -78,67 +78,67 @@ class FlexibleFit:
         """The links' errors ``(r,)`` that are found."""
         self.rigid = self._rigid(self.links)
         """What the fitted links take ``(N, C)``."""
-        self._screen()
+        self._linearise()
 
     def promises(self, columns: FloatArray, begins: IntArray | None = None, *, before: bool = False) -> FloatArray:
-        """About the least that :meth:`gain` finds, at the noise that is left without the columns [nats per instant].
+        """Return approximately the least value of :meth:`gain`, at the noise without the columns [nats per sample].
 
         Args:
             columns: ``(N, C, k)`` in units of the efforts, per standard deviation of their coefficients.
-            begins: ``(n,)`` increasing places of instants; the columns are zero before each, or from it on if
-                ``before``. From the first instant on unless given.
+            begins: ``(n,)`` increasing indices of samples; the columns are zero before each, or from it on if
+                ``before``. By default they begin at the first sample.
 
         Returns:
-            Of each place ``(n,)``.
+            For each beginning ``(n,)``.
         """
         ends = np.append(0 if begins is None else begins, len(columns))
         if before:
             ends = np.append(0, ends[:-1])
         parts = np.array([self._crossed(columns, slice(*part)) for part in pairwise(ends)])
         sums = np.cumsum(parts, axis=0) if before else np.cumsum(parts[::-1], axis=0)[::-1]
-        return np.array([self._promise(each) for each in sums])
+        return np.array([self._promise(total) for total in sums])
 
     def _crossed(self, columns: FloatArray, part: slice) -> FloatArray:
-        """Products of the known columns, the columns and the target, by columns ``(K + k + 1, k)`` over some instants,
-        all in units of the noise."""
+        """Products ``(K + k + 1, k)`` of the known columns, the columns and the target with the columns, over some
+        samples, all in units of the noise."""
         count, size = columns.shape[2], len(self._whitener)
-        found = np.zeros((size + count + 1, count))
+        sums = np.zeros((size + count + 1, count))
         for channel, (places, known) in enumerate(zip(self._known.places, self._known.columns, strict=True)):
-            felt = np.flatnonzero(np.any(columns[part, channel], axis=0))
-            rows = self._weights[part, channel, None] * columns[part, channel, felt]
-            at = np.concatenate([places, size + felt, [size + count]])
-            found[at[:, None], felt] += np.column_stack([known[part], rows, self._target[part, channel]]).T @ rows
-        return found
+            nonzero = np.flatnonzero(np.any(columns[part, channel], axis=0))
+            rows = self._weights[part, channel, None] * columns[part, channel, nonzero]
+            at = np.concatenate([places, size + nonzero, [size + count]])
+            sums[at[:, None], nonzero] += np.column_stack([known[part], rows, self._target[part, channel]]).T @ rows
+        return sums
 
     def _promise(self, crossed: FloatArray) -> float:
-        known, own, pull = np.split(crossed, [len(self._whitener), len(crossed) - 1])
-        coupling = self._whitener @ known
-        sizes, axes = np.linalg.eigh(own - coupling.T @ coupling)
-        precisions = 1.0 + np.maximum(sizes, 0.0)  # of efforts next to nothing rounding leaves sizes below zero
-        quadratic = float(np.sum((axes.T @ (pull[0] - self._explained @ coupling)) ** 2 / precisions))
+        with_known, squared, target = np.split(crossed, [len(self._whitener), len(crossed) - 1])
+        coupling = self._whitener @ with_known
+        sizes, axes = np.linalg.eigh(squared - coupling.T @ coupling)
+        precisions = 1.0 + np.maximum(sizes, 0.0)  # rounding makes sizes of tiny efforts negative
+        quadratic = float(np.sum((axes.T @ (target[0] - self._explained @ coupling)) ** 2 / precisions))
         return 0.5 * (quadratic - float(np.sum(np.log(precisions)))) / self.instants
 
     def gain(self, columns: FloatArray) -> Gain:
-        """What columns explain, as :meth:`promises` takes them."""
-        found, rank = self._evidence(self._unknowns.with_more(columns)), self._unknowns.links
+        """Fit additional columns, in the form of :meth:`promises`."""
+        fitted, rank = self._evidence(self._unknowns.with_more(columns)), self._unknowns.links
         return Gain(
-            per_instant=(found.log - self.nominal.log) / self.instants,
-            ratios=found.sigmas / self.nominal.sigmas,
-            coefficients=found.links[rank:],
-            deviations=found.deviations()[rank:],
-            rigid=self._rigid(found.links[:rank]),
+            per_instant=(fitted.log - self.nominal.log) / self.instants,
+            ratios=fitted.sigmas / self.nominal.sigmas,
+            coefficients=fitted.links[rank:],
+            deviations=fitted.deviations()[rank:],
+            rigid=self._rigid(fitted.links[:rank]),
         )
 
     def _rigid(self, links: FloatArray) -> FloatArray:
         return np.asarray(self._predicted + self._unknowns.taken(links))
 
     def _evidence(self, unknowns: Unknowns) -> Evidence:
-        """The evidence of unknowns of unit variance, curves and friction."""
+        """Evidence of unknowns of unit variance, curves and friction."""
         target = (self.measured - self._predicted) / self.spread
         return evidence(target, unknowns, self._tolerated, units=self.spread, counted=self._moving)
 
-    def _screen(self) -> None:
-        """Linearise at what was found, with the friction that may have either sign."""
+    def _linearise(self) -> None:
+        """Linearise at the fit, with friction of either sign."""
         self._weights = self._moving / (self.spread * self.nominal.sigmas)
         scaled = self._own * self._tolerated * self.spread[:, None]
         self._known = self._unknowns.with_own(scaled).times(self._weights)
@@ -150,22 +150,22 @@ class FlexibleFit:
 
 
 def moving(velocity: FloatArray) -> BoolArray:
-    """Whether joints move, so that stiction does not hold whatever it likes ``(N, C)``."""
+    """True where joints move, so that stiction is not arbitrary ``(N, C)``."""
     speed = np.abs(velocity)
     return np.asarray(speed > np.maximum(STILL, _SLOW * np.max(speed, axis=0)))
 
 
 def by_channel(columns: FloatArray) -> FloatArray:
-    """Columns ``(N, C, k)`` that each channel has for itself, as columns ``(N, C, C k)`` of all."""
+    """Columns ``(N, C, k)`` that are separate for each channel, as columns ``(N, C, C k)`` of all channels."""
     instants, channels, count = columns.shape
-    spread = np.zeros((instants, channels, channels, count))
-    each = np.arange(channels)
-    spread[:, each, each] = columns
-    return spread.reshape(instants, channels, channels * count)
+    expanded = np.zeros((instants, channels, channels, count))
+    diagonal = np.arange(channels)
+    expanded[:, diagonal, diagonal] = columns
+    return expanded.reshape(instants, channels, channels * count)
 
 
 def _curves(position: FloatArray, friction: FloatArray, predicted: FloatArray) -> FloatArray:
-    """What springs, cables and frictions of other laws may add, in standard deviations ``(N, C, 6)``."""
+    """Columns of springs, cables and other friction laws, per prior standard deviation ``(N, C, 6)``."""
     place = _standardised(position - np.mean(position, axis=0))
     speed = _standardised(friction[:, :, 1])
     sign = friction[:, :, 2]
@@ -176,7 +176,7 @@ def _curves(position: FloatArray, friction: FloatArray, predicted: FloatArray) -
 
 
 def _standardised(values: FloatArray) -> FloatArray:
-    """Values ``(N, C)`` in their standard deviations; nothing where they are always the same but for rounding."""
+    """Divide values ``(N, C)`` by their standard deviations; zero where they are constant up to rounding."""
     deviations = np.std(values, axis=0)
     varied = deviations > ROUNDING * (1.0 + np.max(np.abs(values), axis=0, initial=0.0))
     return np.asarray(np.where(varied, values, 0.0) / np.where(varied, deviations, 1.0))

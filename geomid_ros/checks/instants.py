@@ -1,4 +1,4 @@
-"""A few instants of a recording, spread over all of it, whatever its length."""
+"""A few samples of a recording, spread over all of it, whatever its length."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from geomid_ros.model.samples import STILL, Samples
 from geomid_ros.types import IntArray
 
 FEWEST = 30
-"""Instants that a recording is judged on."""
+"""Fewest samples on which a recording is checked."""
 MOST = 250
-"""The same, at most."""
+"""Most samples on which a recording is checked."""
 STEP = 20_000_000
-"""[ns] of what is behind the filter, instants as far apart show all."""
-_APART = 100_000_000  # [ns] nearer instants say the same twice
+"""Samples so far apart show everything that passes the filter [ns]."""
+_APART = 100_000_000  # [ns]; nearer samples are redundant
 
 
 def elapsed(stamps: IntArray, place: float) -> float:
-    """When a place is, since the first instant [s]; of recordings one after the other, all of theirs."""
+    """Time from the first sample to a place [s]; of consecutive recordings, all their durations."""
     return float(np.sum(np.maximum(np.diff(stamps), 0)[: int(place * len(stamps))])) * 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """Instants that are kept, ``samples``; what was next after each, at the same instant if nothing followed soon,
-    ``later``; and the number of each one's recording ``recordings (N,)``."""
+    """Kept ``samples``; the next sample after each, ``later``, or itself if none followed soon; and the index of each
+    one's recording, ``recordings (N,)``."""
 
     samples: Samples
     later: Samples
@@ -35,14 +35,14 @@ class Kept:
 
 
 class Instants:
-    """Keeps at most 250 instants of what it is given, at least 0.1 s apart and evenly over the whole time.
+    """Keep at most 250 samples, at least 0.1 s apart and evenly over the whole time.
 
-    When there are too many, every other one is let go and those to come are taken half as often: the choice depends on
+    When there are too many, every other one is dropped, and later ones are taken half as often. The choice depends on
     the stamps alone, not on the batches in which the samples come.
     """
 
     def __init__(self) -> None:
-        self._kept: list[tuple[Samples, Samples, int]] = []  # each instant, the next one of all, its recording
+        self._kept: list[tuple[Samples, Samples, int]] = []  # sample, next sample, index of the recording
         self._awaits_next = False
         self._recording = 0
         self._apart = _APART
@@ -54,7 +54,7 @@ class Instants:
         return len(self._kept)
 
     def add(self, samples: Samples) -> None:
-        """Take samples, in the order of time; where the clock is set back another recording begins."""
+        """Add samples, in the order of time; where the clock is set back another recording begins."""
         stamps = samples.stamps
         if self._awaits_next and len(stamps):
             self._follow(samples.select(np.array([0])))
@@ -81,20 +81,20 @@ class Instants:
             self._apart *= 2
 
     def _follow(self, instant: Samples) -> None:
-        """The instant after the last one that was kept, perhaps of another recording or much later."""
+        """Store the sample after the last kept one, unless it is of another recording or much later."""
         last, _, recording = self._kept[-1]
         self._awaits_next = False
         if 0 < instant.stamps[0] - last.stamps[0] < 2 * STEP:
             self._kept[-1] = (last, instant, recording)
 
     def begin_recording(self) -> None:
-        """The samples to come are of another recording."""
+        """Begin another recording."""
         self._recording += 1
 
     @property
     def kept(self) -> Kept | None:
-        """All that are kept; None if there are none."""
-        kept = list(self._kept)  # replaced or appended to by another thread
+        """All kept samples; None if there are none."""
+        kept = list(self._kept)  # a copy: another thread replaces it or appends to it
         if not kept:
             return None
         samples, later, recordings = ([*parts] for parts in zip(*kept, strict=True))
@@ -102,7 +102,7 @@ class Instants:
 
 
 class Stretch:
-    """Keeps the last instants at which something moved, one of each 20 ms: as many as tell a delay."""
+    """Keep the last samples in motion, one per 20 ms: enough to identify a delay."""
 
     def __init__(self) -> None:
         self._kept: deque[Samples] = deque()
@@ -110,16 +110,16 @@ class Stretch:
         self._last = -1  # 20 ms since the epoch
 
     def add(self, samples: Samples) -> None:
-        """Take samples, in the order of time; where the clock is set back another recording begins."""
+        """Add samples, in the order of time; where the clock is set back another recording begins."""
         if not len(samples):
             return
         if self._kept and samples.stamps[0] <= self._kept[-1].stamps[-1]:
             self._kept.clear()
             self._count = 0
         steps = samples.stamps // STEP
-        new = np.diff(steps, prepend=self._last) != 0
+        is_first = np.diff(steps, prepend=self._last) != 0
         self._last = int(steps[-1])
-        moving = samples.select(new & np.any(np.abs(samples.velocity) > STILL, axis=1))
+        moving = samples.select(is_first & np.any(np.abs(samples.velocity) > STILL, axis=1))
         if len(moving):
             self._kept.append(moving)
             self._count += len(moving)
@@ -128,5 +128,5 @@ class Stretch:
 
     @property
     def samples(self) -> Samples | None:
-        """All that are kept; None if there are none."""
+        """All kept samples; None if there are none."""
         return Samples.concatenate(list(self._kept)) if self._kept else None

@@ -1,8 +1,7 @@
-"""Whether a base that moves is as declared: what its legs carry, where its IMU is, and whether its gyroscope turns as
-the legs say.
+"""Checks of a moving base: weight on its legs, place of its IMU, agreement of its gyroscope with the legs.
 
-Feet that all stand tell how the base turns, by the encoders alone: the points where they touch do not move. No mass and
-no effort is asked, so that nothing of what is identified can hide what is wrong.
+Feet on the ground determine how the base rotates, from the encoders alone: their contact points do not move. No mass
+and no effort is used, so that nothing that is identified can hide a fault.
 """
 
 from __future__ import annotations
@@ -25,18 +24,18 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.signals.moving_base import LIFTED
 from geomid_ros.types import BoolArray, FloatArray
 
-_USUAL = 0.5, 3.0  # shares of the URDF's weight: it may lack a payload
+_USUAL = 0.5, 3.0  # plausible multiples of the URDF's weight, which may lack a payload
 _TURNED = 1.0  # [deg]
 _DISPLACED = 0.03  # [m]
 
 
 def unnamed_feet(robot: Robot, legs: Legs, samples: Samples) -> tuple[Finding, ...]:
-    """That limbs which no contact names carry the robot, too, if so; ``samples`` are any of a recording."""
+    """Report limbs without a named contact that seem to support the robot, too; ``samples`` are any of a recording."""
     bearing = {}
     for tip in _unnamed_tips(robot, legs):
         shares = Legs(robot, [Contact(tip)]).carried(samples)
-        if np.any(known := np.isfinite(shares)):
-            bearing[tip] = float(np.mean(shares[known]))
+        if np.any(finite := np.isfinite(shares)):
+            bearing[tip] = float(np.mean(shares[finite]))
     named = [f"{100.0 * share:.0f} % at '{tip}'" for tip, share in bearing.items() if share > LIFTED]
     if not named:
         return ()
@@ -48,8 +47,7 @@ def unnamed_feet(robot: Robot, legs: Legs, samples: Samples) -> tuple[Finding, .
 
 
 def _unnamed_tips(robot: Robot, legs: Legs) -> list[str]:
-    """The ends of other limbs of three joints or more: of the links that carry none, the farthest from the last
-    joint."""
+    """Ends of other limbs of three joints or more: of the links without children, the farthest from the last joint."""
     named, tips = {robot.joint_names[joint] for joints in legs.joints for joint in joints}, dict[str, str]()
     for link in robot.tree.links:
         moving = [joint.name for joint in robot.tree.joints_above(link) if joint.name in robot.joint_names]
@@ -61,25 +59,25 @@ def _unnamed_tips(robot: Robot, legs: Legs) -> list[str]:
 
 
 def _reach(robot: Robot, link: str) -> float:
-    """How far a link is from the joint that moves it [m]."""
+    """Distance of a link from the joint that moves it [m]."""
     moved = next(joint.child for joint in robot.tree.joints_above(link) if joint.name in robot.joint_names)
     return float(np.linalg.norm(robot.fixed_placement(link, moved)[:3, 3]))
 
 
 def never_lifted(model: MeasurementModel, estimate: Estimate) -> list[str]:
-    """That legs stand in all that was fitted, in a sentence, if so: their own efforts then tell nothing."""
+    """Sentence if legs stood in all fitted data, so that their efforts are not informative; else empty."""
     if model.legs is None:
         return []
     names = model.robot.joint_names
-    still = [
+    standing = [
         contact.frame
         for contact, joints in zip(model.legs.contacts, model.legs.joints, strict=True)
         if not np.any(np.isfinite([estimate.rms[estimate.channels.index(names[joint])] for joint in joints]))
     ]
-    if not still:
+    if not standing:
         return []
     sentence = (
-        f"{', '.join(still)} never left the ground in what was fitted: of these legs only what the base feels is "
+        f"{', '.join(standing)} never left the ground in what was fitted: of these legs only what the base feels is "
         "identified. Lift each leg and move it in the air for two seconds or more; if it was, that was held out "
         "(--hold-out 0 fits it, too)"
     )
@@ -87,7 +85,7 @@ def never_lifted(model: MeasurementModel, estimate: Estimate) -> list[str]:
 
 
 def carried_weight(legs: Legs, samples: Samples) -> tuple[Finding, ...]:
-    """That by the efforts of the legs the feet do not carry the robot, if so; ``samples`` are any of a recording."""
+    """Report if by the efforts of the legs the feet do not support the robot; ``samples`` are any of a recording."""
     shares = legs.carried(samples)
     shares = shares[np.isfinite(shares)]
     share = float(np.mean(shares)) if len(shares) else 1.0
@@ -102,7 +100,7 @@ def carried_weight(legs: Legs, samples: Samples) -> tuple[Finding, ...]:
 
 
 def turned_imu(model: MeasurementModel, estimate: Estimate) -> list[str]:
-    """That the IMU is turned or biased, in a sentence, if it is so by more than a degree."""
+    """Sentence if the IMU is rotated or biased by more than a degree; else empty."""
     offsets = [effect for effect in estimate.effects if effect_class(effect.name).place == "base"]
     force = math.hypot(*(offset.value for offset in offsets))
     std = math.hypot(*(offset.std for offset in offsets))
@@ -118,28 +116,28 @@ def turned_imu(model: MeasurementModel, estimate: Estimate) -> list[str]:
 
 
 def displaced_imu(model: MeasurementModel, batches: Sequence[Samples], parameters: FloatArray) -> tuple[Finding, ...]:
-    """That the IMU is elsewhere than the URDF says, if both halves of the samples show it.
+    """Report if the IMU is not at its place in the URDF, and both halves of the samples show it.
 
-    An error d of its place leaves ``-m (alpha x d + omega x (omega x d))`` of the force on the base. A centre of mass
-    that is off would leave the same, but that is known from the moments.
+    A position error d leaves ``-m (alpha x d + omega x (omega x d))`` of the force on the base. A wrong centre of mass
+    would leave the same, but that is known from the moments.
 
     Args:
         model: of a robot.
-        batches: what is judged on.
+        batches: samples to evaluate on.
         parameters: the estimate's ``(D,)``.
     """
     if not model.layout.base or not batches:
         return ()
     samples = Samples.concatenate(list(batches))
     measured, predicted = model.predict(samples, parameters)
-    left = (measured - predicted)[:, model.layout.base[:3]]
-    known = np.flatnonzero(np.isfinite(left).all(axis=1))
-    turning, tilting = (_crossing(rates[known, 3:]) for rates in (samples.base_velocity, samples.base_acceleration))
+    residual = (measured - predicted)[:, model.layout.base[:3]]
+    finite = np.flatnonzero(np.isfinite(residual).all(axis=1))
+    turning, tilting = (_crossing(rates[finite, 3:]) for rates in (samples.base_velocity, samples.base_acceleration))
     levers = -_mass(model, parameters) * (tilting + turning @ turning)
-    halves = np.array_split(known, 2), np.array_split(levers, 2)
+    halves = np.array_split(finite, 2), np.array_split(levers, 2)
     places = [
-        np.linalg.lstsq(half.reshape(-1, 3), left[own].ravel(), rcond=None)[0]
-        for own, half in zip(*halves, strict=True)
+        np.linalg.lstsq(half.reshape(-1, 3), residual[rows].ravel(), rcond=None)[0]
+        for rows, half in zip(*halves, strict=True)
     ]
     place = 0.5 * (places[0] + places[1])
     distance = float(np.linalg.norm(place))
@@ -155,29 +153,29 @@ def displaced_imu(model: MeasurementModel, batches: Sequence[Samples], parameter
 
 
 def _mass(model: MeasurementModel, parameters: FloatArray) -> float:
-    """The robot's mass [kg] by an estimate."""
+    """Mass of the robot [kg] from an estimate."""
     nominal = model.nominal_inertias[::10]
     described = model.robot.weight / float(np.linalg.norm(model.robot.gravity))
     return described + float(np.sum(parameters[: 10 * len(nominal) : 10] - nominal))
 
 
 def _crossing(vectors: FloatArray) -> FloatArray:
-    """The matrices ``(N, 3, 3)`` of cross products with ``vectors (N, 3)``."""
+    """Matrices ``(N, 3, 3)`` of cross products with ``vectors (N, 3)``."""
     return np.asarray(np.cross(vectors[:, None, :], np.eye(3)).transpose(0, 2, 1))
 
 
 _SHIFTS = STEP * np.arange(-10, 11)  # [ns]
-_TURNED_BY_LEGS = np.radians(10.0)  # the encoders' zeros, and feet that roll, make a few degrees
+_TURNED_BY_LEGS = np.radians(10.0)  # encoder zeros, and rolling feet, cause a few degrees
 
 
 @dataclass(frozen=True, eq=False)
 class _Turning:
-    """How a gyroscope compares with the legs.
+    """Comparison of a gyroscope with the legs.
 
     Attributes:
-        late: by how much its stamps are late [s].
-        angle: that it is turned by [rad].
-        before, after: shares of the legs' turning that it leaves as it is, and with all of this undone.
+        late: delay of its stamps [s].
+        angle: of its rotation against its frame [rad].
+        before, after: fraction of the legs' squared angular velocity that it leaves, as it is, and corrected.
     """
 
     late: float
@@ -187,22 +185,22 @@ class _Turning:
 
 
 def gyroscope(legs: Legs, stretch: Samples) -> tuple[Finding, ...]:
-    """What is wrong with the gyroscope of a base, if both halves of a ``stretch`` on all feet show the same."""
+    """Report a fault of the base's gyroscope, if both halves of a ``stretch`` on all feet show it."""
     measured, seconds = stretch.base_velocity[:, 3:], stretch.seconds
     turning = legs.turning(stretch)
-    known = np.flatnonzero(_interior(stretch) & np.isfinite(turning).all(axis=1))
-    if len(known) < 2 * FEWEST:
+    usable = np.flatnonzero(_interior(stretch) & np.isfinite(turning).all(axis=1))
+    if len(usable) < 2 * FEWEST:
         return ()
     moved = np.array(
-        [[np.interp(seconds[known] + 1e-9 * shift, seconds, axis) for axis in measured.T] for shift in _SHIFTS]
+        [[np.interp(seconds[usable] + 1e-9 * shift, seconds, axis) for axis in measured.T] for shift in _SHIFTS]
     ).transpose(0, 2, 1)
-    parts = [(turning[known[half]], moved[:, half]) for half in np.array_split(np.arange(len(known)), 2)]
+    parts = [(turning[usable[half]], moved[:, half]) for half in np.array_split(np.arange(len(usable)), 2)]
     if not all(np.any(by_legs) and np.all(np.any(shifted, axis=(1, 2))) for by_legs, shifted in parts):
-        return ()  # only what both say that the base turns can be compared
+        return ()  # they can be compared only where both measure a rotation
     halves = [_compared(*part) for part in parts]
-    if any(each.after > HALF * min(each.before, HALF) for each in halves):
+    if any(half_turning.after > HALF * min(half_turning.before, HALF) for half_turning in halves):
         return ()
-    late, angle = (np.array([getattr(each, name) for each in halves]) for name in ("late", "angle"))
+    late, angle = (np.array([getattr(half_turning, name) for half_turning in halves]) for name in ("late", "angle"))
     off = 1e9 * abs(float(np.mean(late)))
     if off > STEP and np.ptp(late) < HALF * abs(np.mean(late)):
         word = ("late" if np.mean(late) > 0.0 else "early") + (" or more" if off > _SHIFTS[-2] else "")
@@ -215,20 +213,20 @@ def gyroscope(legs: Legs, stretch: Samples) -> tuple[Finding, ...]:
     return ()
 
 
-def _finding(what: str) -> Finding:
-    sentence = f"the IMU does not turn as the base does by legs that all stand: {what}"
+def _finding(fault: str) -> Finding:
+    sentence = f"the IMU does not turn as the base does by legs that all stand: {fault}"
     return Finding(cause=Cause(kind="imu", sentence=sentence))
 
 
 def on_all_feet(legs: Legs, samples: Samples) -> Samples:
-    """The instants around which all feet bear half of an equal share or more, as far as is known."""
+    """Select the samples around which all feet support half of an equal share or more, as far as is known."""
     bearing = np.all(samples.standing, axis=1)
     bearing[bearing] = np.all(legs.loads(samples.select(bearing)) > HALF, axis=1)
     return samples.select(_around(samples, bearing))
 
 
 def _around(samples: Samples, true: BoolArray) -> BoolArray:
-    """Whether all around each instant, within all shifts, are ``true (N,)``."""
+    """True if all samples within all shifts of each one are ``true (N,)``."""
     first = np.searchsorted(samples.stamps, samples.stamps + _SHIFTS[0], side="left")
     last = np.searchsorted(samples.stamps, samples.stamps + _SHIFTS[-1], side="right")
     count = np.append(0, np.cumsum(~true))
@@ -236,7 +234,7 @@ def _around(samples: Samples, true: BoolArray) -> BoolArray:
 
 
 def _interior(stretch: Samples) -> BoolArray:
-    """The instants ``(N,)`` around which nothing is missing for any shift."""
+    """True for the samples ``(N,)`` around which nothing is missing for any shift."""
     stamps = stretch.stamps
     runs = np.append(0, np.cumsum(np.diff(stamps) > 2 * STEP))
     ends = [np.clip(np.searchsorted(stamps, stamps + shift), 0, len(stamps) - 1) for shift in _SHIFTS[[0, -1]]]
@@ -245,25 +243,25 @@ def _interior(stretch: Samples) -> BoolArray:
 
 
 def _compared(turning: FloatArray, moved: FloatArray) -> _Turning:
-    """By what the legs say ``(N, 3)``, and what the gyroscope does at each shift ``(shifts, N, 3)``."""
-    whole = float(np.sum(turning**2))
-    turned = [_turned(turning, each) for each in moved]
-    left = np.array(
-        [np.sum((turning - size * each @ axes.T) ** 2) for (axes, size), each in zip(turned, moved, strict=True)]
+    """Compare the angular velocity from the legs ``(N, 3)`` with the gyroscope's at each shift ``(shifts, N, 3)``."""
+    square = float(np.sum(turning**2))
+    turned = [_turned(turning, shifted) for shifted in moved]
+    residuals = np.array(
+        [np.sum((turning - size * shifted @ axes.T) ** 2) for (axes, size), shifted in zip(turned, moved, strict=True)]
     )
-    best = int(np.argmin(left))
+    best = int(np.argmin(residuals))
     axes, _ = turned[best]
     late = float(_SHIFTS[best])
-    if 0 < best < len(left) - 1:
-        before, own, after = left[best - 1 : best + 2]
-        late += STEP * 0.5 * (before - after) / (before - 2.0 * own + after)
+    if 0 < best < len(residuals) - 1:
+        before, middle, after = residuals[best - 1 : best + 2]
+        late += STEP * 0.5 * (before - after) / (before - 2.0 * middle + after)
     angle = float(np.arccos(np.clip(0.5 * (np.trace(axes) - 1.0), -1.0, 1.0)))
     as_it_is = float(np.sum((turning - moved[len(moved) // 2]) ** 2))
-    return _Turning(1e-9 * late, angle, as_it_is / whole, float(left[best]) / whole)
+    return _Turning(1e-9 * late, angle, as_it_is / square, float(residuals[best]) / square)
 
 
 def _turned(turning: FloatArray, measured: FloatArray) -> tuple[FloatArray, float]:
-    """The rotation ``(3, 3)`` and the factor that make one of the other (Kabsch 1976; Umeyama 1991)."""
+    """Rotation ``(3, 3)`` and factor from ``measured`` to ``turning`` (Kabsch 1976; Umeyama 1991)."""
     left, sizes, right = np.linalg.svd(turning.T @ measured)
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
     return np.asarray(left * signs @ right), float(sizes @ signs / np.sum(measured**2))

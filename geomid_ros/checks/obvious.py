@@ -1,5 +1,5 @@
-"""What is wrong by itself, with no hypotheses to compare: descriptions that can be no robot's, channels that repeat one
-value for a while, and efforts of other gains than those that are given."""
+"""Faults that need no comparison of hypotheses: impossible descriptions, channels that repeat one value for a while,
+and efforts of other gains than the given ones."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from geomid_ros.model.robot import STANDARD_GRAVITY
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import BoolArray, FloatArray
 
-_SAME = 1e-6  # of a range: what changes less stays exactly the same
-_FEWEST = 5  # instants in a row, and half of those at the ends of a stretch that a filter smears
+_SAME = 1e-6  # fraction of a range: smaller changes are none
+_FEWEST = 5  # samples in a row; a filter smears twice as many at each end of a stretch
 
 
 def impossible_description(subject: Subject) -> Cause | None:
-    """What is wrong with the URDF, whatever was measured: lengths, centres of mass and radii of gyration that are not
-    of one robot, masses that joints of such limits could not carry, or that no steel could have."""
+    """Find what is wrong with the URDF, whatever was measured: lengths, centres of mass and radii of gyration that do
+    not fit one robot, masses that joints with such limits could not support, or bodies denser than steel."""
     robot = subject.robot
     bodies = np.array([body.parameters for body in robot.bodies])
     distances = np.linalg.norm(bodies[:, 1:4], axis=1) / bodies[:, 0]
     radii = np.sqrt([0.5 * np.trace(pseudo_inertia.central_inertia(body)) / body[0] for body in bodies])
     length, total = _length(subject), float(np.sum(bodies[:, 0]))
-    whole = f"though all links together are {length:.3g} m long"
-    weighs = f"the links weigh {total:.3g} kg in total, and "
+    extent_text = f"though all links together are {length:.3g} m long"
+    total_mass = f"the links weigh {total:.3g} kg in total, and "
     if np.median(_denser_than_steel(bodies)) > 0.0:
-        return _lengths([], f"{weighs}most of its links would be denser than steel", "the masses", "grams", "kg")
+        return _lengths([], f"{total_mass}most of its links would be denser than steel", "the masses", "grams", "kg")
     for sizes, what, quantity, unit, right in (
         (distances, "the centre of mass of link '{}' is {:.3g} m from its frame", "centres of mass", "mm", "m"),
         (radii, "the moments of inertia of link '{}' are those of mass {:.3g} m away from its centre",
@@ -45,34 +45,34 @@ def impossible_description(subject: Subject) -> Cause | None:
     ):  # fmt: skip
         most = int(np.argmax(sizes))
         if 0.0 < REASON**2 * length < sizes[most]:
-            said = f"{what.format(robot.body_names[most], sizes[most])}, {whole}"
-            return _lengths([robot.body_names[most]], said, quantity, unit, right)
+            text = f"{what.format(robot.body_names[most], sizes[most])}, {extent_text}"
+            return _lengths([robot.body_names[most]], text, quantity, unit, right)
     if length > REASON**2 * float(np.sum(radii)) > 0.0:
-        said = f"all links together are {length:.3g} m long, though their mass is within {np.max(radii):.3g} m"
-        return _lengths([], said, "the origins of joints", "mm", "m")
+        text = f"all links together are {length:.3g} m long, though their mass is within {np.max(radii):.3g} m"
+        return _lengths([], text, "the origins of joints", "mm", "m")
     with np.errstate(divide="ignore"):
         excess = _weights(subject) / robot.effort_limits
     joint = int(np.argmax(excess))
     if excess[joint] > REASON**2:
-        said = f"{weighs}joint '{robot.joint_names[joint]}' would carry {excess[joint]:.0f} times its limit"
-        return _lengths([], said, "the masses", "grams", "kg")
+        text = f"{total_mass}joint '{robot.joint_names[joint]}' would carry {excess[joint]:.0f} times its limit"
+        return _lengths([], text, "the masses", "grams", "kg")
     return None
 
 
-def _lengths(links: list[str], what: str, quantity: str, unit: str, right: str) -> Cause:
-    return Cause.of("description", links, said="lengths", what=what, quantity=quantity, unit=unit, right=right)
+def _lengths(links: list[str], problem: str, quantity: str, unit: str, right: str) -> Cause:
+    return Cause.of("description", links, said="lengths", what=problem, quantity=quantity, unit=unit, right=right)
 
 
 def _length(subject: Subject) -> float:
-    """The sum of all distances from a joint to the next, where all positions are zero."""
+    """Sum of all distances from a joint to the next, at zero positions."""
     robot, first = subject.robot, subject.samples.select(slice(1))
     frames = robot.link_frames(replace(first, position=np.zeros_like(first.position)))
     return float(sum(np.linalg.norm(frames[j.child][1] - frames[j.parent][1]) for j in robot.tree.joints))
 
 
 def _weights(subject: Subject) -> FloatArray:
-    """The largest efforts of the URDF's links at rest where the robot was, within its limits, whatever gravity is said
-    to be ``(joints,)``."""
+    """Largest static efforts of the URDF's links at the recorded positions, within limits ``(joints,)``. Gravity above
+    the standard one is reduced to it."""
     samples, gravity, weights = subject.samples, subject.robot.gravity, np.zeros(len(subject.robot.joints))
     within = replace(samples, position=np.clip(samples.position, *subject.robot.position_limits.T))
     on_earth = STANDARD_GRAVITY / max(float(np.linalg.norm(gravity)), STANDARD_GRAVITY)
@@ -81,15 +81,15 @@ def _weights(subject: Subject) -> FloatArray:
 
 
 def _denser_than_steel(bodies: FloatArray) -> BoolArray:
-    """Whether bodies ``(B, 10)`` are smaller than steel balls of their masses."""
-    traces = [np.trace(pseudo_inertia.central_inertia(body)) for body in bodies]  # twice that of the second moments
+    """True for bodies ``(B, 10)`` that are smaller than steel balls of their masses."""
+    traces = [np.trace(pseudo_inertia.central_inertia(body)) for body in bodies]  # twice that of second moments
     least = [6.0 * body[0] * pseudo_inertia.least_gyration(body[0]) ** 2 for body in bodies]
     return np.asarray(np.array(traces) < np.array(least))
 
 
 def held_efforts(subject: Subject) -> list[Cause]:
-    """The efforts that stay the same for a while in which gravity and motion ask for others."""
-    found, rigid, stamps = [], subject.flexible.rigid, subject.samples.stamps
+    """Find efforts that stay the same for a while in which gravity and motion require changes."""
+    causes, rigid, stamps = [], subject.flexible.rigid, subject.samples.stamps
     for channel, effort in enumerate(subject.measured.T):
         changes = np.abs(np.diff(rigid[:, channel]))
         same = np.abs(np.diff(effort)) <= _SAME * np.ptp(effort)
@@ -98,29 +98,28 @@ def held_efforts(subject: Subject) -> list[Cause]:
         least = max(float(np.std(effort)), _step(effort[begins]))
         for begin, end in zip(begins, ends, strict=True):
             others = np.delete(same & (changes > LEAST_SIGMA * np.std(effort)), np.arange(begin, end))
-            asked = float(np.ptp(rigid[begin : end + 1, channel]))
-            if end - begin >= _FEWEST and np.mean(others) < LEAST_SIGMA and asked > least:
+            required = float(np.ptp(rigid[begin : end + 1, channel]))
+            if end - begin >= _FEWEST and np.mean(others) < LEAST_SIGMA and required > least:
                 times = {name: (stamps[at] - stamps[0]) * 1e-9 for name, at in (("begin", begin), ("end", end))}
-                found.append(Cause.of("constant", [subject.names[channel]], said="held", asked=asked, **times))
+                causes.append(Cause.of("constant", [subject.names[channel]], said="held", asked=required, **times))
                 break
-    return found
+    return causes
 
 
 def _step(levels: FloatArray) -> float:
-    """The least difference between levels at which a channel stays, if only briefly: the step of one that has steps."""
+    """Least difference between levels at which a channel stays, if only briefly: the step of a quantised channel."""
     gaps = np.diff(np.sort(levels))
     return float(np.min(gaps[gaps > 2.0 * _SAME * np.ptp(levels)], initial=np.inf)) if np.any(gaps > 0.0) else 0.0
 
 
 def frozen_position(subject: Subject) -> Cause | None:
-    """A joint whose position is exactly the same for a while, while others move and efforts are not those of that pose,
+    """Find a joint whose position is exactly the same for a while, while others move and efforts do not fit that pose,
     or it stops and goes on as no effort makes it.
 
-    Links and friction are fitted to all instants: where they explain these as well as the others nothing is frozen,
-    wherever the robot was meanwhile. Where a joint really stands still, its brake holds it without any effort, or its
-    effort is off by no more friction than it has elsewhere. Where it does so several times, others wait for it, too, as
-    from point to point, and rub as they do at rest: its own effort alone counts. A robot that stands still as a whole
-    tells nothing.
+    Links and friction are fitted to all samples: if they explain these as well as the others nothing is frozen,
+    wherever the robot was meanwhile. If a joint really stands still, its brake holds it without any effort, or its
+    effort is off by no more friction than elsewhere. If it stops several times, others wait for it, too, as from point
+    to point, with friction at rest: then its effort alone counts. A robot at rest as a whole is uninformative.
     """
     positions, efforts = subject.samples.position, subject.measured
     for joint, position in enumerate(positions.T):
@@ -131,25 +130,26 @@ def frozen_position(subject: Subject) -> Cause | None:
         if np.count_nonzero(still) >= _FEWEST and 2 * np.count_nonzero(~around) >= FEWEST:
             changes = np.ptp(efforts[still], axis=0) > LEAST_SIGMA * np.ptp(efforts, axis=0)
             once = np.count_nonzero(np.diff(still.astype(np.int8), prepend=0) == 1) == 1
-            own = subject.joints == joint
-            inside, outside = _left(subject, still, around, own)
-            surely = np.sqrt(1.0 + STDS_OF_95 * np.sqrt(2.0))  # of a pose, whose residuals are one number
-            off = (inside > surely * outside) & changes & (once | own)
+            is_joint = subject.joints == joint
+            inside, outside = _residual_rms(subject, still, around, is_joint)
+            significant = np.sqrt(1.0 + STDS_OF_95 * np.sqrt(2.0))  # for one pose, whose residuals are a single number
+            is_off = (inside > significant * outside) & changes & (once | is_joint)
             moving = np.ptp(positions[still], axis=0) > LEAST_SIGMA * np.ptp(positions, axis=0)
-            if np.any(moving) and np.any(off):
+            if np.any(moving) and np.any(is_off):
                 return Cause.of("frozen", [subject.robot.joint_names[joint]], share=np.mean(still))
     return None
 
 
-def _left(subject: Subject, still: BoolArray, around: BoolArray, own: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """The RMS of what links and friction leave of efforts: fitted to all instants, at those at which a joint is
-    ``still`` or ``around`` them, where it is still beyond the largest friction for its ``own (C,)``; and fitted to the
-    others alone, at these ``(C,)``."""
+def _residual_rms(
+    subject: Subject, still: BoolArray, around: BoolArray, is_joint: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """RMS of the efforts' residuals ``(C,)``: of a fit to all samples where a joint is ``still``, or ``around`` that,
+    beyond the largest friction for its effort (``is_joint (C,)``) while still; and of a fit to the others, at these."""
     others = subject.part(~around)
     rubbing = np.max(np.abs(others.rubbed(subject.nominal)), axis=0)
-    allowed = still[:, None] * np.where(own, rubbing, 0.0)
-    left = np.abs(subject.measured - subject.explained(subject.nominal)) / subject.spread
-    beyond = np.maximum(left - allowed, 0.0)
+    allowed = still[:, None] * np.where(is_joint, rubbing, 0.0)
+    residual = np.abs(subject.measured - subject.explained(subject.nominal)) / subject.spread
+    beyond = np.maximum(residual - allowed, 0.0)
     parts = (still, around & subject.is_moving)
     inside, at_ends = (np.sqrt(np.mean(beyond[part] ** 2, axis=0)) for part in parts)
     outside = others.in_units(subject.spread).nominal.sigmas
@@ -157,44 +157,44 @@ def _left(subject: Subject, still: BoolArray, around: BoolArray, own: BoolArray)
 
 
 def wrong_gains(controller: Controller, samples: Samples, joints: Sequence[str]) -> tuple[Finding, ...]:
-    """That the efforts which messages report are those of other gains, if they are those of any.
+    """Report efforts in messages that are those of other gains, if they are those of any.
 
     Args:
         controller: with the gains that efforts were computed with.
         samples: with commands and reported efforts, any of a recording.
         joints: names.
     """
-    found = {}
+    wrong = {}
     for joint, name in enumerate(joints):
         wanted, speed, forward, reported = samples.commands[:, :, joint].T
         errors = np.column_stack([wanted - samples.position[:, joint], speed - samples.velocity[:, joint]])
         given = np.array([controller.kp[joint], controller.kd[joint]])
         effort = reported - forward
-        known = np.isfinite(effort)
-        if np.count_nonzero(known) <= errors.shape[1] or not np.any(effort[known]):
+        finite = np.isfinite(effort)
+        if np.count_nonzero(finite) <= errors.shape[1] or not np.any(effort[finite]):
             continue
-        errors, effort = errors[known], effort[known]
+        errors, effort = errors[finite], effort[finite]
         fitted = np.linalg.lstsq(errors, effort, rcond=None)[0]
-        left = [float(np.linalg.norm(effort - errors @ gains) / np.linalg.norm(effort)) for gains in (given, fitted)]
-        if left[1] < LEAST_SIGMA < left[0]:
-            found[name] = f"{fitted[0]:.3g}:{fitted[1]:.3g} at '{name}', given is {given[0]:g}:{given[1]:g}"
-    if not found:
+        rest = [float(np.linalg.norm(effort - errors @ gains) / np.linalg.norm(effort)) for gains in (given, fitted)]
+        if rest[1] < LEAST_SIGMA < rest[0]:
+            wrong[name] = f"{fitted[0]:.3g}:{fitted[1]:.3g} at '{name}', given is {given[0]:g}:{given[1]:g}"
+    if not wrong:
         return ()
     sentence = (
-        f"the reported efforts are those of other gains: {'; '.join(found.values())}. Correct command.gains (--gains)"
+        f"the reported efforts are those of other gains: {'; '.join(wrong.values())}. Correct command.gains (--gains)"
     )
-    return (Finding(cause=Cause(kind="gains", sentence=sentence, places=tuple(found))),)
+    return (Finding(cause=Cause(kind="gains", sentence=sentence, places=tuple(wrong))),)
 
 
 def encoder_zeros(controller: Controller, effects: Sequence[EffectEstimate], joints: Sequence[str]) -> list[str]:
-    """The zeros of encoders by which set-points and measured positions seem to differ, in a sentence, where offsets of
-    efforts are identified: the offset over kp."""
+    """Sentence with the apparent encoder zeros between set-points and positions: identified effort offsets over kp."""
     stiffness = dict(zip(joints, controller.kp.tolist(), strict=True))
-    told = [
-        f"{1e3 * offset / stiffness[own.joint]:+.1f} mrad (mm) at '{own.joint}'"
-        for own in effects
-        if (offset := effect_class(own.name).effort_shift({own.parameter: own.value})) and is_told(offset, own.std)
+    significant = [
+        f"{1e3 * offset / stiffness[effect.joint]:+.1f} mrad (mm) at '{effect.joint}'"
+        for effect in effects
+        if (offset := effect_class(effect.name).effort_shift({effect.parameter: effect.value}))
+        and is_told(offset, effect.std)
     ]
-    if not told:
+    if not significant:
         return []
-    return [f"offsets of efforts are as large as those of encoders whose zeros are off by {', '.join(told)}"]
+    return [f"offsets of efforts are as large as those of encoders whose zeros are off by {', '.join(significant)}"]

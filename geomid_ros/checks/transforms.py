@@ -1,8 +1,8 @@
-"""Transforms of recordings that may have happened throughout: a table of candidates for what is wrong.
+"""Transforms of a whole recording: a table of candidates for what is wrong.
 
 Each row yields candidates that undo one kind of transform, of the efforts (see :mod:`~geomid_ros.checks.efforts`) or of
-the motion: unit, names, zeros, axes and time. Of each row those are judged whose mended efforts resemble most, at a few
-instants, what the URDF predicts: the number of fits does not grow with that of joints.
+the motion: unit, names, zeros, axes and time. In each row only those are evaluated whose corrected efforts resemble the
+URDF's prediction most, at a few samples: the number of fits does not grow with that of joints.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ UNITS = {
     "N": {"mm": 1e-3},
 }
 """Units of positions, in rad and m, of joints with efforts in N m and N."""
-_BEST = 3  # of a row, that are judged
+_BEST = 3  # evaluated candidates per row
 TIMES = (0.5, 2.0, 1e-3, 1e3)
-"""Factors of time: seconds that are counted as halves, twice, as milliseconds or as thousands."""
+"""Factors on time: seconds that are counted as halves, twice, as milliseconds or as thousands."""
 
 
 def _names(subject: Subject) -> Iterator[Candidate]:
-    """Positions and efforts of one joint are those of another."""
+    """Yield candidates for swapped names: positions and efforts of one joint are those of another."""
     for pairs in exchanges(subject.names):
         sources = np.arange(len(subject.joints))
         for first, second in pairs:
@@ -45,8 +45,8 @@ def _names(subject: Subject) -> Iterator[Candidate]:
         order = np.arange(len(subject.robot.joints))
         order[subject.joints] = subject.joints[sources]
         both = [(subject.names[first], subject.names[second]) for first, second in pairs]
-        said = ", ".join(f"'{first}' and '{second}'" for first, second in both)
-        cause = Cause.of("names", [name for end in zip(*both, strict=True) for name in end], pairs=said)
+        described = ", ".join(f"'{first}' and '{second}'" for first, second in both)
+        cause = Cause.of("names", [name for end in zip(*both, strict=True) for name in end], pairs=described)
 
         def read(samples: Samples, order: IntArray = order) -> Samples:
             return samples.with_joints(order)
@@ -55,8 +55,8 @@ def _names(subject: Subject) -> Iterator[Candidate]:
 
 
 def positions(subject: Subject) -> Iterator[Candidate]:
-    """Positions and speeds of all joints that turn, or of one joint, are in another unit: in a smaller one only where
-    they are beyond limits, or a turn."""
+    """Yield candidates for another unit of positions and speeds, of all rotary joints or of one joint. A smaller unit
+    is tried only if positions exceed limits, or a turn."""
     robot = subject.robot
     turning = np.array([joint.unit != "N" for joint in robot.joints])
     low, high = robot.position_limits.T
@@ -70,16 +70,16 @@ def positions(subject: Subject) -> Iterator[Candidate]:
             if size > 1.0 or largest[joint] > allowed[joint]:
                 scales = np.ones(len(turning))
                 scales[joint] = size
-                said = f"the positions of joint '{robot.joint_names[joint]}' are"
+                text = f"the positions of joint '{robot.joint_names[joint]}' are"
                 beyond = largest[joint] > REASON * allowed[joint] and np.sum(largest > REASON * allowed) == 1
-                yield _in_unit(subject, scales, unit, said, joint, settled=bool(beyond))
+                yield _in_unit(subject, scales, unit, text, joint, settled=bool(beyond))
 
 
 def _in_unit(
     subject: Subject,
     scales: FloatArray,
     unit: str,
-    said: str,
+    positions_text: str,
     joint: int | None = None,
     *,
     settled: bool = False,
@@ -87,7 +87,7 @@ def _in_unit(
     robot = subject.robot
     names = subject.names if joint is None else [robot.joint_names[joint]]
     right = "m and m/s" if unit in UNITS["N"] else "rad and rad/s"
-    cause = Cause.of("position", names, positions=said, unit=unit, right=right)
+    cause = Cause.of("position", names, positions=positions_text, unit=unit, right=right)
     return _of_motion(lambda samples: _moved(samples, np.diag(scales)), cause, settled=settled)
 
 
@@ -99,7 +99,7 @@ def _of_motion(
     sources: IntArray | EllipsisType = ...,
     settled: bool = False,
 ) -> Candidate:
-    """The recording with its samples changed is that of this robot."""
+    """Candidate whose changed samples are those of this robot."""
 
     return Candidate(
         read=lambda subject: subject.with_samples(change(subject.samples)),
@@ -111,11 +111,10 @@ def _of_motion(
 
 
 def _moved(samples: Samples, matrix: FloatArray, zero: FloatArray | float = 0.0, rate: float = 1.0) -> Samples:
-    """Positions times a ``matrix (joints, joints)``, from another ``zero (joints,)``, by a clock ``rate`` times as
-    fast."""
+    """Apply a ``matrix (joints, joints)`` and a ``zero (joints,)`` to positions, and a clock ``rate`` times as fast."""
     velocity, effects = rate * samples.velocity @ matrix.T, samples.effects.copy()
     alone = np.count_nonzero(matrix, axis=1) == 1
-    for column in (own for own in (SIGN, SMOOTH_SIGN) if own in samples.entries):
+    for column in (candidate for candidate in (SIGN, SMOOTH_SIGN) if candidate in samples.entries):
         signs = [samples.entries.at(column, joint) for joint in range(len(matrix))]
         effects[:, signs] = np.where(alone, np.sign(np.diag(matrix)) * effects[:, signs], np.sign(velocity))
     return replace(
@@ -128,12 +127,12 @@ def _moved(samples: Samples, matrix: FloatArray, zero: FloatArray | float = 0.0,
 
 
 def _times(subject: Subject) -> Iterator[Candidate]:
-    """Stamps run too fast or too slow, or someone else moves the robot: where inertia does not fit gravity, and there
-    is gravity in the efforts."""
+    """Yield candidates for stamps that are too fast or too slow, or a robot that is moved by someone else: inertia does
+    not fit gravity in the efforts."""
     yield _at_rate(subject, 0.0, Cause.of("guided", subject.names))
     for rate in TIMES:
-        said = f"{1.0 / rate:g} times as slow" if rate < 1.0 else f"{rate:g} times as fast"
-        yield _at_rate(subject, rate, Cause.of("time", subject.names, rate=said, period=f"{1.0 / rate:g} times"))
+        speed = f"{1.0 / rate:g} times as slow" if rate < 1.0 else f"{rate:g} times as fast"
+        yield _at_rate(subject, rate, Cause.of("time", subject.names, rate=speed, period=f"{1.0 / rate:g} times"))
 
 
 def _at_rate(subject: Subject, rate: float, cause: Cause) -> Candidate:
@@ -148,18 +147,18 @@ def _at_rate(subject: Subject, rate: float, cause: Cause) -> Candidate:
 
 
 def _zeros(subject: Subject) -> Iterator[Candidate]:
-    """A joint that turns counts from another zero: each from where efforts resemble those predicted most."""
+    """Yield candidates for another zero of a rotary joint, fitted from where efforts resemble the prediction most."""
     for joint in _turning(subject):
         yield _zero(subject, joint, 1.0, _best_start(subject.few, joint, 1.0))
 
 
 def _axes(subject: Subject) -> Iterator[Candidate]:
-    """A joint counts the other way round, from any zero, or the angle of a parallel joint, too."""
+    """Yield candidates for a joint that counts in the opposite direction, or includes the angle of a parallel joint."""
     robot = subject.robot
     turning = _turning(subject)
     for joint in range(len(robot.joints)):
         yield _zero(subject, joint, -1.0, _best_start(subject.few, joint, -1.0) if joint in turning else 0.0)
-        yield _half_axis(subject, joint)
+        yield _reversed_motion(subject, joint)
         for other in robot.parallel_joints(joint) if joint in turning else ():
             yield from (_absolute(subject, joint, other, share) for share in (1.0, -1.0) if other in turning)
 
@@ -169,14 +168,13 @@ def _turning(subject: Subject) -> list[int]:
 
 
 def _best_start(few: Subject, joint: int, sign: float) -> float:
-    """The zero [rad], of quarters of a turn and of what is near the configured one, from which efforts resemble those
-    predicted most."""
+    """Zero [rad] at which efforts resemble the prediction most: a quarter turn, or near the configured zero."""
     near = 0.5 * TILT
     starts = np.array([0.0, near, -near, 0.5 * np.pi, -0.5 * np.pi, np.pi])
-    counted = few.with_samples(_recounted(few.samples, joint, sign, 0.0))
+    counted = few.with_samples(_with_zero(few.samples, joint, sign, 0.0))
     at = np.arange(counted.samples.position.shape[1]) == joint
     read = [counted.at(counted.samples.position + start * at) for start in starts]
-    return float(starts[int(np.argmax([each.resemblance for each in read]))])
+    return float(starts[int(np.argmax([subject.resemblance for subject in read]))])
 
 
 def _absolute(subject: Subject, joint: int, other: int, share: float) -> Candidate:
@@ -187,70 +185,70 @@ def _absolute(subject: Subject, joint: int, other: int, share: float) -> Candida
     return _of_motion(lambda samples: _moved(samples, matrix), cause)
 
 
-def _half_axis(subject: Subject, joint: int) -> Candidate:
-    """Position and speed of a joint have the opposite sign, its effort has not."""
+def _reversed_motion(subject: Subject, joint: int) -> Candidate:
+    """Candidate for a joint whose position and speed have the opposite sign, but not its effort."""
     cause = Cause.of("axis", [subject.robot.joint_names[joint]], reversed="position and velocity", zero="")
     signs = np.where(np.arange(len(subject.robot.joints)) == joint, -1.0, 1.0)
     return _of_motion(lambda samples: _moved(samples, np.diag(signs)), cause)
 
 
 def _zero(subject: Subject, joint: int, sign: float, start: float) -> Candidate:
-    """A joint counts from another zero, which is fitted near ``start`` [rad], and the other way round if ``sign`` is
-    below zero.
+    """Candidate for a joint that counts from another zero, fitted near ``start`` [rad], and in the opposite direction
+    if ``sign`` is negative.
 
-    A wrong zero is an unknown among others, ``tau(q + c) = tau(q) + dtau/dq c``: its evidence is found by the
-    linearisation at the links that fit, and this is repeated from where it leads.
+    A wrong zero is one more unknown, ``tau(q + c) = tau(q) + dtau/dq c``: its evidence comes from the linearisation at
+    the fitted links, repeated at its result.
     """
     name = subject.robot.joint_names[joint]
 
     def read(subject: Subject, zero: float = start) -> Subject:
-        return subject.with_samples(_recounted(subject.samples, joint, sign, zero))
+        return subject.with_samples(_with_zero(subject.samples, joint, sign, zero))
 
     def undo(subject: Subject) -> Judged:
         zero, mended = start, read(subject)
-        found = mended.nominal
+        fitted = mended.nominal
         for _ in range(ROUNDS):
-            links = mended.links(found)
+            links = mended.links(fitted)
             ahead, behind = (read(subject, zero + step) for step in (STEP, -STEP))
             rate = (ahead.regressor - behind.regressor) @ links * (0.5 * TILT / STEP)
             mended = read(subject, zero)
             mended.__dict__["predicted"] = mended.predicted + (start - zero) / TILT * rate
-            found = mended.evidence(unknown=rate[:, :, None])
-            zero = start + TILT * float(found.links[-1])
-        deviations = TILT * found.deviations()[-1:]
-        return Judged.mended(mended, subject.spread, found, estimates=np.array([zero]), deviations=deviations)
+            fitted = mended.evidence(unknown=rate[:, :, None])
+            zero = start + TILT * float(fitted.links[-1])
+        deviations = TILT * fitted.deviations()[-1:]
+        return Judged.mended(mended, subject.spread, fitted, estimates=np.array([zero]), deviations=deviations)
 
     def cause(judged: Judged) -> Cause:
         zero, deviation = np.degrees([judged.estimates[0], judged.deviations[0]])
         turn = (zero + 180.0) % 360.0 - 180.0
-        said = f"about {turn:.0f} (+-{max(2.0 * deviation, 1.0):.0f}) degrees have"
+        text = f"about {turn:.0f} (+-{max(2.0 * deviation, 1.0):.0f}) degrees have"
         if sign > 0.0:
-            return Cause.of("zero", [name], zero=said)
-        beside = "" if abs(turn) < 5.0 else f", and {said} to be added to its positions then"
-        return Cause.of("axis", [name], reversed="position, velocity and effort", zero=beside)
+            return Cause.of("zero", [name], zero=text)
+        addition = "" if abs(turn) < 5.0 else f", and {text} to be added to its positions then"
+        return Cause.of("axis", [name], reversed="position, velocity and effort", zero=addition)
 
     return Candidate(undo=undo, read=read, cause=cause)
 
 
-def _recounted(samples: Samples, joint: int, sign: float, zero: float) -> Samples:
-    """Samples of which a joint counts from another zero [rad], the other way round if ``sign`` is below zero."""
+def _with_zero(samples: Samples, joint: int, sign: float, zero: float) -> Samples:
+    """Samples in which a joint counts from another zero [rad], in the opposite direction if ``sign`` is negative."""
     at = np.arange(samples.position.shape[1]) == joint
     signs = np.where(at, sign, 1.0)
     return replace(_moved(samples, np.diag(signs), zero * at), effort=signs * samples.effort)
 
 
 OF_MOTION = (_times, _names, _zeros, _axes)
-"""Rows of candidates whose motion is another than that of the recording."""
+"""Rows of candidates that change the motion of the recording."""
 
 
-_AS_IT_MOVES = (*OF_EFFORTS, positions)  # unless its angles cannot be any
+_AS_IT_MOVES = (*OF_EFFORTS, positions)  # motion unchanged, except for impossible angles
 
 
 def transforms(subject: Subject) -> tuple[list[Candidate], int]:
-    """All candidates that are worth judging on a subject, and how many they are chosen from."""
-    # Of what is nearly explained no more could be told by reading the motion otherwise.
-    more = float(np.sum(np.log(subject.nominal.sigmas / LEAST_SIGMA)))
-    rows = (*_AS_IT_MOVES, *OF_MOTION) if probabilities([more], 1)[0] > PROBABLE else _AS_IT_MOVES
+    """Return all candidates that are worth evaluating on a subject, and the number that they are chosen from."""
+    # If efforts are almost explained, another reading of the motion cannot gain enough.
+    possible_gain = float(np.sum(np.log(subject.nominal.sigmas / LEAST_SIGMA)))
+    rows = (*_AS_IT_MOVES, *OF_MOTION) if probabilities([possible_gain], 1)[0] > PROBABLE else _AS_IT_MOVES
     chosen, count = list[Candidate](), 0
     for row in rows:
         ranked = sorted(row(subject), key=lambda candidate: -candidate.resemblance(subject.few))

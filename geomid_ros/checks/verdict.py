@@ -1,4 +1,4 @@
-"""Whether a result can be used: converged, of a recording that is what it is declared to be, better than the URDF."""
+"""Usability of a result: converged, from a recording that is what it is declared to be, better than the URDF."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ STATUS = {USABLE: 0, NOT_CONVERGED: 3, DOUBTFUL: 4}
 """Exit status of each verdict; 2 is that of a refusal."""
 
 HEAVIER = 2.0
-"""No URDF is wrong by more in the mass of the whole robot."""
+"""Largest plausible factor between the mass of a whole robot and that in its URDF."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """Whether a result can be used.
+    """Usability of a result.
 
     Attributes:
         word: one of :data:`STATUS`.
-        reasons: why not, in sentences, the weightiest first.
-        warnings: what to know although it can be used.
+        reasons: why it cannot be used, in sentences, the most important first.
+        warnings: notes on a usable result.
     """
 
     word: str
@@ -42,7 +42,7 @@ class Verdict:
 
     @property
     def status(self) -> int:
-        """The exit status."""
+        """Exit status."""
         return STATUS[self.word]
 
     @property
@@ -60,16 +60,16 @@ def verdict(
     peculiar: Sequence[str] = (),
     impossible: Sequence[str] = (),
 ) -> Verdict:
-    """Judge a result.
+    """Evaluate a result.
 
     Args:
-        estimate: what was found.
+        estimate: the result.
         findings: what seems to be wrong with the recording.
         model: that was fitted.
         worse: the channels that it predicts worse than the URDF does, see :func:`worse_channels`.
         unmeasured: the joints whose efforts are missing.
-        peculiar: what is peculiar about the messages, in sentences.
-        impossible: what links no robot can have, in sentences.
+        peculiar: peculiarities of the messages, in sentences.
+        impossible: implausible links, in sentences.
     """
     warnings = [
         f"'{channel}' is predicted worse than by the URDF: the motion is too little informative there, or "
@@ -81,17 +81,17 @@ def verdict(
         warnings.append(f"most of the time no effort is measured at {', '.join(map(repr, unmeasured))}: it is left out")
     stopped = "" if estimate.converged else estimate.reason
     judged = recording_verdict(findings, stopped, warnings)
-    beyond = (*_beyond_reason(estimate, model), *impossible)
+    beyond = (*_implausible_mass(estimate, model), *impossible)
     return replace(judged, word=DOUBTFUL, reasons=(*judged.reasons, *beyond)) if beyond else judged
 
 
 def recording_verdict(findings: Sequence[Finding], stopped: str = "", warnings: Sequence[str] = ()) -> Verdict:
-    """Judge what was made of a recording.
+    """Evaluate the result of a recording.
 
     Args:
         findings: what seems to be wrong with it.
         stopped: why the solver stopped before it converged; empty if it converged.
-        warnings: what to know beside.
+        warnings: further notes.
     """
     reasons = [finding.sentence for finding in findings]
     if stopped:
@@ -100,25 +100,25 @@ def recording_verdict(findings: Sequence[Finding], stopped: str = "", warnings: 
     return Verdict(word=word, reasons=tuple(reasons), warnings=tuple(warnings))
 
 
-def _beyond_reason(estimate: Estimate, model: MeasurementModel) -> Iterator[str]:
-    """That all links together weigh what no such robot weighs, unless something was weighed, or a sensor carries the
-    robot."""
-    found, nominal = sum(link.mass for link in estimate.links), float(np.sum(model.nominal_inertias[::10]))
+def _implausible_mass(estimate: Estimate, model: MeasurementModel) -> Iterator[str]:
+    """Yield a sentence if the links' total mass is implausible; not if something was weighed, or a sensor supports
+    them."""
+    mass, nominal = sum(link.mass for link in estimate.links), float(np.sum(model.nominal_inertias[::10]))
     weighed = bool(estimate.known) or (model.robot.floating_base and model.legs is None)
-    if not weighed and not nominal / HEAVIER <= found <= nominal * HEAVIER:
+    if not weighed and not nominal / HEAVIER <= mass <= nominal * HEAVIER:
         yield (
-            f"the links weigh {found:.3g} kg in all instead of the URDF's {nominal:.3g} kg: the motion does not "
+            f"the links weigh {mass:.3g} kg in all instead of the URDF's {nominal:.3g} kg: the motion does not "
             "identify masses, effects that the model lacks stand in for them, or the recording is of another robot; "
             "weigh the robot or a part of it (--known)"
         )
 
 
 def unlike(estimate: Estimate, held_out: FloatArray) -> list[str]:
-    """What to say of channels where held-out data are predicted far worse than fitted ones.
+    """Sentence on channels where held-out data are predicted far worse than fitted ones, if any.
 
     Args:
-        estimate: what was found.
-        held_out: RMS of what it leaves on held-out data ``(channels,)``, NaN where nothing is measured.
+        estimate: the result.
+        held_out: its residual RMS on held-out data ``(channels,)``, NaN where nothing is measured.
     """
     ratios = held_out / np.maximum(estimate.rms, np.finfo(float).tiny)
     if not np.any(ratios > REASON):
@@ -133,17 +133,17 @@ def unlike(estimate: Estimate, held_out: FloatArray) -> list[str]:
 
 
 def worse_on_rows(estimate: Estimate) -> list[str]:
-    """The channels that an estimate explains worse than the URDF does on the rows that it is from."""
+    """Channels that an estimate explains worse than the URDF does, on the rows to which it was fitted."""
     pairs = zip(estimate.channels, estimate.rms, estimate.rms_nominal, strict=True)
-    return [channel for channel, own, nominal in pairs if own > WORSE * nominal]
+    return [channel for channel, rms, nominal in pairs if rms > WORSE * nominal]
 
 
 def worse_channels(model: MeasurementModel, batches: Sequence[Samples], parameters: FloatArray) -> list[str]:
-    """The channels that parameters ``(D,)`` predict worse than the URDF does, beyond the scatter of blocks of time.
+    """Channels that parameters ``(D,)`` predict worse than the URDF does, beyond the scatter of blocks of time.
 
     Args:
         model: of the robot.
-        batches: samples to judge on.
+        batches: samples to evaluate on.
         parameters: the identified ones.
     """
     if not batches:
@@ -156,19 +156,19 @@ def worse_channels(model: MeasurementModel, batches: Sequence[Samples], paramete
 
 
 def worse_in_folds(model: MeasurementModel, rows: RowSummary, parameters: FloatArray) -> list[str]:
-    """The same by rows to judge on, beyond the scatter of their folds."""
+    """Channels that parameters ``(D,)`` predict worse than the URDF on rows, beyond the scatter of the rows' folds."""
     folds = range(rows.folds)
     pair = (parameters, model.nominal_parameters)
     return _worse(model, *(np.array([rows.rms(vector, [fold]) ** 2 for fold in folds]) for vector in pair))
 
 
-def _worse(model: MeasurementModel, own: FloatArray, nominal: FloatArray) -> list[str]:
-    """The channels whose mean squared errors in blocks ``(blocks, channels)`` are larger than the URDF's."""
+def _worse(model: MeasurementModel, errors: FloatArray, nominal: FloatArray) -> list[str]:
+    """Channels whose mean squared errors in blocks ``(blocks, channels)`` are larger than the URDF's."""
     worse = []
-    for channel, after, before in zip(model.channels, own.T, nominal.T, strict=True):
-        known = np.isfinite(after) & np.isfinite(before)
-        rise = after[known] - before[known]
-        if len(rise) < BLOCKS // 2 or not np.mean(after[known]) > WORSE**2 * np.mean(before[known]):
+    for channel, after, before in zip(model.channels, errors.T, nominal.T, strict=True):
+        finite = np.isfinite(after) & np.isfinite(before)
+        rise = after[finite] - before[finite]
+        if len(rise) < BLOCKS // 2 or not np.mean(after[finite]) > WORSE**2 * np.mean(before[finite]):
             continue
         if np.mean(rise) > STDS_OF_95 * np.std(rise, ddof=1) / np.sqrt(len(rise)):
             worse.append(channel.name)
@@ -176,6 +176,6 @@ def _worse(model: MeasurementModel, own: FloatArray, nominal: FloatArray) -> lis
 
 
 def _mean(values: FloatArray) -> FloatArray:
-    """Means of ``values (N, ...)``; NaN where nothing was measured."""
+    """Mean of ``values (N, ...)``; NaN where nothing was measured."""
     counts = np.count_nonzero(np.isfinite(values), axis=0)
     return np.asarray(np.divide(np.nansum(values, axis=0), counts, out=np.full(counts.shape, np.nan), where=counts > 0))

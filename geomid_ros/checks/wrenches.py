@@ -1,9 +1,9 @@
-"""Whether a mounted wrench sensor measures what it is declared to: axes, units, sign and time of its wrench.
+"""Check of a mounted wrench sensor: axes, units, sign and time of its wrench.
 
-The weight of what a sensor carries turns with the sensor, whatever it weighs: the axes, the ratio of force to torque
-and the time are judged first, by what links of any mass, of either sign, leave unexplained. Only then the fitted mass
-tells the sign and the unit of both together. The first forces of a stream are judged by the URDF alone: a payload
-changes neither the direction nor, by as much as a unit, the size.
+The weight of a sensor's load rotates with the sensor, whatever its mass. So the axes, the ratio of force to torque and
+the time are checked first, by the residual of links of any mass, of either sign. Only then the fitted mass shows the
+common sign and unit. The first forces of a stream are checked against the URDF alone: a payload changes neither the
+direction nor, by as much as a unit, the size.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
-_OTHER_UNIT = 50.0  # times as much, or as little: no tool is
+_OTHER_UNIT = 50.0  # no tool's mass is wrong by such a factor
 _FLOOR = np.finfo(float).tiny
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """What links of any mass make of a wrench: log evidence per instant, ``sigmas (2,)`` of what is left of force and
-    torque, as shares, and the slope of the forces that they take over the URDF's."""
+    """Fit of links of any mass to a wrench: log evidence per sample, ``sigmas (2,)`` of the residuals of force and
+    torque, as fractions, and the slope of the links' forces over the URDF's."""
 
     log: float
     sigmas: FloatArray
@@ -37,7 +37,7 @@ class _Fit:
 
 
 class WrenchSensorCheck:
-    """Compares what the wrench of one sensor may be."""
+    """Compares possible readings of one sensor's wrench."""
 
     def __init__(
         self, model: MeasurementModel, sensor: WrenchSensor, name: str, samples: Samples, dense: Samples
@@ -47,8 +47,8 @@ class WrenchSensorCheck:
             model: of the robot.
             sensor: a mounted one that measures all six axes.
             name: of the sensor in the configuration.
-            samples: a few instants of the recording.
-            dense: all instants of a stretch of it, to find a delay.
+            samples: a few samples of the recording.
+            dense: all samples of a stretch of it, to find a delay.
         """
         self._model, self._sensor, self._name = model, sensor, name
         bare = MeasurementModel(model.robot, (), model.sensors)
@@ -70,16 +70,16 @@ class WrenchSensorCheck:
         return np.array(rotations)
 
     def findings(self) -> tuple[Finding, ...]:
-        """What is wrong with the sensor; nothing if nothing is, or nothing can be told."""
+        """Return what is wrong with the sensor; nothing if nothing is, or the data are not informative."""
         if len(self._wrench) < FEWEST or not np.all(np.std(self._wrench, axis=0) > 0.0):
             return ()
         nominal = self._fit(self._regressor, self._wrench)
         tried = [(self._fit(self._regressor, wrench), nominal, cause) for wrench, cause in self._geometries()]
         tried += self._delayed()
-        best, beside, cause = max(tried, key=lambda one: one[0].log - one[1].log)
-        probability, _ = probabilities([best.log - beside.log], len(tried))
-        left = nominal.sigmas * best.sigmas / beside.sigmas
-        if probability > PROBABLE and np.all(left < FOLLOWS):
+        best, reference, cause = max(tried, key=lambda one: one[0].log - one[1].log)
+        probability, _ = probabilities([best.log - reference.log], len(tried))
+        remaining = nominal.sigmas * best.sigmas / reference.sigmas
+        if probability > PROBABLE and np.all(remaining < FOLLOWS):
             return (Finding(cause=cause),)
         return self._sign_or_unit(nominal)
 
@@ -89,28 +89,28 @@ class WrenchSensorCheck:
         if fit.slope < 0.0:
             settings = {f"wrench.{self._name}.sign": -self._sensor.sign}
             minus = "a minus before the role" if self._sensor.sign > 0.0 else "no minus before the role"
-            what = f"its sign is reversed: write {written(settings)} (on the command line, {minus})"
-            return (Finding(cause=self._cause(what, settings)),)
-        if (unit := _is_unit(fit.slope)) or fit.slope < 1.0 / REASON:
-            what = f"its load would weigh {fit.slope:.3g} times as much as in the URDF: check that it is in N and N m"
-            return (Finding(cause=self._cause(what), sure=unit),)
+            flaw = f"its sign is reversed: write {written(settings)} (on the command line, {minus})"
+            return (Finding(cause=self._cause(flaw, settings)),)
+        if (unit := _is_other_unit(fit.slope)) or fit.slope < 1.0 / REASON:
+            flaw = f"its load would weigh {fit.slope:.3g} times as much as in the URDF: check that it is in N and N m"
+            return (Finding(cause=self._cause(flaw), sure=unit),)
         return ()
 
-    def _cause(self, what: str, settings: dict[str, float] | None = None) -> Cause:
+    def _cause(self, flaw: str, settings: dict[str, float] | None = None) -> Cause:
         topic = self._sensor.topic
         return Cause(
-            kind="wrench", sentence=f"the wrench sensor {topic}: {what}", settings=settings or {}, places=(topic,)
+            kind="wrench", sentence=f"the wrench sensor {topic}: {flaw}", settings=settings or {}, places=(topic,)
         )
 
     def _geometries(self) -> Iterator[tuple[FloatArray, Cause]]:
         """Other wrenches ``(N, 6)`` that the messages may mean."""
         halves = self._wrench.reshape(-1, 2, 3)
-        forces = [each[:, :3] - np.mean(each[:, :3], axis=0) for each in (self._regressor @ self._prior, self._wrench)]
+        forces = [w[:, :3] - np.mean(w[:, :3], axis=0) for w in (self._regressor @ self._prior, self._wrench)]
         for sign in (1.0, -1.0):
             rotation = _rotation(sign * forces[0].T @ forces[1])[0]
-            if _angle(rotation) > TILT:  # less may be a zero of a joint that is off
-                what = f"its axes are rotated: {_described(rotation, self._sensor.frame)}; set the right frame"
-                yield (halves @ rotation.T).reshape(-1, 6), self._cause(what)
+            if _angle(rotation) > TILT:  # less may be a wrong zero of a joint
+                flaw = f"its axes are rotated: {_described(rotation, self._sensor.frame)}; set the right frame"
+                yield (halves @ rotation.T).reshape(-1, 6), self._cause(flaw)
         in_sensor = np.einsum("nji,nkj->nki", self._rotations, halves).reshape(-1, 6)
         yield in_sensor, self._cause(f"its wrench is in the axes of the base, not of '{self._sensor.frame}'")
         for factor, unit in ((1e-3, "N mm"), (1e3, "kN m")):
@@ -118,7 +118,8 @@ class WrenchSensorCheck:
             yield scaled, self._cause(f"its torques are in {unit}, its forces in N; they must be in N and N m")
 
     def _delayed(self) -> Iterator[tuple[_Fit, _Fit, Cause]]:
-        """The wrench of other times, where forces of the URDF's links are most alike; both on the dense stretch."""
+        """Fits at and without the delay at which the wrench is most like the URDF links' forces, on the dense
+        stretch."""
         dense = self._dense
         times = dense.seconds
         if len(dense) < FEWEST:
@@ -127,10 +128,10 @@ class WrenchSensorCheck:
         regressor, wrench = rows.coefficients[:, self._channels], rows.targets[:, self._channels]
         delay = _best_delay(times, (regressor @ self._prior)[:, :3], wrench[:, :3])
         inside = (times + delay >= times[0]) & (times + delay <= times[-1])
-        then = _at(times[inside] + delay, times, wrench)
-        what = f"its messages are {abs(delay):.2f} s {'late' if delay > 0.0 else 'early'} against the joints'"
-        cause = self._cause(f"{what}: correct their stamps")
-        yield self._fit(regressor[inside], then), self._fit(regressor, wrench), cause
+        shifted = _interpolated(times[inside] + delay, times, wrench)
+        flaw = f"its messages are {abs(delay):.2f} s {'late' if delay > 0.0 else 'early'} against the joints'"
+        cause = self._cause(f"{flaw}: correct their stamps")
+        yield self._fit(regressor[inside], shifted), self._fit(regressor, wrench), cause
 
     def _fit(self, regressor: FloatArray, wrench: FloatArray) -> _Fit:
         """Fit links of any mass, and a constant for each axis."""
@@ -138,7 +139,7 @@ class WrenchSensorCheck:
         nominal = (regressor @ self._prior)[:, :3]
         square = max(float(np.sum(nominal**2)), _FLOOR)
         heavier = max(float(np.sqrt(np.sum(wrench[:, :3] ** 2) / square)), 1.0)
-        # Of a channel's three axes each is an instant.
+        # Each of a channel's three axes counts as a sample.
         target = wrench.reshape(-1, 2, 3).swapaxes(1, 2).reshape(-1, 2)
         by_body = regressor.reshape(-1, *self._factor.shape[:2]).transpose(1, 0, 2) @ (heavier * self._factor)
         by_errors = by_body.transpose(1, 0, 2).reshape(regressor.shape)
@@ -146,30 +147,30 @@ class WrenchSensorCheck:
         columns = by_axis.reshape(len(target), 2, -1)
         sizes = np.maximum(np.sqrt(np.mean(target**2, axis=0)), _FLOOR)
         none = np.zeros((len(target), 2, FRICTION))
-        found = evidence(target / sizes, Unknowns.of(columns, none), np.ones((2, FRICTION)), units=sizes)
-        taken = (columns @ found.links).reshape(-1, 3, 2)[:, :, 0]
-        return _Fit(found.log / len(wrench), found.sigmas, float(np.sum(taken * nominal)) / square)
+        fitted = evidence(target / sizes, Unknowns.of(columns, none), np.ones((2, FRICTION)), units=sizes)
+        forces = (columns @ fitted.links).reshape(-1, 3, 2)[:, :, 0]
+        return _Fit(fitted.log / len(wrench), fitted.sigmas, float(np.sum(forces * nominal)) / square)
 
 
-def _is_unit(ratio: float) -> bool:
-    """Whether no tool is so many times as heavy as the URDF's: it is another unit."""
+def _is_other_unit(ratio: float) -> bool:
+    """True if no tool's mass differs from the URDF's by such a factor: it is another unit."""
     return not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT
 
 
 def _best_delay(times: FloatArray, expected: FloatArray, measured: FloatArray) -> float:
-    """By how much [s] measured forces ``(N, 3)`` come later than the expected ones."""
+    """Delay [s] of measured forces ``(N, 3)`` behind the expected ones."""
     step = 1e-9 * STEP
     grid = np.arange(times[0], times[-1], step)
     if len(grid) < FEWEST:
         return 0.0
-    both = [_at(grid, times, forces) for forces in (expected, measured)]
+    both = [_interpolated(grid, times, forces) for forces in (expected, measured)]
     shifts = np.arange(-(len(grid) // 2), len(grid) // 2 + 1)
-    alike = [_correlation(both[0][max(-s, 0) :], both[1][max(s, 0) :]) for s in shifts]
-    return float(shifts[int(np.argmax(alike))] * step)
+    correlations = [_correlation(both[0][max(-s, 0) :], both[1][max(s, 0) :]) for s in shifts]
+    return float(shifts[int(np.argmax(correlations))] * step)
 
 
-def _at(instants: FloatArray, times: FloatArray, values: FloatArray) -> FloatArray:
-    """Values ``(n, k)`` at other instants ``(n,)``, on lines between those ``(N, k)`` at ``times (N,)``."""
+def _interpolated(instants: FloatArray, times: FloatArray, values: FloatArray) -> FloatArray:
+    """Interpolate values ``(N, k)`` at ``times (N,)`` linearly, to ``(n, k)`` at ``instants (n,)``."""
     return np.array([np.interp(instants, times, column) for column in values.T]).T
 
 
@@ -180,8 +181,8 @@ def _correlation(a: FloatArray, b: FloatArray) -> float:
 
 
 def _rotation(products: FloatArray) -> tuple[FloatArray, float]:
-    """The rotation ``(3, 3)`` of the second vectors that makes them most like the first, by their summed products
-    ``(3, 3)``, and the sum of scalar products then (orthogonal Procrustes problem; Kabsch 1976)."""
+    """Rotation ``(3, 3)`` of the second vectors that makes them most like the first, from their summed products ``(3,
+    3)``, and the sum of scalar products then (orthogonal Procrustes problem; Kabsch 1976)."""
     left, strengths, right = np.linalg.svd(products)
     handed = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
     return np.asarray(left * handed @ right), float(strengths @ handed)
@@ -192,7 +193,7 @@ def _angle(rotation: FloatArray) -> float:
 
 
 def _described(rotation: FloatArray, frame: str) -> str:
-    """A rotation by about right angles by the names of axes, any other by its angle."""
+    """Describe a rotation by about right angles by the names of axes, any other by its angle."""
     turns = np.round(rotation)
     if np.array_equal(turns, np.eye(3)) or np.any(np.sum(np.abs(turns), axis=1) != 1.0):
         return f"against those of '{frame}' by about {np.degrees(_angle(rotation)):.0f} degrees"
@@ -201,7 +202,7 @@ def _described(rotation: FloatArray, frame: str) -> str:
 
 
 def can_be_judged(sensor: WrenchSensor) -> bool:
-    """Whether a sensor is one that the weight behind it decides on."""
+    """True if the weight outboard of a sensor decides on it: it is mounted and measures all axes."""
     return sensor.role == "mounted" and tuple(sensor.axes) == AXES
 
 
@@ -230,11 +231,11 @@ class FirstForces:
 
     @property
     def ended(self) -> bool:
-        """Whether the sensors have been judged, or there are none to judge."""
+        """True if the sensors have been checked, or there are none to check."""
         return self._count >= 2 * FEWEST or not self._forces
 
     def add(self, rows: Rows) -> None:
-        """Take rows of instants in motion, until there are enough."""
+        """Add rows of samples in motion, until there are enough."""
         if self.ended:
             return
         self._count += len(rows.targets)
@@ -244,12 +245,12 @@ class FirstForces:
             both = both[np.all(np.isfinite(both), axis=1)]
             self._products[topic] += both.T @ both
         if self.ended:
-            judged = {topic: _problem(products) for topic, products in self._products.items()}
-            self.problems = {topic: problem for topic, problem in judged.items() if problem}
+            problems = {topic: _problem(products) for topic, products in self._products.items()}
+            self.problems = {topic: problem for topic, problem in problems.items() if problem}
 
 
 def _problem(products: FloatArray) -> str:
-    """What is wrong with a sensor, by the summed products ``(6, 6)`` of measured and expected forces."""
+    """Describe what is wrong with a sensor, from the summed products ``(6, 6)`` of measured and expected forces."""
     measured, expected = np.trace(products[:3, :3]), np.trace(products[3:, 3:])
     if not measured > 0.0 or not expected > 0.0:
         return ""
@@ -260,6 +261,6 @@ def _problem(products: FloatArray) -> str:
     if agreement < FOLLOWS and _rotation(products[3:, :3])[1] > follows * scale:
         return "the forces are rotated against those expected from the URDF: check the frame"
     ratio = float(np.sqrt(measured / expected))
-    if agreement > follows and _is_unit(ratio):
+    if agreement > follows and _is_other_unit(ratio):
         return f"the forces are {ratio:.2g} times those expected from the URDF: check the unit"
     return ""

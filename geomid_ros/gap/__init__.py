@@ -1,1 +1,1 @@
-"""Where simulation and measurement disagree: locate, name, and what the model is with the effect added."""
+"""Gap between simulation and measurement: locate it, name the effect, and add it to the model."""

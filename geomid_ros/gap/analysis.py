@@ -1,4 +1,4 @@
-"""Search and linearisation in turn, until the total model settles."""
+"""Alternating search and linearisation, until the total model settles."""
 
 from __future__ import annotations
 
@@ -24,17 +24,16 @@ from geomid_ros.types import BoolArray, FloatArray
 _ROUNDS = 6
 _REFITS = 3  # more rounds, without a search
 _SETTLED = 0.5  # standard deviations
-_TOLD_BY_ROWS = 0.25  # directions for each row, which leaves most of the noise as it is
+_TOLD_BY_ROWS = 0.25  # directions per row; leaves most of the noise unchanged
 _MEDIAN_OF_GAUSSIAN = 0.6745
-_WHITENINGS = 4  # of a remainder by the noise that it leaves
+_WHITENINGS = 4  # rounds that whiten by the noise of the last remainder
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Analysis:
-    """Where the search ended: the last ``problem`` and ``search``; the fit with ``names`` and the one without
-    (``bare``); what ``supports`` each of these that is likely; the standard deviation of each channel's noise, ``floor
-    (C,)``, from repeats of a motion if there are any; ``contested``: the odds that another link than the one that was
-    found has been changed."""
+    """Result of the search: the last ``problem`` and ``search``; the fit with the named effects (``names``) and the one
+    without (``bare``); the evidence that ``supports`` each likely name; each channel's noise std, ``floor (C,)``, from
+    repeats of a motion if any; ``contested``: the odds that a link other than the named one has changed."""
 
     problem: LinearisedProblem
     search: NamesSearch
@@ -46,15 +45,15 @@ class Analysis:
 
     @property
     def likely(self) -> NamesFit:
-        """The fit with the names that are likely alone."""
+        """Fit with only the likely named effects."""
         return self.search.without(self.names, *(c for c in self.names.chosen if c not in self.supports))
 
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """What is searched: the ``model`` in the ``records``, with candidates that are ``tried``, and ``links`` that may
-    have been changed, of which those that are ``inner`` ones of a drawing may be wrong as well as loaded, beside what
-    the model is known to lack (``standing``); ``progress`` is told."""
+    """Input of the search: ``model``, ``records``, the candidates to be ``tried``, ``links`` that may have changed, the
+    known remainder (``standing``) and a ``progress`` callback. The ``inner`` links of a URDF may be wrong as well as
+    loaded."""
 
     model: MeasurementModel
     records: Records
@@ -65,7 +64,7 @@ class _Task:
     progress: Callable[[str, float], None]
 
     def linearised(self, total: TotalModel, floor: FloatArray | None = None) -> LinearisedProblem:
-        """The problem at a total model."""
+        """Return the problem linearised at a total model."""
         return LinearisedProblem(self.model, self.records, total, floor, self.standing)
 
 
@@ -76,40 +75,40 @@ def analyse(
     progress: Callable[[str, float], None],
     standing: StandingRemainder | None = None,
 ) -> Analysis:
-    """Find the set of names that explains the records best, and what is to be thought of the links beside it.
+    """Find the set of named effects that explains the records best, and the changed links given these.
 
-    A payload hangs at the end of a limb, or lies on a base that moves. What another link of an identified model has
-    gained is told as a link that has been changed: on the axis of a last joint a payload would else be one of the link
-    before as well. On another link of a drawing it may as well be an error of that.
+    A payload hangs at the end of a limb, or lies on a moving base. A mass gained by another link of an identified model
+    is reported as a changed link: a payload on the axis of a last joint would else fit the link before as well. On
+    another link of a URDF it may as well be an error of the URDF.
     """
-    tried = _told(library.candidates(model, prior.terms, bare=not prior.identified), records.moving)
-    links = [c.payload for c in tried if c.payload is not None]
-    inner = {c.payload for c in tried if c.payload is not None and c.joint is not None} - _ends(model, links)
+    candidates = _identifiable(library.candidates(model, prior.terms, bare=not prior.identified), records.moving)
+    links = [c.payload for c in candidates if c.payload is not None]
+    inner = {c.payload for c in candidates if c.payload is not None and c.joint is not None} - _ends(model, links)
     if prior.known is not None:
-        tried, inner = [c for c in tried if c.payload not in inner], set()
-    task = _Task(model, records, tried, links, inner=inner, standing=standing, progress=progress)
+        candidates, inner = [c for c in candidates if c.payload not in inner], set()
+    task = _Task(model, records, candidates, links, inner=inner, standing=standing, progress=progress)
     return _with_changed_link(task, _searched(task, prior, "searching"))
 
 
-def _told(tried: Sequence[Candidate], moving: BoolArray) -> list[Candidate]:
-    """Those that act at joints which move together, where these are ``moving (N, joints)``: of links that move as one
-    the first carries what they carry, and what two joints have in common no motion of each alone shows."""
-    return [c for c in tried if np.count_nonzero(np.all(moving[:, joints_of(c.place)], axis=1)) >= FEWEST_ROWS]
+def _identifiable(candidates: Sequence[Candidate], moving: BoolArray) -> list[Candidate]:
+    """Candidates that the motion can identify: all their joints move at once in enough rows of ``moving (N, joints)``.
+    Of links that move as one, only the first can carry the payload."""
+    return [c for c in candidates if np.count_nonzero(np.all(moving[:, joints_of(c.place)], axis=1)) >= FEWEST_ROWS]
 
 
 def standing_remainder(model: MeasurementModel, records: Records, prior: NamesPrior) -> StandingRemainder:
-    """What the model that the ``prior`` describes lacks on records, its parameters as they are; of channels without
-    rows that is not known."""
-    given = unfitted(prior)
+    """Return the remainder of the model that the ``prior`` describes, on records, with its parameters unchanged; it is
+    not known for channels without rows."""
+    prior_fit = unfitted(prior)
     noise = (Autoregression.white(),) * len(model.channels)
-    problem = LinearisedProblem(model, records, total_model(model, given))
-    residual = problem.residual(problem.columns((), prior.terms), given)
+    problem = LinearisedProblem(model, records, total_model(model, prior_fit))
+    residual = problem.residual(problem.columns((), prior.terms), prior_fit)
     near: list[FloatArray] | None = None
     for _ in range(_WHITENINGS):
         near, lacks = problem.lacks(residual, problem.told, noise, near)
-        left = residual - mean_of(problem.told, lacks)
-        noise = _noise(left, problem.valid, records)
-        problem = problem.with_floor(_typical_size(left, problem.valid))
+        noise_residual = residual - mean_of(problem.told, lacks)
+        noise = _noise(noise_residual, problem.valid, records)
+        problem = problem.with_floor(_typical_size(noise_residual, problem.valid))
     return StandingRemainder(
         joints=tuple(model.robot.joint_names),
         channels=tuple(channel.name for channel in model.channels),
@@ -120,55 +119,54 @@ def standing_remainder(model: MeasurementModel, records: Records, prior: NamesPr
 
 
 def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
-    """An analysis, or one of a robot of which a link has been changed since it was identified, if that is the better.
-    What contradicts other recordings loosens all links at once, or is told as a payload, which cannot be negative, or
-    as what else may stand in the place of a lighter link: so each link is tried with the names that are found beside
-    its change, not those found without. Of links that explain it about as well each is searched to the end; one that
-    carries a payload has been changed by that, unless it is lighter."""
+    """Return the analysis, or a better one in which a link has changed since the robot was identified. A contradiction
+    with other recordings loosens all links at once; or it is explained by a payload, which cannot be negative, or by
+    other effects that mimic a lighter link. So each link is tried with effects found given its change. All links that
+    explain it about as well are searched to the end. A link with a payload is changed by that, unless it is lighter."""
     search, names = analysis.search, analysis.names
     if search.prior.known is None:
         return analysis
-    unlikely = names.score + 2.0 * np.log(ODDS)
-    tried = list[tuple[NamesPrior, float, bool]]()
+    threshold = names.score + 2.0 * np.log(ODDS)
+    trials = list[tuple[NamesPrior, float, bool]]()
     for link in task.links:
         prior = search.prior.with_changed(link)
-        beside = Selection(search.design, prior, task.tried)
-        best = beside.grow(beside.fit([]))
+        selection = Selection(search.design, prior, task.tried)
+        best = selection.grow(selection.fit([]))
         loaded = link in names.bodies and best.inertias[link, 0] >= prior.inertias[10 * link]
-        tried.append((prior, best.score, loaded))
-    least = min((score for _, score, _ in tried), default=np.inf)
-    likely = [prior for prior, score, loaded in tried if score < least + CLEARLY and not loaded]
-    if least > unlikely or not likely:
+        trials.append((prior, best.score, loaded))
+    least = min((score for _, score, _ in trials), default=np.inf)
+    priors = [prior for prior, score, loaded in trials if score < least + CLEARLY and not loaded]
+    if least > threshold or not priors:
         return analysis
 
     def with_changed(prior: NamesPrior) -> tuple[float, Analysis]:
         changed = _searched(task, prior, "searching with a link changed")
         return fit(search.design, prior, changed.names.chosen, changed.names).score, changed
 
-    (score, changed), *others = sorted(map(with_changed, likely), key=lambda found: found[0])
+    (score, changed), *others = sorted(map(with_changed, priors), key=lambda scored: scored[0])
     contested = float(sum(np.exp(0.5 * (score - other)) for other, _ in others))
-    return replace(changed, contested=contested) if score < unlikely else analysis
+    return replace(changed, contested=contested) if score < threshold else analysis
 
 
 def _ends(model: MeasurementModel, links: Sequence[int]) -> set[int]:
-    """Those of some links that carry none of the others."""
+    """Links among ``links`` that support none of the others."""
     tree, names = model.robot.tree, model.body_names
-    carrying = {joint.parent for link in links for joint in tree.joints_above(names[link])}
-    return {link for link in links if names[link] not in carrying}
+    supporting = {joint.parent for link in links for joint in tree.joints_above(names[link])}
+    return {link for link in links if names[link] not in supporting}
 
 
 def _searched(task: _Task, prior: NamesPrior, stage: str) -> Analysis:
-    """The names beside which the total model settles, and what speaks for each."""
+    """Search the named effects until the total model settles; return them with the evidence for each."""
     last = _last_round(task, prior, stage)
     supports = _supports(last.search, last.found, task.inner)
     task.progress(stage, 1.0)
     problem, search, names = last.problem, last.search, last.found
     design = search.design
-    left = problem.residual(last.columns, names) - problem.remainder(design, names)
+    residual = problem.residual(last.columns, names) - problem.remainder(design, names)
     rows = np.where(design.counts > 0.0, design.counts, np.nan)
-    lacking = np.array([lack.freedom for lack in names.remainders(design)])
-    freedom = np.maximum(rows - names.parameters_by_channel(design) - lacking, 1.0) / rows
-    noise, _ = problem.told_floor(_root_mean_square(left, problem.valid) / np.sqrt(freedom))
+    remainder_parameters = np.array([lack.freedom for lack in names.remainders(design)])
+    freedom = np.maximum(rows - names.parameters_by_channel(design) - remainder_parameters, 1.0) / rows
+    noise, _ = problem.told_floor(_root_mean_square(residual, problem.valid) / np.sqrt(freedom))
     return Analysis(
         problem=problem,
         search=search,
@@ -179,22 +177,22 @@ def _searched(task: _Task, prior: NamesPrior, stage: str) -> Analysis:
     )
 
 
-def _supports(search: NamesSearch, found: NamesFit, inner: Collection[int]) -> dict[Candidate, Support[Candidate]]:
-    """What speaks for each name that is more likely than nothing in its place; of a payload on one of the ``inner``
-    links that this is wrong is as likely. The others are told to nobody, and stay in the fit: without them the model
-    would lack what they explain, for which all others would be doubted."""
-    each = Supports(search, found)
-    said = {candidate: each.of(candidate) for candidate in found.chosen if each.worth(candidate) > 0.0}
-    for candidate, support in said.items():
+def _supports(search: NamesSearch, names: NamesFit, inner: Collection[int]) -> dict[Candidate, Support[Candidate]]:
+    """Evidence for each named effect that is more likely than nothing in its place. For a payload on an ``inner`` link,
+    an error of the link is as likely. The others are not reported, but stay in the fit: the remainder would else
+    contain what they explain, and all other effects would be doubted for it."""
+    supports = Supports(search, names)
+    likely = {candidate: supports.of(candidate) for candidate in names.chosen if supports.worth(candidate) > 0.0}
+    for candidate, support in likely.items():
         if candidate.payload in inner:
-            said[candidate] = replace(support, probability=support.probability / (1.0 + support.probability))
-    return said
+            likely[candidate] = replace(support, probability=support.probability / (1.0 + support.probability))
+    return likely
 
 
 @dataclass(frozen=True, eq=False)
 class _Round:
-    """A ``problem`` linearised at what the round before had found, with its ``columns``, the ``search`` for its noise,
-    and what it ``found``."""
+    """A ``problem`` linearised at the result of the previous round, with its ``columns``, the ``search`` for its noise,
+    and the fit that it ``found``."""
 
     problem: LinearisedProblem
     columns: Columns
@@ -203,37 +201,37 @@ class _Round:
 
 
 def _last_round(task: _Task, prior: NamesPrior, stage: str) -> _Round:
-    """Search and linearisation in turn, until the total model settles. One that does not is fitted along what the last
-    search has found, in the noise of that: it may have dropped names, with whose sizes all was linearised."""
+    """Alternate search and linearisation until the total model settles. One that does not is fitted along the result of
+    the last search, in the noise of that: this search may have dropped effects that the linearisation used."""
     noise, total = _beginning(task, prior)
     floor: FloatArray | None = None
-    before: NamesFit | None = None
+    previous: NamesFit | None = None
     settling, variances = False, tuple[FloatArray, ...]()
     rounds: list[_Round] = []
     for attempt in range(_ROUNDS + _REFITS):
         task.progress(stage, min(1.0, attempt / _ROUNDS))
         problem = task.linearised(total, floor)
-        rounds.clear()  # columns and their products are large, and go before others come
-        last = _round(task, prior, problem, noise, before, variances=variances, attempt=attempt, settling=settling)
+        rounds.clear()  # free the large columns and products before the next ones
+        last = _round(task, prior, problem, noise, previous, variances=variances, attempt=attempt, settling=settling)
         rounds.append(last)
-        found, variances = last.found, last.search.design.variances
+        names, variances = last.found, last.search.design.variances
         del last
-        total = total_model(task.model, found)
-        if settling and _same(before, found):
+        total = total_model(task.model, names)
+        if settling and _same(previous, names):
             break
-        settling |= attempt >= _ROUNDS - 2 or _same(before, found)
-        before = found
+        settling |= attempt >= _ROUNDS - 2 or _same(previous, names)
+        previous = names
         if attempt < _ROUNDS - 1:
-            residual = problem.residual(rounds[-1].columns, found)
-            residual -= problem.remainder(rounds[-1].search.design, found)
-            floor, told = problem.told_floor(_typical_size(residual, problem.valid))
-            pairs = zip(told.tolist(), _noise(residual, problem.valid, task.records), noise, strict=True)
-            noise = tuple(own if is_told else earlier for is_told, own, earlier in pairs)
+            residual = problem.residual(rounds[-1].columns, names)
+            residual -= problem.remainder(rounds[-1].search.design, names)
+            floor, determined = problem.told_floor(_typical_size(residual, problem.valid))
+            pairs = zip(determined.tolist(), _noise(residual, problem.valid, task.records), noise, strict=True)
+            noise = tuple(latest if is_determined else earlier for is_determined, latest, earlier in pairs)
     return rounds[-1]
 
 
 def _beginning(task: _Task, prior: NamesPrior) -> tuple[tuple[Autoregression, ...], TotalModel]:
-    """The first noise, and the total model without names."""
+    """Initial noise, and the total model without named effects."""
     problem = task.linearised(total_model(task.model, unfitted(prior)))
     columns = problem.columns(task.tried, prior.terms)
     bare: NamesFit = fit(problem.design(columns, (Autoregression.white(),) * len(task.model.channels)), prior, ())
@@ -251,27 +249,27 @@ def _round(
     attempt: int,
     settling: bool,
 ) -> _Round:
-    """A fit along what was found ``before``, and a search from there if the columns are good for that, with exchanges
-    once it is ``settling``. The last attempt that searches does so to the end; those after it do not."""
+    """Fit along what was found ``before``, and search from there if the columns are accurate there, with exchanges once
+    it is ``settling``. The last attempt with a search runs it to the end; later attempts do not search."""
     columns = problem.columns(task.tried, prior.terms)
     design = problem.design(columns, noise)
     search = Selection(design.given(variances) if variances else design, prior, task.tried)
-    found = search.within_range(search.fit(before.chosen if before else ()))
+    names = search.within_range(search.fit(before.chosen if before else ()))
     is_last = attempt == _ROUNDS - 1
-    searches = is_last or (attempt < _ROUNDS and _near(total_model(task.model, found), problem.total))
-    if searches:  # what has no name yet must not become a part of the remainder, in whose place none would be found
-        found = search.grow(found, to_the_end=is_last)
-    search = Selection(found.settled(design), prior, task.tried)
-    found = search.within_range(search.fit(found.chosen, found))
+    searches = is_last or (attempt < _ROUNDS and _near(total_model(task.model, names), problem.total))
+    if searches:  # the remainder must not absorb effects that are not named yet: they would never be found
+        names = search.grow(names, to_the_end=is_last)
+    search = Selection(names.settled(design), prior, task.tried)
+    names = search.within_range(search.fit(names.chosen, names))
     if searches:
-        found = search.settle(found) if settling else search.grow(found, to_the_end=is_last)
-    return _Round(problem, columns, search, found)
+        names = search.settle(names) if settling else search.grow(names, to_the_end=is_last)
+    return _Round(problem, columns, search, names)
 
 
-def _near(found: TotalModel, total: TotalModel) -> bool:
-    """Whether columns for one are good for the other."""
-    before = {(effect, place): coefficients for effect, place, coefficients in total.effects}
-    after = {(effect, place): coefficients for effect, place, coefficients in found.effects}
+def _near(current: TotalModel, linearised_at: TotalModel) -> bool:
+    """True if columns linearised at one total model are accurate at the other."""
+    before = {(effect, place): coefficients for effect, place, coefficients in linearised_at.effects}
+    after = {(effect, place): coefficients for effect, place, coefficients in current.effects}
     return all(
         bool(np.all(np.abs(after.get(key, 0.0) - before.get(key, np.zeros(1))) < key[0].far))
         for key in {**before, **after}
@@ -279,46 +277,48 @@ def _near(found: TotalModel, total: TotalModel) -> bool:
     )
 
 
-def _same(before: NamesFit | None, found: NamesFit) -> bool:
-    """Whether the same was found as in the round before, up to a share of the standard deviations."""
-    if before is None or {c.group for c in before.chosen} != {c.group for c in found.chosen}:
+def _same(previous: NamesFit | None, current: NamesFit) -> bool:
+    """True if the result equals that of the previous round, up to a fraction of the standard deviations."""
+    if previous is None or {c.group for c in previous.chosen} != {c.group for c in current.chosen}:
         return False
-    stds = np.sqrt(np.diag(found.covariance))
-    shared = [term for term in found.terms if term in before.terms]
-    return all(abs(before.value(term) - found.value(term)) < _SETTLED * stds[found.place(term)] for term in shared)
+    stds = np.sqrt(np.diag(current.covariance))
+    shared = [term for term in current.terms if term in previous.terms]
+    return all(
+        abs(previous.value(term) - current.value(term)) < _SETTLED * stds[current.place(term)] for term in shared
+    )
 
 
 def _flexible_noise(
     problem: LinearisedProblem, columns: Columns, bare: NamesFit, valid: BoolArray
 ) -> tuple[Autoregression, ...]:
-    """First noise: what the motions of each channel's own joint and the whole robot's effects leave of the residual.
+    """Initial noise: the part of the residual outside the span of each channel's columns.
 
-    Of all their directions only so many are taken as rows can tell: of rows that are as few nothing but rounding errors
-    would be left, and what they say of the noise.
+    Only as many of their directions are used as the rows can determine: with as few rows as directions, only rounding
+    errors would remain, and noise estimated from these.
     """
     residual = problem.residual(columns, bare)
-    left = np.full(residual.shape, np.nan)
+    noise_residual = np.full(residual.shape, np.nan)
     for channel in range(residual.shape[1]):
         chosen = valid[:, channel]
-        own = [by[channel] for by in columns.values() if channel in by]
-        matrix = np.column_stack(own)[chosen] if own else np.zeros((np.count_nonzero(chosen), 0))
+        own_columns = [by[channel] for by in columns.values() if channel in by]
+        matrix = np.column_stack(own_columns)[chosen] if own_columns else np.zeros((np.count_nonzero(chosen), 0))
         matrix = matrix / np.maximum(np.linalg.norm(matrix, axis=0), 1e-12)
         directions, sizes, _ = np.linalg.svd(matrix, full_matrices=False)
         most = int(_TOLD_BY_ROWS * len(matrix))
         directions = directions[:, :most][:, sizes[:most] > 1e-6 * np.max(sizes, initial=0.0)]
         rest = residual[chosen, channel]
-        left[chosen, channel] = rest - directions @ (directions.T @ rest)
-    return _noise(left, valid, problem.records)
+        noise_residual[chosen, channel] = rest - directions @ (directions.T @ rest)
+    return _noise(noise_residual, valid, problem.records)
 
 
 def _noise(residual: FloatArray, valid: BoolArray, records: Records) -> tuple[Autoregression, ...]:
-    used = valid & np.isfinite(residual)
-    channels = zip(residual.T, used.T, strict=True)
-    return tuple(Autoregression.fit(values, runs_of(own, records.segment)) for values, own in channels)
+    usable = valid & np.isfinite(residual)
+    channels = zip(residual.T, usable.T, strict=True)
+    return tuple(Autoregression.fit(values, runs_of(mask, records.segment)) for values, mask in channels)
 
 
 def _typical_size(residual: FloatArray, valid: BoolArray) -> FloatArray:
-    """Of each channel ``(C,)``: the standard deviation that the median size would have if it were Gaussian."""
+    """Standard deviation of each channel ``(C,)`` from the median absolute value, as if it were Gaussian."""
     return _by_channel(lambda values: np.median(np.abs(values)), residual, valid) / _MEDIAN_OF_GAUSSIAN
 
 
@@ -327,6 +327,6 @@ def _root_mean_square(residual: FloatArray, valid: BoolArray) -> FloatArray:
 
 
 def _by_channel(function: Callable[[FloatArray], Any], residual: FloatArray, valid: BoolArray) -> FloatArray:
-    """A function of each channel's valid values ``(C,)``, NaN where there are none."""
+    """Apply a function to each channel's valid values ``(C,)``; NaN where there are none."""
     channels = zip(residual.T, valid.T, strict=True)
     return np.array([function(values[used]) if np.any(used) else np.nan for values, used in channels])

@@ -1,4 +1,4 @@
-"""What the gap workflow found, with all that its tables, pictures and files need."""
+"""Result of the gap workflow, with all that its tables, pictures and files need."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ Verdict: TypeAlias = Literal["no gap", "named", "incomplete", "unexplained"]
 
 
 SURE, LIKELY = 0.95, 0.5
-"""The least probabilities of a name that is sure, and of one that is tentative; a less likely one has rivals that
-make up for it, see :attr:`Finding.is_likely`."""
+"""Least probabilities of a sure and of a tentative named effect. A less likely one is kept if rivals make up for it,
+see :attr:`Finding.is_likely`."""
 
 
 def confidence_of(probability: float) -> Confidence:
-    """A probability in a word."""
+    """Name the confidence of a probability."""
     return "confident" if probability > SURE else "tentative" if probability >= LIKELY else "ambiguous"
 
 
 @dataclass(frozen=True)
 class Rival:
-    """Another name for the same remainder; ``loss`` is by how much its score is worse (differences of -2 log p)."""
+    """Another effect that explains the same remainder; its score is worse by ``loss`` (differences of -2 log p)."""
 
     effect: str
     joint: str
@@ -39,16 +39,16 @@ class Finding(KnownEffect):
     """A named effect.
 
     Attributes:
-        probability: of the name, beside nothing and its rivals.
-        rivals: other names for the same remainder.
-        separability: share of the effect's columns, 0 to 1, outside the span of the inertias and the other findings for
-            this motion.
+        probability: of the effect, against nothing and its rivals.
+        rivals: other effects that explain the same remainder.
+        separability: fraction of the effect's columns, 0 to 1, outside the span of the inertias and the other findings
+            for this motion.
         loss: how much worse the score is without it.
-        share: of the gap that it closes.
-        was: the parameters before, if the model had the effect: it has changed.
+        share: fraction of the gap that it closes.
+        was: the parameters before, if the model had the effect, which has changed.
         sentence: all this in words.
         settled_by: the recording that would settle an ambiguity, empty when there is none.
-        moment: of a payload whose mass the motion does not tell, mass times centre of mass; empty of all others.
+        moment: mass times centre of mass of a payload whose mass the motion does not identify; else empty.
     """
 
     probability: float
@@ -63,30 +63,30 @@ class Finding(KnownEffect):
 
     @property
     def confidence(self) -> Confidence:
-        """The probability in a word."""
+        """Confidence as a word."""
         return confidence_of(self.probability)
 
     @property
     def is_likely(self) -> bool:
-        """Whether it, or one of its rivals, is there rather than nothing."""
+        """True if it or one of its rivals is more likely than nothing."""
         weights = np.exp(-0.5 * np.array([0.0, *(rival.loss for rival in self.rivals)]))
         return bool(self.probability * np.sum(weights) >= LIKELY)
 
 
 @dataclass(frozen=True)
 class LinkChange:
-    """A link that is another than the model says.
+    """A link that differs from the model.
 
     Attributes:
         link: its name.
         joint: the joint that moves it.
-        mass: by how much its mass is larger [kg].
-        was: the mass that the model says [kg].
+        mass: increase of its mass [kg].
+        was: its mass in the model [kg].
         loss: how much worse the score is if it has the model's inertia.
         probability: that it has changed.
-        moment: of a link whose mass may be as it was, by how much its first moment is larger [kg m], about its frame's
-            origin, by axis; empty of all others.
-        centre: beside a model of recordings, where that mass is in the link's frame [m], by axis.
+        moment: increase of the first moment [kg m] about the origin of the link's frame, by axis, if the mass may be
+            unchanged; else empty.
+        centre: position of the added mass in the link's frame [m], by axis, given a model from recordings.
     """
 
     link: str
@@ -100,33 +100,34 @@ class LinkChange:
 
     @property
     def confidence(self) -> Confidence:
-        """The probability in a word."""
+        """Confidence as a word."""
         return confidence_of(self.probability)
 
     @property
     def told(self) -> float:
-        """The square of its deviations from nothing: of the mass, or of what else has changed."""
+        """Squared change in standard deviations: of the mass, or of the largest part of the first moment."""
         sizes = self.moment.values() or (self.mass,)
         return max(((q.value / q.std) ** 2 for q in sizes if q.std > 0.0), default=float("inf"))
 
     @property
     def sentence(self) -> str:
-        """In words, with the 95 % interval."""
+        """Sentence with the 95 % interval."""
         if self.moment:
             changes = (f"{axis} by {q.value:.3g} ± {q.std:.2g} {q.unit}" for axis, q in self.moment.items())
             by_mass = f"{self.mass.value:.2g} ± {self.mass.std:.2g} kg"
             return f"link '{self.link}' has changed: first moment {', '.join(changes)} (mass by {by_mass})"
         less = "less" if self.mass.value < 0.0 else "more"
         size = f"{abs(self.mass.value):.3g} ± {self.mass.std:.2g} kg"
-        said = f"link '{self.link}' weighs {size} {less} than the {self.was:.3g} kg of the model"
+        text = f"link '{self.link}' weighs {size} {less} than the {self.was:.3g} kg of the model"
         centre = ", ".join(f"{axis} {q.value:.3g} ± {q.std:.2g}" for axis, q in self.centre.items())
-        return f"{said}; the difference is centred at {centre} m" if centre else said
+        return f"{text}; the difference is centred at {centre} m" if centre else text
 
 
 @dataclass(frozen=True)
 class Unexplained:
-    """A joint or wrench channel whose remainder no name explains: ``gap`` times the floor, and on what it depends
-    (``position``, ``velocity``, ``load``, ``time``, ``reversals``, ``unknown``, or the name of another joint)."""
+    """A joint or wrench channel whose remainder no named effect explains: ``gap`` times the floor, and the variable
+    that it depends on (``position``, ``velocity``, ``load``, ``time``, ``reversals``, ``unknown``, or another joint's
+    name)."""
 
     joint: str
     depends_on: str
@@ -135,14 +136,14 @@ class Unexplained:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Trace:
-    """Held-out data, and what the models predict of them.
+    """Held-out data, and the models' predictions of them.
 
     Attributes:
         stamps: ``(N,)`` [ns].
         position, velocity: of the joints ``(N, J)``.
-        load: magnitude of what the final model predicts ``(N, C)``.
+        load: magnitude of the final model's prediction ``(N, C)``.
         measured: ``(N, C)``, NaN where not measured.
-        before, inertias_only, after: what the three models predict ``(N, C)``.
+        before, inertias_only, after: predictions of the three models ``(N, C)``.
     """
 
     stamps: IntArray
@@ -157,8 +158,8 @@ class Trace:
 
 @dataclass(frozen=True, eq=False)
 class GapErrors:
-    """Root mean square residual of every channel in units of its noise floor, each ``(channels,)``. ``expected`` is
-    what noise and the uncertainty of all that was fitted would leave after the names if the model were right."""
+    """Residual RMS of every channel in units of its noise floor, each ``(channels,)``. ``expected`` is that of a right
+    model with the named effects, due to noise and the uncertainty of the fit."""
 
     before: FloatArray
     inertias_only: FloatArray
@@ -168,7 +169,7 @@ class GapErrors:
 
 @dataclass(frozen=True)
 class Located:
-    """Where a channel's first remainder lives: its share, 0 to 1, that a smooth curve of one variable explains."""
+    """Fraction of a channel's first remainder, 0 to 1, that a smooth curve of each variable explains."""
 
     channel: str
     velocity: float
@@ -180,7 +181,7 @@ class Located:
 
 @dataclass(frozen=True)
 class Ranked:
-    """A candidate of the last round, the best first: by how much it would improve, or improves, the score."""
+    """A candidate of the last round, best first, with the improvement of the score that it brings or would bring."""
 
     effect: str
     joint: str
@@ -191,33 +192,33 @@ class Ranked:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GapResult:
-    """The whole finding, of C channels.
+    """Result of the gap workflow, for C channels.
 
     Attributes:
         verdict: in a word or two.
         findings: the named effects, the one that matters most first.
-        links: those that weigh something else than the model says, without payloads.
-        unexplained: what no name explains.
-        unjudged: channels that move, but at no held-out instant at which the model can be blamed for what is left.
+        links: those whose mass differs from the model, without payloads.
+        unexplained: what no named effect explains.
+        unjudged: channels that move, but have no held-out sample at which the model can be blamed.
         channels, units: names and units of the rows of all per-channel arrays.
         floor: the noise's standard deviation ``(C,)``.
         cutoff: of the low-pass in whose band noise and gap are [Hz].
-        gap: what the models leave of held-out data, rest and reversals included; ``after`` is the written model's.
-        moving: what the written model leaves where joints move one way ``(C,)``, in units of the floor.
-        located: where each channel's first remainder lives.
+        gap: residuals of the models on held-out data, rest and reversals included; ``after`` is the written model's.
+        moving: residual of the written model where joints move one way ``(C,)``, in units of the floor.
+        located: variables that explain each channel's first remainder.
         ranking: all candidates, the best first.
         trace: held-out data with predictions.
         bodies, inertias: the identified links, and their parameters ``(bodies, 10)`` in the final model, payloads not
             included (pinocchio's order, about the link's origin).
         coefficients: those of the effects that the model had before, in its order; NaN where it had none or a sure
-            finding's parameter is the whole.
-        beside: the effects that it had beside its coefficients, without those of which a sure finding says the whole.
-        ordinary: beside a URDF alone, friction, rotor inertia and offsets of all joints that no sure finding says, as
-            ``identify`` finds them: a URDF says nothing of them.
-        folded: by how much the attributes of joints (as ``dynamics/damping``) of a URDF and an MJCF differ from the
-            model's, as these cannot say all friction; by joint and attribute.
-        newly_folded: the same beyond what the model before had: what a file with a fit of its own has not folded yet.
-        seconds: that the search took.
+            finding replaces it.
+        beside: the effects that it had in addition to its coefficients, except those that a sure finding replaces.
+        ordinary: starting from a URDF, which has none of them: friction, rotor inertia and offsets of all joints that
+            are not in a sure finding, as ``identify`` finds them.
+        folded: change of the attributes of joints (as ``dynamics/damping``) of a URDF and an MJCF from the model's,
+            because these cannot represent all friction; by joint and attribute.
+        newly_folded: its change from the model before: what a file with a separate fit has not folded yet.
+        seconds: duration of the search.
     """
 
     verdict: Verdict
@@ -245,18 +246,17 @@ class GapResult:
 
     @property
     def corrected_floor(self) -> FloatArray:
-        """The noise's standard deviation ``(C,)`` where efforts are divided by the gains that were found, as whoever
-        reads the written model does."""
+        """Noise std ``(C,)`` of efforts divided by the gains that were found, as for a user of the written model."""
         return np.asarray(self.floor / effort_gains(self.findings, self.channels))
 
     @property
     def sure(self) -> tuple[Finding, ...]:
-        """The findings that are in the written model."""
+        """Findings that are in the written model."""
         return _sure(self.findings)
 
 
 def effort_gains(findings: Sequence[Finding], channels: Sequence[str]) -> FloatArray:
-    """Factors ``(C,)`` from true efforts to measured ones that sure findings say."""
+    """Factors ``(C,)`` from true to measured efforts according to sure findings."""
     gains = dict.fromkeys(channels, 1.0)
     for finding in _sure(findings):
         if finding.joint in gains:

@@ -1,4 +1,4 @@
-"""Products of all columns that compete for the explanation of each channel, with the remainder integrated out."""
+"""Products of all columns that compete to explain each channel, with the remainder integrated out."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from geomid_ros.inference.hypothesis import Hypothesis
 from geomid_ros.inference.remainder import Marginal, Remainder
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
-BLOCKS = 8  # of time, whose scatter shows how far rows are independent
-_LEAST_SIZE = 1e-4  # a mean square of whitened features: those of what hardly occurs are not made large
+BLOCKS = 8  # of time; their scatter shows how dependent the rows are
+_LEAST_SIZE = 1e-4  # mean square of whitened features: those that hardly occur are not scaled up
 USUAL_SHARE = 0.3
-"""Prior standard deviation of a coefficient, as a share of what is measured, where nothing else is known of it."""
+"""Prior standard deviation of a coefficient, as a fraction of the measurement, where nothing else is known of it."""
 
 
 @dataclass(frozen=True, eq=False)
 class ChannelRows:
-    """Whitened rows of a channel: ``columns (N, K + 1)`` with the target as the last, ``features (N, m)`` of a
-    remainder in their ``block (m,)``, which are ``scale (m,)`` times those given: a draw of a block with variance 1 has
-    a mean square of 1; ``place`` of each term among the columns, and ``links (D,)`` of the inertial columns of all
-    channels, -1 where they are absent; ``before``: what is left unsure of the features' coefficients by other
-    recordings, see :class:`Remainder`, and what these ``expected (m,)``, which is taken off the target."""
+    """Whitened rows of a channel: ``columns (N, K + 1)``, the target last, and ``features (N, m)`` of the remainder in
+    their ``block (m,)``. These are ``scale (m,)`` times the given ones: a draw of a block with variance 1 has a mean
+    square of 1. ``place`` and ``links (D,)`` are the indices of the terms and of the inertial columns of all channels,
+    -1 if absent. Given other recordings, the features' coefficients have the covariance ``before``, see
+    :class:`Remainder`, and the mean ``expected (m,)``, which is taken off the target."""
 
     columns: FloatArray
     features: FloatArray
@@ -48,7 +48,7 @@ class ChannelRows:
         before: FloatArray | None = None,
         expected: FloatArray | None = None,
     ) -> ChannelRows:
-        """With features of any scale."""
+        """Create from features of any scale."""
         sizes = np.bincount(block, np.sum(features**2, axis=0)) / max(len(columns), 1)
         scale = 1.0 / np.sqrt(np.maximum(sizes, _LEAST_SIZE))[block]
         return ChannelRows(
@@ -69,12 +69,12 @@ class ChannelRows:
 
     @cached_property
     def products(self) -> FloatArray:
-        """Of the columns ``(K + 2, K + 2)``; the last row is zero, for what does not reach the channel."""
+        """Products of the columns ``(K + 2, K + 2)``; the last row is zero and stands for absent columns."""
         return np.pad(self.columns.T @ self.columns, ((0, 1), (0, 1)))
 
     @cached_property
     def there(self) -> BoolArray:
-        """Which columns ``(K + 2,)`` reach the channel."""
+        """True for the columns ``(K + 2,)`` that affect the channel."""
         return np.asarray(np.diag(self.products) > 0.0)
 
     @cached_property
@@ -84,7 +84,8 @@ class ChannelRows:
         return Remainder(self.features.T @ self.features, crossed, self.block, self.count, self.before)
 
     def whitened(self, vector: FloatArray, taken: IntArray, variances: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Columns ``(N, n)`` that are ``taken`` and their sum with a ``vector (n,)``, white beside the remainder."""
+        """Return the columns ``(N, n)`` that are ``taken`` and their sum weighted by ``vector (n,)``, both whitened
+        given the remainder."""
         padded = np.pad(self.columns, ((0, 0), (0, 1)))[:, taken]
         rows = np.column_stack([padded, padded @ vector])
         if len(self.block):
@@ -96,10 +97,10 @@ class ChannelRows:
 
 @dataclass(frozen=True, eq=False)
 class Lack:
-    """What a channel's remainder is: ``coefficients (m,)`` of the features that were given, the share of the residual's
-    squares that each block ``explained (blocks,)``, its sum of squares (``power``; beside other recordings what is new,
-    if that is less than all), for how many parameters it counts (``freedom``), and the ``triangle (m, m)`` of which
-    ``T'T`` is the coefficients' covariance."""
+    """Remainder of a channel: ``coefficients (m,)`` of the given features, the ``triangle (m, m)`` T with their
+    covariance ``T'T``, the fraction of the residual's squares that each block ``explained (blocks,)``, and the
+    effective number of parameters, ``freedom``. ``power`` is its sum of squares; given other recordings, that of the
+    new part if this is less."""
 
     coefficients: FloatArray
     triangle: FloatArray
@@ -110,8 +111,8 @@ class Lack:
 
 @dataclass(frozen=True, eq=False)
 class CandidateProducts:
-    """Products in one channel of the k columns of those candidates that reach it, ``which (g,)``: ``crossed`` with the
-    n columns of a fit and its target ``(g, k, n + 1)``, ``squared`` with each other ``(g, k, k)``."""
+    """Products in one channel of the k columns of the candidates that affect it, at indices ``which (g,)``: ``crossed
+    (g, k, n + 1)`` with the n columns of a fit and its target, ``squared (g, k, k)`` with each other."""
 
     which: IntArray
     crossed: FloatArray
@@ -120,7 +121,7 @@ class CandidateProducts:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Rows of all channels, for ``dimension`` inertial columns, and the ``variances`` of each channel's remainder."""
+    """Rows of all channels, with ``dimension`` inertial columns, and the ``variances`` of their remainders' blocks."""
 
     channels: tuple[ChannelRows, ...]
     dimension: int
@@ -135,89 +136,88 @@ class Design:
 
     @staticmethod
     def of(channels: Sequence[ChannelRows], dimension: int) -> Design:
-        """With the usual remainder."""
+        """Create with the default remainder."""
         return Design(tuple(channels), dimension, tuple(channel.remainder.usual for channel in channels))
 
     def given(self, variances: Sequence[FloatArray]) -> Design:
-        """The same beside a remainder of these ``variances``, of each channel's blocks: products of channels that keep
-        theirs are taken over."""
+        """Return the design with other ``variances`` of the remainders; unchanged channels keep their products."""
         kept = {key: self._products[key] for key in self._keys if key in self._products}
         return replace(self, variances=tuple(variances), _products=kept, _gathered={})
 
     @property
     def _keys(self) -> list[tuple[int, bytes]]:
-        """What the products of each channel are found by."""
+        """Key of each channel's products."""
         return [(place, variances.tobytes()) for place, variances in enumerate(self.variances)]
 
     @cached_property
     def _marginalised(self) -> list[Marginal]:
-        """Of each channel."""
-        found = []
+        """Products of each channel with the remainder integrated out."""
+        marginals = []
         for key, channel, variances in zip(self._keys, self.channels, self.variances, strict=True):
             if key not in self._products:
                 self._products[key] = channel.remainder.marginalised(channel.products, variances)
-            found.append(self._products[key])
-        return found
+            marginals.append(self._products[key])
+        return marginals
 
     @property
     def is_told(self) -> bool:
-        """Whether other recordings tell what a channel lacks."""
+        """True if other recordings constrain the remainder of any channel."""
         return any(channel.before is not None for channel in self.channels)
 
     @property
     def cost(self) -> float:
-        """What the remainder adds to minus twice the log likelihood."""
-        return sum(each.cost for each in self._marginalised)
+        """Addition of the remainder to minus twice the log likelihood."""
+        return sum(marginal.cost for marginal in self._marginalised)
 
     @cached_property
     def counts(self) -> FloatArray:
-        """Rows of each channel."""
+        """Number of rows of each channel ``(C,)``."""
         return frozen(np.array([float(channel.count) for channel in self.channels]))
 
     @cached_property
     def floors(self) -> FloatArray:
-        """Least noise of each channel ``(C,)``, by what was measured. What the remainder leaves of it is no measure of
-        rounding: the better a name fits, the larger the remainder beside it may be, and of few rows nothing is left."""
+        """Least noise of each channel ``(C,)``, a fraction of the measurement. What the remainder leaves of it is no
+        reference for rounding: the better an effect fits, the larger the remainder may be, and few rows leave
+        nothing."""
         return np.array([np.sqrt(LEAST_SHARE * c.products[-2, -2] / max(c.count, 1)) for c in self.channels])
 
     def scales(self, terms: Sequence[Any]) -> FloatArray:
-        """Of each coefficient: the one with which its column is as large as the target in some channel, and smaller in
-        the others."""
+        """Scale of each coefficient: its column is as large as the target in one channel, smaller in the others."""
         return np.array([self._scale(term) for term in terms])
 
     def _scale(self, term: Any) -> float:
         if term not in self._known_scales:
             places = zip(self.channels, self._places_of_term(term), strict=True)
             squares = np.array([[c.products[-2, -2], c.products[place, place]] for c, place in places])
-            target, own = squares[squares[:, 1] > 0.0].T
-            scale = float(np.sqrt(np.min(target / own, initial=np.inf)))
+            target, column = squares[squares[:, 1] > 0.0].T
+            scale = float(np.sqrt(np.min(target / column, initial=np.inf)))
             self._known_scales[term] = scale if np.isfinite(scale) and scale > 0.0 else 1.0
         return self._known_scales[term]
 
     def trust(self, candidate: Hypothesis[Any]) -> FloatArray:
-        """Weights ``(k,)`` of a candidate's coefficients in their prior."""
+        """Prior precision ``(k,)`` of a candidate's coefficients."""
         if candidate not in self._known_trust:
-            usual = zip(candidate.usual, self.scales(candidate.terms), strict=True)
-            self._known_trust[candidate] = np.array([std or USUAL_SHARE * scale for std, scale in usual]) ** -2.0
+            stds = zip(candidate.usual, self.scales(candidate.terms), strict=True)
+            self._known_trust[candidate] = np.array([std or USUAL_SHARE * scale for std, scale in stds]) ** -2.0
         return self._known_trust[candidate]
 
     def gather(self, bodies: Sequence[int], terms: Sequence[Any]) -> ChannelProducts:
-        """Products of the inertial columns, once more those of each link of ``bodies``, the terms' and the target's."""
+        """Products of the inertial columns, those of each link of ``bodies`` again, the terms and the target."""
         places = self.places(bodies, terms)
 
         def gathered() -> Iterator[tuple[IntArray, FloatArray]]:
-            for place, (channel, taken) in enumerate(zip(self.channels, places, strict=True)):
-                there = channel.there[taken]
-                there[-1] = True
-                yield np.flatnonzero(there), self._block(place, taken[there])
+            for place, (channel, columns) in enumerate(zip(self.channels, places, strict=True)):
+                present = channel.there[columns]
+                present[-1] = True
+                yield np.flatnonzero(present), self._block(place, columns[present])
 
         return ChannelProducts.of(places.shape[1], gathered())
 
-    def _block(self, place: int, own: IntArray) -> FloatArray:
-        """Products of some columns of a channel; those of the last time again, as most fits differ in few channels."""
-        key = own.tobytes()
+    def _block(self, place: int, columns: IntArray) -> FloatArray:
+        """Products of some columns of a channel; the last ones are kept, as most fits differ in few channels."""
+        key = columns.tobytes()
         if place not in self._gathered or self._gathered[place][0] != key:
-            self._gathered[place] = key, self._marginalised[place].products[own[:, None], own]
+            self._gathered[place] = key, self._marginalised[place].products[columns[:, None], columns]
         return self._gathered[place][1]
 
     def settled(
@@ -229,103 +229,101 @@ class Design:
         among: Collection[int] | None = None,
         near: Sequence[FloatArray] | None = None,
     ) -> Design:
-        """Beside the remainder that is most likely for these ``parameters (D,)`` of the columns of :meth:`gather`, and
-        what is ``named (C,)`` in each channel, see :meth:`Remainder.settled`; of all channels unless ``among`` some.
-        Where each channel's variances are ``near`` those given, the search begins there alone."""
+        """Return the design with the most likely remainder at ``parameters (D,)`` of the columns of :meth:`gather`, for
+        a power ``named (C,)`` of the named effects, see :meth:`Remainder.settled`. Channels not in ``among`` keep
+        theirs. The search begins only at the variances ``near``, if these are given."""
         among, variances = range(len(self.channels)) if among is None else list(among), list(self.variances)
-        left = self._residuals(bodies, terms, parameters, among)
-        for place, own in zip(among, left, strict=True):
-            begun = None if near is None else near[place]
-            variances[place] = self.channels[place].remainder.settled(*own, float(named[place]), begun)
+        residuals = self._residuals(bodies, terms, parameters, among)
+        for place, residual in zip(among, residuals, strict=True):
+            start = None if near is None else near[place]
+            variances[place] = self.channels[place].remainder.settled(*residual, float(named[place]), start)
         return self.given(variances)
 
     def remainders(self, bodies: Sequence[int], terms: Sequence[Any], parameters: FloatArray) -> list[Lack]:
-        """What each channel's remainder is, beside these ``parameters (D,)``."""
-        left = self._residuals(bodies, terms, parameters, range(len(self.channels)))
-        found = []
-        for channel, (vector, square), marginal in zip(self.channels, left, self._marginalised, strict=True):
+        """Remainder of each channel at these ``parameters (D,)``."""
+        residuals = self._residuals(bodies, terms, parameters, range(len(self.channels)))
+        lacks = []
+        for channel, (vector, square), marginal in zip(self.channels, residuals, self._marginalised, strict=True):
             squared, whitener = channel.remainder.squared, marginal.whitener
             white = whitener @ (channel.remainder.crossed @ vector)
             mean = -white @ whitener
-            own = np.where(channel.block[:, None] == np.arange(len(channel.remainder.usual)), mean[:, None], 0.0)
-            explained = np.sum(own * (squared @ own), axis=0)
+            by_block = np.where(channel.block[:, None] == np.arange(len(channel.remainder.usual)), mean[:, None], 0.0)
+            explained = np.sum(by_block * (squared @ by_block), axis=0)
             freedom = float(np.sum((whitener @ squared) * whitener))
-            wholes = [mean] if channel.expected is None else [mean, mean + channel.expected]
-            power = min(float(whole @ squared @ whole) for whole in wholes)
+            totals = [mean] if channel.expected is None else [mean, mean + channel.expected]
+            power = min(float(total @ squared @ total) for total in totals)
             noise = max(square - float(white @ white), 0.0) / max(channel.count, 1)
             triangle = np.sqrt(noise) * channel.scale * whitener
-            found.append(Lack(channel.scale * mean, triangle, explained / max(square, 1e-300), power, freedom))
-        return found
+            lacks.append(Lack(channel.scale * mean, triangle, explained / max(square, 1e-300), power, freedom))
+        return lacks
 
     def powers(self, columns: Hypothesis[Any] | int, values: FloatArray) -> FloatArray:
-        """Sums of squares ``(C,)`` of what the columns of a candidate, or of a link, with these ``values (k,)`` add to
-        each channel."""
-        places = self._places_of_link(columns) if isinstance(columns, int) else self._own_places(columns)
-        own = zip(self.channels, places, strict=True)
-        return np.array([float(values @ c.products[np.ix_(place, place)] @ values) for c, place in own])
+        """Sums of squares ``(C,)`` that a candidate's or a link's columns add to the channels at ``values (k,)``."""
+        places = self._places_of_link(columns) if isinstance(columns, int) else self._candidate_places(columns)
+        pairs = zip(self.channels, places, strict=True)
+        return np.array([float(values @ c.products[np.ix_(place, place)] @ values) for c, place in pairs])
 
     def _residuals(
         self, bodies: Sequence[int], terms: Sequence[Any], parameters: FloatArray, among: Sequence[int]
     ) -> list[tuple[FloatArray, float]]:
-        """Of channels, the residual as a sum of its columns ``(K,)``, and its sum of squares."""
-        vector, places, found = np.append(parameters, -1.0), self.places(bodies, terms), []
-        for channel, own in ((self.channels[place], places[place]) for place in among):
-            whole = np.zeros(len(channel.products))
-            np.add.at(whole, own, vector)
-            whole[-1] = 0.0
-            found.append((whole, float(whole @ channel.products @ whole)))
-        return found
+        """Residual of each channel in ``among``, as weights of its columns ``(K + 2,)``, and its sum of squares."""
+        vector, places, residuals = np.append(parameters, -1.0), self.places(bodies, terms), []
+        for channel, columns in ((self.channels[place], places[place]) for place in among):
+            weights = np.zeros(len(channel.products))
+            np.add.at(weights, columns, vector)
+            weights[-1] = 0.0
+            residuals.append((weights, float(weights @ channel.products @ weights)))
+        return residuals
 
     def places(self, bodies: Sequence[int], terms: Sequence[Any]) -> IntArray:
-        """In each channel ``(C, n)``, of the inertial columns, those of each link of ``bodies``, the terms' and the
-        target's."""
-        own = [place for body in bodies for place in self._places_of_link(body).T]
-        own += [self._places_of_term(term) for term in terms]
-        found = np.full((len(self.channels), self.dimension + len(own) + 1), -2)
-        found[:, : self.dimension] = self._links
-        if own:
-            found[:, self.dimension : -1] = np.array(own).T
-        return found
+        """Column indices by channel ``(C, n)``: inertial, those of each link of ``bodies`` again, terms, target."""
+        columns = [place for body in bodies for place in self._places_of_link(body).T]
+        columns += [self._places_of_term(term) for term in terms]
+        indices = np.full((len(self.channels), self.dimension + len(columns) + 1), -2)
+        indices[:, : self.dimension] = self._links
+        if columns:
+            indices[:, self.dimension : -1] = np.array(columns).T
+        return indices
 
     def _places_of_term(self, term: Any) -> IntArray:
-        """In each channel ``(C,)``; that of the zero row where it is absent."""
+        """Index of a term's column in each channel ``(C,)``, -1 (the zero column) where it is absent."""
         if term not in self._known_terms:
             self._known_terms[term] = np.array([channel.place.get(term, -1) for channel in self.channels])
         return self._known_terms[term]
 
     def reached(self, candidate: Hypothesis[Any]) -> list[int]:
-        """The channels that a candidate can change."""
+        """Channels that a candidate affects."""
         if candidate.payload is not None:
             return list(range(len(self.channels)))
         if candidate not in self._known_reach:
-            own = [i for i, c in enumerate(self.channels) if any(term in c.place for term in candidate.terms)]
-            self._known_reach[candidate] = own
+            channels = [i for i, c in enumerate(self.channels) if any(term in c.place for term in candidate.terms)]
+            self._known_reach[candidate] = channels
         return self._known_reach[candidate]
 
     def own(self, alike: Sequence[Hypothesis[Any]], places: Mapping[int, IntArray]) -> list[CandidateProducts]:
-        """Of some channels, the products of the columns of candidates, each of which has as many, with those of a fit,
-        by their ``places`` in each."""
-        every, found = np.array([self._own_places(candidate) for candidate in alike]), []
-        reached = np.any(every >= 0, axis=2)
-        for channel, beside in places.items():
+        """Products of the columns of candidates, which have equally many, with those of a fit at ``places`` in some
+        channels."""
+        indices, products_by_channel = np.array([self._candidate_places(candidate) for candidate in alike]), []
+        reached = np.any(indices >= 0, axis=2)
+        for channel, fit_columns in places.items():
             products, which = self._marginalised[channel].products, np.flatnonzero(reached[:, channel])
-            mine = every[which, channel]
-            crossed, squared = products[mine][:, :, beside], products[mine[:, :, None], mine[:, None]]
-            found.append(CandidateProducts(which, crossed, squared))
-        return found
+            columns = indices[which, channel]
+            crossed, squared = products[columns][:, :, fit_columns], products[columns[:, :, None], columns[:, None]]
+            products_by_channel.append(CandidateProducts(which, crossed, squared))
+        return products_by_channel
 
-    def _own_places(self, candidate: Hypothesis[Any]) -> IntArray:
-        """Places of a candidate's columns in each channel ``(C, k)``."""
+    def _candidate_places(self, candidate: Hypothesis[Any]) -> IntArray:
+        """Index of each of a candidate's columns in each channel ``(C, k)``."""
         if candidate not in self._known_places:
-            body, own = candidate.payload, [self._places_of_term(term) for term in candidate.terms]
-            self._known_places[candidate] = np.column_stack(own) if body is None else self._places_of_link(body)
+            body, columns = candidate.payload, [self._places_of_term(term) for term in candidate.terms]
+            self._known_places[candidate] = np.column_stack(columns) if body is None else self._places_of_link(body)
         return self._known_places[candidate]
 
     def _places_of_link(self, link: int) -> IntArray:
-        """Places of a link's columns in each channel ``(C, 10)``."""
+        """Index of each of a link's columns in each channel ``(C, 10)``."""
         return self._links[:, 10 * link : 10 * link + 10]
 
     @cached_property
     def _links(self) -> IntArray:
-        """Places of the inertial columns in each channel ``(C, dimension)``."""
+        """Index of each inertial column in each channel ``(C, dimension)``."""
         return np.array([channel.links for channel in self.channels]).reshape(len(self.channels), self.dimension)

@@ -1,9 +1,9 @@
 """The joint fit: all inertias under the geometric prior, payloads and effects, for channels of unknown noise.
 
-Minus twice the logarithm of the likelihood, maximised over each channel's variance, is ``sum_c N_c log S_c`` with the
-sums of squares S_c. The prior on a link is Gaussian in geodesic distance, of a spread of its own that is estimated:
-its marginal likelihood in Laplace's approximation (MacKay 1992) with an inverse-gamma prior around the usual spread.
-So large errors of inertias make the prior wide instead of passing for an effect, and one wrong link loosens no other.
+Minus twice the log likelihood, maximised over each channel's variance, is ``sum_c N_c log S_c`` with the sums of
+squares S_c. The prior on a link is Gaussian in geodesic distance. Its standard deviation is estimated for each link:
+marginal likelihood in Laplace's approximation (MacKay 1992), inverse-gamma prior around the default. So large inertial
+errors widen the prior instead of passing for an effect, and one wrong link loosens no other.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ from geomid_ros.types import FloatArray
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class JointFit(Generic[Chosen, Term]):
-    """The minimum for some candidates.
+    """The minimum for a set of candidates.
 
     Attributes:
         chosen: the candidates.
-        terms: the coefficients that were fitted: those of the model, then those of the candidates.
+        terms: the fitted coefficients: those of the model, then those of the candidates.
         point, manifold: the D parameters: inertias of links and payloads, then the coefficients.
         score: minus twice the log marginal likelihood, with the parameters' penalty.
         squares: whitened sums of squares ``(C,)``.
-        packed: the :attr:`information`; a search keeps hundreds of fits.
-        weights: the prior's share of it ``(D,)``, what other recordings say apart.
-        spreads: of the links' errors ``(links,)``, geodesic distances.
-        inflation: factor on the variances of what other recordings say.
-        own_spreads: of the errors that each link has by itself that is alike to others ``(n,)``.
-        changes: what each candidate adds to what was known of its coefficients, or the parameters of its body ``(k,)``.
+        packed: the :attr:`information`, packed because a search keeps hundreds of fits.
+        weights: the prior's part of its diagonal ``(D,)``, other recordings excluded.
+        spreads: prior standard deviations of the links' errors ``(links,)``, geodesic distances.
+        inflation: factor on the variances of the other recordings.
+        own_spreads: prior standard deviations of the individual errors of the links that are alike ``(n,)``.
+        changes: change ``(k,)`` of each candidate's coefficients from their known values, or its body's parameters.
     """
 
     chosen: tuple[Chosen, ...]
@@ -76,7 +76,7 @@ class JointFit(Generic[Chosen, Term]):
 
     @property
     def loaded_inertias(self) -> FloatArray:
-        """The same with their payloads."""
+        """Parameters ``(links, 10)`` of the links with their payloads."""
         inertias = self.inertias
         for carrier, payload in zip(self.bodies, self.point.pseudo_inertias[len(inertias) :], strict=True):
             inertias[carrier] += pseudo_inertia.to_parameters(payload)
@@ -89,47 +89,47 @@ class JointFit(Generic[Chosen, Term]):
 
     @property
     def covariance(self) -> FloatArray:
-        """Of the parameters ``(D, D)``."""
+        """Covariance of the parameters ``(D, D)``."""
         blocks, diagonal = self.manifold.jacobian(self.point)
 
-        def moved(matrix: FloatArray) -> FloatArray:
+        def mapped(matrix: FloatArray) -> FloatArray:
             links, rest = np.split(matrix, [self.manifold.inertial.stop])
             by_link = blocks @ links.reshape(len(blocks), 10, -1)
             return np.concatenate([by_link.reshape(links.shape), diagonal[:, None] * rest])
 
-        return moved(moved(definite.inverse(self.information)).T)
+        return mapped(mapped(definite.inverse(self.information)).T)
 
     def covariance_of(self, terms: Sequence[Term]) -> FloatArray:
-        """Of some coefficients ``(k, k)``."""
-        own = [self._places[term] for term in terms]
-        places, scales = int(self.manifold.real.start) + np.array(own, dtype=np.intp), self.manifold.scales[own]
+        """Covariance of some coefficients ``(k, k)``."""
+        indices = [self._places[term] for term in terms]
+        places, scales = int(self.manifold.real.start) + np.array(indices, dtype=np.intp), self.manifold.scales[indices]
         return np.asarray(self.inverse[places[:, None], places] * np.outer(scales, scales))
 
     def settled(self, design: Design, among: Collection[int] | None = None) -> Design:
-        """The design beside the remainder that is most likely at this fit, of all channels unless ``among`` some."""
+        """Return the design with the most likely remainder at this fit, for all channels or those in ``among``."""
         named = np.zeros(len(design.channels))
         for candidate, values in self.changes.items() if design.is_told else ():
             named += design.powers(candidate, values) / self.squares
         return design.settled(self.bodies, self.terms, self.point.parameters, named, among)
 
     def remainders(self, design: Design) -> list[Lack]:
-        """What each channel's remainder is at this fit."""
+        """Remainder of each channel at this fit."""
         return design.remainders(self.bodies, self.terms, self.point.parameters)
 
     def parameters_by_channel(self, design: Design) -> FloatArray:
-        """How many parameters each channel determined, ``(C,)``: the trace of its share of the information."""
+        """Effective number of parameters of each channel ``(C,)``: the trace of its part of the information."""
         products = design.gather(self.bodies, self.terms)
         covariance = np.pad(self.covariance, (0, 1))  # of the target, too
         pairs = zip(products.places, products.blocks, strict=True)
-        traces = [float(np.sum(block * covariance[own[:, None], own])) for own, block in pairs]
+        traces = [float(np.sum(block * covariance[columns[:, None], columns])) for columns, block in pairs]
         return np.asarray(design.counts / self.squares * traces)
 
     def value(self, term: Term) -> float:
-        """A coefficient."""
+        """Value of a coefficient."""
         return float(self.point.reals[self._places[term]])
 
     def place(self, term: Term) -> int:
-        """Where a coefficient stands among the parameters."""
+        """Index of a coefficient among the parameters."""
         return int(self.manifold.real.start) + self._places[term]
 
     @cached_property
@@ -144,12 +144,11 @@ def fit(
     start: JointFit[Chosen, Term] | None = None,
     spread: float | FloatArray | None = None,
 ) -> JointFit[Chosen, Term]:
-    """Fit the chosen candidates together with all that is known, from an earlier fit where one is given.
+    """Fit the chosen candidates together with all known parameters, from an earlier fit if one is given.
 
-    The links' spreads are estimated, and so is how far other recordings are trusted, unless a ``spread`` is given for
-    all links, or one for each. Recordings that contradict each other leave two minima: in one the others are right and
-    what is measured here is mostly error, in the other it is the reverse. Both are looked for, the one that is more
-    likely is taken.
+    The links' prior stds and the trust in other recordings are estimated, unless a ``spread`` fixes the prior std of
+    all links, or of each. Recordings that contradict each other give two minima: either the others are right and the
+    present measurement is mostly error, or the reverse. Both are searched; the more likely one is returned.
     """
     if prior.known is None or spread is not None:
         return _fit(design, prior, chosen, start, spread)
@@ -157,7 +156,7 @@ def fit(
     rows, _ = _known_rows(prior, chosen, alone.manifold)
     off = alone.point.parameters - _known(alone.manifold, prior, alone.bodies).parameters
     loose = replace(alone, inflation=priors.contradiction(rows, off))
-    return min((_fit(design, prior, chosen, first) for first in (start, loose)), key=lambda found: found.score)
+    return min((_fit(design, prior, chosen, first) for first in (start, loose)), key=lambda fitted: fitted.score)
 
 
 def _fit(
@@ -167,10 +166,10 @@ def _fit(
     start: JointFit[Chosen, Term] | None,
     spread: float | FloatArray | None = None,
 ) -> JointFit[Chosen, Term]:
-    """The minimum that is reached from the start, in which what the prior holds at zero is zero."""
-    found = _free_fit(design, prior, chosen, start, spread)
-    rows = prior.held(found.terms, found.point.reals)
-    return _free_fit(design, prior, chosen, found, spread, rows) if len(rows) else found
+    """Return the minimum reached from the start, with the prior's constraints at zero."""
+    free = _free_fit(design, prior, chosen, start, spread)
+    rows = prior.held(free.terms, free.point.reals)
+    return _free_fit(design, prior, chosen, free, spread, rows) if len(rows) else free
 
 
 def _free_fit(
@@ -179,63 +178,63 @@ def _free_fit(
     chosen: Sequence[Chosen],
     start: JointFit[Chosen, Term] | None,
     spread: float | FloatArray | None,
-    driven: FloatArray | None = None,
+    constraints: FloatArray | None = None,
 ) -> JointFit[Chosen, Term]:
-    """The minimum that is reached from the start; ``driven``: rows ``(r, terms)`` of the coefficients that are zero."""
+    """Return the minimum reached from the start; ``constraints``: rows ``(r, terms)`` of coefficients fixed at zero."""
     bodies = [c.payload for c in chosen if c.payload is not None]
     own = dict.fromkeys(term for c in chosen for term in c.terms)
     terms = (*prior.terms, *(term for term in own if term not in prior.terms))
     products = design.gather(bodies, terms)
     scales = design.scales(terms)
     manifold = StraightManifold(len(prior.inertias) // 10 + len(bodies), 0, scales)
-    known = _known(manifold, prior, bodies)
-    first = len(prior.inertias)
-    usual = {term: std for c in chosen for term, std in zip(c.terms, c.usual, strict=True)}
-    stds = [usual.get(term, 0.0) or USUAL_SHARE * scale for term, scale in zip(terms, scales, strict=True)]
+    prior_point = _known(manifold, prior, bodies)
+    payloads_at = len(prior.inertias)
+    prior_stds = {term: std for c in chosen for term, std in zip(c.terms, c.usual, strict=True)}
+    stds = [prior_stds.get(term, 0.0) or USUAL_SHARE * scale for term, scale in zip(terms, scales, strict=True)]
     weights = np.ones(manifold.dimension)
     weights[manifold.real] = (scales / np.array(stds)) ** 2
-    weights[first : manifold.inertial.stop] = priors.SPREAD_OF_PAYLOADS**-2
+    weights[payloads_at : manifold.inertial.stop] = priors.SPREAD_OF_PAYLOADS**-2
     held = np.array([term not in own for term in prior.terms], dtype=bool)
     places = manifold.real.start + np.flatnonzero(held)
     weights[places] = (scales[: len(held)][held] / prior.spreads[held]) ** 2
     rows, cost = _known_rows(prior, chosen, manifold)
-    zero = _zero_rows(driven, manifold, known)
-    said, zeros = (_products(manifold.rows_off(known, own[:, :-1]), own[:, -1]) for own in (rows, zero))
-    afresh = start is None or set(bodies) != set(start.bodies)
+    zero = _constraint_rows(constraints, manifold, prior_point)
+    earlier, zeros = (_products(manifold.rows_off(prior_point, own[:, :-1]), own[:, -1]) for own in (rows, zero))
+    from_scratch = start is None or set(bodies) != set(start.bodies)
     fixed = spread is not None
     inflation = 1.0 if fixed or start is None else start.inflation
-    spreads = np.full(first // 10, prior.link_spreads if spread is None else spread)
-    if start is not None and not (fixed or afresh):
+    spreads = np.full(payloads_at // 10, prior.link_spreads if spread is None else spread)
+    if start is not None and not (fixed or from_scratch):
         spreads = start.spreads
-    profile = Profile(manifold, products, design.counts, known, design.floors)
-    point = _first_point(manifold, known, None if afresh else start, bodies, terms)
+    profile = Profile(manifold, products, design.counts, prior_point, design.floors)
+    point = _first_point(manifold, prior_point, None if from_scratch else start, bodies, terms)
 
     own_spreads = prior.own_spreads if start is None else start.own_spreads
     ends = [len(spreads), len(spreads) + 1]
 
-    def objective(wide: FloatArray) -> ProfileObjective:
-        links, inflation, apart = np.split(wide, ends)
-        trusted = np.append(np.repeat(links, 10) ** -2.0, weights[first:])
-        held = held_together(prior.alike, apart, manifold.dimension)
-        return ProfileObjective(profile, trusted, said / inflation + zeros + _products(held, np.zeros(len(held))))
+    def objective(prior_scales: FloatArray) -> ProfileObjective:
+        links, inflation, individual = np.split(prior_scales, ends)
+        precision = np.append(np.repeat(links, 10) ** -2.0, weights[payloads_at:])
+        held = held_together(prior.alike, individual, manifold.dimension)
+        return ProfileObjective(profile, precision, earlier / inflation + zeros + _products(held, np.zeros(len(held))))
 
-    def likely(point: Point, hessian: FloatArray, before: FloatArray) -> FloatArray:
-        tangent, root = manifold.log(known, point)[:first], definite.roots(hessian, first)
+    def likely(point: Point, hessian: FloatArray, previous: FloatArray) -> FloatArray:
+        tangent, root = manifold.log(prior_point, point)[:payloads_at], definite.roots(hessian, payloads_at)
         spreads = likely_spreads(tangent, np.sum(root**2, axis=1), prior.link_spreads, prior.certainty)
-        apart = likely_own(prior.alike, np.split(before, ends)[2], tangent, root)
-        return np.concatenate([spreads, [priors.inflation_of(rows, manifold, point, known, root)], apart])
+        individual = likely_own(prior.alike, np.split(previous, ends)[2], tangent, root)
+        return np.concatenate([spreads, [priors.inflation_of(rows, manifold, point, prior_point, root)], individual])
 
     begin = np.concatenate([spreads, [inflation], own_spreads])
-    if afresh and bodies:
+    if from_scratch and bodies:
         point = priors.centred_payloads(objective(begin), point, len(bodies))
-    found = fit_scales(objective, point, begin, None if fixed else likely)
-    spreads, (inflation,), own_spreads = np.split(found.scales, ends)
-    point = found.point
-    score = found.score + design.cost + cost_of_spreads(spreads, prior.link_spreads, prior.certainty)
+    solution = fit_scales(objective, point, begin, None if fixed else likely)
+    spreads, (inflation,), own_spreads = np.split(solution.scales, ends)
+    point = solution.point
+    score = solution.score + design.cost + cost_of_spreads(spreads, prior.link_spreads, prior.certainty)
     score += cost + priors.cost_of_inflation(rows, inflation) + prior.cost + cost_of_own(prior.alike, own_spreads)
     score += sum(c.cost for c in chosen)
     places = {term: place for place, term in enumerate(terms)}
-    payloads = iter(point.parameters[first : manifold.inertial.stop].reshape(-1, 10))
+    payloads = iter(point.parameters[payloads_at : manifold.inertial.stop].reshape(-1, 10))
     changes = {
         c: np.array([point.reals[places[term]] - prior.value(term) for term in c.terms])
         if c.payload is None
@@ -249,8 +248,8 @@ def _free_fit(
         manifold=manifold,
         score=score,
         squares=profile.squares(point),
-        packed=Packed.of(found.hessian),
-        weights=found.objective.weights,
+        packed=Packed.of(solution.hessian),
+        weights=solution.objective.weights,
         spreads=spreads,
         inflation=inflation,
         own_spreads=own_spreads,
@@ -259,31 +258,31 @@ def _free_fit(
 
 
 def _products(rows: FloatArray, residuals: FloatArray) -> FloatArray:
-    """Of the columns ``(N, D)`` and residuals of rows, ``(D + 1, D + 1)``."""
+    """Products of the columns ``(N, D)`` and residuals of rows ``(D + 1, D + 1)``."""
     augmented = np.column_stack([rows, residuals])
     return np.asarray(augmented.T @ augmented)
 
 
 def _known_rows(prior: Prior[Term], chosen: Sequence[Chosen], manifold: ParameterManifold) -> tuple[FloatArray, float]:
-    """What other recordings say, see :meth:`OtherRecordings.of_now`, where coefficients with names are others now; no
-    rows without any."""
+    """Rows of other recordings and their cost, none without any; see :meth:`OtherRecordings.of_now`. Coefficients of
+    the chosen candidates have changed since then."""
     if prior.known is None:
         return np.zeros((0, manifold.dimension + 1)), 0.0
     named = {term for c in chosen for term in c.terms}
-    told = zip(prior.terms, prior.spreads.tolist(), prior.known.changes, strict=False)
-    others = {place: spread for place, (term, spread, _) in enumerate(told) if term in named}
+    triples = zip(prior.terms, prior.spreads.tolist(), prior.known.changes, strict=False)
+    others = {place: spread for place, (term, spread, _) in enumerate(triples) if term in named}
     return prior.known.of_now(manifold.dimension, int(manifold.real.start), others)
 
 
-def _zero_rows(driven: FloatArray | None, manifold: ParameterManifold, known: Point) -> FloatArray:
-    """Rows for all parameters, and as the last column their residuals at the prior ``(r, D + 1)``."""
-    if driven is None:
+def _constraint_rows(constraints: FloatArray | None, manifold: ParameterManifold, prior: Point) -> FloatArray:
+    """Rows for all parameters; the last column has their residuals at the prior ``(r, D + 1)``."""
+    if constraints is None:
         return np.zeros((0, manifold.dimension + 1))
-    return np.column_stack([np.zeros((len(driven), manifold.real.start)), driven, driven @ known.reals])
+    return np.column_stack([np.zeros((len(constraints), manifold.real.start)), constraints, constraints @ prior.reals])
 
 
 def unfitted(prior: Prior[Term]) -> JointFit[Any, Term]:
-    """What is known before, as if it were a fit to no data."""
+    """The prior as a fit to no data."""
     manifold = StraightManifold(len(prior.inertias) // 10, 0, np.ones(len(prior.values)))
     size = manifold.dimension
     return JointFit(
@@ -312,38 +311,38 @@ def _known(manifold: ParameterManifold, prior: Prior[Any], bodies: Sequence[int]
 
 def _first_point(
     manifold: ParameterManifold,
-    known: Point,
+    prior_point: Point,
     start: JointFit[Chosen, Term] | None,
     bodies: Sequence[int],
     terms: Sequence[Term],
 ) -> Point:
     if start is None:
-        return known
+        return prior_point
     links = manifold.links - len(bodies)
     payloads = [
         start.point.pseudo_inertias[links + start.bodies.index(body)]
         if body in start.bodies
-        else known.pseudo_inertias[links + place]
+        else prior_point.pseudo_inertias[links + place]
         for place, body in enumerate(bodies)
     ]
     fitted = set(start.terms)
-    reals = [start.value(t) if t in fitted else float(known.reals[i]) for i, t in enumerate(terms)]
+    reals = [start.value(t) if t in fitted else float(prior_point.reals[i]) for i, t in enumerate(terms)]
     inertias = [*start.point.pseudo_inertias[:links], *payloads]
     return Point(np.array(inertias), np.zeros(0), np.array(reals))
 
 
 def scattered(design: Design, found: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
-    """A fit with standard deviations at least as large as the scatter of blocks of time says.
+    """Enlarge the standard deviations of a fit to at least the scatter between blocks of time.
 
-    Where the model has errors, what it says of one block differs from what it says of the next by more than noise
-    explains. The covariance of the tangent coordinates is then ``H^-1 sum_b(s_b s_b^T) H^-1`` with the slopes s_b of
-    the blocks about their mean (Liang and Zeger, "Longitudinal data analysis using generalized linear models", 1986).
+    If the model has errors, blocks differ by more than noise explains. The covariance of the tangent coordinates is
+    then ``H^-1 sum_b(s_b s_b^T) H^-1`` with the slopes s_b of the blocks about their mean (Liang and Zeger,
+    "Longitudinal data analysis using generalized linear models", 1986).
     """
     slopes = np.zeros((BLOCKS, found.manifold.dimension))
     vector, places = np.append(found.point.parameters, -1.0), design.places(found.bodies, found.terms)
     weights = design.counts / found.squares
-    for channel, own, variances, weight in zip(design.channels, places, design.variances, weights, strict=True):
-        columns, residual = channel.whitened(vector, own, variances)
+    for channel, indices, variances, weight in zip(design.channels, places, design.variances, weights, strict=True):
+        columns, residual = channel.whitened(vector, indices, variances)
         for block, rows in enumerate(np.array_split(np.arange(len(residual)), BLOCKS)):
             slopes[block] += weight * (residual[rows] @ columns[rows, :-1])
     slopes = found.manifold.whiten(found.point, slopes)

@@ -1,4 +1,4 @@
-"""What a set of hypotheses must say of each of them to be selected from."""
+"""Protocol of the hypotheses that a search selects from."""
 
 from __future__ import annotations
 
@@ -8,63 +8,62 @@ from typing import Any, Protocol, Self, TypeVar
 from geomid_ros.types import FloatArray
 
 Term = TypeVar("Term", bound=Hashable)
-"""Names a column of the products."""
+"""Identifies a column of the products."""
 _Term_co = TypeVar("_Term_co", bound=Hashable, covariant=True)
 
 
 class Hypothesis(Protocol[_Term_co]):
-    """Columns or a body that may explain a part of what is measured."""
+    """Columns, or a body (payload), that may explain a part of the measurement."""
 
     @property
     def terms(self) -> tuple[_Term_co, ...]:
-        """Its columns; none of a body."""
+        """Identifiers of its columns; empty for a body."""
 
     @property
     def payload(self) -> int | None:
-        """The link, by its place among the identified ones, that carries it, of a body; None of columns."""
+        """Link that carries the body, as an index into the identified links; None for columns."""
 
     @property
     def usual(self) -> tuple[float, ...]:
-        """Prior standard deviations of its coefficients about what is known of them; 0 for a share of what is
-        measured."""
+        """Prior stds of its coefficients about their known values; 0 for a fraction of the measurement."""
 
     @property
     def odds(self) -> float:
-        """Its prior odds, with whatever constant."""
+        """Prior odds for any value of its constant."""
 
     @property
     def cost(self) -> float:
-        """Minus twice the logarithm of its prior odds, with its constant."""
+        """Minus twice the logarithm of the prior odds for its value of the constant."""
 
     @property
     def positives(self) -> int:
-        """How many of its coefficients, the first ones, cannot be negative."""
+        """Number of leading coefficients that cannot be negative."""
 
     @property
     def group(self) -> Hashable:
-        """One of each group is selected at most."""
+        """Key of its group; at most one hypothesis of each group is selected."""
 
     @property
     def rescales(self) -> bool:
-        """Whether it is a factor on what a channel measures, of which all together pass for a body."""
+        """True if it is a factor on what a channel measures; factors at all channels together mimic a body."""
 
     @property
     def confusable_with_payload(self) -> bool:
-        """Whether a body may stand in its place."""
+        """True if a body may take its place."""
 
     @property
     def relinearises(self) -> bool:
-        """Whether all other columns depend on its size, so that a search with it is to be begun anew."""
+        """True if all other columns depend on its size, so that a search that finds it must start again."""
 
     def excludes(self, other: Self) -> bool:
-        """Whether both at once make no sense; all of a group are alike in this."""
+        """True if both at once make no sense. All members of a group answer alike."""
 
     def includes(self, other: Self) -> bool:
-        """Whether it is the same with another constant, or the other is a special case of it."""
+        """True if it is the same with another constant, or if the other is a special case of it."""
 
     def is_out_of_range(self, coefficients: FloatArray) -> bool:
-        """Whether nothing that works has it with these ``coefficients (k,)``."""
+        """True if no working robot has it with these ``coefficients (k,)``."""
 
 
 Chosen = TypeVar("Chosen", bound=Hypothesis[Any])
-"""The hypotheses that a caller selects from."""
+"""Type of the hypotheses that a caller selects from."""

@@ -1,4 +1,4 @@
-"""How probable a hypothesis is: its weight beside nothing and beside every rival in its place."""
+"""Probability of a hypothesis: its weight against nothing and against every rival in its place."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from geomid_ros.inference.hypothesis import Chosen, Hypothesis, Term
 from geomid_ros.inference.selection import Selection
 from geomid_ros.types import FloatArray
 
-_ALONG = 0.5  # of what a channel lacks, as a root mean square, may lie along a hypothesis's columns
+_ALONG = 0.5  # fraction of a channel's remainder, as RMS, that may lie along a hypothesis's columns
 
 
 def shares(scores: Sequence[float] | FloatArray) -> FloatArray:
-    """Probabilities ``(k,)`` of hypotheses of which one is true, by their ``scores (k,)``: minus twice the logarithm of
-    each one's evidence, its cost included."""
+    """Probabilities ``(k,)`` of hypotheses, exactly one of which is true, from their ``scores (k,)``: minus twice the
+    log evidence of each, its cost included."""
     weights = np.exp(-0.5 * (np.asarray(scores) - np.min(scores)))
     return np.asarray(weights / np.sum(weights))
 
 
 def probability_of_square(square: float) -> float:
-    """The largest probability that a size is not nothing, from which it is the root of ``square`` standard deviations
-    away; within three of these it is no evidence."""
+    """Largest probability that a size is not zero, if it is ``sqrt(square)`` standard deviations from zero. Within
+    three of these it is no evidence."""
     return 1.0 / (1.0 + float(np.exp(-0.5 * np.clip(square - TOLD**2, -1e3, 1e3))))
 
 
 @dataclass(frozen=True, eq=False)
 class Support(Generic[Chosen]):
-    """What speaks for a hypothesis: by how much the score is worse without it (``loss``), and what that is ``worth``
-    where rows depend on each other; the relative ``doubt`` of its size that comes from what the model lacks; the same
-    loss with each of the ``rivals`` in its place, and its ``probability`` among all of these."""
+    """Evidence for a hypothesis: the ``loss`` of score without it, and its ``worth``, that loss if rows are dependent;
+    ``doubt``, the relative standard deviation of its size due to the remainder; the ``rivals``, each with the loss in
+    its place, and its ``probability`` among all of these."""
 
     loss: float
     worth: float
@@ -45,26 +45,26 @@ class Support(Generic[Chosen]):
 
 
 class Supports(Generic[Chosen, Term]):
-    """The supports of the hypotheses that a ``selection`` ``found``."""
+    """Supports of the hypotheses of a fit that a ``selection`` ``found``."""
 
     def __init__(self, selection: Selection[Chosen, Term], found: JointFit[Chosen, Term]) -> None:
         self._selection = selection
         self._found = found
         self._sized = scattered(selection.design, found)
         self._covariance = self._sized.covariance
-        self._lacking = _lacking(selection.design, found)
+        self._remainder_along = _remainder_along(selection.design, found)
         self._losses: dict[Chosen, float] = {}
         self._groups_of_odds: dict[float, set[Hashable]] = {}
         for hypothesis in selection.hypotheses:
             self._groups_of_odds.setdefault(hypothesis.odds, set()).add(hypothesis.group)
 
     def of(self, candidate: Chosen) -> Support[Chosen]:
-        """The support of one of them.
+        """Return the support of one hypothesis.
 
-        Its absence is judged beside a remainder that is estimated anew: what a free curve says as well is no evidence
-        for a name. It is worth no more than its size says, by the density at nothing of its posterior and its prior
-        (Dickey, "The weighted likelihood ratio", 1971), with the standard deviations that the scatter between blocks of
-        time shows; and rivals are as much less unlikely. All are as common as this robot shows such hypotheses to be.
+        Its absence is scored with a remainder estimated anew: what a free curve explains as well is no evidence for an
+        effect. Its worth is at most that of its size, by the ratio of posterior and prior density at zero (Dickey, "The
+        weighted likelihood ratio", 1971), with the standard deviations from the scatter between blocks of time. Losses
+        with rivals shrink by the same factor. Prior odds are corrected by how common such hypotheses are on this robot.
         """
         loss, worth, common = self.loss(candidate), self.worth(candidate), self._common(candidate)
         rivals = self._rivals(self._selection.without(self._found, candidate), candidate)
@@ -74,103 +74,104 @@ class Supports(Generic[Chosen, Term]):
         return Support(loss, worth, self.doubt(candidate), ordered, float(shares([0.0, *against])[0]))
 
     def _common(self, candidate: Chosen) -> float:
-        """By how much more common than their prior odds say hypotheses like one are, as twice a logarithm: of the Beta
-        distribution that these are from, as if they had been seen once before, and how many others were found (Scott
-        and Berger, "Bayes and empirical-Bayes multiplicity adjustment in the variable-selection problem", 2010)."""
+        """Twice the log factor by which hypotheses like this one are more common than their prior odds: by the Beta
+        distribution of these odds, as if seen once before, and the number of others found (Scott and Berger, "Bayes and
+        empirical-Bayes multiplicity adjustment in the variable-selection problem", 2010)."""
         alike = self._groups_of_odds[candidate.odds]
         others = sum(c.group in alike for c in self._found.chosen if c.group != candidate.group)
         return 2.0 * float(np.log((1 + others) / (1.0 + candidate.odds * (len(alike) - 1 - others))))
 
     def worth(self, candidate: Chosen) -> float:
-        """By how much the score is worse without it, where rows depend on each other."""
+        """Loss of score without it, if rows are dependent."""
         of_size = self._of_size(candidate)
         return min(self.loss(candidate), of_size) if of_size > 0.0 else of_size
 
     def loss(self, candidate: Chosen) -> float:
-        """By how much the score is worse without it, each beside the remainder that suits it better: the one at hand,
-        or that which the hypothesis would leave."""
+        """Loss of score without it; each fit uses the better of two remainders, estimated with and without the
+        hypothesis."""
         if candidate not in self._losses:
-            selection, found = self._selection, self._found
-            rest = selection.without(found, candidate)
+            selection, current = self._selection, self._found
+            rest = selection.without(current, candidate)
             design = rest.settled(selection.design, selection.design.reached(candidate))
-            both = [fit(design, selection.prior, each.chosen, each).score for each in (rest, found)]
-            self._losses[candidate] = min(rest.score, both[0]) - min(found.score, both[1])
+            both = [fit(design, selection.prior, joint_fit.chosen, joint_fit).score for joint_fit in (rest, current)]
+            self._losses[candidate] = min(rest.score, both[0]) - min(current.score, both[1])
         return self._losses[candidate]
 
     def _rivals(self, rest: JointFit[Chosen, Term], candidate: Chosen) -> list[tuple[Chosen, float]]:
-        """The others in its place, each with the loss: exactly of bodies and of those that are as good as this, of all
-        others as the score test says. The same with another constant, and what contains it, deny nothing; what would
-        improve the fit beside it as well does so only by what it is better in its place."""
-        selection, found = self._selection, self._found
-        beside = {trial.candidate: max(trial.gain, 0.0) for trial in selection.ranked(found)}
-        worse = dict[Chosen, float]()
+        """Return the rivals in its place with their losses. These are exact for bodies and for rivals as good as this
+        one, and from the score test for others. The same with another constant, and what contains it, are no rivals.
+        The gain of a rival in addition to this one is added to its loss: only its advantage in this place counts."""
+        selection, current = self._selection, self._found
+        additional_gains = {trial.candidate: max(trial.gain, 0.0) for trial in selection.ranked(current)}
+        losses = dict[Chosen, float]()
         for trial in selection.ranked(rest):
-            rival, loss = trial.candidate, rest.score - trial.gain - found.score
+            rival, loss = trial.candidate, rest.score - trial.gain - current.score
             if rival.includes(candidate) or rival.payload is not None or not np.isfinite(loss):
                 continue
-            if loss < 0.0:  # a promise that the search, which has tried exchanges, did not find kept
+            if loss < 0.0:  # the search has tried such exchanges, so the exact loss decides
                 instead = selection.fit([*rest.chosen, rival], rest)
-                loss = instead.score - found.score if selection.possible(instead) else np.inf
-            worse[rival] = loss + beside.get(rival, 0.0)
-        for instead in selection.rivals(found, candidate):
-            own = [c for c in instead.chosen if c not in found.chosen and not c.includes(candidate)]
-            if own:
-                worse[own[0]] = instead.score - found.score + beside.get(own[0], 0.0)
-        return list(worse.items())
+                loss = instead.score - current.score if selection.possible(instead) else np.inf
+            losses[rival] = loss + additional_gains.get(rival, 0.0)
+        for instead in selection.rivals(current, candidate):
+            replacements = [c for c in instead.chosen if c not in current.chosen and not c.includes(candidate)]
+            if replacements:
+                losses[replacements[0]] = instead.score - current.score + additional_gains.get(replacements[0], 0.0)
+        return list(losses.items())
 
     def _of_size(self, candidate: Chosen) -> float:
-        """By how much the score is worse if it is nothing, as its size says; of a body its mass and first moment, whose
-        prior is next to none."""
-        found = self._found
-        values, places = found.changes[candidate], _places(found, candidate)
+        """Loss of score if its size is zero, from the size alone; for a body from mass and first moment, whose prior is
+        almost flat."""
+        current = self._found
+        values, places = current.changes[candidate], _places(current, candidate)
         narrowed = 0.0
         if candidate.payload is not None:
             values, places = values[:4], places[:4]
         else:
-            narrowed = -float(np.linalg.slogdet(found.inverse[np.ix_(places, places)] * found.weights[places])[1])
+            narrowed = -float(np.linalg.slogdet(current.inverse[np.ix_(places, places)] * current.weights[places])[1])
         square = float(values @ np.linalg.solve(self._covariance[np.ix_(places, places)], values))
         wider = 1.0 + self.doubt(candidate) ** 2 * square  # of the covariance's determinant
         size, price = square / wider, narrowed - float(np.log(wider)) + candidate.cost
         return size - (price if size > TOLD**2 else max(price, TOLD**2))
 
     def doubt(self, candidate: Chosen) -> float:
-        """The relative standard deviation of its size that comes from what the model lacks."""
-        return _doubt(self._selection.design, self._found, self._lacking, candidate, self._found.changes[candidate])
+        """Relative standard deviation of its size due to the remainder."""
+        return _doubt(
+            self._selection.design, self._found, self._remainder_along, candidate, self._found.changes[candidate]
+        )
 
 
 def relative_doubt(
     design: Design, found: JointFit[Any, Any], columns: Hypothesis[Any] | int, values: FloatArray
 ) -> float:
-    """The relative standard deviation of ``values (k,)`` of a hypothesis's columns, or of a link's, that comes from
-    what their channels lack beside a fit: a part of it may lie along them.
+    """Relative standard deviation, due to the remainder of a fit, of the ``values (k,)`` of a hypothesis's or a link's
+    columns: a part of the remainder may lie along them.
 
-    Least squares weigh what each channel says by the power that the columns have there; what channels lack may have
-    one cause.
+    Least squares weight each channel by the power of these columns there; the channels' remainders may have one cause.
     """
-    return _doubt(design, found, _lacking(design, found), columns, values)
+    return _doubt(design, found, _remainder_along(design, found), columns, values)
 
 
-def _lacking(design: Design, found: JointFit[Any, Any]) -> FloatArray:
-    """Of what each channel lacks beside a fit, the part that may lie along any columns: a sum of squares ``(C,)``."""
-    return np.array([_ALONG**2 * lack.power for lack in found.remainders(design)])
+def _remainder_along(design: Design, joint_fit: JointFit[Any, Any]) -> FloatArray:
+    """Sum of squares ``(C,)`` of the part of each channel's remainder that may lie along any columns."""
+    return np.array([_ALONG**2 * lack.power for lack in joint_fit.remainders(design)])
 
 
 def _doubt(
     design: Design,
-    found: JointFit[Any, Any],
-    lacking: FloatArray,
+    joint_fit: JointFit[Any, Any],
+    along: FloatArray,
     columns: Hypothesis[Any] | int,
     values: FloatArray,
 ) -> float:
-    """The same, of which the part of each channel's sum of squares that may lie along columns is known."""
-    powers = np.maximum(design.powers(columns, values) / found.squares, 0.0)  # rounding may leave less
-    left = float(np.sum(np.sqrt(lacking / found.squares * powers)))
-    return left / max(float(np.sum(powers)), 1e-300)
+    """Relative doubt for given sums of squares ``along (C,)`` of the remainder's part that may lie along columns."""
+    powers = np.maximum(design.powers(columns, values) / joint_fit.squares, 0.0)  # rounding may leave less
+    error = float(np.sum(np.sqrt(along / joint_fit.squares * powers)))
+    return error / max(float(np.sum(powers)), 1e-300)
 
 
-def _places(found: JointFit[Chosen, Term], candidate: Chosen) -> list[int]:
-    """Where a hypothesis's parameters stand ``(k,)``."""
+def _places(joint_fit: JointFit[Chosen, Term], candidate: Chosen) -> list[int]:
+    """Indices ``(k,)`` of a hypothesis's parameters."""
     if candidate.payload is None:
-        return [found.place(term) for term in candidate.terms]
-    first = 10 * (found.manifold.links - len(found.bodies) + found.bodies.index(candidate.payload))
+        return [joint_fit.place(term) for term in candidate.terms]
+    first = 10 * (joint_fit.manifold.links - len(joint_fit.bodies) + joint_fit.bodies.index(candidate.payload))
     return list(range(first, first + 10))

@@ -1,4 +1,4 @@
-"""Which hypotheses explain the data: grown by Rao's score test, fitted exactly, exchanged with rivals, and pruned."""
+"""Search for hypotheses that explain the data: added by Rao's score test, fitted exactly, exchanged, pruned."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from geomid_ros.inference.prior import Prior
 from geomid_ros.inference.rao_score import Trial, score_tests
 
 KEPT_PROMISE = 2.5
-"""A hypothesis brings no more than so many times what the score test promises: of some 3,000 none did; nor is a loss so
-many times smaller than it is to second order."""
+"""Most that a hypothesis gains, as a multiple of the promise of the score test: of some 3,000 none gained more. No loss
+is smaller than its second-order estimate by a larger factor, either."""
 _SHORTLIST = 4
 _BODIES = 3
 _EXCHANGES = 4
 _MOST = 40
-_PLAUSIBLE = 0.5  # of a loss: what the score test must promise of a rival that is tried
+_PLAUSIBLE = 0.5  # fraction of a loss that the score test must promise of a rival for it to be tried
 
 
 class Selection(Generic[Chosen, Term]):
-    """Search over sets of ``hypotheses`` for one design, by the fits' scores: minus twice their log evidence."""
+    """Search over sets of ``hypotheses`` for one design, by the score of their fits: minus twice the log evidence."""
 
     def __init__(self, design: Design, prior: Prior[Term], hypotheses: Sequence[Chosen]) -> None:
         self.design = design
@@ -36,21 +36,21 @@ class Selection(Generic[Chosen, Term]):
         self._ranked: dict[frozenset[Chosen], list[Trial[Chosen]]] = {}
         self._groups = {hypothesis.group: hypothesis for hypothesis in self.hypotheses}
         self._excluded: dict[Hashable, frozenset[Hashable]] = {}
-        self._contested_at: dict[Chosen, float] = {}  # the score at which another may stand in its place
+        self._contested_at: dict[Chosen, float] = {}  # score at which rivals are tried again
 
     def fit(self, chosen: Collection[Chosen], start: JointFit[Chosen, Term] | None = None) -> JointFit[Chosen, Term]:
-        """The joint fit of a set; each set is fitted once."""
+        """Return the joint fit of a set; each set is fitted once."""
         key = frozenset(chosen)
         if key not in self._fits:
             self._fits[key] = fit(self.design, self.prior, list(chosen), start)
         return self._fits[key]
 
     def without(self, current: JointFit[Chosen, Term], *gone: Chosen) -> JointFit[Chosen, Term]:
-        """The fit without some of its hypotheses."""
+        """Return the fit without some of its hypotheses."""
         return self.fit([c for c in current.chosen if c not in gone], current)
 
     def ranked(self, current: JointFit[Chosen, Term]) -> list[Trial[Chosen]]:
-        """Hypotheses that could join, the best of each group, by the score test."""
+        """Rank the hypotheses that could join, the best of each group, by the score test."""
         key = frozenset(current.chosen)
         if key not in self._ranked:
             self._ranked[key] = self._rank(current, self.hypotheses)
@@ -67,18 +67,18 @@ class Selection(Generic[Chosen, Term]):
         return sorted(best.values(), key=lambda trial: -trial.gain)
 
     def _excluded_by(self, chosen: Chosen) -> frozenset[Hashable]:
-        """The groups that make no sense beside one that is chosen."""
+        """Groups that make no sense together with a chosen hypothesis."""
         if chosen.group not in self._excluded:
-            excluded = [group for group, own in self._groups.items() if own.excludes(chosen)]
+            excluded = [group for group, hypothesis in self._groups.items() if hypothesis.excludes(chosen)]
             self._excluded[chosen.group] = frozenset(excluded)
         return self._excluded[chosen.group]
 
     def possible(self, found: JointFit[Chosen, Term]) -> bool:
-        """Whether no coefficient has a sign or a size that it cannot have, and no body outweighs the robot."""
+        """True if no coefficient has an impossible sign or size, and no body has more mass than the robot."""
         return not any(self.is_out_of_range(found, candidate) for candidate in found.chosen)
 
     def is_out_of_range(self, found: JointFit[Chosen, Term], candidate: Chosen) -> bool:
-        """Whether a hypothesis has a sign or a size that it cannot have."""
+        """True if a hypothesis has an impossible sign or size."""
         if candidate.payload is not None:
             place = len(self.prior.inertias) // 10 + found.bodies.index(candidate.payload)
             return bool(found.point.pseudo_inertias[place, 3, 3] > np.sum(self.prior.inertias[::10]))
@@ -86,13 +86,13 @@ class Selection(Generic[Chosen, Term]):
         return bool(np.any(values[: candidate.positives] <= 0.0)) or candidate.is_out_of_range(values)
 
     def grow(self, current: JointFit[Chosen, Term], to_the_end: bool = True) -> JointFit[Chosen, Term]:
-        """Grow and prune until nothing changes, or, unless ``to_the_end``, until a hypothesis is found on which all
-        columns depend. What is out of range goes first, and the search goes on."""
+        """Grow and prune until nothing changes. Unless ``to_the_end``, stop when a hypothesis joins on which all
+        columns depend. Hypotheses out of range are dropped first, and the search goes on."""
         current = self.prune(self.within_range(current))
-        known = {c.group for c in current.chosen}
+        groups = {c.group for c in current.chosen}
         while (larger := self._grown(current)) is not None:
             current = self.prune(larger)
-            if not to_the_end and any(c.relinearises and c.group not in known for c in current.chosen):
+            if not to_the_end and any(c.relinearises and c.group not in groups for c in current.chosen):
                 break
         return current
 
@@ -106,34 +106,34 @@ class Selection(Generic[Chosen, Term]):
         return current
 
     def within_range(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
-        """Without the hypotheses that cannot be, one after the other."""
-        while gone := [c for c in current.chosen if self.is_out_of_range(current, c)]:
-            current = min((self.without(current, c) for c in gone), key=lambda found: found.score)
+        """Drop the hypotheses that are out of range, one after the other."""
+        while dropped := [c for c in current.chosen if self.is_out_of_range(current, c)]:
+            current = min((self.without(current, c) for c in dropped), key=lambda joint_fit: joint_fit.score)
         return current
 
     def _grown(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term] | None:
-        """The best set with one hypothesis more; None if nothing is worth it. The one that the score test prefers is
-        compared with those that reach a channel of its own: the others have their turn."""
+        """Return the best set with one more hypothesis, or None if none improves the score. The first choice of the
+        score test is compared only with those that share a channel with it: the others have their turn later."""
         if len(current.chosen) >= _MOST:
             return None
         best: JointFit[Chosen, Term] | None = None
         reached = frozenset[int]()
         for trial in self._promising(current, 0.0):
-            own = frozenset(self.design.reached(trial.candidate))
+            channels = frozenset(self.design.reached(trial.candidate))
             if best is not None and KEPT_PROMISE * trial.gain < current.score - best.score:
                 break
-            if best is not None and not own & reached:
+            if best is not None and not channels & reached:
                 continue
             larger = self.fit([*current.chosen, trial.candidate], current)
             if self.possible(larger) and larger.score < (best or current).score:
-                best, reached = larger, own
+                best, reached = larger, channels
         return best
 
     def _promising(
         self, current: JointFit[Chosen, Term], least: float, instead_of: Chosen | None = None
     ) -> list[Trial[Chosen]]:
-        """The hypotheses that are worth an exact fit: those that the score test prefers, and bodies; none of which it
-        promises less than ``least``; the best first."""
+        """Return the hypotheses that are worth an exact fit, best first: those that the score test prefers, and bodies,
+        each with a gain above ``least``."""
         trials = [t for t in self.ranked(current) if t.gain > least and t.candidate.payload is None]
         trials = [t for t in trials if instead_of is None or t.candidate is not instead_of][:_SHORTLIST]
         if not current.bodies and (instead_of is None or instead_of.confusable_with_payload):
@@ -141,8 +141,8 @@ class Selection(Generic[Chosen, Term]):
         return sorted(trials, key=lambda trial: -trial.gain)
 
     def _promising_bodies(self, current: JointFit[Chosen, Term]) -> list[Trial[Chosen]]:
-        """The bodies worth a trial. After the fit the score test says little of them: inertias that are nearly free,
-        because the body made all of them wrong, imitate it. So it is asked with the usual spread of the inertias."""
+        """Return the bodies that are worth an exact fit. At the fit itself the score test underrates them: nearly free
+        inertias, which the body made wrong, imitate it. So the test uses the inertias' default prior std."""
         key = frozenset(current.chosen)
         if key not in self._bodies:
             firm = fit(self.design, self.prior, current.chosen, current, self.prior.link_spreads)
@@ -151,9 +151,8 @@ class Selection(Generic[Chosen, Term]):
         return self._bodies[key]
 
     def prune(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
-        """Without the hypotheses that are not worth their cost, the least one first, and without pairs that hold each
-        other up."""
-        while smaller := min(self._smaller(current), key=lambda found: found.score, default=None):
+        """Drop the hypotheses that are not worth their cost, the worst first, and pairs that support each other."""
+        while smaller := min(self._smaller(current), key=lambda joint_fit: joint_fit.score, default=None):
             if smaller.score > current.score:
                 break
             current = smaller
@@ -162,28 +161,28 @@ class Selection(Generic[Chosen, Term]):
     def _smaller(self, current: JointFit[Chosen, Term]) -> Iterator[JointFit[Chosen, Term]]:
         sets = [(c,) for c in current.chosen]
         pairs = [pair for pair in combinations(current.chosen, 2) if self._overlap(*pair)]
-        for gone in (*sets, *pairs):
-            if self.estimated_loss(current, gone) < KEPT_PROMISE * self._price(current, gone):
-                yield self.without(current, *gone)
+        for dropped in (*sets, *pairs):
+            if self.estimated_loss(current, dropped) < KEPT_PROMISE * self._price(current, dropped):
+                yield self.without(current, *dropped)
 
-    def _price(self, current: JointFit[Chosen, Term], gone: Sequence[Chosen]) -> float:
-        """What some hypotheses cost, as minus twice a logarithm: by their prior odds, and by how much the data narrow
-        their coefficients; without end with a body among them, of which that is not known."""
-        if any(c.payload is not None for c in gone):
+    def _price(self, current: JointFit[Chosen, Term], dropped: Sequence[Chosen]) -> float:
+        """Cost of some hypotheses, as minus twice a logarithm: from their prior odds, and how much the data narrow
+        their coefficients; infinite with a body among them, for which that is not known."""
+        if any(c.payload is not None for c in dropped):
             return float("inf")
-        covariance = current.covariance_of([term for c in gone for term in c.terms])
-        roots = np.sqrt(np.concatenate([self.design.trust(c) for c in gone]))
-        narrowed = np.linalg.slogdet(covariance * np.outer(roots, roots))[1]
-        return sum(c.cost for c in gone) - float(narrowed)
+        covariance = current.covariance_of([term for c in dropped for term in c.terms])
+        roots = np.sqrt(np.concatenate([self.design.trust(c) for c in dropped]))
+        log_narrowing = np.linalg.slogdet(covariance * np.outer(roots, roots))[1]
+        return sum(c.cost for c in dropped) - float(log_narrowing)
 
     def _overlap(self, first: Chosen, second: Chosen) -> bool:
-        """Whether two change a channel in common, both alone."""
+        """True if two affect exactly the same channels."""
         reached = [self.design.reached(c) for c in (first, second)]
         return reached[0] == reached[1]
 
     def estimated_loss(self, current: JointFit[Chosen, Term], gone: Sequence[Chosen]) -> float:
-        """By how much the score is worse without some hypotheses, to second order, their costs not counted; 0 with a
-        body among them, whose loss is not nearly quadratic."""
+        """Second-order estimate of the loss of score without some hypotheses, their costs excluded; 0 with a body among
+        them, whose loss is far from quadratic."""
         if any(c.payload is not None for c in gone):
             return 0.0
         terms = list(dict.fromkeys(term for c in gone for term in c.terms))
@@ -193,52 +192,52 @@ class Selection(Generic[Chosen, Term]):
         return count * float(np.log1p(max(squared, 0.0) / count))
 
     def rivals(self, current: JointFit[Chosen, Term], candidate: Chosen) -> list[JointFit[Chosen, Term]]:
-        """The best sets in which another stands in the place of one hypothesis, the best first; it may be the same with
-        another constant."""
+        """Return the best sets with another hypothesis instead of one, best first; maybe the same with another
+        constant."""
         rest = self.without(current, candidate)
         least = _PLAUSIBLE * (rest.score - current.score)
         fits = [self.fit([*rest.chosen, t.candidate], rest) for t in self._promising(rest, least, candidate)]
         fits += [f for f in (self._rescaled(current, candidate),) if f is not None]
         fits += self._with_other_constants(current, candidate)
-        return sorted((f for f in fits if self.possible(f)), key=lambda found: found.score)
+        return sorted((f for f in fits if self.possible(f)), key=lambda joint_fit: joint_fit.score)
 
     def _with_other_constants(
         self, current: JointFit[Chosen, Term], candidate: Chosen
     ) -> Iterator[JointFit[Chosen, Term]]:
-        """The sets in which another stands in the place of a hypothesis while one beside it, in the same channels, has
-        the constants that suit the other: those it has were chosen beside this one, and speak for it."""
+        """Yield sets in which another hypothesis replaces one, and a third one in the same channels has the constants
+        that suit the other: its present constants were chosen together with the replaced one, and favour it."""
         overlapping = [h for h in self.hypotheses if self._overlap(h, candidate)]
-        for beside in current.chosen:
-            variants = [h for h in self.hypotheses if h.group == beside.group]
-            if beside is candidate or len(variants) == 1 or not self._overlap(beside, candidate):
+        for neighbour in current.chosen:
+            variants = [h for h in self.hypotheses if h.group == neighbour.group]
+            if neighbour is candidate or len(variants) == 1 or not self._overlap(neighbour, candidate):
                 continue
-            rest, own = self.without(current, candidate, beside), {candidate.group, beside.group}
-            others = [h for h in overlapping if h.group not in own]
-            promised = list[tuple[float, JointFit[Chosen, Term], Chosen]]()
+            rest, groups = self.without(current, candidate, neighbour), {candidate.group, neighbour.group}
+            others = [h for h in overlapping if h.group not in groups]
+            trials = list[tuple[float, JointFit[Chosen, Term], Chosen]]()
             for other in [t.candidate for t in self._rank(rest, others) if t.gain > 0.0][:_SHORTLIST]:
                 larger = self.fit([*rest.chosen, other], rest)
-                promised += [(larger.score - t.gain, larger, t.candidate) for t in self._rank(larger, variants)]
-            if promised:
-                _, larger, best = min(promised, key=lambda each: each[0])
+                trials += [(larger.score - t.gain, larger, t.candidate) for t in self._rank(larger, variants)]
+            if trials:
+                _, larger, best = min(trials, key=lambda scored: scored[0])
                 yield self.fit([*larger.chosen, best], larger)
 
     def _rescaled(self, current: JointFit[Chosen, Term], candidate: Chosen) -> JointFit[Chosen, Term] | None:
-        """The set in which factors of all channels stand in the place of a body: where all have changed alike, a body
-        that weighs more looks the same but for friction and inertia; None of anything else."""
+        """Return the set in which factors at all channels replace a body; None for anything else. A common change of
+        all factors looks like a heavier body, except in friction and inertia."""
         factors = [c for c in self.hypotheses if c.rescales]
         if candidate.payload is None or not factors:
             return None
-        rest = [c for c in current.chosen if c is not candidate and c not in factors]
-        return self.fit([*rest, *factors], current)
+        kept = [c for c in current.chosen if c is not candidate and c not in factors]
+        return self.fit([*kept, *factors], current)
 
     def _exchanged(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
-        """With others in the places of hypotheses where that improves the score. One that led all others is tried again
-        once the search has gained as much as it led by."""
+        """Exchange hypotheses for others where that improves the score. A hypothesis that beat all others is tried
+        again once the search has gained as much as its lead."""
         for candidate in current.chosen:
             if candidate not in current.chosen or current.score > self._contested_at.get(candidate, np.inf):
                 continue
-            others = [found for found in self.rivals(current, candidate) if candidate not in found.chosen]
-            best = min([current, *others], key=lambda found: found.score)
+            others = [joint_fit for joint_fit in self.rivals(current, candidate) if candidate not in joint_fit.chosen]
+            best = min([current, *others], key=lambda joint_fit: joint_fit.score)
             if best.score < current.score - 1e-3:
                 current = best
             else:

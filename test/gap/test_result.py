@@ -200,7 +200,7 @@ class TestPrior:
         share = 0.01 * measured / velocity
         prior = self.prior(nominal(**{JOINTS[0]: 0.8 * share[0], JOINTS[1]: 1.2 * share[1]}))
         own = OtherRecordings(np.zeros((1, 32)), np.zeros(1), prior.spreads)
-        found = workflow._with_least_spreads(BARE, records, replace(prior, known=own))
+        found = workflow._with_least_stds(BARE, records, replace(prior, known=own))
         np.testing.assert_allclose(found.spreads, [share[0], prior.spreads[1]], rtol=0.05)
         assert found.known is not None
         np.testing.assert_array_equal(found.known.changes, found.spreads)
@@ -211,7 +211,7 @@ class TestPrior:
     ) -> None:
         beside = KnownEffect("load_friction", JOINTS[2], "", {"coefficient": Quantity(LOAD, std, "-")})
         records = Records.make([TRAIN], planted.CUTOFF)
-        prior, _ = workflow._with_beside(BARE, records, self.prior(), [beside])
+        prior, _ = workflow._with_other_effects(BARE, records, self.prior(), [beside])
         np.testing.assert_allclose(prior.values, [LOAD])
         np.testing.assert_allclose(prior.spreads, [expected * LOAD])
 

@@ -13,7 +13,7 @@ from geomid_ros.gap import candidates as library
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.judgement.held_out import located, share, strongest
 from geomid_ros.gap.judgement.sentences import sentence, settled_by
-from geomid_ros.gap.judgement.written import _said_again
+from geomid_ros.gap.judgement.written import _with_sentence
 from geomid_ros.gap.result import Finding, GapResult, Located
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.model.channels import WrenchSensor
@@ -134,7 +134,7 @@ def test_what_is_written_of_a_payload_says_its_first_moment_again_where_no_mass_
         settled_by="",
         moment={"m x": Quantity(0.02, 0.001, "kg m")},
     )
-    assert "m x 0.02 ± 0.002 kg m" in _said_again(told).sentence
+    assert "m x 0.02 ± 0.002 kg m" in _with_sentence(told).sentence
 
 
 def test_what_settles_payloads_at_two_links_is_a_motion_that_turns_both() -> None:

@@ -1,1 +1,1 @@
-"""What the recordings say before anything is fitted: records, noise floor, repeats, columns."""
+"""Evidence before anything is fitted: records, noise floor, repeats, columns."""

@@ -1,4 +1,4 @@
-"""The problem linearised at a total model: what depends on the model itself is computed there anew."""
+"""The problem linearised at a total model: everything that depends on the model is recomputed there."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.types import BoolArray, FloatArray
 
 Columns = Mapping[EffectTerm, Mapping[int, FloatArray]]
-"""Of each term, by channel ``(N,)``."""
+"""Column ``(N,)`` of each term, by channel."""
 
-_FRICTION_ERROR = 0.7  # of the noise: where dry friction is less sure than this nothing is learnt and nothing judged
+_FRICTION_ERROR = 0.7  # of the noise; samples with less certain dry friction are neither fitted nor evaluated
 
 
 def total_model(model: MeasurementModel, found: NamesFit) -> TotalModel:
-    """The whole model that a joint fit says."""
+    """Return the total model of a joint fit."""
     inertias = np.array([body.parameters for body in model.robot.bodies])
     inertias[list(model.identified)] = found.loaded_inertias
     grouped: dict[tuple[Effect, Place], list[float]] = {}
@@ -36,11 +36,10 @@ def total_model(model: MeasurementModel, found: NamesFit) -> TotalModel:
 
 
 class LinearisedProblem:
-    """Records under a model linearised at ``total``, beside what it is known to lack (``standing``).
+    """Records under a model linearised at ``total``, given its known remainder (``standing``).
 
-    An effect that is absorbed (a tilt, delay or gain) is not added as its column: the gravity is turned, the efforts
-    are moved, the rows scaled; and the target is changed so that the coefficients still mean the whole tilt, delay and
-    gain.
+    An absorbed effect (a tilt, delay or gain) is not added as a column: gravity is rotated, the efforts are shifted in
+    time, the rows scaled. The target is changed so that the coefficients still mean the whole tilt, delay and gain.
     """
 
     def __init__(
@@ -60,30 +59,31 @@ class LinearisedProblem:
         self._scales = total.scales(len(model.channels))
 
     def with_floor(self, floor: FloatArray) -> LinearisedProblem:
-        """The same, with the noise ``floor (C,)`` by which instants are valid."""
+        """Return a copy with another noise ``floor (C,)``, which decides which samples are valid."""
         problem = copy(self)
         problem.floor = floor
         vars(problem).pop("valid", None)
         return problem
 
     def told_floor(self, left: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """The noise floor that is ``left (C,)``, and of which channels it is told: of others it is the one before.
+        """Return the noise floor: ``left (C,)`` where rows determine it, the previous one elsewhere; and True where
+        they do.
 
-        What few rows leave is less than the noise, by which fewer instants are valid, which leave even less: where
-        those would be too few the rows do not tell the noise.
+        A fit to few rows leaves less than the noise; with that as floor, fewer samples are valid, which leave even
+        less. Where too few would be valid, the rows do not determine the noise.
         """
         valid = np.count_nonzero(self.with_floor(left).valid, axis=0)
-        told = (valid >= FEWEST_ROWS) | np.isinf(self.floor)
-        return np.where(told, left, self.floor), told
+        determined = (valid >= FEWEST_ROWS) | np.isinf(self.floor)
+        return np.where(determined, left, self.floor), determined
 
     @cached_property
     def situation(self) -> Situation:
-        """What the total model says."""
+        """Situation under the total model."""
         return self.records.situation(self.model, self.total)
 
     @cached_property
     def rows(self) -> Rows:
-        """Rows of the inertias, with the targets changed."""
+        """Rows of the inertias, with changed targets."""
         rows = self.records.rows(self.model)
         targets = rows.targets.copy()
         for effect, place, coefficients in self.total.absorbed:
@@ -94,22 +94,22 @@ class LinearisedProblem:
 
     @cached_property
     def valid(self) -> BoolArray:
-        """Which targets ``(N, C)`` are measured at instants that the model can be blamed for: not where a joint's dry
-        friction is uncertain by more than a share of the noise, nor where that reaches other channels through the
-        joint's acceleration."""
+        """True for the targets ``(N, C)`` that are measured where the model can be blamed: not where a joint's dry
+        friction is uncertain by more than a fraction of the noise, nor where its acceleration carries this to other
+        channels."""
         valid = self.records.usable(self.model, self.rows.targets)
         if not self.model.layout.efforts or not np.any(self._dry_friction):
             return valid
         joints = self._dry_friction.shape[1]
         by_acceleration = np.abs(self.situation.by_acceleration)
-        own = np.einsum("njj->nj", by_acceleration[:, :joints])
-        shares = by_acceleration / np.maximum(own, 1e-12)[:, None]
-        uncertain = np.max(shares * (self._dry_friction * self.records.unsettled)[:, None], axis=2)
+        diagonal = np.einsum("njj->nj", by_acceleration[:, :joints])
+        ratios = by_acceleration / np.maximum(diagonal, 1e-12)[:, None]
+        uncertain = np.max(ratios * (self._dry_friction * self.records.unsettled)[:, None], axis=2)
         return np.asarray(valid & (uncertain < _FRICTION_ERROR * self.floor))
 
     @cached_property
     def _dry_friction(self) -> FloatArray:
-        """Size of the dry friction that the total model says ``(N, joints)``."""
+        """Magnitude of the dry friction of the total model ``(N, joints)``."""
         sizes = np.zeros((len(self.records.samples), len(self.model.robot.joints)))
         for effect, place, (coefficient, *_) in self.total.effects:
             for joint in joints_of(place):
@@ -119,7 +119,7 @@ class LinearisedProblem:
     def columns(
         self, candidates: Sequence[Candidate], base: Sequence[EffectTerm]
     ) -> dict[EffectTerm, dict[int, FloatArray]]:
-        """Columns of all candidates, and of what the model already has."""
+        """Columns of all candidates, and of the effects in the model."""
         terms = dict.fromkeys([*base, *(term for candidate in candidates for term in candidate.terms)])
         columns = term_columns(self.model, self.records, list(terms), lambda: self.situation)
         for channel in np.flatnonzero(self._scales != 1.0).tolist():
@@ -130,34 +130,34 @@ class LinearisedProblem:
 
     @cached_property
     def features(self) -> list[Features]:
-        """What the remainder of each channel may consist of."""
-        channels, known = range(len(self.model.channels)), self.standing
-        basis = self.basis if known is None else known.basis
-        found = [features(self.model, self.records, self.situation, channel, basis) for channel in channels]
-        return found if known is None else known.beside(found)
+        """Features of each channel's remainder."""
+        channels, standing = range(len(self.model.channels)), self.standing
+        basis = self.basis if standing is None else standing.basis
+        by_channel = [features(self.model, self.records, self.situation, channel, basis) for channel in channels]
+        return by_channel if standing is None else standing.beside(by_channel)
 
     @property
     def expected(self) -> FloatArray:
-        """What the model is known to lack ``(N, C)``."""
+        """Known remainder of the model ``(N, C)``."""
         if self.standing is None:
             return np.zeros(self.rows.targets.shape)
-        return np.stack([own.known for own in self.features], axis=1)
+        return np.stack([channel.known for channel in self.features], axis=1)
 
     @cached_property
     def basis(self) -> Basis:
-        """The features' usual basis for these records."""
+        """Default basis of the features for these records."""
         return Basis.of(self.model, self.records, self.situation)
 
     def design(self, columns: Columns, noise: Sequence[Autoregression]) -> Design:
-        """Whitened rows."""
+        """Return the whitened rows."""
         return design_of(self.rows, self.valid, columns, self.features, noise, self.records)
 
     @property
     def told(self) -> list[Features]:
-        """The features, none of a channel without rows."""
+        """Features by channel; empty for a channel without rows."""
         nothing = Features(np.zeros((len(self.valid), 0)), np.zeros(0, dtype=np.intp), ())
         pairs = zip(self.features, np.any(self.valid, axis=0), strict=True)
-        return [own if has_rows else nothing for own, has_rows in pairs]
+        return [channel if has_rows else nothing for channel, has_rows in pairs]
 
     def lacks(
         self,
@@ -166,38 +166,38 @@ class LinearisedProblem:
         noise: Sequence[Autoregression],
         near: Sequence[FloatArray] | None,
     ) -> tuple[list[FloatArray], list[Lack]]:
-        """Of each channel the variances of the most likely remainder of a ``residual (N, C)``, see
-        :meth:`Design.settled`, and what it is."""
+        """Return the variances of the most likely remainder of each channel's ``residual (N, C)``, see
+        :meth:`Design.settled`, and this remainder."""
         variances, lacks, nothing = list[FloatArray](), list[Lack](), np.zeros(0)
-        for channel in range(len(noise)):  # one by one, as each takes much memory
-            own = slice(channel, channel + 1)
-            rows = Rows(np.zeros((len(residual), 1, 0)), residual[:, own])
-            design = design_of(rows, self.valid[:, own], {}, features[own], noise[own], self.records)
-            design = design.settled((), (), nothing, np.zeros(1), near=None if near is None else near[own])
+        for channel in range(len(noise)):  # one by one, to save memory
+            one = slice(channel, channel + 1)
+            rows = Rows(np.zeros((len(residual), 1, 0)), residual[:, one])
+            design = design_of(rows, self.valid[:, one], {}, features[one], noise[one], self.records)
+            design = design.settled((), (), nothing, np.zeros(1), near=None if near is None else near[one])
             variances += design.variances
             lacks += design.remainders((), (), nothing)
         return variances, lacks
 
     def design_alone(self, columns: Columns) -> Design:
-        """Rows as they are: beside no remainder, in white noise."""
+        """Return rows without whitening: no remainder, white noise."""
         channels = len(self.model.channels)
         nothing = Features(np.zeros((len(self.rows.targets), 0)), np.zeros(0, dtype=np.intp), ())
         white = (Autoregression.white(),) * channels
         return design_of(self.rows, self.valid, columns, (nothing,) * channels, white, self.records)
 
     def usual_sizes(self, terms: Sequence[EffectTerm]) -> FloatArray:
-        """The coefficients ``(terms,)`` with which columns are as large as what is measured, at most; 0 without any,
-        infinite of columns that are zero."""
+        """Coefficients ``(terms,)`` at which a column first reaches the measurement in any channel; 0 without columns,
+        infinite for zero columns."""
         measured, columns = root_mean_square(self.rows.targets), self.columns((), terms)
         sizes = []
         for term in terms:
             with np.errstate(divide="ignore", invalid="ignore"):
-                own = [measured[channel] / root_mean_square(column) for channel, column in columns[term].items()]
-            sizes.append(float(np.fmin.reduce(own, initial=np.inf)) if own else 0.0)
+                ratios = [measured[channel] / root_mean_square(column) for channel, column in columns[term].items()]
+            sizes.append(float(np.fmin.reduce(ratios, initial=np.inf)) if ratios else 0.0)
         return np.array(sizes)
 
     def residual(self, columns: Columns, found: NamesFit) -> FloatArray:
-        """Measured less predicted ``(N, C)``; of a delayed channel at the moment at which it was true."""
+        """Measurement minus prediction ``(N, C)``; for a delayed channel at the true time."""
         rows = self.rows
         residual: FloatArray = rows.targets - rows.coefficients @ found.loaded_inertias.ravel()
         for term in found.terms:
@@ -206,17 +206,17 @@ class LinearisedProblem:
         return residual
 
     def remainder(self, design: Design, found: NamesFit) -> FloatArray:
-        """The mean of what the model lacks ``(N, C)``, of the whitened rows of a ``design``."""
+        """Mean of the remainder ``(N, C)``, from the whitened rows of a ``design``."""
         return mean_of(self.features, found.remainders(design))
 
     def variance(self, columns: Columns, found: NamesFit) -> FloatArray:
-        """Of the prediction ``(N, C)``, from the uncertainty of what was fitted."""
+        """Variance of the prediction ``(N, C)`` from the uncertainty of the fit."""
         covariance, variance = found.covariance, np.empty_like(self.rows.targets)
-        for channel in range(variance.shape[1]):  # one by one, as rows of all take much memory
+        for channel in range(variance.shape[1]):  # one by one, to save memory
             links = self.rows.coefficients[:, channel]
-            again = [links[:, 10 * carrier : 10 * carrier + 10] for carrier in found.bodies]
-            own = [columns[term].get(channel, np.zeros(len(links))) for term in found.terms]
-            jacobian = np.column_stack([links, *again, *own])
+            payloads = [links[:, 10 * carrier : 10 * carrier + 10] for carrier in found.bodies]
+            effects = [columns[term].get(channel, np.zeros(len(links))) for term in found.terms]
+            jacobian = np.column_stack([links, *payloads, *effects])
             variance[:, channel] = np.sum((jacobian @ covariance) * jacobian, axis=1)
         return variance
 
@@ -224,23 +224,23 @@ class LinearisedProblem:
 def term_columns(
     model: MeasurementModel, records: Records, terms: Sequence[EffectTerm], situation: Callable[[], Situation]
 ) -> dict[EffectTerm, dict[int, FloatArray]]:
-    """Columns of effects' terms at the chosen rows, by the channels that they reach; ``situation``, which takes
-    long, is asked for only when a term needs it."""
-    found: dict[EffectTerm, dict[int, FloatArray]] = {}
+    """Columns of terms at the chosen rows, by the channels that they affect. The slow ``situation`` is called if
+    needed."""
+    by_term: dict[EffectTerm, dict[int, FloatArray]] = {}
     for term in terms:
         if isinstance(term.effect, SituationEffect):
             columns = term.effect.columns(situation(), term.place)[:, :, term.index]
-            found[term] = {channel: column for channel, column in enumerate(columns.T) if np.any(column)}
+            by_term[term] = {channel: column for channel, column in enumerate(columns.T) if np.any(column)}
         elif isinstance(term.effect, MotionEffect | SensorEffect):
-            found[term] = model.columns_of(records.samples, term.effect, term.place, term.index)
-    model.eliminate_ground(records.samples, found.values())
-    return found
+            by_term[term] = model.columns_of(records.samples, term.effect, term.place, term.index)
+    model.eliminate_ground(records.samples, by_term.values())
+    return by_term
 
 
 def mean_of(features: Sequence[Features], lacks: Sequence[Lack]) -> FloatArray:
-    """The mean of what a model lacks ``(N, C)``."""
+    """Mean of a model's remainder ``(N, C)``."""
     pairs = zip(features, lacks, strict=True)
-    return np.stack([own.known + own.columns @ lack.coefficients for own, lack in pairs], axis=1)
+    return np.stack([channel.known + channel.columns @ lack.coefficients for channel, lack in pairs], axis=1)
 
 
 def design_of(
@@ -251,26 +251,26 @@ def design_of(
     noise: Sequence[Autoregression],
     records: Records,
 ) -> Design:
-    """From rows, which of them are ``valid (N, C)``, columns, features and noise of the channels."""
+    """Create the design from rows, their mask ``valid (N, C)``, and the columns, features and noise of the channels."""
     channels = []
     for channel in range(rows.targets.shape[1]):
         terms = [term for term, by_channel in columns.items() if channel in by_channel]
-        own = [columns[term][channel] for term in terms]
-        felt, remainder = np.any(rows.coefficients[:, channel], axis=0), features[channel]
-        inertial = rows.coefficients[:, channel, felt]
-        stacked = np.column_stack([inertial, *own, rows.targets[:, channel] - remainder.known, remainder.columns])
+        effects = [columns[term][channel] for term in terms]
+        nonzero, remainder = np.any(rows.coefficients[:, channel], axis=0), features[channel]
+        inertial = rows.coefficients[:, channel, nonzero]
+        stacked = np.column_stack([inertial, *effects, rows.targets[:, channel] - remainder.known, remainder.columns])
         white = noise[channel].whiten(stacked, runs_of(valid[:, channel], records.segment))
         place = {term: inertial.shape[1] + index for index, term in enumerate(terms)}
-        first = inertial.shape[1] + len(own) + 1
-        unsure = None if remainder.unsure is None else remainder.unsure / noise[channel].variances[-1]
+        first = inertial.shape[1] + len(effects) + 1
+        covariance = None if remainder.unsure is None else remainder.unsure / noise[channel].variances[-1]
         channels.append(
             ChannelRows.of(
                 white[:, :first],
                 white[:, first:],
                 remainder.block,
                 place,
-                links=np.where(felt, np.cumsum(felt) - 1, -1),
-                before=unsure,
+                links=np.where(nonzero, np.cumsum(nonzero) - 1, -1),
+                before=covariance,
                 expected=remainder.mean,
             )
         )

@@ -1,4 +1,4 @@
-"""The measurement noise: its autocorrelation, whitening by it, and the floor that repeats of a motion show.
+"""Measurement noise: its autocorrelation, whitening, and the noise floor from repeats of a motion.
 
 Half the variance of the differences between repeats is that of the noise, whatever the robot does.
 """
@@ -18,15 +18,15 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _HIGHEST_ORDER = 6
 _SHORTEST_PERIOD = 1.0  # [s]
-_LEAST_OVERLAP = 0.45  # of the shorter stretch, that is compared: two periods just fit into one stretch
-_SAME = 0.01  # root mean square difference of repeated positions, in their standard deviation
+_LEAST_OVERLAP = 0.45  # fraction of the shorter stretch to compare: two periods just fit into one stretch
+_SAME = 0.01  # RMS difference of repeated positions, in their standard deviation
 
 
 @dataclass(frozen=True, eq=False)
 class Autoregression:
-    """A stationary autoregressive process: predictors of all orders up to its own, as Levinson's recursion makes them.
+    """A stationary autoregressive process, with predictors of all orders up to its own from Levinson's recursion.
 
-    ``predictors[k] (k,)`` weights the k values before, the nearest first; ``variances[k]`` is its error's.
+    ``predictors[k] (k,)`` weights the k previous values, the latest first; ``variances[k]`` is that of its error.
     """
 
     predictors: tuple[FloatArray, ...]
@@ -34,19 +34,19 @@ class Autoregression:
 
     @staticmethod
     def white() -> Autoregression:
-        """No correlation, variance 1."""
+        """White noise of variance 1."""
         return Autoregression((np.zeros(0),), np.ones(1))
 
     @staticmethod
     def fit(values: FloatArray, runs: list[slice]) -> Autoregression:
-        """The process of the order that Akaike's criterion prefers, for the unbroken ``runs`` of ``values (N,)``."""
+        """Fit the process to the unbroken ``runs`` of ``values (N,)``, with the order of Akaike's criterion."""
         count = sum(run.stop - run.start for run in runs)
         covariance = np.array([_covariance(values, runs, lag) for lag in range(_HIGHEST_ORDER + 1)])
         if count == 0 or covariance[0] <= 0.0:
             return Autoregression.white()
-        with np.errstate(divide="ignore", invalid="ignore"):  # of a few rows an error's variance may be zero
+        with np.errstate(divide="ignore", invalid="ignore"):  # with few rows an error's variance may be zero
             predictors, variances = levinson(covariance)
-        # Means over different pairs need not be the covariances of any process.
+        # Sample means over different pairs need not be the covariances of any process.
         possible = int(np.argmin(np.append(variances > 0.0, False)))
         variances = variances[:possible]
         orders = np.arange(len(variances))
@@ -55,13 +55,13 @@ class Autoregression:
 
     @property
     def order(self) -> int:
-        """Number of values before that a value depends on."""
+        """Number of previous values on which a value depends."""
         return len(self.variances) - 1
 
     def whiten(self, columns: FloatArray, runs: list[slice]) -> FloatArray:
-        """Columns ``(N, K)`` less what the rows before predict, run by run, in units in which white noise of the
-        process's innovations keeps its size; rows outside the runs are left out. The first rows of a run use the
-        shorter predictors, so that none is lost."""
+        """Subtract from columns ``(N, K)`` their prediction from the previous rows, run by run. White noise of the
+        process's innovations keeps its size. Rows outside the runs are omitted. The first rows of a run use the shorter
+        predictors, so that none is lost."""
         white = np.empty((sum(run.stop - run.start for run in runs), columns.shape[1]))
         begin = 0
         for run in runs:
@@ -82,7 +82,7 @@ class Autoregression:
 
 
 def _covariance(values: FloatArray, runs: list[slice], lag: int) -> float:
-    """Mean product of values so many rows apart in the same run, 0 if there are none."""
+    """Mean product of values ``lag`` rows apart in the same run, 0 if there are none."""
     products = [
         values[run][lag:] * values[run][: run.stop - run.start - lag] for run in runs if run.stop - run.start > lag
     ]
@@ -90,7 +90,7 @@ def _covariance(values: FloatArray, runs: list[slice], lag: int) -> float:
 
 
 def levinson(covariance: FloatArray) -> tuple[tuple[FloatArray, ...], FloatArray]:
-    """Predictors of orders 0 to p and the variances of their errors from ``covariance (p + 1,)`` at lags 0 to p."""
+    """Predictors of orders 0 to p and the variances of their errors, from ``covariance (p + 1,)`` at lags 0 to p."""
     predictor, variance = np.zeros(0), float(covariance[0])
     predictors, variances = [predictor], [variance]
     for order in range(1, len(covariance)):
@@ -103,7 +103,7 @@ def levinson(covariance: FloatArray) -> tuple[tuple[FloatArray, ...], FloatArray
 
 
 def runs_of(valid: BoolArray, segment: IntArray) -> list[slice]:
-    """Unbroken runs of valid rows that belong to one segment."""
+    """Return the unbroken runs of valid rows within one segment."""
     starts = valid & np.append(True, ~valid[:-1] | (segment[1:] != segment[:-1]))
     ends = valid & np.append(~valid[1:] | (segment[1:] != segment[:-1]), True)
     return [slice(int(a), int(b) + 1) for a, b in zip(np.flatnonzero(starts), np.flatnonzero(ends), strict=True)]
@@ -111,51 +111,51 @@ def runs_of(valid: BoolArray, segment: IntArray) -> list[slice]:
 
 @dataclass(frozen=True, eq=False)
 class Repeats:
-    """``noise (C,)``: standard deviation of each channel, NaN where no motion is repeated or it is not measured, from
-    ``counts (C,)`` independent instants."""
+    """Noise std of each channel, ``noise (C,)``, NaN where no motion is repeated or it is not measured, from ``counts
+    (C,)`` independent samples."""
 
     noise: FloatArray
     counts: FloatArray
 
     def floor(self, remainder: FloatArray) -> FloatArray:
-        """The noise of each channel ``(C,)``, of which the standard deviation ``remainder (C,)`` of what a model leaves
-        is another measure, but for what the model lacks.
+        """Noise std of each channel ``(C,)``, given the std of the residual of a model, ``remainder (C,)``. This is
+        another estimate of the noise, except for the model's remainder.
 
-        That measure has more data, so it stands unless the repeats say surely less: the smaller one of two that differ
-        by chance is too small.
+        It uses more data, so it is taken unless the repeats give significantly less: the smaller of two estimates that
+        differ by chance is too small.
         """
-        sure = self.noise * (1.0 + STDS_OF_95 / np.sqrt(2.0 * np.maximum(self.counts, 1.0))) < remainder
-        return np.where(sure | np.isnan(remainder), self.noise, remainder)
+        significant = self.noise * (1.0 + STDS_OF_95 / np.sqrt(2.0 * np.maximum(self.counts, 1.0))) < remainder
+        return np.where(significant | np.isnan(remainder), self.noise, remainder)
 
 
 def noise_by_repeats(model: MeasurementModel, records: Records) -> Repeats:
-    """The noise of each channel, without a model; what never changes shows none.
+    """Noise std of each channel, without a model; none for channels that never change.
 
-    Two runs of a motion, in one stretch or in two, differ by the noise of both, whatever the robot does; so half their
+    Two runs of a motion, in one stretch or in two, differ by the noise of both, whatever the robot does. So half their
     mean squared difference is the variance of the noise, coloured or not.
     """
     squares, counts = np.zeros((2, len(model.channels)))
     for first, second in combinations_with_replacement(records.dense, 2):
         values = [_measured(model, part) for part in (first, second)]
         delay = repeated_after(first, second)
-        known = np.all(np.isfinite(values[0]), axis=0) & np.all(np.isfinite(values[1]), axis=0)
-        known &= np.any(values[0] != values[0][0], axis=0)
-        if delay is None or not np.any(known):
+        measured = np.all(np.isfinite(values[0]), axis=0) & np.all(np.isfinite(values[1]), axis=0)
+        measured &= np.any(values[0] != values[0][0], axis=0)
+        if delay is None or not np.any(measured):
             continue
         from scipy.interpolate import CubicSpline  # noqa: PLC0415 of repeats alone, takes long to load
 
-        times, others = first.seconds, second.seconds
-        both = (times + delay >= others[0]) & (times + delay <= others[-1])
-        again = CubicSpline(others, values[1][:, known])(times[both] + delay)
-        squares[known] += 0.5 * np.sum((again - values[0][both][:, known]) ** 2, axis=0)
-        counts[known] += np.count_nonzero(both)
+        times, second_times = first.seconds, second.seconds
+        overlap = (times + delay >= second_times[0]) & (times + delay <= second_times[-1])
+        repeated = CubicSpline(second_times, values[1][:, measured])(times[overlap] + delay)
+        squares[measured] += 0.5 * np.sum((repeated - values[0][overlap][:, measured]) ** 2, axis=0)
+        counts[measured] += np.count_nonzero(overlap)
     independent = len(records.samples) / max(1, sum(len(part) for part in records.dense))
     return Repeats(np.sqrt(squares / np.where(counts > 0.0, counts, np.nan)), independent * counts)
 
 
 def repeated_after(first: Samples, second: Samples) -> float | None:
-    """What to add to the time since the beginning of one stretch [s] to find its positions in another one, or later in
-    the same one; None if the motion is not repeated."""
+    """Return the shift from the time since the beginning of one stretch [s] to that of a repeat in another one, or
+    later in the same one; None if the motion is not repeated."""
     step = float(np.median(np.diff(first.seconds)))
     centre = np.mean(first.position, axis=0)
     a, b = first.position - centre, second.position - centre
@@ -172,21 +172,21 @@ def repeated_after(first: Samples, second: Samples) -> float | None:
 
 
 def _difference(a: FloatArray, b: FloatArray, lag: int) -> float:
-    """Mean squared difference of ``a`` and of ``b`` so many rows later, all joints together."""
+    """Mean squared difference of ``a`` and of ``b`` shifted by ``lag`` rows, summed over joints."""
     start, end = max(0, -lag), min(len(a), len(b) - lag)
     return float(np.sum((b[start + lag : end + lag] - a[start:end]) ** 2)) / (end - start)
 
 
 def _lowest(three: FloatArray) -> tuple[float, float]:
-    """The lowest value of the parabola through three, and where it lies, in steps from the middle one."""
-    before, here, after = three.tolist()
-    bend = before - 2.0 * here + after
+    """Minimum of the parabola through three values, and its position in steps from the middle one."""
+    before, middle, after = three.tolist()
+    bend = before - 2.0 * middle + after
     offset = 0.5 * (before - after) / bend if bend > 0.0 else 0.0
-    return max(here - 0.25 * (before - after) * offset, 0.0), offset
+    return max(middle - 0.25 * (before - after) * offset, 0.0), offset
 
 
 def _measured(model: MeasurementModel, part: Samples) -> FloatArray:
-    """The measured numbers of all channels ``(N, C)``; NaN where not measured, and if some are sums of others."""
+    """Measured values of all channels ``(N, C)``; NaN where not measured, and everywhere if some are sums of others."""
     if len(model.sensors) != len(model.mounted):
         return np.full((len(part), len(model.channels)), np.nan)
     parts = [part.effort] if model.layout.efforts else []

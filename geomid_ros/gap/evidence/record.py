@@ -1,4 +1,4 @@
-"""Recordings as the gap workflow sees them: dense samples for derivatives by time, thin ones for independent rows."""
+"""Recordings in the gap workflow: dense samples for derivatives by time, thinned ones for independent rows."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from geomid_ros.model.samples import SIGN, SMOOTH_SIGN, STILL, Samples, moves_on
 from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
-# Between two guesses of how friction changes its sign it is unknown; what happens there lasts so long, either way [s].
+# Near a reversal, two models of friction's sign differ; their disagreement spreads so far in time, either way [s].
 _REVERSAL = 0.03
 FEWEST_ROWS = 30
-"""Of fewer no channel tells its noise."""
-_FEWEST = 3  # samples of a stretch
-_SMOOTHER = 0.5  # the load, differentiated twice, is smoothed to this share of the cutoff
+"""With fewer rows, a channel's noise is not identifiable."""
+_FEWEST = 3  # samples in a stretch
+_SMOOTHER = 0.5  # fraction of the cutoff; smooths the load, which is differentiated twice
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class Records:
 
     Attributes:
         dense: the samples as given.
-        chosen: the indices of the rows that are used, away from the ends.
+        chosen: indices of the rows that are used, away from the ends.
         cutoff: of the filter that made the samples [Hz].
     """
 
@@ -42,7 +42,7 @@ class Records:
 
     @staticmethod
     def make(parts: Sequence[Samples], cutoff: float) -> Records:
-        """Divide ``parts`` at pauses and choose rows."""
+        """Split ``parts`` at pauses and choose rows."""
         dense, chosen = [], []
         for part in parts:
             for stretch in part.stretches():
@@ -58,23 +58,22 @@ class Records:
         return Records(tuple(dense), tuple(chosen), cutoff)
 
     def advanced(self, seconds: float) -> Records:
-        """The same records with the efforts of so many seconds later; not a number beyond the ends."""
+        """Return the records with efforts from ``seconds`` later; NaN beyond the ends."""
         if seconds == 0.0:
             return self
         return Records(tuple(_advanced(part, seconds) for part in self.dense), self.chosen, self.cutoff)
 
     @cached_property
     def samples(self) -> Samples:
-        """The chosen samples of all stretches."""
+        """Chosen samples of all stretches."""
         return Samples.concatenate([part.select(index) for part, index in zip(self.dense, self.chosen, strict=True)])
 
     def rows(self, model: MeasurementModel) -> Rows:
-        """The rows of the chosen samples, read-only, which are as large as all else together: kept for the model that
-        was asked for last."""
+        """Rows of the chosen samples, read-only; kept for the last model only, being as large as all else together."""
         if model not in self._rows:
             self._rows.clear()
-            found = self._rows[model] = model.rows(self.samples)
-            for array in (found.coefficients, found.targets):
+            rows = self._rows[model] = model.rows(self.samples)
+            for array in (rows.coefficients, rows.targets):
                 array.setflags(write=False)
         return self._rows[model]
 
@@ -84,16 +83,16 @@ class Records:
 
     @cached_property
     def moving(self) -> BoolArray:
-        """Which joints move at each chosen sample ``(N, joints)``."""
+        """True where a joint moves at a chosen sample ``(N, joints)``."""
         return np.asarray(np.abs(self.samples.velocity) > STILL)
 
     @cached_property
     def segment(self) -> IntArray:
-        """Which stretch each chosen sample belongs to."""
+        """Stretch of each chosen sample."""
         return np.repeat(np.arange(len(self.chosen)), [len(index) for index in self.chosen])
 
     def usable(self, model: MeasurementModel, targets: FloatArray) -> BoolArray:
-        """Which of the targets ``(N, C)`` are measured, and efforts of joints that move."""
+        """True for targets ``(N, C)`` that are measured; efforts only where their joints move one way."""
         valid: BoolArray = np.isfinite(targets)
         if model.layout.efforts:
             valid[:, model.layout.efforts] &= moves_one_way(self.samples)
@@ -101,12 +100,11 @@ class Records:
 
     @cached_property
     def unsettled(self) -> FloatArray:
-        """By how much two models of dry friction of level 1 differ ``(N, joints)``: much near reversals, where friction
-        depends on the past."""
+        """Difference of two dry friction models of level 1 ``(N, joints)``; large near reversals: the past matters."""
         return np.concatenate([_unsettled(part)[index] for part, index in zip(self.dense, self.chosen, strict=True)])
 
     def situation(self, model: MeasurementModel, total: TotalModel) -> Situation:
-        """What a ``model`` with the gravity, inertias and effects of ``total`` says."""
+        """Situation of a ``model`` with the gravity, inertias and effects of ``total``."""
         dynamics = Dynamics(model, total.inertias)
         joints, channels = len(model.robot.joints), len(model.channels)
         loads = [dynamics.efforts(part) for part in self.dense]
@@ -147,12 +145,12 @@ class Records:
 
 @dataclass(frozen=True, eq=False)
 class TotalModel:
-    """A whole model.
+    """A total model.
 
     Attributes:
         inertias: of all bodies with their payloads ``(bodies, 10)``.
         effects: each at a place with its coefficients ``(k,)``.
-        straight_gravity: gravity ``(3,)`` in the frame of a base that stands straight [m/s^2].
+        straight_gravity: gravity ``(3,)`` in the frame of an upright base [m/s^2].
     """
 
     inertias: FloatArray
@@ -161,7 +159,7 @@ class TotalModel:
 
     @property
     def gravity(self) -> FloatArray:
-        """Gravity ``(3,)`` in the base frame."""
+        """Gravity ``(3,)`` in the base frame [m/s^2]."""
         gravity = self.straight_gravity
         for effect, _, coefficients in self.absorbed:
             gravity = effect.turned_gravity(gravity, effect.values(coefficients))
@@ -169,21 +167,23 @@ class TotalModel:
 
     @property
     def lag(self) -> float:
-        """How long after the motion efforts are measured [s]."""
+        """Delay of the measured efforts behind the motion [s]."""
         return sum(effect.effort_lag(effect.values(coefficients)) for effect, _, coefficients in self.absorbed)
 
     @property
     def absorbed(self) -> list[tuple[SituationEffect, Place, FloatArray]]:
-        """The effects that are built into the model instead of being columns: of gravity, of time, of scale."""
-        found = [
+        """Effects that are built into the model instead of being columns: on gravity, time and scale."""
+        absorbed = [
             (effect, place, coefficients)
             for effect, place, coefficients in self.effects
             if isinstance(effect, SituationEffect) and effect.absorbed and np.any(coefficients)
         ]
-        return sorted(found, key=lambda own: (own[0].scales_measurement, not own[0].turns_gravity, joints_of(own[1])))
+        return sorted(
+            absorbed, key=lambda one: (one[0].scales_measurement, not one[0].turns_gravity, joints_of(one[1]))
+        )
 
     def scales(self, channels: int) -> FloatArray:
-        """Factors ``(channels,)`` from what is true to what is measured."""
+        """Factors ``(channels,)`` from true to measured values."""
         scales = np.ones(channels)
         for effect, place, coefficients in self.absorbed:
             if effect.scales_measurement:
@@ -191,7 +191,7 @@ class TotalModel:
         return scales
 
     def efforts(self, samples: Samples, *, behind_gears: bool = False) -> FloatArray:
-        """What the effects of motion add to the joints' efforts ``(N, J)``, or those of them that act behind gears."""
+        """Joint efforts ``(N, J)`` due to the effects of motion, or only to those that act behind the gears."""
         return samples.efforts_of(
             (effect, place, float(coefficient))
             for effect, place, (coefficient, *_) in self.effects
@@ -215,8 +215,8 @@ def _load_terms(
 def _unsettled(part: Samples) -> FloatArray:
     sharp, smooth = part.column(SIGN), part.column(SMOOTH_SIGN)
     reach = round(_REVERSAL / _period(part))
-    off = np.pad(np.abs(sharp - smooth), ((reach, reach), (0, 0)))
-    return np.asarray(np.max(sliding_window_view(off, 2 * reach + 1, axis=0), axis=-1))
+    difference = np.pad(np.abs(sharp - smooth), ((reach, reach), (0, 0)))
+    return np.asarray(np.max(sliding_window_view(difference, 2 * reach + 1, axis=0), axis=-1))
 
 
 def _advanced(part: Samples, seconds: float) -> Samples:
@@ -226,9 +226,9 @@ def _advanced(part: Samples, seconds: float) -> Samples:
     effort = np.full(part.effort.shape, np.nan)
     for joint, measured in enumerate(np.isfinite(part.effort).T):
         if np.count_nonzero(measured) > 1:
-            known = CubicSpline(times[measured], part.effort[measured, joint], extrapolate=False)(times + seconds)
-            beside_gaps = np.interp(times + seconds, times, measured.astype(np.float64)) < 1.0
-            effort[:, joint] = np.where(beside_gaps, np.nan, known)
+            shifted = CubicSpline(times[measured], part.effort[measured, joint], extrapolate=False)(times + seconds)
+            near_gaps = np.interp(times + seconds, times, measured.astype(np.float64)) < 1.0
+            effort[:, joint] = np.where(near_gaps, np.nan, shifted)
     return replace(part, effort=effort)
 
 

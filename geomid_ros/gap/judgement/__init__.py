@@ -1,1 +1,1 @@
-"""How sure each name is: held-out data, where the gap lies, the verdict and its words."""
+"""Certainty of each named effect: held-out data, location of the gap, verdict and its sentences."""

@@ -1,4 +1,4 @@
-"""From coefficients to what a user reads: parameters with units, sentences, and what would settle an ambiguity."""
+"""From coefficients to the user's text: parameters with units, sentences, and recordings that settle an ambiguity."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _BEFORE = {"confident": "", "tentative": "Perhaps ", "ambiguous": "One of severa
 def parameters(
     model: MeasurementModel, found: NamesFit, candidate: Candidate, unsure: float = 0.0, usual_load: float = 0.0
 ) -> dict[str, Quantity]:
-    """A candidate's parameters and their standard deviations; ``unsure``: that of the logarithm of what was scanned;
-    ``usual_load`` [N m or N]: standard deviation of what the joint's gear transmits."""
+    """Parameters of a candidate with their standard deviations. ``unsure`` is that of the logarithm of the grid
+    constant, ``usual_load`` [N m or N] that of the load that the joint's gear transmits."""
     if candidate.payload is not None:
         return _of_payload(found, candidate.effect, candidate.payload)
     values = np.array([found.value(term) for term in candidate.terms])
@@ -35,35 +35,35 @@ def parameters(
 
 
 def known_before(model: MeasurementModel, prior: NamesPrior, candidate: Candidate, usual_load: float = 0.0) -> Values:
-    """The parameters of a candidate that the model had; empty if it had no such effect."""
+    """Parameters of a candidate in the given model; empty if it had no such effect."""
     if not candidate.terms or not set(candidate.terms) <= set(prior.terms):
         return {}
     values = np.array([prior.value(term) for term in candidate.terms])
-    found = _quantities(model, candidate, values, np.diag(np.zeros(len(values))), 0.0, usual_load)
-    return {name: quantity.value for name, quantity in found.items()}
+    quantities_before = _quantities(model, candidate, values, np.diag(np.zeros(len(values))), 0.0, usual_load)
+    return {name: quantity.value for name, quantity in quantities_before.items()}
 
 
-def _of_payload(found: NamesFit, effect: Effect, link: int) -> dict[str, Quantity]:
-    values, covariance = _payload(found, link)
+def _of_payload(fit: NamesFit, effect: Effect, link: int) -> dict[str, Quantity]:
+    values, covariance = _payload(fit, link)
     return quantities(effect.parameters, zip(values, np.sqrt(np.maximum(np.diag(covariance), 0.0)), strict=True))
 
 
-def _payload(found: NamesFit, link: int) -> tuple[FloatArray, FloatArray]:
-    """Mass, centre of mass and inertia of what a link carries ``(10,)``, and their covariance ``(10, 10)``; what weighs
-    it has a gain that is not known better than of other efforts."""
-    place = found.manifold.links - len(found.bodies) + found.bodies.index(link)
-    rows = found.manifold.link(place)
-    values = pseudo_inertia.quantities_of(pseudo_inertia.to_parameters(found.point.pseudo_inertias[place]))
-    derivative = physical_sensitivity(found.point)[place]
+def _payload(fit: NamesFit, link: int) -> tuple[FloatArray, FloatArray]:
+    """Mass, centre of mass and inertia of a link's payload ``(10,)``, and their covariance ``(10, 10)``, including the
+    unknown common gain of the efforts, which scales mass and inertia."""
+    place = fit.manifold.links - len(fit.bodies) + fit.bodies.index(link)
+    rows = fit.manifold.link(place)
+    values = pseudo_inertia.quantities_of(pseudo_inertia.to_parameters(fit.point.pseudo_inertias[place]))
+    derivative = physical_sensitivity(fit.point)[place]
     by_gain = GAIN * np.concatenate([values[:1], np.zeros(3), values[4:]])
-    return values, derivative @ found.inverse[rows, rows] @ derivative.T + np.outer(by_gain, by_gain)
+    return values, derivative @ fit.inverse[rows, rows] @ derivative.T + np.outer(by_gain, by_gain)
 
 
 def first_moment(found: NamesFit, candidate: Candidate) -> dict[str, Quantity]:
-    """Mass times centre of mass of a payload, about the origin of its link; empty of any other name.
+    """Mass times centre of mass of a payload, about the origin of its link; empty for other candidates.
 
-    It is what gravity tells of a body whose mass is not told: where the joints do not move it up and down, or about a
-    centre that stays where it is.
+    Gravity identifies it even if the mass is not identifiable: where the joints do not move the body up and down, or
+    about a centre that stays where it is.
     """
     if candidate.payload is None:
         return {}
@@ -74,7 +74,7 @@ def first_moment(found: NamesFit, candidate: Candidate) -> dict[str, Quantity]:
 
 
 def moment_of(values: FloatArray, stds: FloatArray) -> dict[str, Quantity]:
-    """A first moment ``(3,)`` [kg m] with its standard deviations, by axis."""
+    """First moment ``(3,)`` [kg m] with its standard deviations, by axis."""
     sizes = zip("xyz", values.tolist(), stds.tolist(), strict=True)
     return {f"m {axis}": Quantity(value, std, "kg m") for axis, value, std in sizes}
 
@@ -87,7 +87,7 @@ def _quantities(
     unsure: float,
     usual_load: float,
 ) -> dict[str, Quantity]:
-    """Those of coefficients with these values; of a sensor one parameter for each axis that it measures."""
+    """Parameters for these values of the coefficients; for a sensor one for each axis that it measures."""
     effect, place = candidate.effect, candidate.place
     if not isinstance(place, AtSensor):
         sliding = model.places.slides(place)
@@ -106,19 +106,19 @@ def sentence(
     confidence: Confidence,
     moment: Mapping[str, Quantity] = _NOTHING,
 ) -> str:
-    """A finding in words, with 95 % intervals and what ``was`` known of it; of a payload the ``moment`` alone, where
-    the mass is not told."""
+    """Describe a finding with 95 % intervals and the former values ``was``; for a payload with the ``moment`` instead,
+    if its mass is not identified."""
     where = f" at link '{link}'" if link else f" at '{joint}'" if joint else ""
     untold = ""
     if moment:
         untold = f"; this motion does not identify its mass: {_said(found['mass'])}"
         found, was = moment, {}
-    said = [
+    terms = [
         f"{name} {_said(q)}" + (f" instead of {was[name]:.4g}" if name in was else "")
         for name, q in list(found.items())[: effect.said_first]
     ]
-    sure, text = _BEFORE[confidence], f"{effect.label}{where}: {', '.join(said)} (95 % interval){untold}."
-    return sure + text if sure else text[0].upper() + text[1:]
+    qualifier, text = _BEFORE[confidence], f"{effect.label}{where}: {', '.join(terms)} (95 % interval){untold}."
+    return qualifier + text if qualifier else text[0].upper() + text[1:]
 
 
 def _said(quantity: Quantity) -> str:
@@ -127,7 +127,7 @@ def _said(quantity: Quantity) -> str:
 
 
 def settled_by(effect: Effect, joint: str, rivals: Collection[tuple[Effect, str]]) -> str:
-    """The recording that would tell an effect from its rivals, each with the joint at which it acts."""
+    """Recording that would distinguish an effect from its rivals, each with the joint at which it acts."""
     same = [other for rival, other in rivals if type(rival) is type(effect)]
     if effect.place == "link" and same:
         return f"a motion that turns {', '.join(repr(name) for name in (joint, *same))} through their ranges"

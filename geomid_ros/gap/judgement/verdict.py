@@ -1,4 +1,4 @@
-"""What may be said of an analysis: its findings, the links that changed, and what is left without a name."""
+"""Conclusions from an analysis: its findings, the links that changed, and the gap that stays unexplained."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from geomid_ros.model.effects.situation import OnLink
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
-_NEAR = 20.0  # in minus twice a logarithm: rivals that are less likely than one in ten thousand are not worth a word
-_MOST_OF_IT = 0.5  # of a channel's squares
+_NEAR = 20.0  # in minus twice a logarithm: rivals less likely than one in ten thousand are not reported
+_MOST_OF_IT = 0.5  # fraction of a channel's squares
 
 
 def findings(model: MeasurementModel, analysis: Analysis) -> list[tuple[Candidate, Finding]]:
-    """The names, the one that matters most first."""
+    """Return the named effects, the one that matters most first."""
     sized = scattered(analysis.search.design, analysis.names)
-    found = [(candidate, _finding(model, analysis, candidate, sized)) for candidate in analysis.supports]
-    return sorted(found, key=lambda named: -named[1].loss)
+    result = [(candidate, _finding(model, analysis, candidate, sized)) for candidate in analysis.supports]
+    return sorted(result, key=lambda named: -named[1].loss)
 
 
 def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, sized: NamesFit) -> Finding:
@@ -66,7 +66,7 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
 def beside_remainder(
     analysis: Analysis, candidate: Candidate, parameters: dict[str, Quantity], was: Values
 ) -> dict[str, Quantity]:
-    """Parameters that are as unsure as what has no name leaves their sizes, and as these are in another motion."""
+    """Widen the parameters' standard deviations by the effect of the remainder, and by their drift between motions."""
     effect, doubt = candidate.effect, np.hypot(analysis.supports[candidate].doubt, candidate.effect.drift)
     sizes = effect.sizes(parameters).items()
     changes = {name: abs(size.value - was.get(name, effect.nothing)) for name, size in sizes}
@@ -74,8 +74,7 @@ def beside_remainder(
 
 
 def probability_by_size(candidate: Candidate, parameters: Mapping[str, Quantity], was: Values) -> float:
-    """The largest probability that a name with these sizes can have: it is that they are what they were, or nothing,
-    that speaks against it."""
+    """Largest probability of a named effect with these sizes, against being unchanged, or nothing."""
     sizes, nothing = candidate.effect.sizes(parameters), candidate.effect.nothing
     main = {"mass": sizes["mass"]} if "mass" in sizes else sizes
     squares = [((size.value - was.get(name, nothing)) / size.std) ** 2 for name, size in main.items() if size.std > 0.0]
@@ -87,8 +86,8 @@ def _is_told(quantity: Quantity) -> bool:
 
 
 def _share(analysis: Analysis, candidate: Candidate) -> float:
-    """Of the gap that the inertias leave, over the channels that a name reaches: how much it closes beside others. The
-    links are as unsure as they were found to be: without it they would be freed until they explain it."""
+    """Fraction of the gap left by the inertias, over the channels that a named effect affects, that it closes in
+    addition to the others. The links keep the fit's prior std: otherwise they would be freed to explain it."""
     search, names = analysis.search, analysis.names
     reached = search.design.reached(candidate)
 
@@ -101,40 +100,40 @@ def _share(analysis: Analysis, candidate: Candidate) -> float:
 
 
 def _scanned_std(analysis: Analysis, candidate: Candidate) -> float:
-    """Standard deviation of the logarithm of a scanned constant, from the curvature of the score over its neighbours; 1
-    where that says nothing, 0 for a name without one."""
+    """Standard deviation of the logarithm of a grid constant, from the curvature of the score over its neighbours; 1
+    where that is not informative, 0 for an effect without one."""
     if not candidate.effect.scanned or candidate.known:
         return 0.0
     search, names = analysis.search, analysis.names
-    alike = sorted((c for c in search.hypotheses if c.group == candidate.group), key=lambda c: c.effect.scanned)
-    place = alike.index(candidate)
-    if not 0 < place < len(alike) - 1:
+    grid = sorted((c for c in search.hypotheses if c.group == candidate.group), key=lambda c: c.effect.scanned)
+    place = grid.index(candidate)
+    if not 0 < place < len(grid) - 1:
         return 1.0
-    scanned = alike[place - 1 : place + 2]
+    neighbours = grid[place - 1 : place + 2]
     rest = [c for c in names.chosen if c is not candidate]
-    logs = np.log([c.effect.scanned for c in scanned])
-    scores = [search.fit([*rest, c], names).score for c in scanned]
+    logs = np.log([c.effect.scanned for c in neighbours])
+    scores = [search.fit([*rest, c], names).score for c in neighbours]
     curvature = 2.0 * float(np.polyfit(logs - logs[1], scores, 2)[0])  # the score is minus twice a log likelihood
     step = 0.5 * float(logs[2] - logs[0])
     return min(1.0, float(np.sqrt(2.0 / curvature + step**2 / 12.0))) if curvature > 0.0 else 1.0
 
 
 def unexplained(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> tuple[Unexplained, ...]:
-    """The channels whose gap on unseen data stays open, and on what the remainder depends: on the variable whose
-    features explain most of it, or else a curve of the unseen data."""
-    lacks, found = analysis.names.remainders(analysis.search.design), []
+    """Return the channels whose gap on unseen data stays open, and the variable on which the remainder depends: that
+    whose features explain most of it, or else that of a curve of the unseen data."""
+    lacks, result = analysis.names.remainders(analysis.search.design), []
     for place in np.flatnonzero(unseen.is_open):
         explained = lacks[place].explained
         known = len(explained) and np.max(explained) > _MOST_OF_IT
         features = analysis.problem.features[place].depends_on
         variable = features[int(np.argmax(explained))] if known else strongest(unseen.located[place])
-        found.append(Unexplained(model.channels[place].name, variable, float(unseen.gap.after[place])))
-    return tuple(found)
+        result.append(Unexplained(model.channels[place].name, variable, float(unseen.gap.after[place])))
+    return tuple(result)
 
 
 def verdict(analysis: Analysis, unseen: HeldOut, *, named: bool) -> Verdict:
-    """Of the whole run, in which something was ``named`` or not: unexplained where features explain most of a gap that
-    stays open. Channels that were not judged may have a gap."""
+    """Verdict of the whole run, in which something was ``named`` or not: unexplained if features explain most of a gap
+    that stays open. Channels that were not evaluated may have a gap."""
     if np.any(unseen.is_open):
         lacks = analysis.names.remainders(analysis.search.design)
         explained = np.array([np.sum(lack.explained) for lack in lacks])
@@ -145,7 +144,7 @@ def verdict(analysis: Analysis, unseen: HeldOut, *, named: bool) -> Verdict:
 def ranking(
     model: MeasurementModel, analysis: Analysis, named: Sequence[tuple[Candidate, Finding]]
 ) -> tuple[Ranked, ...]:
-    """What is named, as it was found; then the others by what the score test says of them."""
+    """Rank the named effects as they were found, then the others by the score test."""
     chosen = [Ranked(f.effect, model.places.name(c.place), f.loss, f.separability, True) for c, f in named]
     others = [
         Ranked(t.candidate.name, model.places.name(t.candidate.place), t.gain, t.separability, False)
@@ -155,15 +154,15 @@ def ranking(
     return (*chosen, *others[:20])
 
 
-_LEAST = 0.05  # of the mass
-_HELD = 0.1  # of the usual spread: so little a link may change to be as it was
+_LEAST = 0.05  # fraction of the mass
+_HELD = 0.1  # of the default prior std: an unchanged link may change only so much
 
 
 def changed_links(model: MeasurementModel, analysis: Analysis) -> tuple[LinkChange, ...]:
-    """The links whose mass has changed, without payloads, the one that matters most first; and the one that explains
-    best what contradicts other recordings, if its first moment has.
+    """Return the links whose mass has changed, without payloads, the one that matters most first; and the link that
+    best explains a contradiction with other recordings, if its first moment has changed.
 
-    A change that another link can take over, as that of a link which hardly moves alone, is none.
+    A change that another link can absorb, such as that of a link which hardly moves alone, is not reported.
     """
     return tuple(sorted(_changes(model, analysis), key=lambda change: -change.loss))
 
@@ -178,24 +177,24 @@ def _changes(model: MeasurementModel, analysis: Analysis) -> Iterator[LinkChange
         change = names.inertias[link] - was
         doubt = relative_doubt(search.design, names, link, change)
         std = np.hypot(stds[10 * link : 10 * link + 10], doubt * change)
-        told, moment, centre = (change / std)[:1], {}, {}
+        deviations, moment, centre = (change / std)[:1], {}, {}
         if abs(change[0]) < _LEAST * was[0] or link == search.prior.changed_link:
             if link != search.prior.changed_link:
                 continue
-            if abs(told[0]) < np.max(np.abs(change / std)[1:4]):
-                told, moment = (change / std)[1:4], sentences.moment_of(change[1:4], std[1:4])
+            if abs(deviations[0]) < np.max(np.abs(change / std)[1:4]):
+                deviations, moment = (change / std)[1:4], sentences.moment_of(change[1:4], std[1:4])
         if search.prior.identified and not moment:
-            own = slice(10 * link, 10 * link + 4)
-            centre = _centre(change, covariance[own, own])
-        if names.inertias[link, 0] > np.sum(nominal[:, 0]):  # as no payload outweighs the robot, no link does
+            rows = slice(10 * link, 10 * link + 4)
+            centre = _centre(change, covariance[rows, rows])
+        if names.inertias[link, 0] > np.sum(nominal[:, 0]):  # no link has more mass than the robot, nor has a payload
             continue
         spreads = names.spreads.copy()
         spreads[link] = _HELD * search.prior.spread
         loss = fit(search.design, prior, names.chosen, names, spreads).score - free
-        # The link may have changed, and not its mass.
-        against = np.exp(-0.5 * min(loss, float(np.max(told**2)), 1e3)) / ODDS
-        against += analysis.contested if link == search.prior.changed_link else 0.0
-        probability = float(1.0 / (1.0 + against))
+        # The link may have changed without its mass.
+        odds_against = np.exp(-0.5 * min(loss, float(np.max(deviations**2)), 1e3)) / ODDS
+        odds_against += analysis.contested if link == search.prior.changed_link else 0.0
+        probability = float(1.0 / (1.0 + odds_against))
         if probability >= LIKELY:
             body = model.robot.bodies[model.identified[link]]
             yield LinkChange(
@@ -211,8 +210,8 @@ def _changes(model: MeasurementModel, analysis: Analysis) -> Iterator[LinkChange
 
 
 def _centre(change: FloatArray, covariance: FloatArray) -> dict[str, Quantity]:
-    """That of the mass by which a link's parameters have a ``change (10,)``; of mass and first moment the
-    ``covariance (4, 4)``."""
+    """Centre of the added mass, from the ``change (10,)`` of a link's parameters and the ``covariance (4, 4)`` of mass
+    and first moment."""
     centre = change[1:4] / change[0]
     derivative = np.column_stack([-centre, np.eye(3)]) / change[0]
     stds = np.sqrt(np.diag(derivative @ covariance @ derivative.T))
@@ -220,6 +219,6 @@ def _centre(change: FloatArray, covariance: FloatArray) -> dict[str, Quantity]:
 
 
 def with_given_spreads(prior: NamesPrior, inflation: float) -> NamesPrior:
-    """A prior under which scores of fits with given spreads can be compared: nothing is said of the spreads, and other
-    recordings are trusted as far as they were found to be right."""
+    """Return a prior for comparing the scores of fits with given prior std: these cost nothing, and other recordings
+    keep the trust that the fit found."""
     return replace(prior, certainty=0.0, known=prior.known and prior.known.trusted(inflation))
