@@ -254,7 +254,7 @@ class Solver:
             return replace(warm, effects_alone=self._session.identifier.outgrown(warm.rows, _CHOSEN_ANEW))
 
     def _solve_from_scratch(self) -> Estimate | GeomidError:
-        """Solve from scratch, or return the result for the same rows: clients that were told to wait ask again."""
+        """Solve from scratch, or return the result for the same rows: clients ask again after a timeout."""
         with self._lock:
             data = self._epoch, self._session.identifier.rows
         if self._from_scratch is not None and self._from_scratch[0] == data:
