@@ -53,7 +53,7 @@ class Sampler:
         Args:
             settings: of the filter.
             continuous: ``(joints,)`` True for joints without limits; their positions are from -pi to pi in samples.
-            topics: besides joints': of wrench sensors, and ODOM or IMU of a floating base.
+            topics: of wrench sensors, and ODOM or IMU of a floating base; joint topics are not listed.
             effect_columns: columns of effects that samples contain.
             ledger: counts accepted messages that are dropped.
             mount: of the IMU.
