@@ -1,5 +1,4 @@
-"""Dashboard: a node that subscribes to diagnostics and publishes nothing, and a process for it beside the shown
-node."""
+"""Dashboard: a node that only subscribes to diagnostics, and a process for it beside the node that it shows."""
 
 from __future__ import annotations
 
