@@ -126,8 +126,8 @@ COMPARED = "compared with the estimate before the gap"
 
 @dataclass(frozen=True)
 class FoundGap:
-    """Gap search: ``result``, ``causes`` that make it doubtful, ``warnings``, ``notes``, and the reference that it is
-    ``compared`` with if not the robot description."""
+    """Result of a gap search: ``result``, ``causes`` that make it doubtful, ``warnings``, ``notes``, and the reference
+    that it is ``compared`` with, if not the robot description."""
 
     result: GapResult
     causes: Sequence[Finding] = ()
@@ -241,11 +241,11 @@ class PayloadSearch:
 
 def _weigh(session: Session, empty: Sequence[Accepted], loaded: Sequence[Accepted], progress: Progress) -> Payload:
     recordings: list[Samples] = []
-    for what, messages in (("without", empty), ("with", loaded)):
-        stage = f"reading the motion {what} the payload"
+    for condition, messages in (("without", empty), ("with", loaded)):
+        stage = f"reading the motion {condition} the payload"
         samples = samples_of_messages(session.new_pipeline(), messages, stage, progress)
         if samples is None:
-            raise InputError(f"too little motion {what} the payload: move all joints for half a minute")
+            raise InputError(f"too little motion {condition} the payload: move all joints for half a minute")
         session.review.judge_apart()
         session.review.check.add(samples)
         session.review.judge()

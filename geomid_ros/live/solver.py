@@ -40,11 +40,11 @@ Done: TypeAlias = Callable[[Estimate | GeomidError], None]
 
 
 class Solver:
-    """Solves in a thread: when enough data are new (:class:`Pace`), and on request. With a finite forgetting time
-    changes are to be followed: then it solves in every period.
+    """Solves in a thread: when enough data are new (:class:`Pace`), and on request. With a finite forgetting time,
+    changes are to be followed, so it solves in every period.
 
-    An estimate that did not converge does not replace one that did. The rows of a mounted wrench sensor are left out
-    while the sensor is changed, unless old rows are forgotten anyway.
+    Estimates that are not finite are discarded, and one that did not converge does not replace one that did. The rows
+    of a mounted wrench sensor are left out while the sensor is changed, unless old rows are forgotten anyway.
     """
 
     def __init__(self, session: Session, period: float, listener: Listener) -> None:
@@ -93,7 +93,7 @@ class Solver:
         self._requests.put(partial(self._answer, done))
 
     def watch(self) -> None:
-        """Look for changes, as there are enough rows; requests that wait already do this, too."""
+        """Request a search for changes, as there are enough rows. Requests that wait already include one."""
         if self._requests.empty():
             self._requests.put(self._watch)
 
@@ -137,7 +137,7 @@ class Solver:
         return None if payload is None else payload.carried
 
     def estimate_before(self, instant: int) -> Estimate | None:
-        """Return the last estimate without the sample of this number or later ones; None if that is too long ago."""
+        """Return the last estimate from samples before this index; None if that is too long ago."""
         earlier = [estimate for samples, estimate in tuple(self._earlier) if samples <= instant]
         return earlier[-1] if earlier else None
 
@@ -245,8 +245,8 @@ class Solver:
         self._session.identifier.settle(detector.normal(suspect))
 
     def _warm_start(self) -> WarmStart | None:
-        """Return the starting point of the next solve; None after a failed solve. If much is new, only the effects are
-        kept, and the prior's weight is chosen again."""
+        """Return the starting point of the next solve; None before the first, and after a failed one. If much is new,
+        it has the effects only, and the prior's weight is chosen again."""
         with self._lock:
             warm = self._session.warm
             if warm is None or self.problem:

@@ -61,5 +61,5 @@ class Activity:
         return (task[0], time.monotonic() - max(task[1], self._counted_from)) if task else ("", 0.0)
 
     def count_anew(self) -> None:
-        """Restart the count of seconds: the obstacle that held the task up was removed."""
+        """Restart the count of seconds, after whatever blocked the task was removed."""
         self._counted_from = time.monotonic()

@@ -51,7 +51,7 @@ class Worker:
         self._listener = listener
         self._lock = threading.Lock()  # held briefly, for the next three fields
         self._failures: Counter[str] = Counter()
-        self._rows_lost: Counter[str] = Counter()  # replaced as a whole
+        self._rows_lost: Counter[str] = Counter()  # replaced, never modified
         self._receipt_to_row: deque[float] = deque(maxlen=_LATENCIES)
         self._wrenches = WrenchGuard(session)
         self._unchecked: list[Samples] = []
@@ -260,8 +260,8 @@ class Worker:
 
 
 def _completion_times(times: Sequence[float], blocks: Sequence[Block], stamps: IntArray) -> FloatArray:
-    """Return when the message that completed each sample was received ``(N,)`` [s]: of each topic's first message as
-    late as the sample, the last one.
+    """Receipt time [s] of the message that completed each sample ``(N,)``. A sample is complete once every topic has a
+    message that is at least as late.
 
     Args:
         times: [s] at which messages were received.

@@ -91,7 +91,7 @@ class ChangeDetector:
         self.gaps: tuple[ChannelGap, ...] = ()
         """Monitored channels as of the last block."""
         self.judged = 0
-        """Index of the first sample without a search for a payload."""
+        """Index of the first sample that was not searched for a payload yet."""
 
     def add(self, first: int, stamps: IntArray, rows: Rows) -> bool:
         """Take the rows of a moving robot, in the order of time. If too many wait, the first are dropped. Return True

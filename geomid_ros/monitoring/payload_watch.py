@@ -168,7 +168,7 @@ class _Baseline:
 
 
 class PayloadWatch:
-    """Looks for a payload of a link in blocks of rows, and follows it."""
+    """Detects a payload of a link from blocks of rows, and updates it."""
 
     def __init__(
         self,
@@ -203,9 +203,9 @@ class PayloadWatch:
         self._recent: deque[tuple[_Block, FloatArray | None]] = deque()  # with the payload that was known before
         self._loaded: _Block | None = None  # sum since the payload is carried
         self._noise: Sequence[Noise] = ()
-        self._share = 1.0  # weight that earlier rows keep after those since without a payload
+        self._share = 1.0  # weight that rows learned so far keep after newer rows without a payload
         self.carried: Carried | None = None
-        """Payload; None if there is none."""
+        """Present payload; None if there is none."""
 
     def judge(self, first: int, stamps: IntArray, rows: Rows, noise: Sequence[Noise], share: float) -> bool:
         """Take a block of rows. Return True if a payload was picked up or put down in it.

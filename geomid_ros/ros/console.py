@@ -92,7 +92,7 @@ class News:
         self._reported: set[str] | None = None  # links whose mass was reported; None before the first estimate
 
     def since(self, status: Status) -> Iterator[str]:
-        """Yield sentences on the news in the status of another second."""
+        """Yield sentences on what is new in the ``status`` of the next second."""
         accepted = {topic: account.accepted for topic, account in status.since(self._before).accounts.items()}
         self._before = status
         self._coming = {topic: self._coming.get(topic, 0) + 1 for topic, count in accepted.items() if count > 0}

@@ -146,8 +146,8 @@ class Inputs:
         Args:
             kind: class of the messages.
             name: of the topic.
-            several: True if the topic may have more than one publisher. A second publisher of any other topic is
-                ambiguous: its messages are all dropped.
+            several: True if the topic may have more than one publisher. On any other topic, messages of several
+                publishers are ambiguous, and all are dropped.
 
         Raises:
             InputError: the topic name is invalid.

@@ -15,7 +15,7 @@ from rclpy.utilities import try_shutdown
 from geomid_ros.errors import InputError
 
 MATCHING = 0.5
-"""Time [s] by which a best-effort subscriber receives a publisher later than it is discovered itself."""
+"""Time [s] from the discovery of a best-effort subscriber until it receives messages."""
 
 PATIENCE = 5.0
 """Time [s] within which existing nodes and topics are discovered."""
@@ -31,7 +31,7 @@ def starting_ros() -> Iterator[None]:
     """Convert an error of rclpy inside into an InputError that names the problem."""
     try:
         yield
-    except RuntimeError as error:  # rclpy's own are such
+    except RuntimeError as error:  # raised by rclpy
         reason = " ".join(str(error).split())
         raise InputError(f"ROS cannot start with these arguments and variables ({reason}){_security()}") from error
 

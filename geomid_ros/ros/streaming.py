@@ -64,7 +64,7 @@ class Streaming:
         return self._stream.ready and bool(self._publisher.get_subscription_count())
 
     def wait(self, seconds: float) -> None:
-        """Wait, and predict messages that arrive meanwhile. Raises the errors of predictions, which then end."""
+        """Wait, and predict messages meanwhile. An error is raised, and stops predictions until the next estimate."""
         end = time.monotonic() + seconds
         if self._publisher.get_subscription_count():
             self._say(self._stream.obstacle)

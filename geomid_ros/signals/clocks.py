@@ -95,8 +95,8 @@ _UNITS_OF_SPEED = (180.0 / np.pi, 1000.0, 30.0 / np.pi, 0.5 / np.pi)  # degrees,
 class VelocityCheck:
     """Detects a wrong clock or unit by the messages' velocities.
 
-    Samples derive velocities from positions alone, as effects' columns do. If two motions differed, by noise or a
-    delay, the inertia of links would falsely seem distinguishable from that of rotors, and from a carriage's mass.
+    Samples derive velocities from positions alone, as effects' columns do. With measured velocities, noise or a delay
+    would falsely distinguish the inertia of links from that of rotors, and from a carriage's mass.
     """
 
     _FEWEST = 100  # number of samples

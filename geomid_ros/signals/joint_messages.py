@@ -214,8 +214,8 @@ class JointReader:
         return np.asarray(speeds[latest][1:])
 
     def _check_effort(self, stamps: IntArray, numbers: FloatArray, moving: BoolArray) -> AnyArray:
-        """Set efforts to NaN that are invalid. Return for each message ``(N,)`` the reason to refuse it, or None:
-        efforts that have been invalid for long are left out instead."""
+        """Set invalid efforts to NaN. Return for each message ``(N,)`` the reason to refuse it, or None. Efforts that
+        have been invalid for long do not refuse their message."""
         effort = numbers[:, 2]
         zeros = self._zeros(effort, moving)
         effort[zeros] = np.nan

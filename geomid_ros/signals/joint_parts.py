@@ -148,13 +148,13 @@ class JointParts:
         )
 
     def _at(self, stamp: int) -> FloatArray:
-        whole = np.empty((3, len(self._joints)))
+        result = np.empty((3, len(self._joints)))
         for part, entries in self._waiting.items():
             numbers = _between(entries, stamp)
             if self._is_slow(part):
                 numbers = np.concatenate([numbers[:2], np.full_like(numbers[2:], np.nan)])
-            whole[:, [self._joints.index(joint) for joint in part]] = numbers
-        return whole.ravel()
+            result[:, [self._joints.index(joint) for joint in part]] = numbers
+        return result.ravel()
 
 
 def _between(entries: deque[tuple[int, FloatArray]], stamp: int) -> FloatArray:

@@ -19,7 +19,7 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 _LEVELLING = 1.0  # [s] before and after, over which the specific force is averaged
 _UNLIKE_GRAVITY = 0.3  # as a fraction of gravity
 LIFTED = 0.1
-"""Load of a foot in the air, at most, as a fraction of its load when all feet stand: inertias are not known yet."""
+"""Largest load of a foot in the air, as a fraction of its load when all feet stand: inertias are not known yet."""
 
 _EXPECTED = "publish what the accelerometer measures, gravity included, in m/s^2 (sensor_msgs/Imu)"
 IN_G = driver_error(f"the acceleration is in g: {_EXPECTED}")

@@ -76,7 +76,8 @@ class UnitreeMessages:
         names: Mapping[str, Sequence[str]],
         refuse: Callable[[int, str], None],
     ) -> tuple[list[int], list[Raw]]:
-        """Convert messages of any types to what is read of them; also return the place of each one's origin.
+        """Convert messages of Unitree's types, and pass on others. Return the place of each result's origin, and the
+        results.
 
         Args:
             messages: topic, time [ns], type and bytes.

@@ -18,7 +18,7 @@ from geomid_ros.ros.starting import MATCHING, PATIENCE
 
 _KIND = "trajectory_msgs/msg/JointTrajectory"
 NOT_ACCEPTED = "not accepted; check that the controller is active and has these joints"
-"""Reason for a rejected goal, as a rejection has none."""
+"""Reason that is reported for a rejected goal, as the rejection itself has none."""
 
 
 class Controller(Protocol):

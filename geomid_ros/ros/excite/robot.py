@@ -1,4 +1,4 @@
-"""Robot as received on topics: its joints, its description, and a bag of its messages, complete in any event."""
+"""Data of a robot from its topics: joint states, description, and a bag that is complete even after an error."""
 
 from __future__ import annotations
 
@@ -162,8 +162,8 @@ class HeardRobot:
             self._recorder.write(self.topic, data)
         message = parse(JOINT_STATES, deserialize_message(data, JointStateMessage))
         count, position = len(message.names), message.arrays[0]
-        known = position if len(position) == count else np.full(count, np.nan)
-        self.positions.update(zip(message.names, known.tolist(), strict=True))
+        positions = position if len(position) == count else np.full(count, np.nan)
+        self.positions.update(zip(message.names, positions.tolist(), strict=True))
         if (state := JointState.of(message, self._joints)) is not None:
             self.state = state
             self._new.append(state)

@@ -37,7 +37,7 @@ class Order:
     Attributes:
         motion: at full speed.
         source: its origin, for messages.
-        speed: factor of its speed.
+        speed: factor on the motion's speed.
         urdf: text and source of the robot's description; None for that on the topic robot_description.
         options: the controller, and what stops the motion.
     """
@@ -126,8 +126,8 @@ class MotionRun:
         postures, notes = self._postures(robot, state.position)
         return Plan(way_by(motion.joints, postures, self._limits.speeds), motion, self._limits, silence, notes)
 
-    def _postures(self, robot: Robot, here: FloatArray) -> tuple[list[FloatArray], tuple[str, ...]]:
-        """Return the postures of the approach from ``here`` to the start, and sentences on it.
+    def _postures(self, robot: Robot, present: FloatArray) -> tuple[list[FloatArray], tuple[str, ...]]:
+        """Return the postures of the approach from the ``present`` one to the start, and sentences on the checks.
 
         Raises InputError if there is no free way, or the motion comes too close to something.
         """
@@ -137,13 +137,13 @@ class MotionRun:
         received = [self._robot.positions.get(name, np.nan) for name in robot.joint_names]
         passage = Passage(robot, motion.joints, np.nan_to_num(received), collision)
         unwatched = without_touching(collision, passage.whole(start[None])[0]) if collision else ()
-        for label, position in (("at the present pose", here), ("at the start of the motion", start)):
+        for label, position in (("at the present pose", present), ("at the start of the motion", start)):
             if touching := passage.overlap(position):
                 raise InputError(f"{label}, {touching}; move it away first, or correct --avoid")
-        passage.keep(np.array([here, start]), options.clearance)
+        passage.keep(np.array([present, start]), options.clearance)
         passage.check(motion, self._order.source)
         notes = ["" if collision else NOT_LOOKED, not_watched(unwatched)]
-        return [here, *passage.to(here, start)], tuple(filter(None, notes))
+        return [present, *passage.to(present, start)], tuple(filter(None, notes))
 
     def execute(self, bag: Path, say: Callable[[str], None]) -> None:
         """Move, and record.
