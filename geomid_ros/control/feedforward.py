@@ -129,11 +129,11 @@ def sampled(trajectory: Trajectory, efforts_of: EffortsOf, times: FloatArray) ->
 def interpolation_errors(found: Trajectory, efforts_of: EffortsOf) -> FloatArray:
     """Largest error of linearly interpolated efforts between two points ``(N - 1, joints)`` [N m, N]."""
     times, steps = found.times, np.diff(found.times)
-    probes = [np.arange(times[0], times[-1], _PROBED), *(times[:-1] + share * steps for share in _INSIDE)]
+    probes = [np.arange(times[0], times[-1], _PROBED), *(times[:-1] + fraction * steps for fraction in _INSIDE)]
     at = np.concatenate(probes)
     between = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(steps) - 1)
-    share = ((at - times[between]) / steps[between])[:, None]
-    linear = (1.0 - share) * found.efforts[between] + share * found.efforts[between + 1]
+    fraction = ((at - times[between]) / steps[between])[:, None]
+    linear = (1.0 - fraction) * found.efforts[between] + fraction * found.efforts[between + 1]
     errors = np.zeros((len(steps), len(found.joints)))
     np.maximum.at(errors, between, np.abs(efforts_of(found.states(at)[:3]) - linear))
     return errors

@@ -80,8 +80,8 @@ class Diagnostics:
         """
         new = status.since(self._before)
         errors = [*dict.fromkeys(_errors(status, new))]
-        candidates = dict.fromkeys([*_warnings(status, new), *self._without_rows(status, new)])
-        warnings = [text for text in candidates if text not in errors]
+        sentences = dict.fromkeys([*_warnings(status, new), *self._without_rows(status, new)])
+        warnings = [text for text in sentences if text not in errors]
         self.complaints = (*(Complaint(text, True) for text in errors), *(Complaint(text, False) for text in warnings))
         self._before = status
         level, message = _judgement(status, errors, warnings)
@@ -157,7 +157,7 @@ def _stream(status: Status) -> dict[str, object]:
         values |= _account(topic, account)
     values |= {
         **{f"rows rejected: {reason}": count for reason, count in (+status.rows_rejected).items()},
-        **{f"failed: {what}": count for what, count in status.failures.items()},
+        **{f"failed: {failure}": count for failure, count in status.failures.items()},
         **{f"gap {gap.channel}": gap.times_floor for gap in status.gaps},
     }
     if status.estimate is not None:

@@ -86,11 +86,11 @@ def without_refusal(refusals: AnyArray) -> BoolArray:
 def poses(block: Block) -> tuple[FloatArray, AnyArray]:
     """Poses ``(N, 7)`` with unit quaternions, and the reasons why some are unusable."""
     values, refusals = block.arrays[0].copy(), np.full(len(block.stamps), None)
-    wild = ~plausible(values).all(axis=1)
-    values[wild] = np.nan
+    invalid = ~plausible(values).all(axis=1)
+    values[invalid] = np.nan
     norms = np.linalg.norm(values[:, 3:], axis=1)
     refusals[np.abs(norms - 1.0) > UNLIKE_ONE] = "quaternion is not of length 1"
-    refusals[wild] = "pose not finite"
+    refusals[invalid] = "pose not finite"
     good = without_refusal(refusals)
     values[good, 3:] /= norms[good, None]
     return values, refusals

@@ -148,8 +148,8 @@ class VectorSegment(Segment):
 
     def _between(self, stamps: IntArray, values: FloatArray, times: IntArray) -> FloatArray:
         """Interpolate ``values (N, ...)`` at ``stamps (N,)`` to ``times`` [ns]."""
-        left = np.minimum(np.maximum(np.searchsorted(stamps, times) - 2, 0), len(stamps) - 4)
-        nodes, origins = left[:, None] + np.arange(4), stamps[left]
+        start = np.minimum(np.maximum(np.searchsorted(stamps, times) - 2, 0), len(stamps) - 4)
+        nodes, origins = start[:, None] + np.arange(4), stamps[start]
         weights = cubic_weights((stamps[nodes] - origins[:, None]).astype(float), (times - origins).astype(float))
         return np.asarray(np.einsum("ni,nij->nj", weights, values[nodes]))
 
@@ -279,8 +279,8 @@ class PoseSegment(Segment):
         end = int(np.searchsorted(self._stamps, window[-1], side="left")) + 2
         stamps = np.array(self._stamps[begin:end])
         poses = np.array(self._poses[begin:end])
-        left = np.clip(np.searchsorted(stamps, window, side="right") - 2, 0, len(stamps) - 4)
-        nodes = left[:, None] + np.arange(4)
+        start = np.clip(np.searchsorted(stamps, window, side="right") - 2, 0, len(stamps) - 4)
+        nodes = start[:, None] + np.arange(4)
         weights = cubic_weights((stamps - origin)[nodes].astype(float), (window - origin).astype(float))
         reference = poses[int(np.argmin(np.abs(stamps - instant * period)))]
         for _ in range(MEAN_STEPS):

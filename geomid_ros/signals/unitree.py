@@ -76,8 +76,7 @@ class UnitreeMessages:
         names: Mapping[str, Sequence[str]],
         refuse: Callable[[int, str], None],
     ) -> tuple[list[int], list[Raw]]:
-        """Convert messages of Unitree's types, and pass on others. Return the place of each result's origin, and the
-        results.
+        """Convert Unitree's messages, and pass on others. Return each result's place of origin, and the results.
 
         Args:
             messages: topic, time [ns], type and bytes.
