@@ -1,1 +1,1 @@
-"""What was identified moves the robot: efforts for trajectories."""
+"""Control with the identified model: feed-forward efforts for trajectories."""

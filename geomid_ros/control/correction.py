@@ -1,13 +1,13 @@
-"""Feed-forward beside a position controller that adapts to a payload, and the latch that switches it off.
+"""Feed-forward that adapts to a payload, in addition to a position controller, and the latch that switches it off.
 
 Lee, Kwon and Park (2018), "A natural adaptive control law for robot manipulators", move the pseudo-inertia P down the
-gradient ``Y^T s`` of the tracking error in the metric ``tr(P^-1 X P^-1 Y)``, so that the body stays possible. Here
+gradient ``Y^T s`` of the tracking error in the metric ``tr(P^-1 X P^-1 Y)``, which keeps it physically consistent. Here
 
-- the feedback ``K s`` is read from measured efforts: neither gains nor the clock of the controller are needed. The
-  correction that is under way is taken off, as in a Smith predictor: ``r = effort - Y p`` is left, whatever the delay;
-- a step is the shortest that explains a share of r at all joints at once, within their noise: with rows A and r in
-  units of the noise, and A whitened at P, it is ``share A^T (A A^T + 1)^-1 r``. The loop's gain is ``share`` a step,
-  in every direction that efforts show, and less in others;
+- the feedback ``K s`` is read from measured efforts, so that neither gains nor the clock of the controller are needed.
+  The present correction is subtracted, as in a Smith predictor: ``r = effort - Y p`` is left, whatever the delay;
+- a step is the shortest that explains a fraction of r at all joints at once, within their noise: with rows A and r in
+  units of the noise, and A whitened at P, it is ``share A^T (A A^T + 1)^-1 r``. The loop's gain is ``share`` a step in
+  every direction that efforts show, and less in others;
 - it follows the geodesic ``P^1/2 exp(X) P^1/2``, which stays in the cone however long it is.
 """
 
@@ -29,15 +29,15 @@ from geomid_ros.model.samples import STILL
 from geomid_ros.types import FloatArray
 
 MARGIN = 0.5
-"""Gain times delay: an integrator behind a delay has 61 degrees of phase left, and is unstable at pi / 2."""
+"""Gain times delay: an integrator with a delay has 61 degrees of phase margin left, and is unstable at pi / 2."""
 SHORTEST = 0.01
-"""Shortest delay that the gain is set for [s]: a faster loop follows friction that the model lacks."""
+"""Shortest delay that the gain is set for [s]: a faster loop follows unmodelled friction."""
 FARTHEST = 0.3
-"""Physical limit: a payload's centre of mass lies no farther from the origin of the link that carries it [m]."""
+"""Physical limit: largest distance of a payload's centre of mass from the origin of its link [m]."""
 
 
 def share_of(step: float, delay: float) -> float:
-    """Share of the residual that a step of so many seconds takes away, at the gain ``MARGIN / delay`` [1/s]."""
+    """Fraction of the residual that a step of so many seconds removes, at the gain ``MARGIN / delay`` [1/s]."""
     return -math.expm1(-MARGIN * step / max(delay, SHORTEST))
 
 
@@ -56,62 +56,62 @@ def divergence(point: Point, reference: Point) -> float:
 
 
 class Adaptation:
-    """The inertia of a body, as far from the identified one as a payload may bring it."""
+    """Inertia of a body, bounded to changes that a payload may cause."""
 
     def __init__(self, identified: FloatArray, heaviest: float) -> None:
         """
         Args:
-            identified: inertia ``(10,)`` of the body by the model.
-            heaviest: payload [kg].
+            identified: inertia ``(10,)`` of the body in the model.
+            heaviest: largest payload [kg].
         """
         self._identified = ONE_BODY.point(identified)
         corners = FARTHEST * np.concatenate([np.eye(3), -np.eye(3)])
         ends = np.append(corners, np.ones((6, 1)), axis=1)
         loads = to_parameters(heaviest * ends[:, :, None] * ends[:, None, :])
         self._bound = max(divergence(ONE_BODY.point(identified + load), self._identified) for load in loads)
-        self._spread = np.mean(loads, axis=0)
+        self._mean_load = np.mean(loads, axis=0)
         self.point = self._identified
 
     @property
     def change(self) -> FloatArray:
-        """Difference ``(10,)`` to the identified inertia."""
+        """Difference ``(10,)`` from the identified inertia."""
         return self.point.parameters - self._identified.parameters
 
     def step(self, tangent: FloatArray) -> None:
-        """Go along a ``tangent (10,)``, no farther than rows are nearly linear, unless it leads beyond the bound."""
+        """Follow a ``tangent (10,)``, no farther than rows are nearly linear, unless it leads out of the bound."""
         length = float(np.linalg.norm(tangent))
         end = ONE_BODY.exp(self.point, tangent * min(1.0, LARGEST_STEP / length) if length else tangent)
-        reached = divergence(end, self._identified)
-        if reached < self._bound or reached < divergence(self.point, self._identified):
+        distance = divergence(end, self._identified)
+        if distance < self._bound or distance < divergence(self.point, self._identified):
             self.point = end
 
     def explains(self, rows: FloatArray, residuals: FloatArray) -> bool:
-        """True if the body with a payload may leave the ``residuals`` of :func:`needed`.
+        """True if the ``residuals`` of :func:`needed` may be those of the body with a payload.
 
-        The shortest change that explains them is sought in the metric of the body with the heaviest payload, spread as
-        far as it may lie. It must not take away more than this whole: a contact that pulls sideways or upwards does.
+        The shortest change that explains them is computed in the metric of the body with the heaviest payload, spread
+        as far as it may lie. It must not remove more than this body, as a contact that pulls sideways or upwards does.
         """
-        spread = ONE_BODY.point(self.point.parameters + self._spread)
-        change = symmetric.to_matrix(needed(spread, rows, residuals))
+        loaded = ONE_BODY.point(self.point.parameters + self._mean_load)
+        change = symmetric.to_matrix(needed(loaded, rows, residuals))
         return bool(np.linalg.eigvalsh(change)[0] > -1.0)
 
 
 LARGEST_SHARE = 0.3
-"""Largest correction, as a share of the joint's effort limit."""
+"""Largest correction, as a fraction of the joint's effort limit."""
 FASTEST = 5.0
 """Largest change of the correction, in effort limits per second."""
-_NOISE = 0.01  # of the effort limit: standard deviation of what no inertia of the body explains
+_NOISE = 0.01  # of the effort limit: standard deviation of efforts that no inertia of the body explains
 LASTING = 0.1
-"""Time [s] for which something may be wrong before the correction is switched off; nothing is learned meanwhile."""
+"""Time [s] that a fault may last before the correction is switched off; meanwhile nothing is learned."""
 LATER = 2.0
 """Allowed delay as a multiple of the delay that the gain is set for; the loop is stable up to pi times."""
 _SATURATED = 0.99  # of the effort limit
-_MEMORY = 1.0  # [s] in which a long delay is forgotten, and what was wrong for LASTING
+_MEMORY = 1.0  # [s] in which a long delay, and a fault of LASTING, are forgotten
 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """What a robot measured at a ``time`` [s]: ``position, velocity, effort (joints,)``."""
+    """Measurements at a ``time`` [s]: ``position, velocity, effort (joints,)``."""
 
     time: float
     position: FloatArray
@@ -124,52 +124,52 @@ class Reading:
 
     @property
     def is_complete(self) -> bool:
-        """True if nothing is missing."""
+        """True if no number is missing."""
         return bool(np.isfinite(self._numbers).all())
 
     def repeats(self, other: Reading) -> bool:
-        """True if all numbers are those of the other one."""
+        """True if all numbers equal those of the other reading."""
         return np.array_equal(self._numbers, other._numbers)
 
 
 class Latch:
-    """Adds up for how long something is wrong, and remembers why the correction is off."""
+    """Adds up the time of faults, and remembers why the correction is off."""
 
     def __init__(self) -> None:
         self._before = -np.inf
         self._is_wrong = False
-        self._wrong = 0.0  # [s], less what is forgotten
+        self._wrong = 0.0  # [s] of faults, less the forgotten time
         self.reason = ""
-        """Why the correction is off, in a sentence; empty while it is on."""
+        """Sentence on why the correction is off; empty while it is on."""
 
     def take(self, now: float, faults: Sequence[str]) -> None:
-        """Note what is wrong from ``now`` [s] on, in sentences: what comes and goes adds up."""
-        passed, self._before = max(0.0, now - self._before), now
-        self._wrong = self._wrong + passed if self._is_wrong else max(0.0, self._wrong - passed * LASTING / _MEMORY)
+        """Record the ``faults`` from ``now`` [s] on, in sentences: intermittent faults add up."""
+        elapsed, self._before = max(0.0, now - self._before), now
+        self._wrong = self._wrong + elapsed if self._is_wrong else max(0.0, self._wrong - elapsed * LASTING / _MEMORY)
         self._is_wrong = bool(faults)
         if faults and self._wrong >= LASTING:
             self.close(faults[0])
 
     def close(self, reason: str) -> None:
-        """Switch off, for the first ``reason``."""
+        """Switch off. The first ``reason`` is kept."""
         self.reason = self.reason or reason
 
 
 class Delay:
-    """Delay of the loop [s]: age of the data and the time between them, the longest of about a second."""
+    """Delay of the loop [s]: age of the data plus the time between them, the longest of about a second."""
 
     def __init__(self) -> None:
         self.usual = 0.0
-        """The delay that the gain is set for."""
+        """Delay that the gain is set for."""
 
     def faults(self, delay: float) -> list[str]:
-        """What is wrong with a delay, in a sentence, or nothing."""
+        """Return the fault of a delay in a sentence, if there is one."""
         if not self.usual or delay <= LATER * self.usual:
             return []
         return [f"joint states are {1e3 * delay:.0f} ms late, after {1e3 * self.usual:.0f} ms before"]
 
     def take(self, delay: float, step: float) -> list[str]:
-        """Note a delay, ``step`` seconds after the one before. Returns what is wrong with it."""
+        """Take a delay, ``step`` seconds after the previous one. Return its faults."""
         faults = self.faults(delay)
         if not faults:
             self.usual = max(delay, self.usual * (1.0 - step / _MEMORY))
@@ -179,18 +179,18 @@ class Delay:
 def faults_of(
     joints: tuple[str, ...], limits: FloatArray, reading: Reading, before: Reading, commanded: FloatArray
 ) -> list[str]:
-    """What is wrong with a reading after the one ``before``, in sentences.
+    """Return the faults of a reading after the one ``before``, in sentences.
 
     Args:
         joints: names.
         limits: effort limits ``(joints,)``.
-        reading, before: what was measured.
+        reading, before: measurements.
         commanded: velocities ``(joints,)``.
     """
     faults = []
-    used = np.abs(reading.effort) / limits
-    if np.max(used) >= _SATURATED:
-        faults.append(f"the effort of joint '{joints[int(np.argmax(used))]}' saturates")
+    fraction = np.abs(reading.effort) / limits
+    if np.max(fraction) >= _SATURATED:
+        faults.append(f"the effort of joint '{joints[int(np.argmax(fraction))]}' saturates")
     if reading.repeats(before) and np.max(np.abs(commanded)) > STILL:
         faults.append("joint states repeat while the robot is to move")
     return faults
@@ -199,7 +199,7 @@ def faults_of(
 class Correction:
     """Efforts that a changed inertia of one body adds to those of an identified model.
 
-    The caller gives the time [s], of any one clock. One thread may call it at a time.
+    The caller passes the time [s], of any one clock. Only one thread may call it at a time.
     """
 
     def __init__(self, efforts: MotorEfforts, joints: Sequence[str], body: str, heaviest: float) -> None:
@@ -208,7 +208,7 @@ class Correction:
             efforts: of the identified model, for motions of ``joints``.
             joints: names, in the order of all arrays.
             body: that adapts.
-            heaviest: payload [kg].
+            heaviest: largest payload [kg].
 
         Raises:
             InputError: a joint has no effort limit, or no effort depends on the body.
@@ -224,15 +224,15 @@ class Correction:
         self.latch = Latch()
         self._before: Reading | None = None
         self._faults: list[str] = []  # of the last reading
-        self._heard = self._sent = -np.inf
+        self._received = self._sent = -np.inf
         self._last = np.zeros(len(joints))
 
     def go_on_from(self, other: Correction) -> None:
-        """Change gradually from what another one gave last."""
+        """Continue from the last efforts of another correction, to change gradually."""
         self._last, self._sent = other._last, other._sent
 
     def learn(self, now: float, reading: Reading, commanded: FloatArray) -> None:
-        """Adapt to a reading and the motion ``(3, joints)`` that was ``commanded`` for its time."""
+        """Adapt to a reading and the motion ``(3, joints)`` that was ``commanded`` at its time."""
         before = self._before or reading
         if not reading.is_complete:
             return
@@ -241,7 +241,7 @@ class Correction:
         if step <= 0.0:
             self._check_clock(step, "of joint states ")
             return
-        self._heard = now
+        self._received = now
         faults = faults_of(self._joints, self._limits, reading, before, commanded[1])
         faults += self.delay.take(max(0.0, now - reading.time) + step, step)
         rows, residuals = self._missing(np.array([reading.position, *commanded[1:]]), reading.effort)
@@ -254,34 +254,34 @@ class Correction:
             self.adaptation.step(share_of(step, self.delay.usual) * tangent)
 
     def _missing(self, motion: FloatArray, effort: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Rows ``(joints, 10)`` of the body, and what it and the model leave of the ``effort (joints,)``, in units of
-        the noise."""
+        """Rows ``(joints, 10)`` of the body, and the residual ``effort (joints,)`` that neither it nor the model
+        explains, both in units of the noise."""
         rows, noise = self._rows_of(motion), _NOISE * self._limits
         residuals = effort - self._efforts(motion[:, None])[0] - rows @ self.adaptation.change
         return rows / noise[:, None], residuals / noise
 
-    def _check_clock(self, passed: float, whose: str = "") -> None:
-        if passed < 0.0:
-            self.latch.close(f"the clock {whose}went back by {-passed:.3g} s")
+    def _check_clock(self, elapsed: float, source: str = "") -> None:
+        if elapsed < 0.0:
+            self.latch.close(f"the clock {source}went back by {-elapsed:.3g} s")
 
     def __call__(self, now: float, commanded: FloatArray) -> FloatArray:
-        """Efforts ``(joints,)`` to add to those of the identified model, at the motion ``commanded (3, joints)``."""
-        if np.isfinite(self._heard) and now - self._heard > LASTING:
-            self.latch.close(f"no joint states for {1e3 * (now - self._heard):.0f} ms")
-        if self._before is not None:  # what comes late is late before it comes
+        """Efforts ``(joints,)`` to add to those of the identified model, for the motion ``commanded (3, joints)``."""
+        if np.isfinite(self._received) and now - self._received > LASTING:
+            self.latch.close(f"no joint states for {1e3 * (now - self._received):.0f} ms")
+        if self._before is not None:  # late data are late before they arrive
             self.latch.take(now, [*self._faults, *self.delay.faults(now - self._before.time)])
-        passed, self._sent = now - self._sent, now
-        self._check_clock(passed)
-        most, change = LARGEST_SHARE * self._limits, FASTEST * self._limits * max(0.0, min(passed, LASTING))
-        wanted = np.clip(self._wanted(commanded), -most, most)
-        self._last = np.clip(wanted, self._last - change, self._last + change)
+        elapsed, self._sent = now - self._sent, now
+        self._check_clock(elapsed)
+        bound, change = LARGEST_SHARE * self._limits, FASTEST * self._limits * max(0.0, min(elapsed, LASTING))
+        target = np.clip(self._wanted(commanded), -bound, bound)
+        self._last = np.clip(target, self._last - change, self._last + change)
         return self._last
 
     def _wanted(self, commanded: FloatArray) -> FloatArray:
-        """Efforts ``(joints,)`` before bounds; zeros where the correction is off."""
+        """Efforts ``(joints,)`` before bounds; zeros if the correction is off."""
         if not self.latch.reason:
-            wanted = self._rows_of(commanded) @ self.adaptation.change
-            if np.isfinite(wanted).all():
-                return np.asarray(wanted)
+            efforts = self._rows_of(commanded) @ self.adaptation.change
+            if np.isfinite(efforts).all():
+                return np.asarray(efforts)
             self.latch.close("the efforts to add are not finite; the motion that is commanded is wrong")
         return np.zeros(len(self._joints))

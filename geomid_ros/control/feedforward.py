@@ -1,4 +1,4 @@
-"""Feed-forward efforts: of a motion by an identified model, and for a trajectory.
+"""Feed-forward efforts of an identified model: for a motion, and for a trajectory.
 
 A joint_trajectory_controller interpolates positions by polynomials and efforts linearly (ros2_controllers adds them to
 its feedback since 4.22). Points are added where linear interpolation of the efforts is too coarse. They lie on the same
@@ -23,15 +23,15 @@ from geomid_ros.types import BoolArray, FloatArray
 EffortsOf: TypeAlias = Callable[[FloatArray], FloatArray]
 """Inverse dynamics: efforts ``(N, joints)`` [N m, N] at positions, velocities and accelerations ``(3, N, joints)``."""
 SHORTEST = 1e-3
-"""Shortest time between two points [s]: the cycle time of usual controllers."""
-_PROBED = 10.0 * SHORTEST  # [s] at least so often the interpolation is checked
-_INSIDE = (0.25, 0.5, 0.75)  # and there between two points: errors may be antisymmetric about the middle
+"""Shortest time between two points [s]: the cycle time of typical controllers."""
+_PROBED = 10.0 * SHORTEST  # [s] longest time between checks of the interpolation
+_INSIDE = (0.25, 0.5, 0.75)  # further checks between two points, as errors may be antisymmetric about the middle
 
 
 class MotorEfforts:
     """Motor efforts for a motion of ``joints``, in the unit of the robot's messages.
 
-    Offsets of effort sensors are left out: they move nothing. Gains of effort sensors are part of the unit. Dry
+    Offsets of effort sensors are left out, as they move nothing. Gains of effort sensors are part of the unit. Dry
     friction follows the commanded velocity and is zero at rest.
     """
 
@@ -64,26 +64,26 @@ class MotorEfforts:
         self._order = np.array([robot.joint_names.index(joint) for joint in joints])
         self._gains = gains[self._order]
         of_sensors = np.array([c.effect.of_sensor for c in model.coefficients], dtype=bool)
-        own = parameters.copy()
-        own[len(model.nominal_inertias) :][of_sensors] = 0.0
-        self._dynamics = InverseDynamics(model, own)
+        motor_parameters = parameters.copy()
+        motor_parameters[len(model.nominal_inertias) :][of_sensors] = 0.0
+        self._dynamics = InverseDynamics(model, motor_parameters)
         self.limits = robot.effort_limits[self._order] / np.abs(self._gains)
-        """Effort limits of the URDF ``(joints,)`` in that unit, infinite where it has none."""
+        """Effort limits of the URDF ``(joints,)`` in the messages' unit, infinite where it has none."""
 
     def __call__(self, motion: FloatArray) -> FloatArray:
-        """Efforts ``(N, joints)`` of positions, velocities and accelerations ``(3, N, joints)``."""
-        own = np.empty_like(motion)
-        own[:, :, self._order] = motion
-        return np.asarray(self._dynamics(own)[:, self._order] / self._gains)
+        """Efforts ``(N, joints)`` for positions, velocities and accelerations ``(3, N, joints)``."""
+        ordered = np.empty_like(motion)
+        ordered[:, :, self._order] = motion
+        return np.asarray(self._dynamics(ordered)[:, self._order] / self._gains)
 
     def of_body(self, name: str) -> tuple[Callable[[FloatArray], FloatArray], FloatArray]:
-        """The function that makes regressors ``(joints, 10)`` of these efforts by the inertia of a body, from motions
-        ``(3, joints)``; and that inertia ``(10,)``.
+        """Return a function of motions ``(3, joints)`` that computes regressors ``(joints, 10)`` of these efforts by
+        the inertia of a body; and that inertia ``(10,)``.
 
         Raises:
             InputError: there is no such body, or no effort depends on it.
         """
-        robot, own = self._robot, np.empty((3, 1, len(self._order)))
+        robot, ordered = self._robot, np.empty((3, 1, len(self._order)))
         if name not in robot.body_names:
             raise unknown_name("link", name, robot.body_names)
         body = robot.body_names.index(name)
@@ -91,33 +91,33 @@ class MotorEfforts:
             raise InputError(f"link '{name}' does not move: no effort depends on its inertia")
 
         def rows(motion: FloatArray) -> FloatArray:
-            own[:, 0, self._order] = motion
-            q, v, a = robot.moved(own)
+            ordered[:, 0, self._order] = motion
+            q, v, a = robot.moved(ordered)
             return np.asarray(robot.body_effort_rows(q[0], v[0], a[0], body)[self._order] / self._gains[:, None])
 
         return rows, self._dynamics.inertias[body]
 
 
 def with_efforts(trajectory: Trajectory, efforts_of: EffortsOf, tolerance: float) -> Trajectory:
-    """Add efforts at all points, and further points where they are needed.
+    """Add efforts at all points, and further points where needed.
 
     Args:
         trajectory: the motion.
         efforts_of: inverse dynamics.
-        tolerance: largest interpolation error, as a share of each joint's largest effort. Where the effort jumps, as
+        tolerance: largest interpolation error, as a fraction of each joint's largest effort. Where the effort jumps, as
             at the points of cubic polynomials, the error may be larger for :data:`SHORTEST`.
     """
     times = trajectory.times
-    found = sampled(trajectory, efforts_of, times)
-    while np.any(far := _far(found, efforts_of, tolerance)):
+    result = sampled(trajectory, efforts_of, times)
+    while np.any(too_coarse := _too_coarse(result, efforts_of, tolerance)):
         middle = 0.5 * (times[1:] + times[:-1])
-        times = np.sort(np.concatenate([times, middle[far]]))
-        found = sampled(trajectory, efforts_of, times)
-    return found
+        times = np.sort(np.concatenate([times, middle[too_coarse]]))
+        result = sampled(trajectory, efforts_of, times)
+    return result
 
 
 def sampled(trajectory: Trajectory, efforts_of: EffortsOf, times: FloatArray) -> Trajectory:
-    """The same motion sampled at ``times (N,)`` [s], which include those of its own points, with efforts."""
+    """Sample a trajectory with efforts at ``times (N,)`` [s], which include those of its points."""
     motion = trajectory.states(times)[:3]
     accelerations = motion[2] if trajectory.accelerations.shape[1] else np.zeros((len(times), 0))
     efforts = efforts_of(motion)
@@ -129,19 +129,19 @@ def sampled(trajectory: Trajectory, efforts_of: EffortsOf, times: FloatArray) ->
 def interpolation_errors(found: Trajectory, efforts_of: EffortsOf) -> FloatArray:
     """Largest error of linearly interpolated efforts between two points ``(N - 1, joints)`` [N m, N]."""
     times, steps = found.times, np.diff(found.times)
-    probes = [np.arange(times[0], times[-1], _PROBED), *(times[:-1] + share * steps for share in _INSIDE)]
+    probes = [np.arange(times[0], times[-1], _PROBED), *(times[:-1] + fraction * steps for fraction in _INSIDE)]
     at = np.concatenate(probes)
     between = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(steps) - 1)
-    share = ((at - times[between]) / steps[between])[:, None]
-    linear = (1.0 - share) * found.efforts[between] + share * found.efforts[between + 1]
+    fraction = ((at - times[between]) / steps[between])[:, None]
+    linear = (1.0 - fraction) * found.efforts[between] + fraction * found.efforts[between + 1]
     errors = np.zeros((len(steps), len(found.joints)))
     np.maximum.at(errors, between, np.abs(efforts_of(found.states(at)[:3]) - linear))
     return errors
 
 
-def _far(found: Trajectory, efforts_of: EffortsOf, tolerance: float) -> BoolArray:
+def _too_coarse(trajectory: Trajectory, efforts_of: EffortsOf, tolerance: float) -> BoolArray:
     """True where a further point is needed ``(N - 1,)``."""
-    largest = np.max(np.abs(found.efforts), axis=0)
+    largest = np.max(np.abs(trajectory.efforts), axis=0)
     bounds = np.maximum(tolerance * largest, ROUNDING * np.max(largest))
-    off = np.any(interpolation_errors(found, efforts_of) > bounds, axis=1)
-    return np.asarray(off & (np.diff(found.times) >= 2.0 * SHORTEST))
+    off = np.any(interpolation_errors(trajectory, efforts_of) > bounds, axis=1)
+    return np.asarray(off & (np.diff(trajectory.times) >= 2.0 * SHORTEST))

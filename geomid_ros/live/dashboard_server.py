@@ -1,7 +1,7 @@
-"""A page on this machine alone that follows a node: whoever opens it sees what it is told here, and can change nothing.
+"""Web page that shows a node, served to this machine alone. It is read-only.
 
-It hears on 127.0.0.1 and answers requests that were meant for it: those of a page of another name that was made to mean
-this address (DNS rebinding) get nothing.
+The server listens on 127.0.0.1 and answers requests for its own name only: pages of other names that resolve to this
+address (DNS rebinding) get nothing.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ ADDRESS = "127.0.0.1"
 PORT = 8765
 _OUR_NAMES = r"(127\.0\.0\.1|localhost)"
 _MOST_LISTENERS = 20
-_MOST_BODY = 1024  # bytes: no request of the page has any
-_BEAT = timedelta(seconds=10)  # in which a listener that has gone is noticed, while nothing is new
+_MOST_BODY = 1024  # bytes: requests of the page have no body
+_BEAT = timedelta(seconds=10)  # interval at which closed connections are noticed while nothing is new
 _HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "frame-ancestors 'none'",
@@ -39,7 +39,7 @@ _HEADERS = {
 
 
 class Board:
-    """The latest state, and those who wait for the next. Of one thread alone."""
+    """Latest state, and a condition to wait for the next. For one thread alone."""
 
     def __init__(self) -> None:
         self._text = ""
@@ -54,7 +54,7 @@ class Board:
         self._changed.notify_all()
 
     async def after(self, version: int) -> tuple[int, str]:
-        """The state once it is newer than ``version``, with its own version; unchanged after a while."""
+        """Return the state once it is newer than ``version``, with its version; the unchanged state after a timeout."""
         if self._version == version:
             await self._changed.wait(timeout=_BEAT)
         return self._version, self._text
@@ -76,7 +76,7 @@ class _Page(_Handler):
 
 
 class _Events(_Handler):
-    """Server-sent events, each a whole state."""
+    """Server-sent events, each a complete state."""
 
     async def get(self) -> None:
         if self._board.listeners >= _MOST_LISTENERS:
@@ -100,7 +100,7 @@ class _Events(_Handler):
 
 
 def _bound(port: int | None) -> list[socket.socket]:
-    """Sockets on a port; None: the usual one, or if that is taken any other."""
+    """Return sockets on a port; None: the default port, or any free port if that is taken."""
     try:
         return bind_sockets(PORT if port is None else port, ADDRESS)
     except OSError as error:
@@ -110,22 +110,22 @@ def _bound(port: int | None) -> list[socket.socket]:
 
 
 async def serve(node: str, port: int | None, begin: Callable[[Board, str], Any], stop: asyncio.Event) -> None:
-    """Serve the page until ``stop``.
+    """Serve the page until ``stop`` is set.
 
     Args:
         node: name of the node that is shown.
-        port: where to; None: the usual one, or if that is taken any other.
-        begin: is called with the board and the page's address, before the first request.
-        stop: ends it.
+        port: to serve on; None: the default port, or any free port if that is taken.
+        begin: called with the board and the page's address, before the first request.
+        stop: ends the server.
 
     Raises:
         InputError: the port is taken.
     """
     board = Board()
     page = rendered_page("dashboard.html.j2", {"node": node, "script": Script.read("dashboard.js")}).encode()
-    what = {"board": board, "page": page}
+    settings = {"board": board, "page": page}
     application = Application(log_function=lambda _: None)
-    application.add_handlers(_OUR_NAMES, [("/", _Page, what), ("/events", _Events, what)])
+    application.add_handlers(_OUR_NAMES, [("/", _Page, settings), ("/events", _Events, settings)])
     server = HTTPServer(application, max_body_size=_MOST_BODY, idle_connection_timeout=60.0)
     sockets = _bound(port)
     server.add_sockets(sockets)

@@ -1,4 +1,4 @@
-"""What the dashboard shows: a node's diagnostics as one JSON document."""
+"""State that the dashboard shows: a node's diagnostics as one JSON document."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ State: TypeAlias = dict[str, Any]
 _COUNTS = ("received", "accepted", "lost")
 _REASONS = ("rejected", "dropped", "noted")
 _LEVELS = ("ok", "warning", "error", "stale")
-_MOST_ROWS = 500  # of each table: whoever may publish diagnostics decides how many there are
+_MOST_ROWS = 500  # of each table, as the publisher of diagnostics decides how many there are
 
 
 @dataclass(frozen=True)
@@ -28,34 +28,34 @@ class Diagnosis:
 
 
 def state_of(node: str, diagnoses: Sequence[Diagnosis]) -> State | None:
-    """The state of a node.
+    """Return the state of a node.
 
     Args:
         node: its full name without the leading slash.
-        diagnoses: all that came at once, of other nodes, too.
+        diagnoses: of one message, those of other nodes included.
 
     Returns:
         ``level`` and ``message`` of its stream, ``links``, ``channels``, ``topics``, ``numbers`` and ``others``
-        (statuses that are of no link); None if there is no stream of this node.
+        (statuses that are not of links); None if the node has no stream status.
     """
-    own = {one.name.removeprefix(f"{node}: "): one for one in diagnoses if one.name.startswith(f"{node}: ")}
-    stream = own.pop("stream", None)
+    states = {item.name.removeprefix(f"{node}: "): item for item in diagnoses if item.name.startswith(f"{node}: ")}
+    stream = states.pop("stream", None)
     if stream is None:
         return None
-    links = {name: one for name, one in own.items() if "mass" in one.values}
-    others = {name: one for name, one in own.items() if name not in links}
-    channels, topics, numbers = _sorted_out(stream.values)
+    links = {name: item for name, item in states.items() if "mass" in item.values}
+    others = {name: item for name, item in states.items() if name not in links}
+    channels, topics, numbers = _grouped(stream.values)
     return {
         "node": node,
         "level": _level(stream),
         "message": stream.message,
-        "links": [_link(name, one.values) for name, one in _first(links).items()],
+        "links": [_link(name, item.values) for name, item in _first(links).items()],
         "channels": [{"name": name, **values} for name, values in _first(channels).items()],
         "topics": [{"name": name, **values} for name, values in _first(topics).items()],
         "numbers": list(_first(numbers).items()),
         "others": [
-            {"name": name, "level": _level(one), "message": one.message, "values": list(_first(one.values).items())}
-            for name, one in _first(others).items()
+            {"name": name, "level": _level(item), "message": item.message, "values": list(_first(item.values).items())}
+            for name, item in _first(others).items()
         ],
     }
 
@@ -64,12 +64,12 @@ def _first(items: Mapping[str, Any]) -> dict[str, Any]:
     return dict(list(items.items())[:_MOST_ROWS])
 
 
-def _level(one: Diagnosis) -> str:
-    return _LEVELS[min(one.level, len(_LEVELS) - 1)]
+def _level(status: Diagnosis) -> str:
+    return _LEVELS[min(status.level, len(_LEVELS) - 1)]
 
 
 def _number(text: str | None) -> float | None:
-    """A finite number, else None: JSON has no others."""
+    """Return a finite number, else None, as JSON has no NaN or infinity."""
     try:
         value = float(text or "nan")
     except ValueError:
@@ -95,23 +95,23 @@ def _link(name: str, values: Mapping[str, str]) -> State:
     }
 
 
-def _sorted_out(values: Mapping[str, str]) -> tuple[dict[str, State], dict[str, State], dict[str, str]]:
-    """The stream's values by channel, by topic, and those of the stream as a whole."""
+def _grouped(values: Mapping[str, str]) -> tuple[dict[str, State], dict[str, State], dict[str, str]]:
+    """Group the stream's values by channel, by topic, and those of the stream as a whole."""
     channels: dict[str, State] = {key.removesuffix(" rms"): {} for key in values if key.endswith(" rms")}
     topics: dict[str, State] = {}
     numbers: dict[str, str] = {}
     for key, value in values.items():
-        channel, _, what = key.rpartition(" ")
+        channel, _, kind = key.rpartition(" ")
         topic, _, reason = key.partition(": ")
-        topic, _, how = topic.rpartition(" ")
+        topic, _, outcome = topic.rpartition(" ")
         if key.startswith("gap "):
             channels.setdefault(key.removeprefix("gap "), {})["gap"] = _number(value)
-        elif channel in channels and what in ("rms", "sigma"):
-            channels.setdefault(channel, {})[what] = _number(value)
-        elif how in _REASONS and topic != "rows":
-            topics.setdefault(topic, {}).setdefault(how, []).append([reason, value])
-        elif what in _COUNTS:
-            topics.setdefault(channel, {})[what] = value
+        elif channel in channels and kind in ("rms", "sigma"):
+            channels.setdefault(channel, {})[kind] = _number(value)
+        elif outcome in _REASONS and topic != "rows":
+            topics.setdefault(topic, {}).setdefault(outcome, []).append([reason, value])
+        elif kind in _COUNTS:
+            topics.setdefault(channel, {})[kind] = value
         else:
             numbers[key] = value
     return channels, topics, numbers

@@ -1,4 +1,4 @@
-"""What waits for the intake: messages, many at once, and requests."""
+"""Queue of the intake: batches of messages, and requests."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import NamedTuple, TypeAlias
 from geomid_ros.signals.settings import MOST_WAITING, MOST_WAITING_BYTES
 
 MOST_AT_ONCE = 1000
-"""Messages that are taken together, before anything else has its turn."""
+"""Largest number of messages taken together before a request gets its turn."""
 
 
 class Received(NamedTuple):
-    """A message: its topic, its bytes, and when [s] it came, on the clock of ``time.perf_counter``."""
+    """Message: its topic, its bytes, and the time [s] of its receipt on the clock of ``time.perf_counter``."""
 
     topic: str
     data: bytes
@@ -21,11 +21,11 @@ class Received(NamedTuple):
 
 
 Request: TypeAlias = Callable[[], None]
-"""Something to be done after the messages that came before."""
+"""Task to run after the messages that came before it."""
 
 
 class Inbox:
-    """One thread puts messages in, another takes them out and does what is asked."""
+    """Queue from one thread that puts messages and requests to another that processes them."""
 
     def __init__(self) -> None:
         self._queue: queue.SimpleQueue[list[Received] | Request | None] = queue.SimpleQueue()
@@ -35,32 +35,32 @@ class Inbox:
 
     @property
     def unfinished(self) -> int:
-        """Messages that wait, and those that were taken out last, until the next are asked for."""
+        """Number of messages that wait or are being processed."""
         return self._put - self._done
 
     def put_messages(self, messages: Sequence[Received]) -> Sequence[Received]:
-        """Put messages in. Returns those, the last ones, that have no room, as too many wait there."""
-        taken: list[Received] = []
+        """Put messages in. Return the last ones, for which the queue has no room."""
+        accepted: list[Received] = []
         for message in messages[: max(0, MOST_WAITING - self._put + self._got)]:
             if self._put_bytes - self._got_bytes > MOST_WAITING_BYTES:
                 break
             self._put_bytes += len(message.data)
-            taken.append(message)
-        self._put += len(taken)
-        if taken:
-            self._queue.put(taken)
-        return messages[len(taken) :]
+            accepted.append(message)
+        self._put += len(accepted)
+        if accepted:
+            self._queue.put(accepted)
+        return messages[len(accepted) :]
 
     def ask(self, request: Request) -> None:
-        """Put a request behind the messages that wait."""
+        """Put a request behind the waiting messages."""
         self._queue.put(request)
 
     def end(self) -> None:
-        """Let nothing be taken out that is put in later."""
+        """End the queue: tasks that are put in later are not processed."""
         self._queue.put(None)
 
     def clear(self) -> list[Received]:
-        """Take out everything at once, and end. Returns the messages."""
+        """Remove all tasks and end the queue. Return the messages."""
         messages: list[Received] = []
         while True:
             try:
@@ -72,8 +72,8 @@ class Inbox:
         return messages
 
     def tasks(self) -> Iterator[list[Received] | Request]:
-        """What there is to do, until the end; messages that wait come together, and who asks for the next task is done
-        with the last."""
+        """Yield tasks until the end. Waiting messages come as one batch. Asking for the next task finishes the previous
+        one."""
         messages: list[Received] = []
         while True:
             try:

@@ -1,26 +1,26 @@
-"""How often an estimate is worth making: in proportion to what is new."""
+"""Decides how often to solve, by the fraction of data that is new."""
 
 from __future__ import annotations
 
 NEW_SHARE = 1.0 / 11.0
-"""Of what is remembered: an estimate is worth making once as much is new. The data have grown by a tenth, and standard
-deviations that fall with their root by a twentieth; what is estimated moves by less than a third of its own."""
-_PERIODS = 10  # after which it is worth making anyway
+"""Fraction of the remembered data that must be new for a solve: the data have then grown by a tenth, and standard
+deviations have fallen by a twentieth. The estimate moves by less than a third of its standard deviation."""
+_PERIODS = 10  # after which a solve is due in any case
 
 
 class Pace:
-    """Says at the end of each period whether an estimate is worth making."""
+    """Decides at the end of each period whether a solve is due."""
 
     def __init__(self) -> None:
-        self._seen = 0  # rows, a period ago
-        self._skipped = 0  # periods since it was worth making
+        self._seen = 0  # number of rows one period ago
+        self._skipped = 0  # periods since the last solve
 
     def worth(self, rows: int, much_is_new: bool) -> bool:
-        """Whether an estimate is worth making: where much is new, at every tenth period, and once no more data come.
+        """True if a solve is due: if much is new, at every tenth period, or once no more data come.
 
         Args:
-            rows: so many there are now, some of which the last estimate does not know.
-            much_is_new: whether at least :data:`NEW_SHARE` is.
+            rows: present number of rows, some of them newer than the last estimate.
+            much_is_new: True if at least :data:`NEW_SHARE` of them is new.
         """
         ceased, self._seen = rows == self._seen, rows
         self._skipped += 1

@@ -1,4 +1,4 @@
-"""What a live session writes, in threads, as a disk may be slow or full: checkpoints, and estimates when it is asked.
+"""Saves a live session in threads, as a disk may be slow or full: checkpoints, and estimates on request.
 
 The last checkpoint is restored at the start.
 """
@@ -23,23 +23,23 @@ from geomid_ros.live.worker import LONG, Worker
 from geomid_ros.session.session import Session, save
 
 _PATIENCE = 0.4  # [s] for the last checkpoint
-_LATE = 4.0  # [s] for an estimate from all data; then the last one is saved
-_LATEST = 4.8  # [s] for an answer
-_SHORTEST_PAUSE = 0.1  # share of the period, between checkpoints that take long
+_LATE = 4.0  # [s] to wait for an estimate from all data; then the last one is saved
+_LATEST = 4.8  # [s] latest time of an answer
+_SHORTEST_PAUSE = 0.1  # fraction of the period, between slow checkpoints
 
 FOLLOWS = "and follows"
-"""In an answer: what was saved is not of all data yet."""
+"""Part of an answer: the saved estimate is not of all data yet."""
 NOT_YET = "no estimate yet"
 SLOW = "still saving"
-"""In answers: nothing is saved so far."""
+"""Parts of answers: nothing is saved so far."""
 
 Answer: TypeAlias = tuple[bool, str]
-"""Whether an estimate was saved, and a sentence."""
+"""True if an estimate was saved, and a sentence."""
 
 
 @dataclass(frozen=True)
 class CheckpointStatus:
-    """How the checkpoints are: an ``error`` or a ``warning`` if anything is wrong, and ``values`` for diagnostics."""
+    """State of the checkpoints: an ``error`` or a ``warning`` if anything is wrong, and ``values`` for diagnostics."""
 
     error: str = ""
     warning: str = ""
@@ -47,19 +47,19 @@ class CheckpointStatus:
 
 
 class Checkpoints:
-    """Writes what a session knows into a folder.
+    """Writes checkpoints of a session into a folder.
 
-    Nothing that is wrong with the folder or the disk is raised: :attr:`status` tells it, and the session goes on.
+    Problems with the folder or the disk are not raised: :attr:`status` reports them, and the session goes on.
     """
 
     def __init__(self, session: Session, folder: Path, period: float) -> None:
         """Restore the checkpoint in the folder, if there is one, and begin to write new ones.
 
-        The accounts of that checkpoint (:attr:`restored`) are left to the caller, who has the ledger.
+        The caller, who has the ledger, restores the accounts of that checkpoint (:attr:`restored`).
 
         Args:
             session: not in use yet.
-            folder: of this session alone.
+            folder: used by this session alone.
             period: [s] between checkpoints; none is written while no rows come.
         """
         self._session = session
@@ -68,42 +68,42 @@ class Checkpoints:
         self._restored = Restored()
         self._rows = 0  # in the last checkpoint
         self._written = 0
-        self._seconds = 0.0  # that the last checkpoint took
+        self._seconds = 0.0  # duration of the last checkpoint
         self._activity = Activity()  # of the thread
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None
         try:
-            kept = CheckpointFolder(folder, session.meaning, session.model.channels, session.configuration.buffer.folds)
+            disk = CheckpointFolder(folder, session.meaning, session.model.channels, session.configuration.buffer.folds)
         except GeomidError as error:
             self._problem = str(error)
             return
-        self._restored = kept.restore(session.restore)
+        self._restored = disk.restore(session.restore)
         self._rows = session.identifier.rows
-        self._thread = start_daemon("checkpoints", self._write_repeatedly, kept)
+        self._thread = start_daemon("checkpoints", self._write_repeatedly, disk)
 
     @property
     def restored(self) -> Checkpoint | None:
-        """The checkpoint from which the session goes on, None if there was none."""
+        """Checkpoint that the session was resumed from; None if there was none."""
         return self._restored.checkpoint
 
     def close(self) -> None:
-        """Write a last checkpoint, unless it takes long, and end."""
+        """Write a last checkpoint, unless that takes long, and end."""
         self._ending.set()
         if self._thread is not None:
             self._thread.join(_PATIENCE)
 
     @property
     def beginning(self) -> str:
-        """How the session began, in a sentence; empty if the folder was empty."""
-        found = self._restored
-        if found.checkpoint is None:
-            return "; ".join(["started without rows", *found.problems]) if found.problems else ""
-        goes_on = f"resumed from checkpoint {found.checkpoint.number} with {found.checkpoint.memory.summary.rows} rows"
-        return "; ".join([goes_on, *found.problems])
+        """Sentence on how the session began; empty if the folder was empty."""
+        start = self._restored
+        if start.checkpoint is None:
+            return "; ".join(["started without rows", *start.problems]) if start.problems else ""
+        resumed = f"resumed from checkpoint {start.checkpoint.number} with {start.checkpoint.memory.summary.rows} rows"
+        return "; ".join([resumed, *start.problems])
 
     @property
     def status(self) -> CheckpointStatus:
-        """The present state. A problem at the start is an error or a warning until a checkpoint is written."""
+        """Present state. A problem at the start is an error or a warning until a checkpoint is written."""
         values: dict[str, object] = {
             "beginning": self.beginning,
             "written": self._written,
@@ -143,7 +143,7 @@ class Checkpoints:
             with self._activity.doing("writing"):
                 checkpoint = self._session.checkpoint()
                 folder.write(checkpoint)
-        except Exception as error:  # noqa: BLE001 the thread must outlive a broken disk; the status reports it
+        except Exception as error:  # noqa: BLE001 the thread must survive a broken disk; the status reports it
             self._problem = str(error)
         else:
             self._problem = ""
@@ -169,7 +169,7 @@ class _OneAnswer:
 
 
 class Saving:
-    """Saves estimates into one folder."""
+    """Saves estimates into a folder."""
 
     def __init__(self, folder: str) -> None:
         """An empty ``folder`` is the working directory."""
@@ -177,55 +177,55 @@ class Saving:
         self._activity = Activity()
         self._problem = ""
         self._saved: Estimate | None = None
-        self._lacking: tuple[Estimate, StandingRemainder] | None = None  # the last that was found, and by what
+        self._remainder: tuple[Estimate, StandingRemainder] | None = None  # latest, and its estimate
         self._one_at_a_time = threading.Lock()
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """Why the last attempt failed, and that the present one is slow."""
+        """Sentences on why the last attempt failed, and on a slow one."""
         _, seconds = self._activity.current
         slow = f"saving takes {seconds:.0f} s so far: {self._folder} is slow" if seconds > LONG else ""
         return tuple(filter(None, (self._problem, slow)))
 
     def begin(self, worker: Worker, result: Estimate | GeomidError, done: Callable[[Answer], None]) -> None:
-        """Save in a thread; what the estimate lacks, which takes longer to find, after the answer.
+        """Save in a thread. The estimate's remainder, which takes longer to compute, is saved after the answer.
 
         Args:
-            worker: whose estimate it is.
+            worker: the source of the estimate.
             result: the estimate, or why there is none.
-            done: is called in the thread with whether that succeeded, and a sentence.
+            done: called in the thread with True if that succeeded, and a sentence.
         """
         start_daemon("saving", self._save_whole, worker, result, done)
 
     def _save_whole(self, worker: Worker, result: Estimate | GeomidError, done: Callable[[Answer], None]) -> None:
         answer = self._save(worker.session, result)
         done(answer)
-        if isinstance(result, Estimate) and answer[0] and self._lacking_of(result) is None:
-            self._save_lacking(worker, result)
+        if isinstance(result, Estimate) and answer[0] and self._remainder_of(result) is None:
+            self._save_remainder(worker, result)
 
-    def _save_lacking(self, worker: Worker, estimate: Estimate) -> None:
-        """Add to what was saved what the estimate lacks in what is remembered, unless another was saved meanwhile."""
+    def _save_remainder(self, worker: Worker, estimate: Estimate) -> None:
+        """Add the estimate's remainder in the remembered data to the files, unless another was saved meanwhile."""
         from geomid_ros.session.gap import identified_session, lacking_in_messages  # noqa: PLC0415 a third of the start
 
         try:
-            messages = worker.messages()  # an estimate is from all of them, whether a gap is open or not
+            messages = worker.messages()  # all of them, as the estimate is, even if a gap is open
             remainder = lacking_in_messages(identified_session(worker.session, estimate), messages)
             with self._one_at_a_time:
                 if remainder is not None and self._saved is estimate:
-                    self._lacking = estimate, remainder
+                    self._remainder = estimate, remainder
                     write_posterior(self._folder / POSTERIOR, estimate.posterior, remainder)
         except Exception as error:  # noqa: BLE001 as below
             self._problem = f"what the estimate lacks could not be saved: {error}"
 
-    def _lacking_of(self, estimate: Estimate) -> StandingRemainder | None:
-        return self._lacking[1] if self._lacking is not None and self._lacking[0] is estimate else None
+    def _remainder_of(self, estimate: Estimate) -> StandingRemainder | None:
+        return self._remainder[1] if self._remainder is not None and self._remainder[0] is estimate else None
 
     def begin_when_solved(self, worker: Worker, done: Callable[[Answer], None]) -> None:
-        """Save an estimate from all data so far, in threads; the last one, if that takes long to solve.
+        """Save an estimate from all data so far, in threads; the last estimate if that takes long to solve.
 
         Args:
-            worker: whose estimate it is.
-            done: is called once, within five seconds, with whether that succeeded, and a sentence.
+            worker: the source of the estimate.
+            done: called once, within five seconds, with True if that succeeded, and a sentence.
         """
         answer = _OneAnswer(done)
         worker.final_estimate(lambda result: self.begin(worker, result, answer))
@@ -244,7 +244,7 @@ class Saving:
         start_later(_LATEST, lambda: answer((False, f"{SLOW}: {self._folder} is slow")))
 
     def save_last(self, session: Session, estimate: Estimate, patience: float) -> str:
-        """Save, unless it takes longer than ``patience`` [s]. Returns a sentence on how that went."""
+        """Save, unless that takes longer than ``patience`` [s]. Return a sentence on the outcome."""
         answers: list[Answer] = []
         start_daemon("saving", lambda: answers.append(self._save(session, estimate))).join(patience)
         return answers[0][1] if answers else f"{self._folder} is too slow to save the last estimate"
@@ -255,7 +255,7 @@ class Saving:
         with self._one_at_a_time, self._activity.doing("saving"):
             try:
                 files = save(session, self._folder, result)
-                if (remainder := self._lacking_of(result)) is not None:
+                if (remainder := self._remainder_of(result)) is not None:
                     write_posterior(self._folder / POSTERIOR, result.posterior, remainder)
                 self._saved = result
             except Exception as error:  # noqa: BLE001 the caller must have an answer

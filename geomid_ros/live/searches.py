@@ -1,5 +1,5 @@
-"""What a node looks for beside its estimate, a gap and a payload: one search at a time, in a thread, for which the
-end of the node does not wait."""
+"""Background searches of a node, for a gap and for a payload: one at a time, in a thread. The end of the node does not
+wait for it."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ from geomid_ros.session.recordings import samples_of_messages
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import JOINT_STATES, Accepted
 
-_PATIENCE = 0.2  # [s] for a search to notice that it is to end
+_PATIENCE = 0.2  # [s] for a search to notice that it was closed
 
 
 class Found(Protocol):
-    """What a search finds."""
+    """Result of a search."""
 
     @property
     def sentence(self) -> str:
-        """In short."""
+        """Summary in one sentence."""
 
     @property
     def document(self) -> dict[str, Any]:
-        """As a whole, for JSON."""
+        """Complete result, for JSON."""
 
 
 R = TypeVar("R", bound=Found)
@@ -46,8 +46,8 @@ R = TypeVar("R", bound=Found)
 
 @dataclass(frozen=True)
 class SearchStatus(Generic[R]):
-    """The state of a search in a ``sentence``; its ``stage`` while it runs, then its ``result``, or neither when it has
-    failed."""
+    """State of a search: a ``sentence``; its ``stage`` while it runs, then its ``result``. A failed search has
+    neither."""
 
     sentence: str
     stage: str = ""
@@ -55,7 +55,7 @@ class SearchStatus(Generic[R]):
 
     @property
     def document(self) -> dict[str, Any]:
-        """What was found; only the sentence, as ``error``, when the search failed."""
+        """Result as a document; only the sentence, as ``error``, if the search failed."""
         return self.result.document if self.result else {"error": self.sentence}
 
 
@@ -64,35 +64,35 @@ class _EndedError(Exception):
 
 
 class BackgroundSearch(Generic[R]):
-    """Looks for something."""
+    """Runs one search at a time in a thread."""
 
     def __init__(self, failure: str, on_end: Callable[[SearchStatus[R]], None]) -> None:
         """
         Args:
-            failure: what is said of a search that found nothing, before the reason.
+            failure: text before the reason if a search fails.
             on_end: ``on_end(status)`` is called in the search's thread when a search ends by itself.
         """
         self._failure = failure
         self._on_end = on_end
-        self.status: SearchStatus[R] | None = None  # of the present or the last search
+        self.status: SearchStatus[R] | None = None  # of the present or last search
         self._thread: threading.Thread | None = None
-        self._ended = threading.Event()  # the present search, from outside
+        self._ended = threading.Event()  # set to end the present search
         self._lock = threading.Lock()  # held while on_end is called
 
     @property
     def running(self) -> bool:
-        """Whether a search is going on; one that was ended does until it notices."""
+        """True if a search is running; a closed search runs until it notices."""
         ending = self._ended.is_set() and self._thread is not None and self._thread.is_alive()
         return ending or (self.status is not None and self.status.stage != "")
 
     def start(self, look: Callable[[Progress], R]) -> None:
-        """Begin a search: ``look(progress)``, in a thread."""
+        """Start the search ``look(progress)`` in a thread."""
         self._ended = threading.Event()
         self._progress(self._ended, "beginning", 0.0)
         self._thread = start_daemon("search", self._run, look, self._ended)
 
     def close(self) -> None:
-        """End the present search, without calling ``on_end``, and forget the last one."""
+        """End the present search without calling ``on_end``, and forget the last status."""
         with self._lock:
             self._ended.set()
             self.status = None
@@ -114,11 +114,11 @@ class BackgroundSearch(Generic[R]):
                 self.status = status
                 self._on_end(status)
 
-    def _progress(self, ended: threading.Event, stage: str, share: float) -> None:
+    def _progress(self, ended: threading.Event, stage: str, fraction: float) -> None:
         with self._lock:
             if ended.is_set():
                 raise _EndedError
-            self.status = SearchStatus(f"running: {stage}, {100.0 * share:.0f} %", stage)
+            self.status = SearchStatus(f"running: {stage}, {100.0 * fraction:.0f} %", stage)
 
 
 COMPARED = "compared with the estimate before the gap"
@@ -126,8 +126,8 @@ COMPARED = "compared with the estimate before the gap"
 
 @dataclass(frozen=True)
 class FoundGap:
-    """The ``result`` of a search, the ``causes`` that make it doubtful, ``warnings`` and ``notes`` beside, and what the
-    robot was ``compared`` with, if not with its description."""
+    """Result of a gap search: ``result``, ``causes`` that make it doubtful, ``warnings``, ``notes``, and the reference
+    that it is ``compared`` with, if not the robot description."""
 
     result: GapResult
     causes: Sequence[Finding] = ()
@@ -137,13 +137,13 @@ class FoundGap:
 
     @property
     def sentence(self) -> str:
-        """The verdict."""
+        """Verdict in one sentence."""
         sentence = verdict_sentence(self.result)
         return f"{sentence} ({self.compared})" if self.compared else sentence
 
     @property
     def document(self) -> dict[str, Any]:
-        """The document of ``gap.json``."""
+        """Document as in ``gap.json``."""
         remarks = {"causes": causes_entry(self.causes), "warnings": [*self.warnings], "notes": [*self.notes]}
         document = gap_document(self.result, {}) | remarks
         return document | ({"compared_with": self.compared} if self.compared else {})
@@ -156,20 +156,20 @@ def look_for_gap(
     messages: Sequence[Accepted],
     progress: Progress,
 ) -> FoundGap:
-    """Look for a gap in messages that the pipeline of a live session has accepted.
+    """Search for a gap in messages that the pipeline of a live session has accepted.
 
     Args:
         session: of the node.
-        before: what it had identified before a gap opened, to which the robot is compared; None to compare it with the
-            robot description and the configured model.
-        earlier: messages that it is from: what it lacked there is no change.
-        messages: what to look at.
-        progress: called with what is being done.
+        before: estimate from before a gap opened, as the reference; None for the robot description and the configured
+            model.
+        earlier: messages that ``before`` is from: a remainder that they had already is no change.
+        messages: to search in.
+        progress: called with the current stage.
 
     Raises:
         InputError: too little was measured.
     """
-    # A third of a node's start, which few ever need.
+    # Imported late: a third of a node's start, and rarely needed.
     from geomid_ros.session.gap import (  # noqa: PLC0415
         find_in_messages,
         gap_session,
@@ -179,20 +179,20 @@ def look_for_gap(
     )
 
     if before is None:
-        own = gap_session(session.urdf, session.configuration, "robot_description")
-        result = find_in_messages(own, messages, standing_of(own), progress)
-        return FoundGap(result, own.review.findings, own.review.warnings(), [*session.notes, *own.review.settled])
-    own = identified_session(session, before)
-    result = find_in_messages(own, messages, lacking_in_messages(own, earlier, progress), progress)
+        ref = gap_session(session.urdf, session.configuration, "robot_description")
+        result = find_in_messages(ref, messages, standing_of(ref), progress)
+        return FoundGap(result, ref.review.findings, ref.review.warnings(), [*session.notes, *ref.review.settled])
+    ref = identified_session(session, before)
+    result = find_in_messages(ref, messages, lacking_in_messages(ref, earlier, progress), progress)
     compared = f"{COMPARED}, of {before.rows_accepted} rows"
-    return FoundGap(result, own.review.findings, own.review.warnings(), session.notes, compared)
+    return FoundGap(result, ref.review.findings, ref.review.warnings(), session.notes, compared)
 
 
 NO_DATA = "no data yet"
 
 
 class PayloadSearch:
-    """Remembers the motion without the payload, and weighs it when there is one with it."""
+    """Remembers a motion without the payload, and identifies the payload from a motion with it."""
 
     def __init__(self, on_end: Callable[[SearchStatus[Payload]], None]) -> None:
         """``on_end``: see :class:`BackgroundSearch`."""
@@ -204,13 +204,12 @@ class PayloadSearch:
         self._empty = ()
 
     def close(self) -> None:
-        """The same, and end the search without an answer."""
+        """Forget the motion without the payload, and end the search without an answer."""
         self.forget()
         self._search.close()
 
     def take_empty(self, worker: Worker) -> tuple[bool, str]:
-        """Remember what the robot did lately as its motion without the payload. Whether that succeeded, and a
-        sentence."""
+        """Remember the latest motion as the one without the payload. Return True if that succeeded, and a sentence."""
         messages = worker.recent_messages()
         if not messages:
             return False, NO_DATA
@@ -221,13 +220,13 @@ class PayloadSearch:
         )
 
     def take_loaded(self, worker: Worker) -> tuple[bool, str]:
-        """Begin to weigh what the robot has carried since then. Whether it can be, and a sentence."""
+        """Start to identify the payload from the motion since then. Return True if that is possible, and a sentence."""
         if not self._empty:
             return False, "no motion without the payload yet: move the robot without it, and call ~/payload/empty"
         if self._search.running:
             return False, "already running; the result is published on ~/payload"
         begin = _last_stamp(self._empty) + 1
-        loaded = [late for each in worker.recent_messages() if len(late := each.since(begin))]
+        loaded = [later for block in worker.recent_messages() if len(later := block.since(begin))]
         if not loaded:
             return False, "no data since the motion without the payload"
         live, empty = worker.session, self._empty
@@ -241,26 +240,26 @@ class PayloadSearch:
 
 
 def _weigh(session: Session, empty: Sequence[Accepted], loaded: Sequence[Accepted], progress: Progress) -> Payload:
-    samples: list[Samples] = []
-    for what, messages in (("without", empty), ("with", loaded)):
-        stage = f"reading the motion {what} the payload"
-        found = samples_of_messages(session.new_pipeline(), messages, stage, progress)
-        if found is None:
-            raise InputError(f"too little motion {what} the payload: move all joints for half a minute")
+    recordings: list[Samples] = []
+    for condition, messages in (("without", empty), ("with", loaded)):
+        stage = f"reading the motion {condition} the payload"
+        samples = samples_of_messages(session.new_pipeline(), messages, stage, progress)
+        if samples is None:
+            raise InputError(f"too little motion {condition} the payload: move all joints for half a minute")
         session.review.judge_apart()
-        session.review.check.add(found)
+        session.review.check.add(samples)
         session.review.judge()
-        samples.append(found)
+        recordings.append(samples)
     progress("solving", 0.0)
     frame, gain = session.configuration["payload.frame"], session.configuration["payload.gain"]
-    return weigh_at(session, samples[:1], samples[1:], frame, gain)
+    return weigh_at(session, recordings[:1], recordings[1:], frame, gain)
 
 
 def _last_stamp(messages: Sequence[Accepted]) -> int:
-    return max(int(each.stamps[-1]) for each in messages)
+    return max(int(block.stamps[-1]) for block in messages)
 
 
 def _seconds(messages: Sequence[Accepted]) -> float:
-    """The time that joint messages span [s]."""
-    joints = [each for each in messages if each.topic == JOINT_STATES] or messages
-    return 1e-9 * float(_last_stamp(joints) - min(int(each.stamps[0]) for each in joints))
+    """Time span of joint messages [s]."""
+    joints = [block for block in messages if block.topic == JOINT_STATES] or messages
+    return 1e-9 * float(_last_stamp(joints) - min(int(block.stamps[0]) for block in joints))

@@ -1,4 +1,4 @@
-"""The thread that turns rows into estimates."""
+"""The solver's thread: turns rows into estimates."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import count_reason
 
 SOLVING, WATCHING = "solving", "searching for changes"
-_EARLIER = 64  # estimates, so many as are made until a gap is known: most of a minute, or more
-_CHOSEN_ANEW = 0.5  # share of what is remembered that is new when effects and the prior's weight are chosen anew
+_EARLIER = 64  # estimates kept: those made until a gap is detected, over most of a minute or more
+_CHOSEN_ANEW = 0.5  # new fraction of the data at which effects and the prior's weight are selected again
 
 Done: TypeAlias = Callable[[Estimate | GeomidError], None]
 
 
 class Solver:
-    """Solves in a thread, as new data make it worth (:class:`Pace`), and when asked. Who wants old data forgotten wants
-    changes followed: then it solves in every period.
+    """Solves in a thread: when enough data are new (:class:`Pace`), and on request. With a finite forgetting time,
+    changes are to be followed, so it solves in every period.
 
-    An estimate that is worse than none is not kept. The rows of a mounted wrench sensor are left out while it is not
-    what it was, unless old rows are forgotten anyway.
+    Estimates that are not finite are discarded, and one that did not converge does not replace one that did. The rows
+    of a mounted wrench sensor are left out while the sensor is changed, unless old rows are forgotten anyway.
     """
 
     def __init__(self, session: Session, period: float, listener: Listener) -> None:
@@ -52,68 +52,67 @@ class Solver:
         Args:
             session: has the rows.
             period: [s] between solves, at least; nothing is solved while no rows come.
-            listener: is told of estimates and payloads in the thread.
+            listener: receives estimates and payloads in the solver's thread.
         """
         self._session = session
         self.period = period  # [s] between solves
         self._forgets = bool(np.isfinite(session.configuration.buffer.forgetting_time))
         self._sensors = sensor_channels(session.model)
         self._listener = listener
-        self._told: Carried | None = None  # as the listener was told last
-        self._lock = threading.Lock()  # held, briefly, for all that follows
+        self._reported: Carried | None = None  # last payload passed to the listener
+        self._lock = threading.Lock()  # held briefly, for all fields below
         self.estimate: Estimate | None = None  # the last one
-        self._earlier: deque[tuple[int, Estimate]] = deque(maxlen=_EARLIER)  # the last ones, by the instants they know
-        self.problem = ""  # why the last try gave no new estimate
+        self._earlier: deque[tuple[int, Estimate]] = deque(maxlen=_EARLIER)  # latest ones, with their sample counts
+        self.problem = ""  # why the last solve gave no new estimate
         self._failures: Counter[str] = Counter()
-        self._epoch = 0  # a result of an earlier one is thrown away
-        self.solves = 0  # estimates made so far
+        self._epoch = 0  # results of earlier epochs are discarded
+        self.solves = 0  # number of estimates so far
         self._solved_rows = 0
         self._pace = Pace()
         self._closing = False
-        self._from_scratch: tuple[tuple[int, int], Estimate] | None = None  # the last, and of which epoch and rows
-        self.changed_sensors: tuple[str, ...] = ()  # topics of those whose rows are left out
+        self._from_scratch: tuple[tuple[int, int], Estimate] | None = None  # the latest, with its epoch and rows
+        self.changed_sensors: tuple[str, ...] = ()  # topics of sensors whose rows are left out
         self.detector = self._new_detector()
         self.activity = Activity()
         self._requests: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()  # None: the thread is to end
         self._thread = start_daemon("solver", self._solve_repeatedly)
 
     def close(self, patience: float) -> None:
-        """End. A solve is finished first, and the estimate made up to date, unless that takes longer than ``patience``
-        [s]."""
+        """End the thread. A running solve is finished first and the estimate updated, but for no longer than
+        ``patience`` [s]."""
         self._closing = True
         self._requests.put(None)
         self._thread.join(patience)
         with self._lock:
             self._epoch += 1
-            self._closing = False  # nobody waits any more
+            self._closing = False  # nobody waits for the thread any more
 
     def ask(self, done: Done) -> None:
-        """Solve from scratch, unless that was done for the same rows. ``done`` is called with the result, in the
-        solver's thread."""
+        """Solve from scratch, unless that was done for the same rows. ``done(result)`` is called in the solver's
+        thread."""
         self._requests.put(partial(self._answer, done))
 
     def watch(self) -> None:
-        """Look for changes, as there are rows enough to judge; with whatever is asked for already they are looked for,
-        too."""
+        """Request a search for changes, as there are enough rows. Requests that wait already include one."""
         if self._requests.empty():
             self._requests.put(self._watch)
 
     def reset(self) -> None:
-        """Forget all rows, and what was learned from them."""
+        """Discard all rows and what was learned from them."""
         with self._lock:
             self._session.identifier.reset()
             self._begin_anew()
 
     def use(self, configuration: Configuration) -> None:
-        """Solve all rows anew by another configuration; a solve that runs is thrown away. Raises InputError, and
-        changes nothing, if it does not fit."""
+        """Solve all rows again with another configuration; a running solve is discarded. Raises InputError, and changes
+        nothing, if the configuration does not fit."""
         with self._lock:
             self._session.use(configuration)
             self.period = configuration["solve_period"]
             self._solve_afresh()
 
     def begin_anew(self) -> None:
-        """Forget what was learned, or is being solved, from rows some of which were taken back."""
+        """Discard what was learned, or is being solved, from rows some of which were taken back."""
         with self._lock:
             self._begin_anew()
 
@@ -126,35 +125,34 @@ class Solver:
         self._solve_afresh()
 
     def _solve_afresh(self) -> None:
-        """Let the next solve choose its starting point and the prior's weight anew, whatever was solved before."""
+        """Let the next solve choose its starting point and the prior's weight again."""
         self._epoch += 1
         self._session.warm = None
         self._solved_rows = 0
 
     @property
     def carried(self) -> Carried | None:
-        """A payload that was picked up."""
+        """Payload that was picked up; None if there is none."""
         payload = self.detector.payload
         return None if payload is None else payload.carried
 
     def estimate_before(self, instant: int) -> Estimate | None:
-        """The last estimate that knows nothing of the instant of this number and later ones; None if it is too long
-        ago."""
-        known = [estimate for instants, estimate in tuple(self._earlier) if instants <= instant]
-        return known[-1] if known else None
+        """Return the last estimate from samples before this index; None if that is too long ago."""
+        earlier = [estimate for samples, estimate in tuple(self._earlier) if samples <= instant]
+        return earlier[-1] if earlier else None
 
     @property
     def failures(self) -> Counter[str]:
-        """Exceptions in the solver, by what they said."""
+        """Exceptions in the solver, counted by their text."""
         with self._lock:
             return self._failures.copy()
 
     def _new_detector(self) -> ChangeDetector:
-        """By rows in which each effect has its usual shape alone: all shapes together would fit away what is to be
-        noticed, and take long to learn."""
+        """Return a detector that sees each effect's default shape only. All shapes together would fit the change, and
+        take long to learn."""
         model = self._session.model
-        usual = [*range(len(model.nominal_inertias)), *model.usual_shapes.values()]
-        channels = [replace(c, columns=np.intersect1d(c.columns, usual)) for c in model.channels]
+        columns = [*range(len(model.nominal_inertias)), *model.usual_shapes.values()]
+        channels = [replace(c, columns=np.intersect1d(c.columns, columns)) for c in model.channels]
         payload = payload_watch(self._session, channels, ALARM)
         return ChangeDetector(channels, self._session.configuration.buffer.forgetting_time, payload)
 
@@ -169,7 +167,7 @@ class Solver:
                 continue
             if request is None:
                 if self._closing:
-                    self._solve_for_the_last_rows()
+                    self._solve_for_last_rows()
                 return
             request()
 
@@ -195,16 +193,16 @@ class Solver:
             else:
                 self._judge()
 
-    def _solve_for_the_last_rows(self) -> None:
-        """Make the estimate up to date where that is a step from the last one: nobody waits for more in the end."""
+    def _solve_for_last_rows(self) -> None:
+        """Update the estimate at the end if a warm start suffices; a longer solve is not waited for."""
         warm = self._warm_start()
-        step = warm is not None and not warm.effects_alone
-        if step and self._session.identifier.rows != self._solved_rows:
+        is_quick = warm is not None and not warm.effects_alone
+        if is_quick and self._session.identifier.rows != self._solved_rows:
             with self.activity.doing(SOLVING):
                 self._solve_once(warm)
 
     def _judge(self) -> None:
-        """Judge the data as a whole when there are many new ones; before a solve, which may take long."""
+        """Run the checks of the recording when many data are new; before a solve, which may take long."""
         try:
             if self._session.review.check.due:
                 self._session.review.judge()
@@ -216,39 +214,39 @@ class Solver:
         try:
             while detector.judge():
                 self._leave_out_changed_sensors(detector)
-            self._tell_payload(detector)
-        except Exception as error:  # noqa: BLE001 the thread must outlive it; the diagnostics report it
+            self._report_payload(detector)
+        except Exception as error:  # noqa: BLE001 the thread must survive; the diagnostics report it
             self._fail(error)
 
-    def _tell_payload(self, detector: ChangeDetector) -> None:
-        if detector is self.detector and (carried := self.carried) is not self._told:
-            self._told = carried
+    def _report_payload(self, detector: ChangeDetector) -> None:
+        if detector is self.detector and (carried := self.carried) is not self._reported:
+            self._reported = carried
             self._listener.carried(carried)
 
     def _leave_out_changed_sensors(self, detector: ChangeDetector) -> None:
-        """Leave out the rows of sensors that have changed; accept for good those that are known to be sound."""
+        """Leave out the rows of changed sensors; accept for good the rows of sensors that are sound."""
         if self._forgets or not self._sensors:
             return
         changed = changed_sensors(detector.gaps, self._session.model)
         with self._lock:
-            if detector is not self.detector:  # all was forgotten meanwhile
+            if detector is not self.detector:  # it was reset meanwhile
                 return
             self.changed_sensors = tuple(changed or ())
             for topic, channels in self._sensors.items():
                 reason = f"wrench changed: {topic}"
-                if changed is None:  # nothing is wrong with the sensor
+                if changed is None:  # the sensor is sound
                     self._session.identifier.take_again(reason, 0)
                 elif topic not in changed:
                     self._session.identifier.take_again(reason, detector.judged)
                 elif self._session.identifier.leave_out(reason, channels, changed[topic]):
                     self._solve_afresh()
-        robot = robot_may_have_changed(detector.gaps, self._session.model)
-        doubted = [] if robot else [place for places in self._sensors.values() for place in places]
-        self._session.identifier.settle(detector.normal(doubted))
+        robot_changed = robot_may_have_changed(detector.gaps, self._session.model)
+        suspect = [] if robot_changed else [place for places in self._sensors.values() for place in places]
+        self._session.identifier.settle(detector.normal(suspect))
 
     def _warm_start(self) -> WarmStart | None:
-        """Where to start; None, or at the effects alone, which choose the prior's weight anew, when that was chosen for
-        other data, or for much fewer."""
+        """Return the starting point of the next solve; None before the first, and after a failed one. If much is new,
+        it has the effects only, and the prior's weight is chosen again."""
         with self._lock:
             warm = self._session.warm
             if warm is None or self.problem:
@@ -256,7 +254,7 @@ class Solver:
             return replace(warm, effects_alone=self._session.identifier.outgrown(warm.rows, _CHOSEN_ANEW))
 
     def _solve_from_scratch(self) -> Estimate | GeomidError:
-        """What is asked for twice is solved once: who has asked again was told that it takes long."""
+        """Solve from scratch, or return the result for the same rows: clients ask again after a timeout."""
         with self._lock:
             data = self._epoch, self._session.identifier.rows
         if self._from_scratch is not None and self._from_scratch[0] == data:
@@ -267,13 +265,13 @@ class Solver:
 
     def _solve_once(self, warm: WarmStart | None) -> Estimate | GeomidError:
         with self._lock:
-            rows, epoch, instants = self._session.identifier.rows, self._epoch, self._session.identifier.instants
+            rows, epoch, samples = self._session.identifier.rows, self._epoch, self._session.identifier.instants
         self._judge()
         try:
             self._session.review.check_description()
             estimate = self._finite(self._session.identifier.solve(warm))
             if self._keep(estimate, rows, epoch, warm):
-                self._earlier.append((instants, estimate))
+                self._earlier.append((samples, estimate))
                 self._listener.estimate(self._session, estimate)
         except Exception as error:  # noqa: BLE001 the last estimate stays; the diagnostics report it
             if not isinstance(error, GeomidError):
@@ -290,7 +288,8 @@ class Solver:
         raise GeomidError("the solver's result is not finite")
 
     def _keep(self, estimate: Estimate, rows: int, epoch: int, warm: WarmStart | None) -> bool:
-        """Keep an estimate, unless its rows were forgotten meanwhile or it is worse than the one before."""
+        """Keep an estimate, unless its rows were discarded meanwhile or it did not converge while the previous one
+        did."""
         with self._lock:
             if epoch != self._epoch:
                 return False
@@ -301,8 +300,8 @@ class Solver:
                 return False
             self.problem = ""
             self.estimate = estimate
-            chosen = rows if warm is None or warm.effects_alone else warm.rows
-            self._session.warm = WarmStart(estimate.parameters, chosen, estimate.spreads)
+            prior_rows = rows if warm is None or warm.effects_alone else warm.rows
+            self._session.warm = WarmStart(estimate.parameters, prior_rows, estimate.spreads)
             return True
 
     def _fail(self, error: Exception) -> None:

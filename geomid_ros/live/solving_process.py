@@ -1,4 +1,4 @@
-"""Solves in a process of its own: Python runs one thread of a process at a time, and messages must not wait."""
+"""Solves in a separate process: Python runs one thread of a process at a time, and messages must not wait."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 from geomid_ros.errors import GeomidError
 from geomid_ros.live.threads import end_with_parent
 
-_NICE = 5  # the process that takes messages comes first
-_TRIES = 2  # of a solve whose process ends: not all that end a process are the solve's fault
-_LONGEST_PAUSE = 60.0  # [s] between processes that end without a result; so long is an end worth telling
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)  # to the whole group are the parent's to answer
+_NICE = 5  # the process that takes messages has priority
+_TRIES = 2  # of a solve whose process ends, as the solve may not be the cause
+_LONGEST_PAUSE = 60.0  # [s] between processes that end without a result; an end is reported for as long
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)  # signals to the process group are handled by the parent
 
 Task = TypeVar("Task")
 Arguments = ParamSpec("Arguments")
@@ -27,38 +27,38 @@ Answer = TypeVar("Answer")
 
 
 class SolvingProcess:
-    """Does one thing after the other: solves, and judges recordings.
+    """Runs tasks one after the other in a process: solves, and checks of recordings.
 
-    A process that ends, as one does that is killed for its memory, is replaced by another, which gets the same task.
-    While one after the other ends without a result, longer and longer pauses are made.
+    A process that ends, for example killed for its memory, is replaced by another, which gets the same task. If
+    processes end one after the other without a result, the pauses between them grow.
     """
 
     def __init__(self) -> None:
         """Fork, so that nothing has to be imported again. No thread may have been started before."""
         self._solving = threading.Lock()
         self._closed = False
-        self._given_up = False  # the present task
-        self._ends = self._fruitless = 0  # processes that ended, and the last of them in a row that solved nothing
-        self._ended = -math.inf  # when the last one did
-        self._ended_process: Any = None  # the last that did
+        self._given_up = False  # on the present task
+        self._ends = self._fruitless = 0  # processes that ended; in a row without a result
+        self._ended = -math.inf  # time [s] of the last end
+        self._ended_process: Any = None  # the last process that ended
         self._begin("fork")
 
     def _begin(self, method: str) -> None:
-        """Start a process: by "spawn", which takes a second for imports, once there are threads, as a fork would leave
-        their locks behind in any state."""
+        """Start a process. Use "spawn", which takes a second for imports, once there are threads: a fork would copy
+        their locks in an arbitrary state."""
         context: Any = get_context(method)
         self._connection, theirs = context.Pipe()
         process = context.Process(target=_serve, args=(theirs,), daemon=True)
-        masked = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)  # in the process, too
+        masked = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)  # inherited by the process
         process.start()
         signal.pthread_sigmask(signal.SIG_SETMASK, masked)
-        self._process = process  # once it can be killed
+        self._process = process  # set once it can be killed
         theirs.close()
-        self._tasks: dict[type, object] = {}  # that the process knows, one of each type
+        self._tasks: dict[type, object] = {}  # tasks that the process has, one of each type
 
     @property
     def warning(self) -> str:
-        """That a process has ended lately; empty if none has."""
+        """Warning that a process ended recently; empty if none did."""
         if self._closed:
             return ""
         if not self._process.is_alive():
@@ -70,10 +70,10 @@ class SolvingProcess:
     def remote(
         self, method: Callable[Concatenate[Task, Arguments], Answer]
     ) -> Callable[Concatenate[Task, Arguments], Answer]:
-        """A method, as one that is done in the process.
+        """Return a method that runs ``method`` in the process.
 
-        Its task, ``self``, which has all that stays the same, is sent once. It raises GeomidError, too, if the process
-        ends more than once, or is ended by :meth:`give_up` or :meth:`close`.
+        Its task, ``self``, which holds all constant data, is sent once. The method also raises GeomidError if the
+        process ends more than once, or is ended by :meth:`give_up` or :meth:`close`.
         """
 
         def run(task: Task, /, *arguments: Arguments.args, **named: Arguments.kwargs) -> Answer:
@@ -83,7 +83,7 @@ class SolvingProcess:
         return run
 
     def give_up(self) -> bool:
-        """End the process in the midst of its task, and whoever waits for that gets an error; False if it has none."""
+        """End the process during its task; the waiting caller gets an error. Return False if there is no task."""
         if not self._solving.locked():
             return False
         self._given_up = True
@@ -123,39 +123,39 @@ class SolvingProcess:
         self._ended = time.monotonic()
 
     def _replace(self) -> None:
-        """Start another process. Raises GeomidError in the pauses between such that end without a result."""
+        """Start another process. Raises GeomidError during the pause after processes that ended without a result."""
         pause = min(2.0**self._fruitless, _LONGEST_PAUSE) if self._fruitless >= _TRIES else 0.0
-        left = self._ended + pause - time.monotonic()
-        if left > 0.0:
-            raise GeomidError(f"the solver process died; it is restarted in {left:.0f} s")
+        remaining = self._ended + pause - time.monotonic()
+        if remaining > 0.0:
+            raise GeomidError(f"the solver process died; it is restarted in {remaining:.0f} s")
         self._begin("spawn")
 
     def _answer(
         self, method: Callable[..., Answer], task: object, arguments: tuple[Any, ...], named: dict[str, Any]
     ) -> Answer | Exception:
         kind = type(task)
-        new = task if task is not self._tasks.get(kind) else None
-        self._connection.send_bytes(pickle.dumps((method, kind, new, arguments, named), pickle.HIGHEST_PROTOCOL))
+        sent_task = task if task is not self._tasks.get(kind) else None
+        self._connection.send_bytes(pickle.dumps((method, kind, sent_task, arguments, named), pickle.HIGHEST_PROTOCOL))
         answer: Answer | Exception = pickle.loads(self._connection.recv_bytes())  # noqa: S301 it is ours
         self._tasks[kind] = task
         return answer
 
     def close(self) -> None:
-        """End the process, whatever it does."""
+        """End the process, whatever it is doing."""
         self._closed = True
         self._process.kill()
         self._process.join()
 
 
 def _serve(connection: Connection[Any, Any]) -> None:
-    """Do what is asked for until the parent is gone."""
+    """Run tasks until the parent is gone."""
     end_with_parent()
     os.nice(_NICE)
     tasks: dict[type, object] = {}
     while True:
-        method, kind, new, arguments, named = pickle.loads(connection.recv_bytes())  # noqa: S301 it is ours
-        if new is not None:
-            tasks[kind] = new
+        method, kind, sent_task, arguments, named = pickle.loads(connection.recv_bytes())  # noqa: S301 it is ours
+        if sent_task is not None:
+            tasks[kind] = sent_task
         try:
             answer = method(tasks[kind], *arguments, **named)
         except Exception as error:  # noqa: BLE001 the parent raises it

@@ -1,4 +1,4 @@
-"""What a live session tells: its state to the diagnostics, and what it finds to a listener."""
+"""State of a live session for the diagnostics, and the listener that receives its results."""
 
 from __future__ import annotations
 
@@ -14,33 +14,33 @@ from geomid_ros.signals.ledger import Account
 
 
 class Listener:
-    """Is told what a live session finds, in the thread that finds it. This one ignores it."""
+    """Receives the results of a live session, in the thread that produces them. This base class ignores them."""
 
     def prediction(self, session: Session, samples: Samples, estimate: Estimate) -> None:
-        """New samples, and the estimate to predict them by, with what is carried."""
+        """Receive new samples, and the estimate, payload included, to predict them with."""
 
     def estimate(self, session: Session, estimate: Estimate) -> None:
-        """A new estimate."""
+        """Receive a new estimate."""
 
     def carried(self, carried: Carried | None) -> None:
-        """What is carried from now on; None for nothing."""
+        """Receive the payload that is carried from now on; None if there is none."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Status:
-    """A snapshot for diagnostics.
+    """Snapshot for diagnostics.
 
     - ``topics``: where data are expected, empty without a robot description; ``accounts``: of their messages.
-    - ``problems``: errors that last; ``warnings``: less than that; ``failures``: exceptions, by what they said.
-    - ``rows``: taken; ``rows_rejected``: by reason; ``rows_made``: both together.
-    - ``queue``: messages that wait to be judged or used; ``lag`` [s]: of the filter.
-    - ``receipt_to_row`` [s]: for each of the last instants, the time from the callback of the message that completed it
-      until its rows were added. The lag of the filter is not part of it.
+    - ``problems``: lasting errors; ``warnings``: less than errors; ``failures``: exceptions, counted by text.
+    - ``rows``: taken; ``rows_rejected``: by reason; ``rows_made``: the sum of both.
+    - ``queue``: messages that wait to be decided on or used; ``lag`` [s]: of the filter.
+    - ``receipt_to_row`` [s]: for each of the latest samples, the time from the callback of the message that completed
+      it until its rows were added. The lag of the filter is not part of it.
     - ``joints``: their number; ``unmeasured``: those without efforts.
     - ``carried``: a payload that was picked up.
-    - ``gaps``: of the monitored channels; ``changed_sensors``: topics of wrench sensors whose rows are left out, as
-      they are no longer what they were.
-    - ``configured``: false while a managed node is not.
+    - ``gaps``: state of the monitored channels; ``changed_sensors``: topics of wrench sensors that have changed, whose
+      rows are left out.
+    - ``configured``: False while a managed node is unconfigured.
     """
 
     active: bool
@@ -65,11 +65,11 @@ class Status:
     configured: bool = True
 
     def account(self, topic: str) -> Account:
-        """What became of a topic's messages."""
+        """Return the account of a topic's messages."""
         return self.accounts.get(topic, Account())
 
     def since(self, before: Status) -> Status:
-        """The same, but with what was counted after ``before``: messages, rows and failures."""
+        """Return this status with the counts since ``before``: messages, rows and failures."""
         return replace(
             self,
             accounts={topic: account.since(before.account(topic)) for topic, account in self.accounts.items()},

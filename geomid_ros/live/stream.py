@@ -1,4 +1,4 @@
-"""Predicted efforts of every joint message as it comes: no batch, no regressor, and a filter without a view ahead."""
+"""Predicts efforts for every joint message on arrival: without batches and regressors, with a causal filter."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _PART = "a message that has a part of the joints (merge_joint_states) does not t
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """N messages of ``joints``: ``stamps (N,)`` [ns], ``motion (3, N, joints)``, and the ``efforts (N, joints)`` of the
-    model in the unit of the messages."""
+    """Predictions for N messages of ``joints``: ``stamps (N,)`` [ns], ``motion (3, N, joints)``, and the model's
+    ``efforts (N, joints)`` in the unit of the messages."""
 
     joints: tuple[str, ...]
     stamps: IntArray
@@ -36,10 +36,10 @@ class Predicted:
 
 
 class Stream:
-    """Predicts messages by the latest estimate, and what is carried. One thread calls :meth:`use` and :meth:`carry`,
-    another everything else.
+    """Predicts efforts with the latest estimate and payload. One thread calls :meth:`use` and :meth:`carry`, another
+    everything else.
 
-    Accelerations are differences of velocities behind a low-pass of first order, at half the rate of the samples.
+    Accelerations are differences of velocities after a first-order low-pass at half the rate of the samples.
     """
 
     def __init__(self) -> None:
@@ -51,33 +51,33 @@ class Stream:
         self.refused: Counter[str] = Counter()
         """Messages that could not be predicted, by reason."""
         self.obstacle = ""
-        """Why no message can be predicted, though there is an estimate."""
+        """Reason why no message can be predicted although there is an estimate."""
 
     @property
     def ready(self) -> bool:
-        """True if there is an estimate from which efforts follow."""
+        """True if there is an estimate that yields efforts."""
         return self._model is not None
 
     def use(self, session: Session, estimate: Estimate) -> None:
-        """Predict by an ``estimate`` from now on."""
+        """Predict with an ``estimate`` from now on."""
         self._used = session, estimate
         self.obstacle = _obstacle(session)
         self._model = None if self.obstacle else _Model.of(session, carrying(estimate, self._carried))
 
     def carry(self, carried: Carried | None) -> None:
-        """Add a payload from now on, or none."""
+        """Predict with this payload from now on, or with none."""
         self._carried = carried
         if self._used is not None:
             self.use(*self._used)
 
     def forget(self) -> None:
-        """Predict nothing until there is another estimate."""
+        """Predict nothing until the next estimate."""
         self._model = self._used = self._carried = None
         self.obstacle = ""
         self.refused.clear()
 
     def predict(self, messages: Sequence[bytes]) -> Iterator[Predicted]:
-        """Predictions of joint messages (CDR), without those that cannot be used."""
+        """Yield predictions for joint messages (CDR), except for those that cannot be used."""
         model = self._model
         if model is None or not messages:
             return
@@ -86,9 +86,9 @@ class Stream:
             good = (refusals == None) & (block.stamps > 0)  # noqa: E711 by element
             stamps = block.stamps
             if not good.all():
-                part = model.merges and not {*model.joints} <= {*block.names}
+                is_part = model.merges and not {*model.joints} <= {*block.names}
                 for reason in refusals[~good].tolist():
-                    count_reason(self.refused, _PART if part else reason or NO_STAMP)
+                    count_reason(self.refused, _PART if is_part else reason or NO_STAMP)
                 stamps, numbers = stamps[good], numbers[good]
             if len(stamps):
                 motion = self._motion(model, stamps, numbers)
@@ -99,33 +99,33 @@ class Stream:
         begin, last = self._last
         if last.shape[1] != numbers.shape[2]:
             begin, last = -model.memory, np.zeros((3, numbers.shape[2]))
-        every, latest, seconds, kept = [begin, *stamps.tolist()], [0], [], []
-        for place, stamp in enumerate(every[1:], 1):
-            step = stamp - every[latest[-1]]
-            # A stamp twice, or two messages in the wrong order, say nothing about accelerations.
-            held, goes_on = -model.memory < step <= 0, 0 < step < model.memory
-            latest.append(latest[-1] if held else place)
-            seconds.append(1e-9 * step if goes_on else math.inf)
-            kept.append(1.0 if held else math.exp(-seconds[-1] / model.time_constant))
-        before, steps, shares = latest[:-1], np.array(seconds)[:, None], np.array(kept)[:, None]
-        motion = np.empty((3, len(every), last.shape[1]))
+        all_stamps, latest, seconds, decays = [begin, *stamps.tolist()], [0], [], []
+        for place, stamp in enumerate(all_stamps[1:], 1):
+            step = stamp - all_stamps[latest[-1]]
+            # Repeated stamps and messages out of order have no information on accelerations.
+            is_late, continues = -model.memory < step <= 0, 0 < step < model.memory
+            latest.append(latest[-1] if is_late else place)
+            seconds.append(1e-9 * step if continues else math.inf)
+            decays.append(1.0 if is_late else math.exp(-seconds[-1] / model.time_constant))
+        before, steps, decay_column = latest[:-1], np.array(seconds)[:, None], np.array(decays)[:, None]
+        motion = np.empty((3, len(all_stamps), last.shape[1]))
         motion[:, 0], motion[:2, 1:] = last, numbers[:, :2].transpose(1, 0, 2)
         position, velocity, acceleration = motion
         unknown = np.isnan(velocity)
         if unknown.any():
-            way = position[1:] - position[before]
-            way = np.where(model.turning, np.remainder(way + np.pi, 2.0 * np.pi) - np.pi, way)
-            velocity[1:] = np.where(unknown[1:], way / steps, velocity[1:])
+            moved = position[1:] - position[before]
+            moved = np.where(model.turning, np.remainder(moved + np.pi, 2.0 * np.pi) - np.pi, moved)
+            velocity[1:] = np.where(unknown[1:], moved / steps, velocity[1:])
             velocity[unknown] = velocity[latest][unknown]
-        added = (1.0 - shares) * (velocity[1:] - velocity[before]) / steps
-        for place, more in enumerate(added):
-            acceleration[place + 1] = kept[place] * acceleration[place] + more
-        self._last = every[latest[-1]], motion[:, latest[-1]]
+        increments = (1.0 - decay_column) * (velocity[1:] - velocity[before]) / steps
+        for place, increment in enumerate(increments):
+            acceleration[place + 1] = decays[place] * acceleration[place] + increment
+        self._last = all_stamps[latest[-1]], motion[:, latest[-1]]
         return motion[:, 1:]
 
 
 def _obstacle(session: Session) -> str:
-    """Why efforts do not follow from joint messages alone, if so."""
+    """Return why efforts do not follow from joint messages alone; empty if they do."""
     if not session.model.layout.efforts:
         return "no joint efforts are identified"
     if session.robot.floating_base:
@@ -137,9 +137,9 @@ def _obstacle(session: Session) -> str:
 
 @dataclass(frozen=True, eq=False)
 class _Model:
-    """What a session and its estimate say: inverse ``dynamics``, ``gains (joints,)`` of efforts, which joints are
-    ``turning`` without end; the low-pass's ``time_constant`` [s], and its ``memory`` [ns], after which it begins
-    anew; whether a message ``merges`` with others that have other joints."""
+    """Data of a session and its estimate: inverse ``dynamics``, ``gains (joints,)`` of efforts, ``turning`` joints
+    without limits, the low-pass's ``time_constant`` [s] and its ``memory`` [ns], after which it is reset; ``merges`` if
+    each message has only some joints."""
 
     joints: tuple[str, ...]
     dynamics: InverseDynamics

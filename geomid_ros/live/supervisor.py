@@ -1,4 +1,4 @@
-"""The worker on the present robot: built from its description, kept in checkpoints, and freed from what hangs."""
+"""Supervises the worker: builds it from the robot description, keeps checkpoints, and restarts threads that hang."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from geomid_ros.session.recordings import locked_note, with_locked
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import Ledger
 
-MOST_RESTARTS = 3  # of the intake: a thread that is replaced cannot be ended
-HANGING = 120.0  # [s] nothing takes so long on a busy machine, not even the first solve of a humanoid
-_PUBLISHERS_START = 3.0  # [s] within which all joints are heard that are published
+MOST_RESTARTS = 3  # of the intake, as a replaced thread cannot be ended
+HANGING = 120.0  # [s] longer than any task on a busy machine, the first solve of a humanoid included
+_PUBLISHERS_START = 3.0  # [s] within which messages of all published joints arrive
 
 
 class Log(Protocol):
-    """A logger of ROS, or one like it."""
+    """Logger of ROS, or one like it."""
 
     def info(self, message: str, /) -> object: ...
     def warning(self, message: str, /) -> object: ...
@@ -34,7 +34,7 @@ class Log(Protocol):
 
 
 class Supervisor:
-    """Has one worker at a time, none before the first description. Ends what hangs in it, but not for ever."""
+    """Runs one worker at a time, none before the first description. Restarts what hangs in it a few times."""
 
     def __init__(
         self,
@@ -47,10 +47,10 @@ class Supervisor:
         """
         Args:
             configuration: of every session.
-            ledger: is told what becomes of every message, whichever worker takes it.
-            log: is told of sessions that begin.
-            listener: is told what every worker finds.
-            solving: the process that solves; None for this one.
+            ledger: counts the messages of all workers.
+            log: receives a line when a session begins.
+            listener: receives the results of all workers.
+            solving: the process that solves; None to solve in this one.
         """
         self._configuration = configuration
         self._ledger = ledger
@@ -58,37 +58,37 @@ class Supervisor:
         self._listener = listener
         self._solving = solving
         self.saving = Saving(configuration["output_folder"])
-        """Writes estimates of the workers."""
+        """Writes the workers' estimates."""
         self._restarts = 0  # of the intake
-        self._hanging: tuple[str, ...] = ()  # what hangs and cannot be ended, in sentences
-        self._hung = ""  # what did, until there is an estimate again
-        self._solves = 0  # of the worker, when that was noticed
-        self._absent: tuple[str, ...] = ()  # joints that are locked as nobody publishes them
-        self._agreed = 0.0  # when [s] these were last those that nobody publishes
+        self._hanging: tuple[str, ...] = ()  # sentences on threads that hang and cannot be ended
+        self._hung = ""  # sentence on a thread that hung, until the next estimate
+        self._solves = 0  # of the worker, when it hung
+        self._absent: tuple[str, ...] = ()  # joints that are locked, as nobody publishes them
+        self._agreed = 0.0  # time [s] at which ``_absent`` last matched the messages
         self._checkpoints: Checkpoints | None = None
-        self.worker: Worker | None = None  # the present one
+        self.worker: Worker | None = None  # present worker
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What hangs, or hung and has made no estimate since; and what is wrong with saving."""
+        """Sentences on what hangs, on what hung without an estimate since, and on what is wrong with saving."""
         return (*self._hanging, self._hung, *self.saving.problems)
 
     @property
     def warning(self) -> str:
-        """A solving process that has ended; empty if all is well."""
+        """Warning that the solving process ended; empty if it did not."""
         return self._solving.warning if self._solving else ""
 
     @property
     def checkpoints(self) -> CheckpointStatus | None:
-        """How the checkpoints are, None if none are kept."""
+        """State of the checkpoints; None if none are kept."""
         return self._checkpoints.status if self._checkpoints is not None else None
 
     def build(self, urdf: str, source: str, absent: tuple[str, ...] = ()) -> None:
         """Begin to identify the robot of a description.
 
         Args:
-            urdf: the description.
-            source: where it comes from, for messages.
+            urdf: the robot description.
+            source: its origin, for messages.
             absent: joints to lock, as nobody publishes them.
 
         Raises:
@@ -113,17 +113,17 @@ class Supervisor:
         return with_locked(self._configuration, absent) if absent else self._configuration
 
     def use(self, configuration: Configuration, *, anew: bool) -> None:
-        """Solve by another configuration from now on; ``anew``: from the next :meth:`build` on.
+        """Solve with another configuration from now on; with ``anew`` only from the next :meth:`build` on.
 
         Raises:
-            InputError: it does not fit.
+            InputError: the configuration does not fit.
         """
         self._configuration = configuration
         if self.worker is not None and not anew:
             self.worker.solver.use(self._with_locked(self._absent))
 
     def _restore(self, session: Session) -> None:
-        """With a folder for checkpoints, let a session go on from the one there, and write those to come."""
+        """If a checkpoint folder is configured, resume the session from its checkpoint and write new ones."""
         if self._checkpoints is not None:
             self._checkpoints.close()
         if not self._configuration["checkpoint.folder"]:
@@ -139,14 +139,14 @@ class Supervisor:
             self._log.info(self._checkpoints.beginning)
 
     def reset(self) -> None:
-        """Forget all rows, and that threads hung."""
+        """Discard all rows, and forget that threads hung."""
         self._restarts, self._hung = 0, ""
         if self.worker is not None:
             self.worker.reset()
 
     def lock_absent_joints(self) -> None:
-        """Begin anew with those joints locked that nobody publishes, if that may be; or without those again that
-        somebody publishes after all."""
+        """Rebuild with the joints locked that nobody publishes, if they may be locked; release those that are published
+        after all."""
         if self.worker is None:
             return
         session, now = self.worker.session, time.monotonic()
@@ -161,11 +161,11 @@ class Supervisor:
                 self._log.error(str(error))
 
     def restart_what_hangs(self) -> None:
-        """End the solving process if a solve hangs; if the intake does, replace the worker, whose rows are lost."""
+        """End the solving process if a solve hangs; if the intake hangs, replace the worker, whose rows are lost."""
         worker = self.worker
         if worker is None:
             return
-        intake, solver = (each.activity.current[1] > HANGING for each in (worker, worker.solver))
+        intake, solver = (part.activity.current[1] > HANGING for part in (worker, worker.solver))
         if intake and self._restarts < MOST_RESTARTS:
             self._restarts += 1
             self._hung = f"message processing hung and was restarted, {self._restarts} of at most {MOST_RESTARTS} times"
@@ -182,8 +182,8 @@ class Supervisor:
         )
 
     def close(self) -> None:
-        """End the threads, and save the last estimate if there is a folder for it: at once, as nobody may have the time
-        to wait for a solver at work, and again if that has found another."""
+        """End the threads, and save the last estimate if an output folder is set. It is saved at once, as a running
+        solve may take too long, and again if the solver made a newer one."""
         if self.worker is None:
             return
         end = time.monotonic() + PATIENCE
@@ -196,7 +196,7 @@ class Supervisor:
         self._restarts, self._hung, self._hanging = 0, "", ()
 
     def _save_last(self, worker: Worker, saved: Estimate | None, end: float) -> Estimate | None:
-        """Save the last estimate, unless that was ``saved``, until ``end`` [s]."""
+        """Save the last estimate, unless it is ``saved`` already, until ``end`` [s]. Return the last estimate."""
         estimate = worker.estimate
         if self._configuration["output_folder"] and estimate is not None and estimate is not saved:
             self._log.info(self.saving.save_last(worker.session, estimate, max(0.0, end - time.monotonic())))

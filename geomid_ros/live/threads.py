@@ -1,4 +1,4 @@
-"""Threads that the end of the process does not wait for (they may compute, or wait for a disk), and what one does."""
+"""Daemon threads, which may compute or wait for a disk when the process ends, and what a thread is doing."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from typing import Any
 
 
 def start_daemon(name: str, work: Callable[..., object], *arguments: Any) -> threading.Thread:
-    """Start such a thread."""
+    """Start a daemon thread."""
     thread = threading.Thread(target=work, args=arguments, name=f"geomid-{name}", daemon=True)
     thread.start()
     return thread
 
 
 def start_later(seconds: float, work: Callable[[], object]) -> None:
-    """Start such a thread after a while."""
+    """Run ``work`` in a daemon thread after a delay [s]."""
     timer = threading.Timer(seconds, work)
     timer.daemon = True
     timer.start()
 
 
 def end_with_parent() -> None:
-    """Start such a thread, which ends this process when its parent ends, whatever it is doing."""
+    """Start a daemon thread that ends this process when its parent ends, whatever it is doing."""
 
     def watch() -> None:
         parent = parent_process()
@@ -39,7 +39,7 @@ def end_with_parent() -> None:
 
 
 class Activity:
-    """One thread calls :meth:`doing`, others ask :attr:`current`."""
+    """Tracks what a thread is doing and for how long. The thread calls :meth:`doing`, others read :attr:`current`."""
 
     def __init__(self) -> None:
         self._begun: tuple[str, float] | None = None
@@ -47,7 +47,7 @@ class Activity:
 
     @contextmanager
     def doing(self, what: str) -> Iterator[None]:
-        """The thread does ``what`` inside."""
+        """Mark the thread as doing ``what`` inside the context."""
         self._begun = what, time.monotonic()
         try:
             yield
@@ -56,10 +56,10 @@ class Activity:
 
     @property
     def current(self) -> tuple[str, float]:
-        """What the thread does, and the seconds since it began; nothing and 0 while it waits."""
-        begun = self._begun
-        return (begun[0], time.monotonic() - max(begun[1], self._counted_from)) if begun else ("", 0.0)
+        """Present task of the thread, and the seconds since it began; an empty text and 0 while it waits."""
+        task = self._begun
+        return (task[0], time.monotonic() - max(task[1], self._counted_from)) if task else ("", 0.0)
 
     def count_anew(self) -> None:
-        """Count what it does from now on: what held it up was ended."""
+        """Restart the count of seconds, after whatever blocked the task was removed."""
         self._counted_from = time.monotonic()

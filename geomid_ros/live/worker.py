@@ -1,4 +1,4 @@
-"""The two threads behind the node: the intake turns messages into rows, the solver turns rows into estimates."""
+"""The threads of the node: the intake turns messages into rows, the solver turns rows into estimates."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ from geomid_ros.signals.ledger import count_reason
 from geomid_ros.signals.messages import JOINT_STATES, Accepted, Block, message_type
 from geomid_ros.types import FloatArray, IntArray
 
-PATIENCE = 0.7  # [s] for both threads to end; with the last checkpoint, and with all that takes, less than two
-_TRANSITION = 2_000_000_000  # [ns] from the beginning of a gap until all rows show it
-_LATENCIES = 10_000  # last instants of which the latency is known
-LONG = 1.0  # [s] nothing that a thread does takes longer, except solving if ``solve_period`` is longer
+PATIENCE = 0.7  # [s] for both threads to end; with the last checkpoint, shutdown stays below two seconds
+_TRANSITION = 2_000_000_000  # [ns] from the start of a gap until all rows show it
+_LATENCIES = 10_000  # latest samples whose latency is kept
+LONG = 1.0  # [s] longest normal duration of a thread's task; a solve may take ``solve_period`` if that is longer
 
 
 class Worker:
-    """Owns a session while it is live: its inbox, its intake thread and its solver."""
+    """Runs a live session: owns its inbox, its intake thread and its solver."""
 
     def __init__(self, session: Session, solve_period: float, listener: Listener) -> None:
         """
         Args:
-            session: in which nothing has happened yet, or that was restored.
+            session: new, or restored from a checkpoint.
             solve_period: [s] between estimates.
-            listener: is told of samples in the intake's thread, once there is an estimate, of all else in the solver's.
+            listener: receives samples in the intake's thread, once there is an estimate, and all else in the solver's.
         """
         self.session = session
         self.ledger = session.pipeline.ledger
@@ -49,9 +49,9 @@ class Worker:
         self.activity = Activity()  # of the intake
         self._decoder = Decoder()
         self._listener = listener
-        self._lock = threading.Lock()  # held, briefly, for the three that follow
+        self._lock = threading.Lock()  # held briefly, for the next three fields
         self._failures: Counter[str] = Counter()
-        self._rows_lost: Counter[str] = Counter()  # replaced as a whole
+        self._rows_lost: Counter[str] = Counter()  # replaced, never modified
         self._receipt_to_row: deque[float] = deque(maxlen=_LATENCIES)
         self._wrenches = WrenchGuard(session)
         self._unchecked: list[Samples] = []
@@ -59,13 +59,13 @@ class Worker:
         self._intake = start_daemon("intake", self._take_messages)
 
     def close(self, patience: float | None = None) -> None:
-        """Stop both threads. Waiting messages and a solve are finished first, unless that takes longer than
+        """Stop both threads. Waiting messages and a running solve are finished first, but for no longer than
         ``patience`` [s]; messages that are left then are dropped."""
         end = time.monotonic() + (PATIENCE if patience is None else patience)
         self._inbox.end()
         self._intake.join(max(0.0, end - time.monotonic()))
         self.solver.close(max(0.0, end - time.monotonic()))
-        with suppress(GeomidError):  # of messages that no row is made of any more
+        with suppress(GeomidError):  # errors in messages that will yield no more rows
             self.session.pipeline.release()
         self._drop(self._inbox.clear(), "the node ends, or begins anew")
 
@@ -74,50 +74,49 @@ class Worker:
             self.ledger.drop(message.topic, reason)
 
     def take(self, messages: Sequence[Received]) -> None:
-        """Let messages wait for the intake, or drop them while too many do."""
+        """Queue messages for the intake; drop those for which the queue has no room."""
         self._drop(self._inbox.put_messages(messages), "queue full")
 
     def reset(self) -> None:
-        """Forget all rows and the estimate, after the messages that wait."""
+        """Discard all rows and the estimate, after the waiting messages are processed."""
         self._inbox.ask(self._forget)
 
     def final_estimate(self, done: Done) -> None:
-        """Solve from scratch for all messages so far. ``done`` is called with the result, in the solver's thread."""
+        """Solve from scratch for all messages so far. ``done(result)`` is called in the solver's thread."""
         self._inbox.ask(lambda: self.solver.ask(done))
 
     def recent_messages(self) -> list[Accepted]:
-        """The messages that the session remembers; after a gap has opened, only those since then.
+        """Return the remembered messages; while a gap is open or a payload is carried, only those since then.
 
-        Before and after it are two robots, and no one effect explains both.
+        Before and after a change the robot differs, and no single effect explains both.
         """
-        begin = max((since + _TRANSITION for since, _ in self.solver.detector.changes), default=0)
-        return [late for each in self.session.recent.entries() if len(late := each.since(begin))]
+        begin = max((opened + _TRANSITION for opened, _ in self.solver.detector.changes), default=0)
+        return [later for block in self.session.recent.entries() if len(later := block.since(begin))]
 
     def messages(self) -> list[Accepted]:
-        """The messages that the session remembers."""
+        """Return all remembered messages."""
         return self.session.recent.entries()
 
     def messages_before_gap(self) -> list[Accepted]:
-        """The messages that the session remembers of the time before the first gap opened that is open; all of them
-        if none is."""
+        """Return the remembered messages from before the first open gap (or payload); all of them if there is none."""
         opened = [since for since, _ in self.solver.detector.changes]
         entries = self.session.recent.entries()
-        return [early for each in entries if len(early := each.before(min(opened)))] if opened else entries
+        return [earlier for block in entries if len(earlier := block.before(min(opened)))] if opened else entries
 
     @property
     def estimate_before_gap(self) -> Estimate | None:
-        """What was identified before the first gap opened that is open; None if there is none, or it is too long
+        """Last estimate from before the first open gap (or payload); None if there is none, or if it is too long
         ago."""
-        opened = [first for _, first in self.solver.detector.changes]
-        return self.solver.estimate_before(min(opened)) if opened else None
+        first_samples = [sample for _, sample in self.solver.detector.changes]
+        return self.solver.estimate_before(min(first_samples)) if first_samples else None
 
     @property
     def estimate(self) -> Estimate | None:
-        """The last estimate."""
+        """Latest estimate; None before the first."""
         return self.solver.estimate
 
     def status(self, active: bool) -> Status:
-        """The present state. ``active``: whether the node takes data."""
+        """Return the present state. ``active``: True if the node takes data."""
         pipeline, rows, lost = self.session.pipeline, self.session.identifier.counts, self._rows_lost
         with self._lock:
             receipt_to_row, failures = tuple(self._receipt_to_row), self._failures + self.solver.failures
@@ -153,7 +152,7 @@ class Worker:
         return [f"{sentence}, including earlier ones, until ~/reset" for sentence in self._wrenches.sentences.values()]
 
     def _causes(self, *, sure: bool) -> list[str]:
-        """What the recording as a whole seems to be."""
+        """Sentences of the causes that the checks of the whole recording found."""
         left_out = self._wrenches.sentences
         findings = [f for f in self.session.review.findings if left_out.keys().isdisjoint(f.cause.places)]
         return [finding.sentence for finding in findings if finding.sure == sure]
@@ -165,20 +164,20 @@ class Worker:
 
     @property
     def _intake_is_late(self) -> str:
-        what, seconds = self.activity.current
-        return f"a message on {what} has been processed for {seconds:.0f} s" if seconds > LONG else ""
+        task, seconds = self.activity.current
+        return f"a message on {task} has been processed for {seconds:.0f} s" if seconds > LONG else ""
 
     @property
     def _solver_is_late(self) -> str:
-        what, seconds = self.solver.activity.current
-        limit = max(LONG, self.solver.period) if what == SOLVING else LONG
-        return f"{what} takes {seconds:.0f} s so far, more than {limit:g} s" if seconds > limit else ""
+        task, seconds = self.solver.activity.current
+        limit = max(LONG, self.solver.period) if task == SOLVING else LONG
+        return f"{task} takes {seconds:.0f} s so far, more than {limit:g} s" if seconds > limit else ""
 
     def _take_messages(self) -> None:
         for task in self._inbox.tasks():
             try:
                 self._do(task)
-            except Exception as error:  # noqa: BLE001 the thread must outlive it; the diagnostics report it
+            except Exception as error:  # noqa: BLE001 the thread must survive; the diagnostics report it
                 self._fail("message processing failed", error)
 
     def _do(self, task: list[Received] | Request) -> None:
@@ -204,15 +203,15 @@ class Worker:
         samples = self.session.pipeline.collect()
         if samples is not None:
             lag = round(1e9 * self.session.pipeline.lag)
-            self._add(samples, _completed([message.time for message in messages], blocks, samples.stamps + lag))
+            self._add(samples, _completion_times([message.time for message in messages], blocks, samples.stamps + lag))
 
     def _add(self, samples: Samples, received: FloatArray) -> None:
-        """Add the rows of samples; the messages that completed them were ``received (N,)`` [s]."""
-        estimate, carried, identifier = self.solver.estimate, self.solver.carried, self.session.identifier
+        """Add the rows of samples to the identifier. The messages that completed them were ``received (N,)`` [s]."""
+        estimate, payload, identifier = self.solver.estimate, self.solver.carried, self.session.identifier
         before = identifier.made
-        load = None if carried is None else carried.added(np.zeros(self.session.model.dimension))
+        payload_parameters = None if payload is None else payload.added(np.zeros(self.session.model.dimension))
         try:
-            stamps, new, unsettled = identifier.add(samples, carried=load)
+            stamps, rows, uncertain = identifier.add(samples, carried=payload_parameters)
         except Exception as error:  # noqa: BLE001 as above
             lost = before + len(samples) * len(self.session.model.channels) - identifier.made
             self._rows_lost = self._rows_lost + Counter({type(error).__name__: lost})
@@ -221,25 +220,25 @@ class Worker:
         with self._lock:
             self._receipt_to_row.extend((time.perf_counter() - received).tolist())
         self._unchecked.append(samples)
-        if sum(map(len, self._unchecked)) >= PART:  # to check a few takes as long
+        if sum(map(len, self._unchecked)) >= PART:  # checking a few takes as long as checking many
             self._check()
-        if self._wrenches.take(new):
+        if self._wrenches.take(rows):
             self.solver.begin_anew()
-        settled = Rows(new.coefficients, np.where(unsettled, np.nan, new.targets))
-        rows = self._wrenches.without_doubtful(settled)
-        if self.solver.detector.add(identifier.instants - len(stamps), stamps, rows):
+        settled = Rows(rows.coefficients, np.where(uncertain, np.nan, rows.targets))
+        trusted = self._wrenches.without_doubtful(settled)
+        if self.solver.detector.add(identifier.instants - len(stamps), stamps, trusted):
             self.solver.watch()
         if estimate is not None:
-            self._report_prediction(samples, carrying(estimate, carried))
+            self._report_prediction(samples, carrying(estimate, payload))
 
     def _check(self) -> None:
-        """Let what was measured be checked as a whole."""
+        """Add the new samples to the checks of the whole recording."""
         samples, self._unchecked = self._unchecked, []
         if not samples:
             return
         try:
             self.session.review.check.add(Samples.concatenate(samples))
-        except Exception as error:  # noqa: BLE001 as above; whoever asks for something waits for it
+        except Exception as error:  # noqa: BLE001 as above; a request waits for this
             self._fail("a check of the recording failed", error)
 
     def _report_prediction(self, samples: Samples, estimate: Estimate) -> None:
@@ -248,9 +247,9 @@ class Worker:
         except Exception as error:  # noqa: BLE001 as above
             self._fail("a prediction could not be published", error)
 
-    def _fail(self, what: str, error: Exception) -> None:
+    def _fail(self, failure: str, error: Exception) -> None:
         with self._lock:
-            count_reason(self._failures, f"{what}: {type(error).__name__}: {error}")
+            count_reason(self._failures, f"{failure}: {type(error).__name__}: {error}")
 
     def _forget(self) -> None:
         self.session.recent.clear()
@@ -260,17 +259,18 @@ class Worker:
         self._wrenches = WrenchGuard(self.session)
 
 
-def _completed(times: Sequence[float], blocks: Sequence[Block], stamps: IntArray) -> FloatArray:
-    """When the first messages came that have ``stamps (N,)`` [ns] or later ones, of the topic whose came last ``(N,)``.
+def _completion_times(times: Sequence[float], blocks: Sequence[Block], stamps: IntArray) -> FloatArray:
+    """Receipt time [s] of the message that completed each sample ``(N,)``. A sample is complete once every topic has a
+    message that is at least as late.
 
     Args:
-        times: at which messages came [s].
-        blocks: these messages, many at once. If they have none as late, one of before was: then the first one counts.
-        stamps: increasing.
+        times: [s] at which messages were received.
+        blocks: these messages, decoded. If none is as late, an earlier one completed the sample: the first time counts.
+        stamps: of the samples, increasing [ns].
     """
-    found, came = np.full(len(stamps), times[0]), np.array(times)
+    completed, received = np.full(len(stamps), times[0]), np.array(times)
     for block in blocks:
         places = np.searchsorted(np.maximum.accumulate(block.stamps), stamps)
-        there = places < len(block.stamps)
-        found[there] = np.maximum(found[there], came[block.order[places[there]]])
-    return found
+        reached = places < len(block.stamps)
+        completed[reached] = np.maximum(completed[reached], received[block.order[places[reached]]])
+    return completed

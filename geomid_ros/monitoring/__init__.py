@@ -1,1 +1,1 @@
-"""Whether a stream is what it claims to be: change detection, plausibility of wrenches."""
+"""Monitoring of a stream: detection of changes and of payloads."""

@@ -1,12 +1,12 @@
-"""Payload by change point: does the last link carry a body since some instant, and which?
+"""Payload detection by change points: has the last link carried a payload since some time, and which?
 
-The rows since each recent block are explained in three ways. The robot is as it was. Or the link carries a body, from a
-wide prior. Or every channel feels anything at all, as large as it came out and as smooth as motions are. A body is
-believed where its evidence beats both others, and taken back where the last rows are likelier without it (change points
-of product partitions: Adams, MacKay 2007).
+Three hypotheses explain the rows since each recent block: the robot is as it was; the link carries a payload, with a
+wide prior; or an unknown effect acts on every channel, as large as observed and as smooth as motions. A payload is
+accepted if its evidence exceeds both others, and dropped if the last rows are likelier without it (change points of
+product partitions: Adams, MacKay 2007).
 
-What earlier rows tell of the robot enters as their information M. The rows ``[A e]`` of a channel, with errors e of its
-prediction and the body's columns B among A, tell of the body, with ``V = M + A'A``,
+Earlier rows enter as their information M about the robot. The rows ``[A e]`` of a channel, with prediction errors e and
+the payload's columns B among A, determine the payload's likelihood, with ``V = M + A'A``, by
 
     H = B'B - B'A V^-1 A'B,    h = B'e - B'A V^-1 A'e,    S = e'e - e'A V^-1 A'e.
 """
@@ -33,14 +33,13 @@ from geomid_ros.model.measurement import Rows
 from geomid_ros.types import FloatArray, IntArray, frozen
 
 REMEMBERED = 20
-"""Blocks since which a change is looked for; suspect blocks, and stretches of usual ones, that are kept."""
-_LACKING = 0.1  # of what a body adds to efforts: what the model lacks under loads
-_SOON = 2  # blocks after which a large change shows; a small one in the whole window
+"""Blocks since which a change is looked for; suspect blocks, and noise floors of stretches, that are kept."""
+_LACKING = 0.1  # remainder of the model under loads, as a fraction of the payload's efforts
+_SOON = 2  # blocks that show a large change; a small one needs the whole window
 
 
 class Noise(NamedTuple):
-    """Noise of a channel: its variance, and how many independent rows one row counts for; no rows as long as nobody
-    knows."""
+    """Noise of a channel: its variance, and the number of independent rows per row; 0 while unknown."""
 
     variance: float = 1.0
     independent: float = 0.0
@@ -48,10 +47,10 @@ class Noise(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Carried:
-    """A body that a ``link`` carries, in the link's frame.
+    """Payload of a ``link``, in the link's frame.
 
-    ``parameters (10,)`` and their ``covariance``, the ``columns`` of the model that are the link's; ``since``: the
-    stamp [ns] from which on, and ``first``, the number of the instant at that stamp.
+    ``parameters (10,)`` and their ``covariance``; ``columns``: of the link in the model; ``since``: stamp [ns] since
+    which it is carried, and ``first``: index of the sample at that stamp.
     """
 
     link: str
@@ -63,30 +62,30 @@ class Carried:
 
     @property
     def mass(self) -> float:
-        """[kg]."""
+        """Mass [kg]."""
         return float(self.parameters[0])
 
     @property
     def interval(self) -> tuple[float, float]:
-        """The 95 % interval of the mass [kg]."""
+        """95 % interval of the mass [kg]."""
         return interval_of_positive(self.mass, float(np.sqrt(self.covariance[0, 0])))
 
     def added(self, parameters: FloatArray) -> FloatArray:
-        """Parameters of the model ``(D,)`` with the body on the link."""
-        whole = parameters.copy()
-        whole[self.columns] += self.parameters
-        return whole
+        """Return parameters of the model ``(D,)`` with the payload on the link."""
+        result = parameters.copy()
+        result[self.columns] += self.parameters
+        return result
 
 
 def carrying(estimate: Estimate, carried: Carried | None) -> Estimate:
-    """An estimate with what is carried, for predictions."""
+    """Return an estimate with the payload added, for predictions."""
     return estimate if carried is None else replace(estimate, parameters=carried.added(estimate.parameters))
 
 
 @dataclass(frozen=True, eq=False)
 class _Block:
-    """Sums of products ``(d + 1, d + 1)`` of each channel's rows ``[A e]``; their numbers ``(channels,)``, in rows and
-    in blocks; and when they begin."""
+    """Sums of products ``(d + 1, d + 1)`` of each channel's rows ``[A e]``; their numbers ``(channels,)`` in rows and
+    in blocks; index and stamp of the first sample."""
 
     products: tuple[FloatArray, ...]
     rows: FloatArray
@@ -101,7 +100,7 @@ class _Block:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """A body's likeliest ``point``, and the ``gain`` in log evidence over nothing."""
+    """Maximum a posteriori ``point`` of a payload, and the ``gain`` of its log evidence over no payload."""
 
     point: Point
     gain: float
@@ -109,11 +108,11 @@ class _Fit:
 
 
 @dataclass(frozen=True, eq=False)
-class _Told:
-    """What rows tell of a body: ``information (10, 10)``, ``slope (10,)``.
+class _Likelihood:
+    """Log likelihood of a payload relative to none: ``information (10, 10)``, ``slope (10,)``.
 
-    ``vagueness``: gain in log likelihood, whatever the body, as its efforts need not be exact. ``unknown``: gain if
-    each channel feels something else, as large as it came out, and another thing with every block.
+    ``vagueness``: gain of any payload, as its efforts need not be exact. ``unknown``: gain if an unknown effect acts on
+    each channel, as large as observed and different in every block, or if effects of the channels changed.
     """
 
     information: FloatArray
@@ -122,19 +121,19 @@ class _Told:
     unknown: float
 
     def gain(self, body: FloatArray) -> float:
-        """Log likelihood of a body ``(10,)`` over nothing."""
+        """Log likelihood of a payload ``(10,)`` relative to none."""
         return self.vagueness + float(self.slope @ body - 0.5 * body @ self.information @ body)
 
 
 class _Baseline:
-    """What is known of the robot without a payload by one channel: parameters ``mean (d,)`` and their information, in
+    """Information on the robot without a payload from one channel: parameters ``mean (d,)`` and their information, in
     units of a row."""
 
     def __init__(self, channel: Channel, body: slice, links: int) -> None:
         self.columns = channel.columns
         places = np.arange(len(self.columns))
         self.body = places[(self.columns >= body.start) & (self.columns < body.stop)]
-        self._own = places[self.columns >= links]  # coefficients of effects
+        self._effects = places[self.columns >= links]  # coefficients of effects
         self.mean = np.zeros(len(self.columns))
         self.information = np.zeros((len(self.columns), len(self.columns)))
 
@@ -145,13 +144,13 @@ class _Baseline:
         return np.asarray(joined.T @ joined)
 
     def whole(self, more: FloatArray) -> FloatArray:
-        """The information with that of further rows, and a little where there is none."""
+        """Return the information with that of ``more`` rows, slightly regularised."""
         total = self.information + more[:-1, :-1]
         squares = np.diag(total)
         return np.asarray(total + np.diag(ROUNDING * squares + np.finfo(float).eps * np.max(squares, initial=1e-300)))
 
     def learn(self, products: FloatArray, share: float) -> FloatArray:
-        """Take rows; those before keep a ``share`` of their weight. Returns the step of the mean."""
+        """Learn from rows; those before keep a ``share`` of their weight. Return the step of the mean."""
         self.information *= share
         step = definite.solved_anyway(self.whole(products), products[:-1, -1])
         self.information += products[:-1, :-1]
@@ -159,17 +158,17 @@ class _Baseline:
         return step
 
     def reduced(self, products: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """``[[H h], [h' S]] (11, 11)`` of rows; and the same for what acts on the channel alone, ``(k + 1, k + 1)``."""
-        kept = np.concatenate([self._own, self.body, [len(self.columns)]])
+        """``[[H h], [h' S]] (11, 11)`` of rows; and the same for the channel's effects, ``(k + 1, k + 1)``."""
+        kept = np.concatenate([self._effects, self.body, [len(self.columns)]])
         right = products[:-1, kept]
-        whole = products[np.ix_(kept, kept)] - right.T @ definite.solved_anyway(self.whole(products), right)
-        own, rest = len(self._own), len(self._own) + np.arange(SIZE + 1)
-        alone = np.append(np.arange(own), rest[-1])
-        return whole[own:, own:], whole[np.ix_(alone, alone)]
+        total = products[np.ix_(kept, kept)] - right.T @ definite.solved_anyway(self.whole(products), right)
+        count, rest = len(self._effects), len(self._effects) + np.arange(SIZE + 1)
+        effects_only = np.append(np.arange(count), rest[-1])
+        return total[count:, count:], total[np.ix_(effects_only, effects_only)]
 
 
 class PayloadWatch:
-    """Looks for a body on a link in blocks of rows, and follows it."""
+    """Detects a payload of a link from blocks of rows, and updates it."""
 
     def __init__(
         self,
@@ -186,45 +185,45 @@ class PayloadWatch:
         """
         Args:
             channels: of the model.
-            link: that may carry a body.
-            columns: of the model that are the link's.
-            links: number of columns that are links'; effects follow.
-            usual: payload ``(10,)`` about which the prior lies.
-            spread: standard deviation of the prior, a geodesic distance.
-            gain: relative standard deviation of the efforts' common gain.
-            surprise: log evidence that takes or drops a body.
+            link: that may carry a payload.
+            columns: of the link in the model.
+            links: number of columns of links; effects follow.
+            usual: payload ``(10,)`` at the centre of the prior.
+            spread: prior standard deviation, a geodesic distance.
+            gain: relative standard deviation of the common gain of efforts.
+            surprise: log evidence at which a payload is accepted or dropped.
         """
         self._link, self._columns = link, columns
         self._gain = gain
         self._baselines = [_Baseline(channel, columns, links) for channel in channels]
-        self._felt = [len(baseline.body) == SIZE for baseline in self._baselines]
+        self._depends = [len(baseline.body) == SIZE for baseline in self._baselines]
         self._prior = ONE_BODY.point(usual)
         self._precision = 1.0 / spread**2
         self._surprise = surprise
-        self._recent: deque[tuple[_Block, FloatArray | None]] = deque()  # with the body that was known before
-        self._loaded: _Block | None = None  # the sum since the body is carried
+        self._recent: deque[tuple[_Block, FloatArray | None]] = deque()  # with the payload that was known before
+        self._loaded: _Block | None = None  # sum since the payload is carried
         self._noise: Sequence[Noise] = ()
-        self._share = 1.0  # of what was learned, by what came since without a body
+        self._share = 1.0  # weight that rows learned so far keep after newer rows without a payload
         self.carried: Carried | None = None
-        """The body; None if there is none."""
+        """Present payload; None if there is none."""
 
     def judge(self, first: int, stamps: IntArray, rows: Rows, noise: Sequence[Noise], share: float) -> bool:
-        """Take a block of rows. Returns whether a body came or went with it.
+        """Take a block of rows. Return True if a payload was picked up or put down in it.
 
         Args:
-            first: number of the first instant.
+            first: index of the first sample.
             stamps: ``(N,)`` [ns].
-            rows: of the ``N`` instants; targets that say nothing are NaN.
+            rows: of the ``N`` samples; uninformative targets are NaN.
             noise: of each channel.
-            share: weight that what was learned before keeps.
+            share: fraction of their weight that earlier rows keep.
         """
         if self.carried is None:
             self._noise = noise
             self._share *= share
         measured = usable(rows.coefficients, rows.targets)
         products = tuple(
-            baseline.products(rows.coefficients[own, index], rows.targets[own, index])
-            for index, (baseline, own) in enumerate(zip(self._baselines, measured.T, strict=True))
+            baseline.products(rows.coefficients[used, index], rows.targets[used, index])
+            for index, (baseline, used) in enumerate(zip(self._baselines, measured.T, strict=True))
         )
         counts = np.count_nonzero(measured, axis=0).astype(np.float64)
         block = _Block(products, counts, counts / len(stamps), first, int(stamps[0]))
@@ -239,40 +238,40 @@ class PayloadWatch:
         return changed
 
     def _learn(self, block: _Block) -> None:
-        """Take rows of the robot without a body, and shift the errors of those that are still recent."""
+        """Learn from rows without a payload, and shift the errors of recent rows."""
         share, self._share = self._share, 1.0
         for place, baseline in enumerate(self._baselines):
             step = np.append(baseline.learn(block.products[place], share), -1.0)
             for later, _ in self._recent:
                 products = later.products[place]
-                errors = -products @ step  # of the rows, by the new mean
+                errors = -products @ step  # of the rows, with the new mean
                 products[-1, :-1] = products[:-1, -1] = errors[:-1]
                 products[-1, -1] = -errors @ step
 
-    def _told(self, block: _Block) -> _Told:
+    def _likelihood(self, block: _Block) -> _Likelihood:
         total, vagueness, unknown, joints = np.zeros((SIZE + 1, SIZE + 1)), 0.0, 0.0, self._surprise
-        for baseline, felt, products, rows, blocks, noise in zip(
-            self._baselines, self._felt, block.products, block.rows, block.blocks, self._noise, strict=True
+        for baseline, depends, products, rows, blocks, noise in zip(
+            self._baselines, self._depends, block.products, block.rows, block.blocks, self._noise, strict=True
         ):
-            if not felt or rows * noise.independent <= 0.0:
+            if not depends or rows * noise.independent <= 0.0:
                 continue
-            weighted, alone = (noise.independent / noise.variance * each for each in baseline.reduced(products))
+            weighted, effects_only = (noise.independent / noise.variance * part for part in baseline.reduced(products))
             squares = float(weighted[-1, -1])
             excess = max((squares - rows * noise.independent) / blocks, 0.0)
             unknown += 0.5 * blocks * max(excess - 1.0 - float(np.log(max(excess, 1.0))), 0.0)
-            vague = 1.0 + _LACKING**2 * excess
-            inexact = 0.5 * (squares * (1.0 - 1.0 / vague) - blocks * float(np.log(vague)))
-            vagueness += inexact
-            total += weighted / vague
-            volume = 0.5 * (len(alone) - 1) * float(np.log1p(rows * noise.independent))
-            needed = vague * (volume + self._surprise - inexact)
+            inflation = 1.0 + _LACKING**2 * excess
+            inexact_gain = 0.5 * (squares * (1.0 - 1.0 / inflation) - blocks * float(np.log(inflation)))
+            vagueness += inexact_gain
+            total += weighted / inflation
+            volume = 0.5 * (len(effects_only) - 1) * float(np.log1p(rows * noise.independent))
+            needed = inflation * (volume + self._surprise - inexact_gain)
             if 0.5 * squares > needed:  # nothing explains more than all of it
-                joints += max(_most(alone[:-1, :-1], alone[:-1, -1]) - needed, 0.0) / vague
-        return _Told(total[:-1, :-1], total[:-1, -1], vagueness, max(unknown, joints - self._surprise))
+                joints += max(_largest_gain(effects_only[:-1, :-1], effects_only[:-1, -1]) - needed, 0.0) / inflation
+        return _Likelihood(total[:-1, :-1], total[:-1, -1], vagueness, max(unknown, joints - self._surprise))
 
     @property
     def _last(self) -> list[_Block]:
-        """The blocks of the window, the latest first."""
+        """Blocks of the window, the latest first."""
         return [block for block, _ in self._recent][: -REMEMBERED - 1 : -1]
 
     def _tails(self) -> Iterator[_Block]:
@@ -280,32 +279,32 @@ class PayloadWatch:
         return accumulate(self._last, lambda later, earlier: earlier + later)
 
     def _take(self) -> bool:
-        """Take up a body where the last rows show one."""
+        """Accept a payload if the last rows show one."""
         last = self._last
         ends = [_sum(last[count - 1 :: -1]) for count in (_SOON, REMEMBERED) if len(last) >= count]
         if not any(map(self._may_carry, ends)):
             return False
-        fits = [(fit.gain - told.unknown, tail, fit) for tail in self._tails() for told, fit in [self._fitted(tail)]]
-        excess, tail, fit = max(fits, key=lambda each: each[0])
+        fits = [(fit.gain - data.unknown, tail, fit) for tail in self._tails() for data, fit in [self._fitted(tail)]]
+        excess, tail, fit = max(fits, key=lambda item: item[0])
         if excess < self._surprise:
             return False
         self._begin(tail, fit)
         return True
 
     def _may_carry(self, tail: _Block) -> bool:
-        told = self._told(tail)
-        return told.vagueness + _most(told.information, told.slope) - told.unknown > self._surprise
+        data = self._likelihood(tail)
+        return data.vagueness + _largest_gain(data.information, data.slope) - data.unknown > self._surprise
 
     def _begin(self, tail: _Block, fit: _Fit) -> None:
         before = [block for block, _ in self._recent if block.first < tail.first]
         self._recent = deque((b, fit.point.parameters) for b, _ in self._recent if b.first >= tail.first)
-        if before[:-1]:  # the last one may have felt it
+        if before[:-1]:  # the last one may depend on the payload
             self._learn(_sum(before[:-1]))
         self._note(_sum([block for block, _ in self._recent]), fit)
 
-    def _follow(self, loaded: _Block, body: FloatArray) -> None:
-        told = self._told(loaded)
-        self._note(loaded, _body(told, self._prior, self._precision, ONE_BODY.point(body)))
+    def _follow(self, loaded: _Block, payload: FloatArray) -> None:
+        likelihood = self._likelihood(loaded)
+        self._note(loaded, _fit_payload(likelihood, self._prior, self._precision, ONE_BODY.point(payload)))
 
     def _note(self, loaded: _Block, fit: _Fit) -> None:
         self._loaded = loaded
@@ -314,10 +313,10 @@ class PayloadWatch:
         self.carried = Carried(self._link, self._columns, frozen(body), frozen(covariance), loaded.stamp, loaded.first)
 
     def _drop(self) -> bool:
-        """Take the body back where the last rows are likelier without it."""
-        for tail, (block, known) in zip(self._tails(), reversed(self._recent), strict=False):
-            told = self._told(tail)
-            against = -told.unknown - (0.0 if known is None else told.gain(known))
+        """Drop the payload if the last rows are likelier without it."""
+        for tail, (block, payload) in zip(self._tails(), reversed(self._recent), strict=False):
+            likelihood = self._likelihood(tail)
+            against = -likelihood.unknown - (0.0 if payload is None else likelihood.gain(payload))
             if against > self._surprise:
                 self._recent = deque((b, None) for b, _ in self._recent if b.first >= block.first)
                 self._loaded = self.carried = None
@@ -326,35 +325,35 @@ class PayloadWatch:
                 break
         return False
 
-    def _fitted(self, block: _Block) -> tuple[_Told, _Fit]:
-        told = self._told(block)
-        return told, _body(told, self._prior, self._precision, self._prior)
+    def _fitted(self, block: _Block) -> tuple[_Likelihood, _Fit]:
+        likelihood = self._likelihood(block)
+        return likelihood, _fit_payload(likelihood, self._prior, self._precision, self._prior)
 
 
-def _most(information: FloatArray, slope: FloatArray) -> float:
-    """The largest gain in log likelihood by any parameters."""
+def _largest_gain(information: FloatArray, slope: FloatArray) -> float:
+    """Largest gain in log likelihood of any parameters."""
     return 0.5 * float(slope @ np.linalg.lstsq(information, slope, rcond=ROUNDING)[0])
 
 
 def _sum(blocks: Sequence[_Block]) -> _Block:
-    """All blocks, in the order of time."""
+    """Sum of all blocks, in the order of time."""
     first, *later = blocks
     products = tuple(product.copy() for product in first.products)
     for block in later:
-        for total, more in zip(products, block.products, strict=True):
-            np.add(total, more, out=total)
-    rows, counts = (np.sum(own, axis=0) for own in zip(*((block.rows, block.blocks) for block in blocks), strict=True))
+        for total, addend in zip(products, block.products, strict=True):
+            np.add(total, addend, out=total)
+    rows, counts = (np.sum(c, axis=0) for c in zip(*((block.rows, block.blocks) for block in blocks), strict=True))
     return replace(first, products=products, rows=rows, blocks=counts)
 
 
-def _body(told: _Told, prior: Point, precision: float, point: Point) -> _Fit:
-    """The likeliest body by Gauss-Newton steps on the manifold from a ``point``, with Laplace's approximation of its
-    evidence."""
+def _fit_payload(likelihood: _Likelihood, prior: Point, precision: float, point: Point) -> _Fit:
+    """Fit the most probable payload by Gauss-Newton steps on the manifold from a ``point``, with Laplace's
+    approximation of its evidence."""
     for _ in range(ROUNDS):
         away, curvature = ONE_BODY.log_and_hessian(point, prior)
         jacobian = point.links_jacobian[0]
-        hessian = jacobian.T @ told.information @ jacobian
-        slope = jacobian.T @ (told.slope - told.information @ point.parameters) + precision * away
+        hessian = jacobian.T @ likelihood.information @ jacobian
+        slope = jacobian.T @ (likelihood.slope - likelihood.information @ point.parameters) + precision * away
         step = definite.solved_anyway(hessian + precision * curvature[0], slope)
         length = float(np.linalg.norm(step))
         if length < SETTLED:
@@ -362,7 +361,7 @@ def _body(told: _Told, prior: Point, precision: float, point: Point) -> _Fit:
         point = ONE_BODY.exp(point, step * min(1.0, LARGEST_STEP / length))
     away, curvature = ONE_BODY.log_and_hessian(point, prior)
     jacobian = point.links_jacobian[0]
-    whole = jacobian.T @ told.information @ jacobian + precision * np.eye(SIZE)
-    occam = 0.5 * float(np.linalg.slogdet(whole / precision)[1])
-    gain = told.gain(point.parameters) - 0.5 * precision * float(away @ away) - occam
-    return _Fit(point, gain, jacobian @ definite.inverse(whole) @ jacobian.T)
+    information = jacobian.T @ likelihood.information @ jacobian + precision * np.eye(SIZE)
+    occam = 0.5 * float(np.linalg.slogdet(information / precision)[1])
+    gain = likelihood.gain(point.parameters) - 0.5 * precision * float(away @ away) - occam
+    return _Fit(point, gain, jacobian @ definite.inverse(information) @ jacobian.T)

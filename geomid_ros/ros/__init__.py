@@ -1,1 +1,1 @@
-"""The node, its messages and parameters, and the player: the only place that imports rclpy."""
+"""The node, its messages and parameters, and the bag player: the only package that imports rclpy."""

@@ -1,4 +1,4 @@
-"""The relay's action: goals of FollowJointTrajectory go on to the controller, with efforts."""
+"""Action of the relay: sends goals of FollowJointTrajectory on to the controller, with efforts."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NOT_SENT = "a trajectory is not sent on"
 
 
 class Filled(NamedTuple):
-    """A ``message`` with efforts, and the ``trajectory`` that it is; None if it has no points: the robot is to stop."""
+    """``message`` with efforts, and its ``trajectory``; None if it has no points and stops the robot."""
 
     message: JointTrajectory
     trajectory: Trajectory | None
@@ -33,7 +33,7 @@ _STOP = Filled(JointTrajectory(), None)
 
 @dataclass(eq=False)
 class _Goal:
-    """A goal: its ``handle`` here, what was ``sent`` on as soon as the controller has it, and how it ended."""
+    """Goal: its ``handle`` here, the controller's handle ``sent`` once it is accepted, and its outcome."""
 
     handle: Any
     filled: Filled = _STOP
@@ -43,10 +43,10 @@ class _Goal:
 
 
 class ActionRelay:
-    """Serves ``~/follow_joint_trajectory`` for ``CONTROLLER/follow_joint_trajectory``. Feedback, results and orders to
-    cancel go through; tolerances stay what they are.
+    """Serves ``~/follow_joint_trajectory`` for ``CONTROLLER/follow_joint_trajectory``. Feedback, results and cancel
+    requests are passed on; tolerances stay as they are.
 
-    A goal that is refused is aborted, as a rejection could not say why: the result's ``error_string`` does.
+    A refused goal is aborted, not rejected, as only a result can state why: in its ``error_string``.
     """
 
     def __init__(
@@ -64,8 +64,8 @@ class ActionRelay:
             node: serves, and reaches the controller.
             controller: its name.
             action: control_msgs' FollowJointTrajectory.
-            fill: adds efforts. Raises GeomidError for what must not go on.
-            follow: is told what the controller follows from now on.
+            fill: adds efforts. Raises GeomidError for trajectories that must not be sent on.
+            follow: receives the trajectory that the controller follows from now on.
             client: makes an action client.
             server: makes an action server.
         """
@@ -73,7 +73,7 @@ class ActionRelay:
         self._name = action_name(controller)
         self._client = client(node, action, self._name)
         self._goals: dict[bytes, _Goal] = {}
-        self._latest: Any = None  # the controller's goal that replaced those before it
+        self._latest: Any = None  # controller's goal that replaced all earlier ones
         server(
             node,
             action,
@@ -84,7 +84,7 @@ class ActionRelay:
         )
 
     def _on_goal(self, handle: Any) -> None:
-        """Send a goal on, or end it and say why."""
+        """Send a goal on, or end it with a reason."""
         goal = self._goals[_id(handle)] = _Goal(handle)
         request = handle.request
         try:
@@ -106,11 +106,11 @@ class ActionRelay:
         goal.sent = self._latest = sent
         self._follow(goal.filled)
         sent.get_result_async().add_done_callback(lambda future: self._on_end(goal, future.result()))
-        if goal.handle.is_cancel_requested:  # meanwhile
+        if goal.handle.is_cancel_requested:  # requested meanwhile
             sent.cancel_goal_async()
 
     def _on_cancel(self, handle: Any) -> CancelResponse:
-        """Let the controller cancel a goal; its result says whether it did."""
+        """Ask the controller to cancel a goal; the goal's result shows if it did."""
         goal = self._goals.get(_id(handle))
         if goal is not None and goal.sent is not None:
             goal.sent.cancel_goal_async()
@@ -122,19 +122,19 @@ class ActionRelay:
             self._follow(_STOP)
         goal.handle.execute()
 
-    def _refuse(self, goal: _Goal, why: str) -> None:
-        self._log.error(why)
-        goal.result = self._action.Result(error_code=self._action.Result.INVALID_GOAL, error_string=why)
+    def _refuse(self, goal: _Goal, reason: str) -> None:
+        self._log.error(reason)
+        goal.result = self._action.Result(error_code=self._action.Result.INVALID_GOAL, error_string=reason)
         goal.handle.execute()
 
     def _result(self, handle: Any) -> Any:
-        """The result of a goal that has ended, which ends here as it did there."""
+        """Return the result of a goal that has ended; end it with the controller's status."""
         goal = self._goals.pop(_id(handle))
         if goal.status == GoalStatus.STATUS_SUCCEEDED:
             handle.succeed()
         elif goal.status == GoalStatus.STATUS_CANCELED and handle.is_cancel_requested:
             handle.canceled()
-        else:  # also what the controller cancels by itself
+        else:  # also for goals that the controller cancels by itself
             handle.abort()
         return goal.result
 

@@ -1,4 +1,4 @@
-"""What is wrong and what gets on, on the console: for whoever does not watch the diagnostics."""
+"""Console messages on problems and progress, for users who do not watch the diagnostics."""
 
 from __future__ import annotations
 
@@ -13,39 +13,39 @@ from geomid_ros.live.status import Status
 from geomid_ros.live.supervisor import Log
 from geomid_ros.ros.diagnostics import Advised, Complaint
 
-AGAIN = 60.0  # [s] until a sentence is said again
-_MOST_KINDS = 200  # of sentences that are remembered: names in them are from outside
+AGAIN = 60.0  # [s] until a sentence is logged again
+_MOST_KINDS = 200  # bound on remembered sentences, as names in them are from outside
 
 
 class Console:
-    """A log in which every entry is one printable line, whatever names are in it.
+    """Log in which every entry is one printable line, whatever names it contains.
 
-    It says a complaint when it lasts, that is, when two diagnostics in a row have it; and once a minute while it does.
-    News are said at once, the same ones once a minute. Sentences that differ in numbers only are the same.
+    A complaint is logged if two diagnostics in a row have it, and then once a minute. News are logged at once, and the
+    same ones at most once a minute. Sentences that differ only in numbers are the same.
     """
 
     def __init__(self, log: Log) -> None:
         self._log = log
         self._before: set[str] = set()
-        self._said: dict[str, float] = {}
+        self._logged: dict[str, float] = {}
 
     def info(self, message: str, /) -> None:
-        """Log what is as it should be."""
+        """Log normal progress."""
         self._log.info(one_line(message))
 
     def warning(self, message: str, /) -> None:
-        """Log what is not, but can be lived with."""
+        """Log a problem that allows operation to continue."""
         self._log.warning(one_line(message))
 
     def error(self, message: str, /) -> None:
-        """Log what is wrong."""
+        """Log an error."""
         self._log.error(one_line(message))
 
     def tell(self, complaints: Sequence[Complaint]) -> None:
-        """Take what the present diagnostics complain of."""
-        kinds = {_kind(complaint.sentence): complaint for complaint in complaints}
+        """Take the complaints of the present diagnostics, and log those that last."""
+        kinds = {_kind(item.sentence): item for item in complaints}
         for error in (True, False):
-            new = [kind for kind, found in kinds.items() if found.error is error and self._is_due(kind)]
+            new = [kind for kind, complaint in kinds.items() if complaint.error is error and self._is_due(kind)]
             if new:
                 sentences = [_with_hint(kinds[kind].sentence) for kind in new]
                 (self.error if error else self.warning)("; ".join(sentences))
@@ -53,7 +53,7 @@ class Console:
         self._before = set(kinds)
 
     def tell_news(self, sentences: Iterable[str]) -> None:
-        """Take what is new."""
+        """Log news."""
         for sentence in sentences:
             if self._was_long_ago(_kind(sentence)):
                 self.info(sentence)
@@ -63,12 +63,12 @@ class Console:
         return kind in self._before and self._was_long_ago(kind)
 
     def _was_long_ago(self, kind: str) -> bool:
-        return time.monotonic() - self._said.get(kind, -AGAIN) >= AGAIN
+        return time.monotonic() - self._logged.get(kind, -AGAIN) >= AGAIN
 
     def _remember(self, kinds: Iterable[str]) -> None:
-        self._said |= dict.fromkeys(kinds, time.monotonic())
-        while len(self._said) > _MOST_KINDS:
-            self._said.pop(min(self._said, key=self._said.__getitem__))
+        self._logged |= dict.fromkeys(kinds, time.monotonic())
+        while len(self._logged) > _MOST_KINDS:
+            self._logged.pop(min(self._logged, key=self._logged.__getitem__))
 
 
 def _kind(sentence: str) -> str:
@@ -84,15 +84,15 @@ _MOST_NAMES = 8
 
 
 class News:
-    """Compares the status of one second with that of the second before."""
+    """Compares the present status with that of a second ago."""
 
     def __init__(self) -> None:
         self._before = Status(active=False)
-        self._coming: dict[str, int] = {}  # topics, and for how many seconds in a row there are data on them
-        self._told: set[str] | None = None  # links whose mass has been told; None before the first estimate
+        self._coming: dict[str, int] = {}  # consecutive seconds with data, by topic
+        self._reported: set[str] | None = None  # links whose mass was reported; None before the first estimate
 
     def since(self, status: Status) -> Iterator[str]:
-        """Sentences on what is new in the status of another second."""
+        """Yield sentences on what is new in the ``status`` of the next second."""
         accepted = {topic: account.accepted for topic, account in status.since(self._before).accounts.items()}
         self._before = status
         self._coming = {topic: self._coming.get(topic, 0) + 1 for topic, count in accepted.items() if count > 0}
@@ -103,23 +103,23 @@ class News:
 
     def _estimated(self, estimate: Estimate | None) -> Iterator[str]:
         if estimate is None:
-            self._told = None
+            self._reported = None
             return
-        told = {link.name: link for link in estimate.links if _MASS in link.identified}
-        if self._told is None:
-            self._told = set(told)
-            yield _first(estimate, told.values())
-        elif new := [link for name, link in told.items() if name not in self._told]:
-            self._told.update(told)
+        identified = {link.name: link for link in estimate.links if _MASS in link.identified}
+        if self._reported is None:
+            self._reported = set(identified)
+            yield _first(estimate, identified.values())
+        elif new := [link for name, link in identified.items() if name not in self._reported]:
+            self._reported.update(identified)
             yield f"identified: {_list(map(_mass, new))}"
 
 
-def _first(estimate: Estimate, told: Iterable[LinkEstimate]) -> str:
-    known = _list(map(_mass, told))
+def _first(estimate: Estimate, identified: Iterable[LinkEstimate]) -> str:
+    masses = _list(map(_mass, identified))
     rest = _list(link.name for link in estimate.links if _MASS not in link.identified)
     sentence = f"first estimate, from {estimate.rows_accepted} rows"
-    sentence += f"; identified: {known}" if known else "; no mass is individually identifiable yet"
-    return sentence + (f"; not identified yet: {rest}" if known and rest else "")
+    sentence += f"; identified: {masses}" if masses else "; no mass is individually identifiable yet"
+    return sentence + (f"; not identified yet: {rest}" if masses and rest else "")
 
 
 def _mass(link: LinkEstimate) -> str:
@@ -128,5 +128,5 @@ def _mass(link: LinkEstimate) -> str:
 
 def _list(texts: Iterable[str]) -> str:
     names = [*texts]
-    more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
-    return ", ".join(names[:_MOST_NAMES]) + more
+    rest = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
+    return ", ".join(names[:_MOST_NAMES]) + rest

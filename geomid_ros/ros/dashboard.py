@@ -1,4 +1,4 @@
-"""The dashboard: a node that hears diagnostics and says nothing, and a process for it beside the node that it shows."""
+"""Dashboard: a node that only subscribes to diagnostics, and a process for it beside the node that it shows."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from geomid_ros.ros.starting import PAUSE, running_node
 if TYPE_CHECKING:
     from geomid_ros.live.dashboard_server import Board
 
-_PATIENCE = 0.5  # [s] for the end of its process
+_PATIENCE = 0.5  # [s] for its process to end
 
 
 def run_dashboard(node: str, port: int | None, say: Callable[[str], None]) -> None:
@@ -30,8 +30,8 @@ def run_dashboard(node: str, port: int | None, say: Callable[[str], None]) -> No
 
     Args:
         node: its full name.
-        port: of the page; None: the usual one, or if that is taken any other.
-        say: is told the address.
+        port: of the page; None: the default port, or any free port if that is taken.
+        say: receives a line with the address.
 
     Raises:
         InputError: ROS cannot start, or the port is taken.
@@ -42,7 +42,7 @@ def run_dashboard(node: str, port: int | None, say: Callable[[str], None]) -> No
 
 
 async def _run(node: str, port: int | None, say: Callable[[str], None], listener: Node) -> None:
-    from geomid_ros.live.dashboard_server import serve  # noqa: PLC0415 its library is not in the node's process
+    from geomid_ros.live.dashboard_server import serve  # noqa: PLC0415 the node's process does not load its library
 
     loop, stop = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -58,15 +58,15 @@ async def _run(node: str, port: int | None, say: Callable[[str], None], listener
         say(f"Dashboard of /{node}: {address}")
 
     ending = threading.Event()
-    hearing = start_daemon("dashboard", _hear, listener, ending)
+    thread = start_daemon("dashboard", _spin, listener, ending)
     try:
         await serve(node, port, begin, stop)
     finally:
         ending.set()
-        await asyncio.to_thread(hearing.join)  # while there is what it uses
+        await asyncio.to_thread(thread.join)  # while the objects that it uses exist
 
 
-def _hear(listener: Node, ending: threading.Event) -> None:
+def _spin(listener: Node, ending: threading.Event) -> None:
     while not ending.is_set():
         rclpy.spin_once(listener, timeout_sec=PAUSE)
 
@@ -84,24 +84,24 @@ def _diagnoses(message: DiagnosticArray) -> list[Diagnosis]:
 
 
 class DashboardProcess:
-    """Shows a node on a local page, see :func:`run_dashboard`."""
+    """Process that shows a node on a local page; see :func:`run_dashboard`."""
 
     def __init__(self, node: str) -> None:
-        """Start it for the node of this full name. Raises InputError where the library that it needs is missing."""
+        """Start the process for the node of this full name. Raises InputError if its library is missing."""
         if find_spec("tornado") is None:
             raise InputError("the parameter dashboard needs Tornado, which is not installed (pip install tornado)")
-        self._process = get_context("spawn").Process(target=_run_beside, args=(node,), daemon=True)
-        masked = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])  # in the process, too: Ctrl+C is the node's
+        self._process = get_context("spawn").Process(target=_run_process, args=(node,), daemon=True)
+        masked = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])  # in the process, too: the node has Ctrl+C
         self._process.start()
         signal.pthread_sigmask(signal.SIG_SETMASK, masked)
 
     def close(self) -> None:
-        """End it."""
+        """End the process."""
         self._process.terminate()
         self._process.join(_PATIENCE)
         self._process.kill()
 
 
-def _run_beside(node: str) -> None:
+def _run_process(node: str) -> None:
     end_with_parent()
     run_dashboard(node, None, lambda said: print(said, flush=True))

@@ -1,4 +1,4 @@
-"""Diagnostics: one status per link, one for the stream, one scalar per key (REP 107)."""
+"""Diagnostics: one status for each link, one for the stream, with one scalar for each key (REP 107)."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ _QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
 
 
 class Advised(str):
-    """A sentence that does not say itself what to do, with ``advice`` that does."""
+    """Sentence on a problem, with separate ``advice`` on what to do."""
 
     advice: str
 
     def __new__(cls, sentence: str, advice: str) -> Self:
-        own = super().__new__(cls, sentence)
-        own.advice = advice
-        return own
+        advised = super().__new__(cls, sentence)
+        advised.advice = advice
+        return advised
 
     def __reduce__(self) -> tuple[type[Self], tuple[str, str]]:
         return type(self), (str(self), self.advice)
@@ -52,26 +52,26 @@ _NOTHING_COMES = "does the driver run? 'ros2 topic list -t' shows topics, '--ros
 
 
 class Complaint(NamedTuple):
-    """A ``sentence`` on what is wrong; ``error`` if that is more than a warning."""
+    """``sentence`` on a problem; ``error`` if it is more than a warning."""
 
     sentence: str
     error: bool
 
 
 class Diagnostics:
-    """Makes a node's diagnostic messages. What counts as wrong is what went wrong since the message before."""
+    """Makes a node's diagnostic messages. They report what went wrong since the previous message."""
 
     def __init__(self, node: str) -> None:
         self._node = node
         self._before = Status(active=False)
-        self._barren = 0  # diagnostics in a row in which messages were accepted and no rows were made
+        self._barren = 0  # consecutive diagnostics with accepted messages but no rows
         self.complaints: tuple[Complaint, ...] = ()
-        """What the last diagnostics say is wrong with the stream."""
+        """Problems with the stream in the last diagnostics."""
 
     def array(
         self, status: Status, search: SearchStatus[FoundGap] | None = None, checkpoints: CheckpointStatus | None = None
     ) -> DiagnosticArray:
-        """The state of the stream and of every link.
+        """Return the state of the stream and of every link.
 
         Args:
             status: of the session.
@@ -80,8 +80,8 @@ class Diagnostics:
         """
         new = status.since(self._before)
         errors = [*dict.fromkeys(_errors(status, new))]
-        told = dict.fromkeys([*_warnings(status, new), *self._without_rows(status, new)])
-        warnings = [text for text in told if text not in errors]
+        sentences = dict.fromkeys([*_warnings(status, new), *self._without_rows(status, new)])
+        warnings = [text for text in sentences if text not in errors]
         self.complaints = (*(Complaint(text, True) for text in errors), *(Complaint(text, False) for text in warnings))
         self._before = status
         level, message = _judgement(status, errors, warnings)
@@ -97,20 +97,20 @@ class Diagnostics:
         return array
 
     def _without_rows(self, status: Status, new: Status) -> list[str]:
-        """A complaint when messages are accepted, but for longer than the filter needs nothing comes of them."""
+        """Complain if accepted messages have yielded no rows for longer than the filter needs."""
         accepted = [topic for topic, account in new.accounts.items() if account.accepted > 0]
         barren = status.active and bool(accepted) and status.rows_made == self._before.rows_made
         self._barren = self._barren + 1 if barren else 0
         if self._barren <= _LONGEST_BARREN + 2.0 * status.lag:
             return []
-        why = "check for pauses in every filter window, or a rate too low for it"
+        advice = "check for pauses in every filter window, or a rate too low for it"
         if len(status.topics) > 1:
-            why = f"check that {' and '.join(status.topics)} are stamped by the same clock"
-        return [f"messages are accepted, but have yielded no rows for {self._barren} s: {why}"]
+            advice = f"check that {' and '.join(status.topics)} are stamped by the same clock"
+        return [f"messages are accepted, but have yielded no rows for {self._barren} s: {advice}"]
 
 
 def status_message(name: str, level: bytes, message: str, values: Mapping[str, object]) -> DiagnosticStatus:
-    """A status of one scalar per key."""
+    """Return a status with one scalar for each key."""
     texts = {key: f"{value:.6g}" if isinstance(value, float) else str(value) for key, value in values.items()}
     pairs = [KeyValue(key=one_line(key), value=one_line(text)) for key, text in texts.items()]
     return DiagnosticStatus(
@@ -134,13 +134,13 @@ def _link(node: str, link: LinkEstimate) -> DiagnosticStatus:
     if link.outlier:
         message += ", far from its prior: a payload, or an unmodelled effect; run 'geomid gap'"
         return status_message(f"{node}: {link.name}", DiagnosticStatus.WARN, message, values)
-    alone = "" if "mass" in link.identified else ", identifiable only in combination"
-    return status_message(f"{node}: {link.name}", DiagnosticStatus.OK, message + alone, values)
+    note = "" if "mass" in link.identified else ", identifiable only in combination"
+    return status_message(f"{node}: {link.name}", DiagnosticStatus.OK, message + note, values)
 
 
-_MOST_REASONS = 5  # in a sentence
-_LONGEST_BARREN = 3.0  # [s], beside the filter's window
-_MANY = 10  # messages of which none was accepted: no accident
+_MOST_REASONS = 5  # per sentence
+_LONGEST_BARREN = 3.0  # [s], in addition to the filter's window
+_MANY = 10  # messages without an accepted one, which is no accident
 
 
 def _stream(status: Status) -> dict[str, object]:
@@ -157,7 +157,7 @@ def _stream(status: Status) -> dict[str, object]:
         values |= _account(topic, account)
     values |= {
         **{f"rows rejected: {reason}": count for reason, count in (+status.rows_rejected).items()},
-        **{f"failed: {what}": count for what, count in status.failures.items()},
+        **{f"failed: {failure}": count for failure, count in status.failures.items()},
         **{f"gap {gap.channel}": gap.times_floor for gap in status.gaps},
     }
     if status.estimate is not None:
@@ -176,7 +176,7 @@ def _account(topic: str, account: Account) -> dict[str, int]:
 
 
 def _refusals(topic: str, account: Account) -> dict[str, int]:
-    """How many messages were not taken for each reason."""
+    """Numbers of rejected and dropped messages by reason."""
     rejected = {f"{topic} rejected: {reason}": count for reason, count in account.rejected.items()}
     return rejected | {f"{topic} dropped: {reason}": count for reason, count in account.dropped.items()}
 
@@ -200,7 +200,7 @@ def _solve(estimate: Estimate) -> dict[str, object]:
 
 
 def _gap_sentence(gaps: Sequence[ChannelGap]) -> str:
-    """The open gaps, the widest first."""
+    """Describe the open gaps, the largest first."""
     first, *others = sorted(gaps, key=lambda gap: -gap.times_floor)
     since = min(gap.since for gap in gaps if gap.since is not None)
     also = f"; also at {', '.join(gap.channel for gap in others)}" if others else ""
@@ -208,7 +208,7 @@ def _gap_sentence(gaps: Sequence[ChannelGap]) -> str:
 
 
 def _time(stamp: int) -> str:
-    """A stamp [ns] as text: seconds in a simulation, else date and time."""
+    """Format a stamp [ns]: seconds in a simulation, else date and time."""
     if stamp < _SIMULATED:
         return f"{stamp * 1e-9:.1f} s"
     return datetime.fromtimestamp(stamp * 1e-9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
@@ -251,7 +251,7 @@ def _checkpoints(name: str, checkpoints: CheckpointStatus) -> DiagnosticStatus:
 
 
 def _judgement(status: Status, errors: Sequence[str], warnings: Sequence[str]) -> tuple[bytes, str]:
-    """The highest level, and all that is wrong, errors first: an error of one topic hides nothing of another."""
+    """Return the highest level, and all problems, errors first: an error of one topic hides nothing of another."""
     if errors or warnings:
         level = DiagnosticStatus.ERROR if errors else DiagnosticStatus.WARN
         return level, "; ".join([*errors, *warnings])
@@ -271,8 +271,8 @@ def _errors(status: Status, new: Status) -> list[str]:
         sentences.append(f"{_gap_sentence(gaps)}: {_wrench_question(status.changed_sensors)}")
     for topic in status.topics:
         account = new.account(topic)
-        nothing = account.received >= _MANY and account.accepted <= 0
-        bad = {why: count for why, count in account.rejected.items() if nothing or meaning_of(why) == "driver error"}
+        all_bad = account.received >= _MANY and account.accepted <= 0
+        bad = {why: count for why, count in account.rejected.items() if all_bad or meaning_of(why) == "driver error"}
         sentences += _most_frequent(_refusals(topic, Account(rejected=Counter(bad))))
         sentences += [f"{topic}: {remark}" for remark in account.noted if meaning_of(remark) == "driver error"]
     return sentences
@@ -325,7 +325,7 @@ def _most_frequent(refusals: Mapping[str, int]) -> list[str]:
 
 
 def _standing_still(estimate: Estimate | None) -> list[str]:
-    """A complaint as long as there is no estimate: afterwards a robot may rest."""
+    """Complain if there is no estimate yet: afterwards a robot may rest."""
     return [f"{STANDING_STILL}: no link is identifiable; move the robot"] if estimate is None else []
 
 

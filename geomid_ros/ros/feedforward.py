@@ -1,4 +1,4 @@
-"""Entry point of ``geomid_feedforward``, the relay that fills the efforts of trajectories."""
+"""Entry point of ``geomid_feedforward``, the relay that adds efforts to trajectories."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from geomid_ros.ros.main import on_signal, started
 
 
 def main() -> None:
-    """Run the relay until SIGINT or SIGTERM; exit status 0, or 2 with one message when it cannot start."""
+    """Run the relay until SIGINT or SIGTERM; exit status 0, or 2 with one message if it cannot start."""
     started("geomid_feedforward", _run)
 
 

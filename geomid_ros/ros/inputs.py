@@ -1,4 +1,4 @@
-"""What the node takes in: its parameters, and by subscriptions every message, which it counts; who publishes them."""
+"""Inputs of the node: parameters, and subscriptions, which count every message and check the publishers."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ from geomid_ros.signals.messages import COMMANDS, IMU, JOINT_STATES, ODOM
 
 
 def read_parameters(node: Node) -> Configuration:
-    """The configuration by a node's parameters, of which it has declared only those that were set.
+    """Read the configuration from a node's parameters, of which only the given ones are declared.
 
-    Declares every other parameter of the table with its default, and gives all their description and range.
+    Declares every other parameter of the table with its default; sets the description and range of all.
 
     Raises:
         InputError: a name is unknown or a value out of range.
@@ -68,7 +68,7 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
         description=parameter.description,
         additional_constraints=f"may be set {parameter.change}",
         read_only=parameter.change == AT_START,
-        dynamic_typing=True,  # an integer is accepted where a real number is meant; the table checks types
+        dynamic_typing=True,  # accepts an integer for a real number; the table checks types
     )
     if parameter.minimum is not None and parameter.maximum is not None:
         descriptor.floating_point_range = [FloatingPointRange(from_value=parameter.minimum, to_value=parameter.maximum)]
@@ -76,12 +76,12 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
 
 
 def changed_names(before: Configuration, after: Configuration) -> list[str]:
-    """The names whose values differ, of those that were given ``after``."""
+    """Return the names that are given in ``after`` and whose values differ."""
     return [name for name, value in after.given.items() if value != before[name]]
 
 
 def depends_on_rows(name: str) -> bool:
-    """Whether a parameter may change only while there are no rows."""
+    """True if a parameter may change only while there are no rows."""
     return find_parameter(name).change != AT_ANY_TIME
 
 
@@ -89,34 +89,34 @@ _CLASSES = {kind.__name__: kind for kind in (WrenchStamped, Odometry, Imu, Joint
 
 
 class RosTypes:
-    """Reads serialised messages by ROS itself, where rosbags is not installed; see
+    """Deserialises messages with ROS where rosbags is not installed; see
     :func:`~geomid_ros.signals.decoding.read_without_rosbags`."""
 
     def deserialize_cdr(self, data: bytes, kind: str) -> Any:
-        """The message of this type in ``data``. Raises what rclpy raises for bytes that are none."""
+        """Return the message of this type in ``data``. Raises the errors of rclpy for invalid bytes."""
         return deserialize_message(data, _CLASSES[kind.rpartition("/")[2]])
 
 
 class _Polled(CallbackGroup):
-    """Subscriptions that the executor leaves alone, but for what happens to them: to wait for a message takes it ten
-    times as long as to take it."""
+    """Callback group whose subscriptions the executor does not wait for, except for their events: waiting for a message
+    takes the executor ten times as long as taking it."""
 
     def can_execute(self, entity: Any) -> bool:
-        """Whether it is anything but a subscription."""
+        """True for anything but a subscription."""
         return not isinstance(entity, Subscription)
 
     def beginning_execution(self, entity: Any) -> bool:
-        """The same."""
+        """True for anything but a subscription."""
         return self.can_execute(entity)
 
     def ending_execution(self, entity: Any) -> None:
-        """Nothing waits for it."""
+        """Do nothing."""
 
 
 @dataclass(frozen=True)
 class _Input:
-    """A subscribed topic; ``several``: it may have more than one publisher; ``kind`` of its messages, if they wait
-    until they are looked for."""
+    """Subscribed topic. ``several``: it may have more than one publisher; ``kind``: class of its messages if they are
+    polled."""
 
     name: str
     subscription: Subscription
@@ -125,34 +125,34 @@ class _Input:
 
 
 class Inputs:
-    """Subscribes, counts messages that are not taken, and reports publishers that do not fit."""
+    """Subscribes to topics, counts lost and dropped messages, and reports unsuitable publishers."""
 
     def __init__(self, node: Node, ledger: Ledger) -> None:
         """
         Args:
             node: subscribes.
-            ledger: is told of messages that are not taken.
+            ledger: counts lost and dropped messages.
         """
         self._node = node
         self._ledger = ledger
         self._inputs: list[_Input] = []
-        self._numbers: dict[str, int] = {}  # of the last messages, as the publishers count them
-        self._latest: dict[str, float] = {}  # when the last messages came
-        self._policies: dict[str, str] = {}  # in which publishers were last incompatible
+        self._numbers: dict[str, int] = {}  # publishers' sequence numbers of the last messages
+        self._latest: dict[str, float] = {}  # times of receipt of the last messages
+        self._policies: dict[str, str] = {}  # QoS policies in which publishers were last incompatible
 
     def listen(self, kind: type, name: str, several: bool = False) -> None:
-        """Subscribe to data, which wait until :meth:`waiting` looks for them.
+        """Subscribe to data, which wait until :meth:`waiting` polls them.
 
         Args:
             kind: class of the messages.
             name: of the topic.
-            several: the topic may have more than one publisher. While another has, nobody knows which one to believe:
-                nothing is taken.
+            several: True if the topic may have more than one publisher. On any other topic, messages of several
+                publishers are ambiguous, and all are dropped.
 
         Raises:
-            InputError: the name is none that a topic can have.
+            InputError: the topic name is invalid.
         """
-        # Best effort matches publishers of either kind; the depth carries a 1 kHz stream over pauses of Python.
+        # Best effort matches any publisher; the depth bridges pauses of Python at 1 kHz.
         qos = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
         subscription = self._subscribe(kind, name, lambda _: None, qos, _Polled())
         self._inputs.append(_Input(name, subscription, several, kind))
@@ -170,29 +170,29 @@ class Inputs:
             self.listen(WrenchStamped, sensor.topic)
 
     def hear(self, kind: type, name: str, callback: Callable[[Any], None], qos: QoSProfile) -> None:
-        """Subscribe to anything but data."""
+        """Subscribe to a topic other than data."""
         subscription = self._subscribe(kind, name, callback, qos)
         self._inputs.append(_Input(name, subscription, several=True))
 
     def close(self) -> None:
-        """Subscribe to data no more."""
+        """Unsubscribe from data."""
         for entry in self._inputs:
             if entry.kind:
                 self._node.destroy_subscription(entry.subscription)
         self._inputs = [entry for entry in self._inputs if not entry.kind]
-        self._numbers.clear()  # what is sent meanwhile is not lost
+        self._numbers.clear()  # messages sent meanwhile do not count as lost
         self._policies.clear()
 
     def waiting(self, topic: str | None = None) -> list[Received]:
-        """The data that wait on all topics, or on one, serialised, as they are decoded many at once, in the order in
-        which they came. Those of a topic with more publishers than it may have are dropped."""
+        """Poll the data of all topics, or of one. They are serialised, as many are decoded at once, and in their order
+        of arrival. Messages of topics with too many publishers are dropped."""
         entries = [entry for entry in self._inputs if entry.kind and topic in (None, entry.name)]
         messages = [message for entry in entries for message in self._waiting(entry)]
         return sorted(messages, key=attrgetter("time"))
 
     def _waiting(self, entry: _Input) -> list[Received]:
         taken: list[tuple[bytes, dict[str, int]]] = []
-        # Not the node's count, which would copy the graph.
+        # The subscription's count, as the node's would copy the graph.
         ambiguous = not entry.several and entry.subscription.get_publisher_count() > 1
         now, wall_clock, handle = time.perf_counter(), time.time(), entry.subscription.handle
         with handle:
@@ -204,11 +204,11 @@ class Inputs:
         if ambiguous:
             self._ledger.drop(entry.name, "several publishers", len(taken))
             return []
-        # Where it is not known when a message came, it has not waited.
+        # Messages without a time of receipt count as received now.
         behind = now - wall_clock
-        came = (min(now, behind + 1e-9 * (info["received_timestamp"] or math.inf)) for _, info in taken)
-        # In the order of the topic, though the wall clock is set.
-        _, *times = accumulate(came, max, initial=self._latest.get(entry.name, 0.0))
+        receipt_times = (min(now, behind + 1e-9 * (info["received_timestamp"] or math.inf)) for _, info in taken)
+        # In the order of the topic, even if the wall clock is set.
+        _, *times = accumulate(receipt_times, max, initial=self._latest.get(entry.name, 0.0))
         self._latest[entry.name] = times[-1]
         return [Received(entry.name, data, at) for (data, _), at in zip(taken, times, strict=True)]
 
@@ -232,24 +232,24 @@ class Inputs:
             )
         except NameValidationException as error:
             raise InputError(f"parameters: topic '{name}': {' '.join(str(error).split())}") from error
-        except (RuntimeError, AssertionError, AttributeError) as error:  # as rclpy meets other values than it expects
+        except (RuntimeError, AssertionError, AttributeError) as error:  # raised by rclpy for unexpected values
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise InputError(f"parameters: topic '{name}': its qos_overrides cannot be used ({reason})") from error
 
     def _count_missing(self, entry: _Input, numbers: list[int]) -> None:
-        """Count the messages as lost that one publisher sent between its last one and those with these ``numbers``.
+        """Count as lost the messages that a publisher sent between its last one and these with sequence ``numbers``.
 
-        With several publishers nobody can tell whose numbers they are.
+        With several publishers the numbers cannot be attributed.
         """
         before = self._numbers.pop(entry.name, None)
         if numbers and not entry.several:
             self._numbers[entry.name] = numbers[-1]
-            every = numbers if before is None else [before, *numbers]
-            if missing := sum(max(0, after - number - 1) for number, after in pairwise(every)):
+            sequence = numbers if before is None else [before, *numbers]
+            if missing := sum(max(0, after - number - 1) for number, after in pairwise(sequence)):
                 self._ledger.lose(entry.name, missing)
 
     def _on_lost(self, name: str, event: Any) -> None:
-        # Numbers tell more: messages that overrun the subscription's depth make no event.
+        # Sequence numbers are better: messages beyond the subscription's depth cause no event.
         if name not in self._numbers:
             self._ledger.lose(name, event.total_count_change)
 
@@ -258,25 +258,25 @@ class Inputs:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What is wrong with the present publishers."""
+        """Sentences on problems with the present publishers."""
         return tuple(problem for entry in self._inputs for problem in self._problems_of(entry))
 
     def _problems_of(self, entry: _Input) -> list[str]:
-        problems, heard = [], []
+        problems, usable = [], []
         for publisher in self._node.get_publishers_info_by_topic(entry.subscription.topic_name):
             compatibility, reason = qos_check_compatible(publisher.qos_profile, entry.subscription.qos_profile)
             if compatibility != QoSCompatibility.ERROR:
-                heard.append(publisher)
+                usable.append(publisher)
             else:
                 policy = self._policies.get(entry.name, "quality of service")
-                who = _full_name(publisher)
+                name = _full_name(publisher)
                 problems.append(
-                    f"{entry.name}: no messages from {who}, incompatible QoS: {policy} ({reason.rstrip(';')})"
+                    f"{entry.name}: no messages from {name}, incompatible QoS: {policy} ({reason.rstrip(';')})"
                 )
-        if len(heard) > 1 and not entry.several:
-            names = ", ".join(sorted(map(_full_name, heard)))
+        if len(usable) > 1 and not entry.several:
+            named = ", ".join(sorted(map(_full_name, usable)))
             problems.append(
-                f"{entry.name} has {len(heard)} publishers; all its messages are dropped until one is left: {names}"
+                f"{entry.name} has {len(usable)} publishers; all its messages are dropped until one is left: {named}"
             )
         return problems
 

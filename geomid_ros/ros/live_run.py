@@ -1,4 +1,4 @@
-"""Runs a node and a player as processes and listens to the node, for the demonstration."""
+"""Runs a node and a player as processes, and receives the node's results, for the demonstration."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from geomid_ros.live.saving import FOLLOWS, NOT_YET, SLOW
 from geomid_ros.ros.starting import starting_ros
 from geomid_ros.session.configuration import Configuration
 
-_PATIENCE = 60.0  # [s] for a service, and for what it answers
-_AFTERWARDS = 1.2  # [s] in which the estimates that the save published arrive, and the diagnostics after it
+_PATIENCE = 60.0  # [s] for a service, and for its answer
+_AFTERWARDS = 1.2  # [s] for the estimates of the save, and the diagnostics after it, to arrive
 
 
 class LiveRun:
-    """Runs ``geomid_node`` and ``geomid play`` on a bag, in a ROS domain of their own."""
+    """Runs ``geomid_node`` and ``geomid play`` on a bag, in a separate ROS domain."""
 
     def __init__(self, bag: Path, urdf: Path, configuration: Configuration, out: Path, rate: float) -> None:
-        # A domain that robots on this network hardly use; the children inherit it.
+        # A domain that robots on this network are unlikely to use; child processes inherit it.
         os.environ["ROS_DOMAIN_ID"] = str(102 + os.getpid() % 120)
         self._folder = tempfile.TemporaryDirectory(prefix="geomid-")
         parameters = Path(self._folder.name) / "parameters.yaml"
@@ -50,13 +50,13 @@ class LiveRun:
         self._node = self._start(node)
         self._player = self._start([sys.executable, "-m", "geomid_ros", *playing])
         self._masses: dict[str, float] = {}
-        self.diagnostics: dict[str, str] = {}  # of the stream, as they came last
+        self.diagnostics: dict[str, str] = {}  # latest values of the stream
         latched = QoSProfile(depth=256, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._watcher.create_subscription(InertiaStamped, "geomid/inertias", self._on_inertia, latched)
         self._watcher.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 
     def _start(self, command: list[str]) -> subprocess.Popen[bytes]:
-        return subprocess.Popen(command, stdout=self._log, stderr=self._log)  # noqa: S603 it is a command of ours
+        return subprocess.Popen(command, stdout=self._log, stderr=self._log)  # noqa: S603 the command is fixed
 
     def __enter__(self) -> Self:
         return self
@@ -117,5 +117,5 @@ class LiveRun:
 
 
 def _is_late(answer: str) -> bool:
-    """Whether a save that is asked for again may have what this one had not, as on a busy machine."""
+    """True if another save may succeed, or be from more data, as on a busy machine."""
     return any(word in answer for word in (FOLLOWS, NOT_YET, SLOW))

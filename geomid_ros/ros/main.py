@@ -1,4 +1,4 @@
-"""Entry point of ``geomid_node``: start, spin, and end in order on any signal."""
+"""Entry point of ``geomid_node``: starts, spins, and ends in order on any signal."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ _SWITCH_INTERVAL = 5e-4  # [s]
 
 
 def main() -> None:
-    """Run the node until SIGINT or SIGTERM; exit status 0, or 2 with one message when it cannot start."""
-    # So long, not the usual 5 ms, a solver in the middle of Python code may keep the intake waiting.
+    """Run the node until SIGINT or SIGTERM; exit status 0, or 2 with one message if it cannot start."""
+    # Instead of the default 5 ms, a solver in Python code may block the intake for this time only.
     sys.setswitchinterval(_SWITCH_INTERVAL)
     started("geomid_node", _run)
 
 
 def started(name: str, run: Callable[[], None]) -> None:
-    """Run a program of this ``name``; what keeps it from starting is one message, and exit status 2."""
-    # Imports take longer than a user who ends the node may want to wait; there is nothing to lose yet.
+    """Run a program of this ``name``; an error at its start is one message, and exit status 2."""
+    # End at once during imports, which take long; there are no data to lose yet.
     on_signal(lambda: os._exit(0))
     try:
         check_memory()
@@ -52,11 +52,11 @@ def started(name: str, run: Callable[[], None]) -> None:
             raise
         print(f"{name}: {sentence}", file=sys.stderr)
         sys.stderr.flush()
-        os._exit(2)  # libraries that are half loaded crash when they are unloaded
+        os._exit(2)  # partly loaded libraries crash when unloaded
 
 
 def on_signal(act: Callable[[], object]) -> None:
-    """What SIGINT and SIGTERM do from now on."""
+    """Call ``act`` on SIGINT and SIGTERM from now on."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: act())
 
@@ -77,7 +77,7 @@ def _run_node(solving: SolvingProcess) -> None:
     from geomid_ros.ros.node import GeomidNode  # noqa: PLC0415
     from geomid_ros.ros.starting import PAUSE, starting_ros  # noqa: PLC0415
 
-    # rclpy's own handlers would invalidate the publishers before the last estimate is out.
+    # rclpy's handlers would invalidate the publishers before the last estimate is published.
     stopping = threading.Event()
     on_signal(stopping.set)
     with starting_ros():
@@ -101,7 +101,7 @@ def _run_node(solving: SolvingProcess) -> None:
 
 
 def _guarded(node: GeomidNode, run: Callable[[], object]) -> None:
-    """Run something. An error in it is reported, and the node lives on."""
+    """Run a function. Its errors are reported, and the node survives."""
     try:
         run()
     except Exception as error:  # noqa: BLE001 the other callbacks go on

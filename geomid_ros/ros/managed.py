@@ -1,4 +1,4 @@
-"""A node that a lifecycle manager may configure, activate and shut down."""
+"""Node that a lifecycle manager may configure, activate and shut down."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from geomid_ros.errors import GeomidError
 
 
 class Managed(LifecycleNodeMixin):
-    """Transitions of a node. Each does one thing, which a node without a manager does by itself.
+    """Lifecycle transitions of a node. Each does one thing, which a node without a manager does by itself.
 
-    What raises GeomidError is a transition that fails: the state stays. After any other error the node is unconfigured.
+    A transition that raises GeomidError fails, and the state stays. After any other error the node is unconfigured.
     """
 
     def manage(self) -> None:
-        """Offer the services of a managed node. Without, this class does nothing."""
+        """Offer the services of a managed node. Without this call, the class does nothing."""
         LifecycleNodeMixin.__init__(self)
         service = self._service_change_state
         service.callback = partial(self._answered, service.callback)
 
     def _answered(self, change: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
-        """Answer that a transition fails that the state does not have: rclpy raises an error, and answers nothing."""
+        """Answer that the state does not allow a transition: rclpy raises an error instead of an answer."""
         try:
             return change(request, response)
-        except RuntimeError as error:  # rclpy's own are such
+        except RuntimeError as error:  # raised by rclpy
             self.fail("a transition failed", error)
             response.success = False
             return response
 
     @abstractmethod
     def configure(self) -> None:
-        """Make the identifier."""
+        """Create the identifier."""
 
     @abstractmethod
     def activate(self) -> None:
@@ -43,11 +43,11 @@ class Managed(LifecycleNodeMixin):
 
     @abstractmethod
     def deactivate(self) -> None:
-        """Subscribe no more. Rows and estimate are kept."""
+        """Unsubscribe from data. Rows and estimate are kept."""
 
     @abstractmethod
     def clean_up(self) -> None:
-        """Write the checkpoint, and forget rows and estimate."""
+        """Write the checkpoint, and discard rows and estimate."""
 
     @abstractmethod
     def close(self) -> None:
@@ -102,7 +102,7 @@ class Managed(LifecycleNodeMixin):
         except GeomidError as error:
             self.refuse(str(error))
             return TransitionCallbackReturn.FAILURE
-        except Exception as error:  # noqa: BLE001 rclpy would drop it without a word
+        except Exception as error:  # noqa: BLE001 rclpy would ignore it silently
             self.fail("a transition failed", error)
             return TransitionCallbackReturn.ERROR
         return TransitionCallbackReturn.SUCCESS

@@ -1,4 +1,4 @@
-"""The identification node: topics in, estimates out. A :class:`Worker` does the work."""
+"""Identification node: subscribes to topics and publishes estimates. A :class:`Worker` does the work."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ _CHANGED = "the robot description has changed; it is used after ~/reset"
 
 class GeomidNode(Managed, Node):
     """Subscribes to ``joint_states``, ``joint_commands``, wrench topics, ``odom`` or ``imu``, and
-    ``robot_description``; publishes what it finds. It is a managed node if ``lifecycle`` says so."""
+    ``robot_description``; publishes its results. It is a managed node if the parameter ``lifecycle`` asks for it."""
 
     def __init__(self, solving: SolvingProcess | None = None) -> None:
         """
         Args:
-            solving: the process that solves; None for this one.
+            solving: the process that solves; None to solve in this one.
 
         Raises:
             InputError: the parameters do not fit.
@@ -60,7 +60,7 @@ class GeomidNode(Managed, Node):
         try:
             self._set_up(solving)
         except BaseException:
-            self.destroy_node()  # else the traceback keeps it: ROS's threads would run until the interpreter is gone
+            self.destroy_node()  # else the traceback keeps it, and ROS's threads run until the interpreter ends
             raise
 
     def _set_up(self, solving: SolvingProcess | None) -> None:
@@ -81,7 +81,7 @@ class GeomidNode(Managed, Node):
         self._search = BackgroundSearch("no finding", self._outputs.finding)
         self._payload = PayloadSearch(self._outputs.payload)
         self._dashboard: DashboardProcess | None = None
-        self._urdf = ""  # the latest description, not necessarily the worker's
+        self._urdf = ""  # latest description, not necessarily the worker's
         self._problem = ""  # with the robot description
         self._failures: Counter[str] = Counter()
         self._supervisor = Supervisor(self._configuration, self._ledger, self._console, self._outputs, solving)
@@ -93,9 +93,9 @@ class GeomidNode(Managed, Node):
         self._serve("find_gap", partial(self._look, self._find_gap))
         self._serve("payload/empty", partial(self._look, self._payload.take_empty))
         self._serve("payload/loaded", partial(self._look, self._payload.take_loaded))
-        # In a group of its own: other callbacks of its group, of messages too, would wait for the disk.
+        # In a separate group: other callbacks of its group, those of messages included, would wait for the disk.
         self.create_service(Trigger, "~/save", self._save, callback_group=MutuallyExclusiveCallbackGroup())
-        # On the steady clock: when simulated time stands still the diagnostics must say why.
+        # On the steady clock: if simulated time stands still, the diagnostics must report why.
         self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
         if self._configuration["dashboard"]:
             self._dashboard = DashboardProcess(self.get_fully_qualified_name())
@@ -106,7 +106,7 @@ class GeomidNode(Managed, Node):
         self.add_on_set_parameters_callback(self._on_set)
         if lifecycle == "none":
             self.activate()
-            self.configure()  # last, as it starts threads, which a failure after it would leave behind
+            self.configure()  # last, as a later failure would leave its threads running
         elif lifecycle == "autostart":
             self.start()
 
@@ -115,11 +115,11 @@ class GeomidNode(Managed, Node):
         return self._supervisor.worker
 
     def take_waiting(self) -> None:
-        """Take the data that wait. They are counted, whatever happens."""
+        """Take the waiting data. All of them are counted, also after an error."""
         messages = self._streaming.waiting()
         try:
             reason = self._take(messages)
-        except Exception as error:  # noqa: BLE001 the node lives on
+        except Exception as error:  # noqa: BLE001 the node must survive
             reason = f"{type(error).__name__} in a callback"
             self.fail(
                 f"a message on {' or '.join({message.topic for message in messages})} could not be processed", error
@@ -128,8 +128,8 @@ class GeomidNode(Managed, Node):
             self._ledger.drop(message.topic, reason)
 
     def wait(self, seconds: float) -> None:
-        """Let time pass. Messages that come meanwhile are predicted if anybody asked for it, else taken once more, so
-        that rows come sooner."""
+        """Wait. Messages that arrive meanwhile are predicted if the stream has subscribers; else they are taken
+        halfway, so that rows come sooner."""
         if self._streaming.active:
             self._streaming.wait(seconds)
             return
@@ -138,7 +138,7 @@ class GeomidNode(Managed, Node):
         self._streaming.wait(0.5 * seconds)
 
     def _take(self, messages: list[Received]) -> str:
-        """Take messages, or say why not."""
+        """Pass messages to the worker; return the reason if they cannot be taken."""
         if self._worker is None:
             return self._missing
         if not self._active:
@@ -147,12 +147,12 @@ class GeomidNode(Managed, Node):
         return ""
 
     def _serve(self, name: str, act: Callable[[], tuple[bool, str]]) -> None:
-        """Offer a service that answers even when it fails."""
+        """Offer a service that answers even if it fails."""
 
         def callback(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
                 response.success, response.message = act()
-            except Exception as error:  # noqa: BLE001 the node lives on
+            except Exception as error:  # noqa: BLE001 the node must survive
                 response.success, response.message = False, f"{type(error).__name__}: {error}"
                 self.fail(f"~/{name} failed", error)
             return response
@@ -160,7 +160,7 @@ class GeomidNode(Managed, Node):
         self.create_service(Trigger, f"~/{name}", callback)
 
     def configure(self) -> None:
-        """Begin to identify the robot of the parameter, or of the topic as soon as it is described there.
+        """Begin to identify the robot of the parameter, or that of the topic once its description arrives.
 
         Raises:
             InputError: the description does not fit the parameters.
@@ -175,7 +175,7 @@ class GeomidNode(Managed, Node):
         """Publish the last estimate, and subscribe to the data that the parameters ask for.
 
         Raises:
-            InputError: a topic cannot have the name that it was given.
+            InputError: a topic name is invalid.
         """
         self.deactivate()
         self._inputs.listen_as(self._configuration)
@@ -184,13 +184,13 @@ class GeomidNode(Managed, Node):
             self._outputs.publish(self._worker.session, self._worker.estimate)
 
     def deactivate(self) -> None:
-        """Take what waits, and subscribe to data no more."""
+        """Take the waiting data, and unsubscribe from data."""
         self.take_waiting()
         self._inputs.close()
         self._subscribed = False
 
     def clean_up(self) -> None:
-        """End the identifier, within two seconds; the checkpoint and the last estimate are saved."""
+        """End the identifier within two seconds; save the checkpoint and the last estimate."""
         self._configured = False
         self._search.close()
         self._payload.close()
@@ -199,9 +199,9 @@ class GeomidNode(Managed, Node):
         self._report("")
 
     def _on_set(self, parameters: Sequence[RosParameter]) -> SetParametersResult:
-        """Use other values of parameters, or say why not."""
+        """Use new values of parameters, or refuse them with a reason."""
         try:
-            self._use(self._configuration.with_values({each.name: each.value for each in parameters}))
+            self._use(self._configuration.with_values({parameter.name: parameter.value for parameter in parameters}))
         except GeomidError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -211,13 +211,13 @@ class GeomidNode(Managed, Node):
         changed = changed_names(before, configuration)
         if not changed:
             return
-        fixed = [*filter(depends_on_rows, changed)]
-        if fixed and self._has_rows:
-            raise InputError(f"{fixed[0]} is read-only; it can be set after ~/stop (or deactivate) and ~/reset")
+        row_dependent = [*filter(depends_on_rows, changed)]
+        if row_dependent and self._has_rows:
+            raise InputError(f"{row_dependent[0]} is read-only; it can be set after ~/stop (or deactivate) and ~/reset")
         try:
-            self._begin_with(configuration, anew=bool(fixed))
+            self._begin_with(configuration, anew=bool(row_dependent))
         except GeomidError:
-            self._begin_with(before, anew=bool(fixed))
+            self._begin_with(before, anew=bool(row_dependent))
             raise
         for name in changed:
             self._console.info(f"{name} is now {configuration[name]}, and was {before[name]}")
@@ -232,7 +232,7 @@ class GeomidNode(Managed, Node):
 
     @property
     def _has_rows(self) -> bool:
-        """Whether there are rows, or may be soon."""
+        """True if there are rows, or may be soon."""
         return self._worker is not None and (self._uses_data or self._worker.session.identifier.counts.made > 0)
 
     @property
@@ -241,7 +241,7 @@ class GeomidNode(Managed, Node):
 
     @property
     def _missing(self) -> str:
-        """Why there is no worker."""
+        """Reason why there is no worker."""
         return NO_DESCRIPTION if self._configured else UNCONFIGURED
 
     def _on_description(self, message: String) -> None:
@@ -263,18 +263,18 @@ class GeomidNode(Managed, Node):
         self._report("")
 
     def refuse(self, problem: str) -> None:
-        """Let the log and the diagnostics name what keeps the node from the next state."""
+        """Report in the log and the diagnostics why the node cannot change its state."""
         self._problem = ""
         self._report(problem)
 
     def _report(self, problem: str) -> None:
-        """Let the log and the diagnostics name a problem with the robot description, or none."""
+        """Report a problem with the robot description in the log and the diagnostics; clear it if empty."""
         if problem and problem != self._problem:
             self._console.error(problem)
         self._problem = problem
 
     def fail(self, what: str, error: Exception) -> None:
-        """Let the log and the next diagnostics name an exception."""
+        """Report an exception in the log and the next diagnostics."""
         sentence = f"{what}: {type(error).__name__}: {error}"
         count_reason(self._failures, sentence)
         self._console.error(sentence)
@@ -325,7 +325,7 @@ class GeomidNode(Managed, Node):
         return True, "all rows discarded"
 
     def _look(self, act: Callable[[Worker], tuple[bool, str]]) -> tuple[bool, str]:
-        """Look at what was measured lately, if anything is remembered."""
+        """Act on recent messages, if they are remembered."""
         if self._worker is None:
             return False, self._missing
         if self._configuration["gap.memory"] == 0.0:

@@ -1,4 +1,4 @@
-"""The node's publishers of results, and estimates as ROS messages."""
+"""Publishers of the node's results, and estimates as ROS messages."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from geomid_ros.ros.streaming import Streaming
 from geomid_ros.session.session import Session, identified_urdf
 from geomid_ros.types import FloatArray
 
-_LARGEST_MARKER = 2.0  # [m] a link that is not identifiable may have any size; RViz need not show it
+_LARGEST_MARKER = 2.0  # [m] an unidentifiable link may have any size, which RViz need not show
 
 
 def latched(depth: int = 1) -> QoSProfile:
-    """Keeps the last messages for late subscribers."""
+    """Return a QoS profile that keeps the last messages for late subscribers."""
     return QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
 
 
@@ -43,9 +43,9 @@ class Outputs(Listener):
     def __init__(self, node: Node, create: Callable[..., Publisher], streaming: Streaming) -> None:
         """
         Args:
-            node: whose results are published.
+            node: publishes its results.
             create: its method that makes publishers.
-            streaming: predicts by each new estimate.
+            streaming: predicts with each new estimate.
         """
         self._node = node
         self._streaming = streaming
@@ -56,11 +56,11 @@ class Outputs(Listener):
         self._ellipsoids = create(MarkerArray, "~/markers", latched())
         self._findings = create(String, "~/gap", latched())
         self._carried = create(InertiaStamped, "~/payload/inertia", latched())
-        self._link = ""  # that carried something last
+        self._link = ""  # that carried the last payload
         self._payloads = create(String, "~/payload", latched())
 
     def prediction(self, session: Session, samples: Samples, estimate: Estimate) -> None:
-        """Publish the efforts that an estimate predicts for samples, and how sure they are, if anybody subscribes."""
+        """Publish the efforts that an estimate predicts for samples, and their std, if there are subscribers."""
         if self._predictions.get_subscription_count() > 0:
             efforts = session.model.predicted_efforts(samples, estimate.parameters)
             _publish_efforts(self._predictions, session.robot, samples, efforts)
@@ -69,7 +69,7 @@ class Outputs(Listener):
             _publish_efforts(self._deviations, session.robot, samples, deviations)
 
     def estimate(self, session: Session, estimate: Estimate) -> None:
-        """Publish an estimate, and predict by it."""
+        """Publish an estimate, and predict with it."""
         self._streaming.use(session, estimate)
         self.publish(session, estimate)
 
@@ -88,7 +88,7 @@ class Outputs(Listener):
         self._node.get_logger().info(status.sentence)
 
     def carried(self, carried: Carried | None) -> None:
-        """Publish what the robot has picked up, and predict with it; all zeros after it was put down."""
+        """Publish the payload that was picked up, and predict with it; all zeros after it was put down."""
         self._streaming.carry(carried)
         self._link = carried.link if carried is not None else self._link
         stamp = self._node.get_clock().now().nanoseconds
@@ -97,18 +97,18 @@ class Outputs(Listener):
         self._carried.publish(message)
 
     def payload(self, status: SearchStatus[Payload]) -> None:
-        """Publish a payload that was weighed, or why it was not."""
+        """Publish a payload that was identified, or the reason why it was not."""
         self._payloads.publish(String(data=json.dumps(status.document, indent=2)))
         self._node.get_logger().info(status.sentence)
 
 
 def ros_time(nanoseconds: int) -> Time:
-    """A stamp from nanoseconds since the epoch."""
+    """Return a stamp from nanoseconds since the epoch."""
     return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
 
 
 def inertia_message(link: str, parameters: FloatArray, stamp: int) -> InertiaStamped:
-    """An inertia ``(10,)``: frame_id is the link, com in its frame, inertia about the centre of mass in its axes."""
+    """Inertia ``(10,)`` as a message: frame_id is the link, com in its frame, inertia about the com in its axes."""
     message = InertiaStamped()
     message.header.frame_id = link
     message.header.stamp = ros_time(stamp)
@@ -126,7 +126,7 @@ def _publish_efforts(publisher: Publisher, robot: Robot, samples: Samples, effor
 
 
 def _joint_state(robot: Robot, samples: Samples, index: int, efforts: FloatArray) -> JointState:
-    """The filtered motion of one sample with these efforts; its stamp is the data's."""
+    """Return the filtered motion of one sample with these efforts; its stamp is that of the data."""
     message = JointState()
     message.header.stamp = ros_time(int(samples.stamps[index]))
     message.name = list(robot.joint_names)
@@ -137,7 +137,7 @@ def _joint_state(robot: Robot, samples: Samples, index: int, efforts: FloatArray
 
 
 def _marker(index: int, link: LinkEstimate, stamp: int) -> Marker:
-    """A link's equivalent ellipsoid in its frame, from blue (from the prior) to orange (from the data)."""
+    """Return a link's equivalent ellipsoid in its frame, from blue (from the prior) to orange (from the data)."""
     semi_axes, axes = pseudo_inertia.equivalent_ellipsoid(link.parameters)
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])  # eigenvectors may be left-handed
     marker = Marker(ns="identified", id=index, type=Marker.SPHERE, action=Marker.ADD, frame_locked=True)
@@ -148,6 +148,6 @@ def _marker(index: int, link: LinkEstimate, stamp: int) -> Marker:
     pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w = map(float, quaternion(axes))
     size = np.minimum(2.0 * semi_axes, _LARGEST_MARKER)
     marker.scale.x, marker.scale.y, marker.scale.z = map(float, size)
-    share = link.from_data
-    marker.color = ColorRGBA(r=0.2 + 0.7 * share, g=0.45, b=0.9 - 0.7 * share, a=0.5)
+    fraction = link.from_data
+    marker.color = ColorRGBA(r=0.2 + 0.7 * fraction, g=0.45, b=0.9 - 0.7 * fraction, a=0.5)
     return marker

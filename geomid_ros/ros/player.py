@@ -20,9 +20,9 @@ from geomid_ros.files.bags.bag import Bag
 from geomid_ros.ros.starting import MATCHING, running_node
 from geomid_ros.signals.messages import IMU, JOINT_STATES, ODOM
 
-_READ = (JOINT_STATES, ODOM, IMU, "robot_description", "/clock")  # by geomid, with any configuration
+_READ = (JOINT_STATES, ODOM, IMU, "robot_description", "/clock")  # read by geomid with any configuration
 _LATCHED = ("robot_description", "tf_static")
-_LINGER = 1.0  # [s] the last messages must reach their subscribers before the publishers go
+_LINGER = 1.0  # [s] for the last messages to reach their subscribers before the publishers end
 
 
 def play(
@@ -30,18 +30,18 @@ def play(
 ) -> Iterator[tuple[int, int]]:
     """Publish a bag live.
 
-    Only the topics that geomid always reads are published, and those that are named: among the others may be commands,
-    which a listening robot would follow. Topics of types that are not installed are left out.
+    Only topics that geomid always reads are published, and the ``named`` ones: other topics may have commands, which a
+    robot that subscribes would follow. Topics of types that are not installed are left out.
 
     Args:
         path: of the bag.
-        rate: times its own pace.
+        rate: times the pace of the recording.
         wait: [s] at most for a subscriber on each topic with data, so that none misses the beginning.
         named: further topics.
-        skipped: is told, in a sentence, of what is not published.
+        skipped: receives a sentence on topics that are not published.
 
     Yields:
-        How many messages are published, and how many there are.
+        The numbers of published messages, and of all.
 
     Raises:
         InputError: the bag has nothing to publish, or no topic of a name.
@@ -77,7 +77,7 @@ def _published(node: Node, bag: Bag, kinds: dict[str, Any], rate: float, wait: f
 
 
 def _chosen(bag: Bag, named: Collection[str]) -> list[str]:
-    """The topics that are to be published."""
+    """Return the topics that are to be published."""
     for name in named:
         if not any(_is_called(topic, name) for topic in bag.topics):
             raise unknown_name(f"topic in {bag.path}", name, bag.topics)
@@ -89,12 +89,12 @@ def _chosen(bag: Bag, named: Collection[str]) -> list[str]:
 
 
 def _is_called(topic: str, name: str) -> bool:
-    """Whether a topic has this name; a name without a leading slash is of any namespace."""
+    """True if a topic has this name; a name without a leading slash matches any namespace."""
     return ("/" + topic.lstrip("/")).endswith("/" + name) if name[:1] != "/" else topic == name
 
 
 def _message_class(kind: str | None) -> Any:
-    """The class of a message type, None if it is not installed."""
+    """Return the class of a message type; None if it is not installed."""
     package, _, name = (kind or "").partition("/msg/")
     if not package.isidentifier() or not _has_messages(package):
         return None
@@ -105,9 +105,9 @@ def _message_class(kind: str | None) -> Any:
 
 
 def _has_messages(package: str) -> bool:
-    """Whether a package has messages, without importing it: a bag may name any package, and importing runs code."""
-    found = PathFinder.find_spec(package)
-    folders = (found and found.submodule_search_locations) or []
+    """True if a package has messages, without importing it: a bag may name any package, and importing runs code."""
+    spec = PathFinder.find_spec(package)
+    folders = (spec and spec.submodule_search_locations) or []
     return any((Path(folder) / "msg" / "__init__.py").is_file() for folder in folders)
 
 

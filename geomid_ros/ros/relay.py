@@ -1,6 +1,6 @@
-"""A relay to a joint_trajectory_controller that fills the efforts of trajectories, and adapts them to a payload.
+"""Relay to a joint_trajectory_controller that adds efforts to trajectories, and adapts them to a payload.
 
-Natural adaptation: joint states in, the link's inertia and correcting efforts out.
+Natural adaptation: receives joint states, publishes the link's inertia and correcting efforts.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Adapting:
             node: publishes and subscribes.
             session: the robot and its model.
             link: that adapts; the last one if empty.
-            heaviest: payload [kg].
+            heaviest: largest payload [kg].
 
         Raises:
             InputError: this link cannot adapt.
@@ -62,7 +62,7 @@ class Adapting:
         self._start = 0.0
         self._position = np.zeros(len(self._joints))
         self._said = ""
-        self._lacking = "none has come"  # why no joint states can be used
+        self._lacking = "none has come"  # why joint states are unusable
         self._inertias = node.create_publisher(InertiaStamped, "~/inertia", 10)
         self._corrections = node.create_publisher(JointState, "~/correction", 10)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -80,7 +80,7 @@ class Adapting:
         return Correction(efforts, self._joints, self._link, self._heaviest)
 
     def use(self, session: Session) -> None:
-        """Begin anew from another model of the robot; what is off stays off."""
+        """Restart with another model of the robot; a correction that is off stays off."""
         reason = self._correction.latch.reason
         self._session = session
         self._begin_anew()
@@ -96,14 +96,14 @@ class Adapting:
         return float(1e-9 * self._node.get_clock().now().nanoseconds)
 
     def follow(self, trajectory: Trajectory | None, start: float) -> None:
-        """Note what the controller follows from ``start`` [s] on, or from now on if that is zero; None: it stops."""
+        """Record the trajectory that the controller follows from ``start`` [s] on, or now if 0; None if none."""
         self._trajectory, self._start = trajectory, start or self._now
 
     def _commanded(self, time: float) -> FloatArray:
-        """The motion ``(3, joints)`` at a time [s]; where nothing is commanded, rest at the last reading."""
-        still = np.array([self._position, *np.zeros((2, len(self._joints)))])
+        """Commanded motion ``(3, joints)`` at a time [s]; without a command, rest at the last reading."""
+        rest = np.array([self._position, *np.zeros((2, len(self._joints)))])
         if self._trajectory is None:
-            return still
+            return rest
         passed = time - self._start
         order = [self._trajectory.joints.index(joint) for joint in self._joints]
         motion = self._trajectory.states(np.array([passed]))[:3, 0, order]
@@ -118,9 +118,9 @@ class Adapting:
         absent = absent or [name for name, values in fields.items() if len(values) != len(message.name)]
         if absent:
             self._lacking = f"they lack {', '.join(absent)}"
-            return  # if some came before, the watchdog says so
-        own = [places[joint] for joint in self._joints]
-        position, velocity, effort = (np.array(values)[own] for values in fields.values())
+            return  # the watchdog reports it if usable ones came before
+        order = [places[joint] for joint in self._joints]
+        position, velocity, effort = (np.array(values)[order] for values in fields.values())
         stamp = message.header.stamp
         time = stamp.sec + 1e-9 * stamp.nanosec or self._now
         reading = Reading(time, position, velocity, effort)
@@ -131,7 +131,7 @@ class Adapting:
         self._send()
 
     def _send(self) -> None:
-        """Publish inertia and correction as they are now; also when no joint states come."""
+        """Publish the present inertia and correction, also if no joint states arrive."""
         now = self._now
         sent = self._correction(now, self._commanded(now))
         stamp = round(1e9 * now)
@@ -143,7 +143,7 @@ class Adapting:
             self._report()
 
     def _on_gap(self, message: String) -> None:
-        """Switch off where the identification node found that something else than a payload has changed."""
+        """Switch off if the identification node found a change other than a payload."""
         try:
             names = [str(finding["effect"]) for finding in json.loads(message.data)["findings"]]
         except (ValueError, TypeError, KeyError, RecursionError):
@@ -182,18 +182,18 @@ _CONTROLLER = "/joint_trajectory_controller"
 
 
 class FeedforwardRelay:
-    """Sends on what it hears on ``~/joint_trajectory``, with efforts, to ``CONTROLLER/joint_trajectory``.
+    """Adds efforts to trajectories on ``~/joint_trajectory``, and sends them on to ``CONTROLLER/joint_trajectory``.
 
-    So it does with goals of ``~/follow_joint_trajectory`` (:class:`~geomid_ros.ros.action_relay.ActionRelay`) where
+    It does the same for goals of ``~/follow_joint_trajectory`` (:class:`~geomid_ros.ros.action_relay.ActionRelay`) if
     ``control_msgs`` is installed.
 
-    Parameters of its node: ``model`` (an estimate.json, which is read again when it has changed), ``urdf``, ``config``,
-    ``tolerance`` and ``force``, as of :func:`geomid_ros.feedforward`; ``controller``. What is refused is not sent on.
-    With ``heaviest_payload`` [kg] a ``link`` adapts to one (:class:`~geomid_ros.ros.relay.Adapting`).
+    Parameters of its node: ``model`` (an estimate.json, which is read again after a change), ``urdf``, ``config``,
+    ``tolerance`` and ``force``, as of :func:`geomid_ros.feedforward`; ``controller``. Refused trajectories are not sent
+    on. With ``heaviest_payload`` [kg] a ``link`` adapts to a payload (:class:`~geomid_ros.ros.relay.Adapting`).
     """
 
     def __init__(self, node: Node) -> None:
-        """Raises InputError if a parameter, the robot or its model cannot be used."""
+        """Raises InputError if a parameter, the robot or its model is unusable."""
         self._log = node.get_logger()
         try:
             self._set_up(node)
@@ -225,23 +225,23 @@ class FeedforwardRelay:
         try:
             return Path(self._model).stat().st_mtime_ns
         except OSError:
-            return 0  # reading says so
+            return 0  # reading reports it
 
     def _read(self) -> Session:
         return robot_to_move(self._options, self._model or None)
 
     def _relay(self, message: JointTrajectory) -> None:
         try:
-            found = self._fill(message)
+            filled = self._fill(message)
         except GeomidError as error:
             self._log.error(f"{NOT_SENT}: {error}")
             return
-        self._publisher.publish(found.message)
-        self._follow(found)
+        self._publisher.publish(filled.message)
+        self._follow(filled)
 
     def _fill(self, message: JointTrajectory) -> Filled:
-        """A trajectory with efforts. Raises GeomidError for one that is refused."""
-        if not message.points:  # tells the controller to stop
+        """Add efforts to a trajectory. Raises GeomidError if it is refused."""
+        if not message.points:  # a command to stop
             return Filled(message, None)
         if (changed_at := self._changed_at()) != self._read_at:
             self._session = self._read()
@@ -249,14 +249,14 @@ class FeedforwardRelay:
             if self._adapting is not None:
                 self._adapting.use(self._session)
             self._log.info(f"{self._model} has changed and is read again")
-        found = filled(self._session, trajectory_of(message, "trajectory"), self._options.tolerance, "trajectory")
-        filled_message = message_of(found.trajectory)
-        filled_message.header = message.header
-        self._log.info(f"{len(message.points)} points are sent on with efforts, as {len(filled_message.points)}")
-        return Filled(filled_message, found.trajectory)
+        result = filled(self._session, trajectory_of(message, "trajectory"), self._options.tolerance, "trajectory")
+        answer = message_of(result.trajectory)
+        answer.header = message.header
+        self._log.info(f"{len(message.points)} points are sent on with efforts, as {len(answer.points)}")
+        return Filled(answer, result.trajectory)
 
-    def _follow(self, found: Filled) -> None:
-        """Adapt while the controller follows this."""
+    def _follow(self, filled: Filled) -> None:
+        """Adapt while the controller follows this trajectory."""
         if self._adapting is not None:
-            stamp = found.message.header.stamp
-            self._adapting.follow(found.trajectory, stamp.sec + 1e-9 * stamp.nanosec)
+            stamp = filled.message.header.stamp
+            self._adapting.follow(filled.trajectory, stamp.sec + 1e-9 * stamp.nanosec)

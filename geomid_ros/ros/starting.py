@@ -1,4 +1,4 @@
-"""Starting ROS. When it cannot start: one sentence that says why, as its arguments and variables are the user's."""
+"""Starts ROS. If it cannot start, one sentence states why, as its arguments and variables are the user's."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from rclpy.utilities import try_shutdown
 from geomid_ros.errors import InputError
 
 MATCHING = 0.5
-"""A best-effort subscriber hears a publisher a little later than it is seen itself [s]."""
+"""Time [s] from the discovery of a best-effort subscriber until it receives messages."""
 
 PATIENCE = 5.0
-"""What is there is heard or found within this time [s]."""
+"""Time [s] within which existing nodes and topics are discovered."""
 
-# Everything is looked for: messages cost less when many come at once, and the filter holds rows back for four times as
-# long. To let the executor wait for anything else would wake it for every message.
+# Everything is polled: messages cost less when many come at once, and the filter delays rows by four times as
+# long. If the executor waited for anything else, every message would wake it.
 PAUSE = 0.11
-"""[s] between looks for what is asked for, and for a signal."""
+"""Time [s] between polls for requests and signals."""
 
 
 @contextmanager
 def starting_ros() -> Iterator[None]:
-    """Turn an error of rclpy inside into an InputError that names what is wrong or missing."""
+    """Convert an error of rclpy inside into an InputError that names the problem."""
     try:
         yield
-    except RuntimeError as error:  # rclpy's own are such
+    except RuntimeError as error:  # raised by rclpy
         reason = " ".join(str(error).split())
         raise InputError(f"ROS cannot start with these arguments and variables ({reason}){_security()}") from error
 
 
 @contextmanager
 def running_node(name: str, **options: Any) -> Iterator[Node]:
-    """A node with these ``options`` of rclpy, as long as ROS runs. Signals are the caller's: rclpy's own handlers would
-    invalidate the publishers while they publish."""
+    """Run a node with these ``options`` of rclpy. Signals are handled by the caller: rclpy's handlers would invalidate
+    the publishers while they publish."""
     with starting_ros():
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:
@@ -54,7 +54,7 @@ def running_node(name: str, **options: Any) -> Iterator[Node]:
 
 
 def _security() -> str:
-    """The security that was asked for, as rcl does not always say what it missed."""
+    """Describe the requested security, as rcl does not always state what it missed."""
     if os.environ.get("ROS_SECURITY_ENABLE") != "true":
         return ""
     keystore = os.environ.get("ROS_SECURITY_KEYSTORE")

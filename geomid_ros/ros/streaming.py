@@ -1,4 +1,4 @@
-"""Predicted efforts at the rate of the messages, while the others wait to be taken many at once."""
+"""Predicted efforts at the rate of the messages, while other messages wait to be taken in batches."""
 
 from __future__ import annotations
 
@@ -20,51 +20,51 @@ from geomid_ros.ros.inputs import Inputs
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import JOINT_STATES
 
-_PERIOD = 5e-3  # [s] between looks for messages: each costs as much as a message
+_PERIOD = 5e-3  # [s] between polls for messages, each of which costs as much as a message
 
 
 class Streaming:
-    """Publishes ``~/streamed_joint_states`` while anybody subscribes, and keeps the messages for the worker."""
+    """Publishes ``~/streamed_joint_states`` while it has subscribers, and keeps the messages for the worker."""
 
     def __init__(self, node: Node, inputs: Inputs, warn: Callable[[str], None]) -> None:
         """
         Args:
             node: publishes.
             inputs: where messages wait.
-            warn: is told why something is not streamed.
+            warn: receives the reason why messages are not streamed.
         """
         self._inputs = inputs
         self._publisher = node.create_publisher(JointState, "~/streamed_joint_states", 1000)
         self._stream = Stream()
         self._early: list[Received] = []
         self._warn = warn
-        self._said: set[str] = set()
+        self._warned: set[str] = set()
 
     def use(self, session: Session, estimate: Estimate) -> None:
-        """Predict by an estimate from now on, in any thread."""
+        """Predict with an estimate from now on. May be called in any thread."""
         self._stream.use(session, estimate)
 
     def carry(self, carried: Carried | None) -> None:
-        """Add a payload to the robot from now on, or none, in any thread."""
+        """Predict with this payload from now on, or with none. May be called in any thread."""
         self._stream.carry(carried)
 
     def forget(self) -> None:
-        """Predict nothing until there is another estimate."""
+        """Predict nothing until the next estimate."""
         self._stream.forget()
-        self._said.clear()
+        self._warned.clear()
 
     def waiting(self) -> list[Received]:
-        """All messages that nobody has taken yet."""
+        """Return all messages that were not taken yet."""
         messages, self._early = [*self._early, *self._inputs.waiting()], []
         return sorted(messages, key=attrgetter("time"))
 
     @property
     def active(self) -> bool:
-        """True if anybody subscribes and there is an estimate to predict by."""
+        """True if there is a subscriber, and an estimate to predict with."""
         return self._stream.ready and bool(self._publisher.get_subscription_count())
 
     def wait(self, seconds: float) -> None:
-        """Let time pass, and predict what comes meanwhile. Raises what a prediction raises; then there are no more."""
+        """Wait, and predict messages meanwhile. An error is raised, and stops predictions until the next estimate."""
         end = time.monotonic() + seconds
         if self._publisher.get_subscription_count():
             self._say(self._stream.obstacle)
@@ -88,19 +88,19 @@ class Streaming:
             self._say(reason)
 
     def _say(self, reason: str) -> None:
-        """Why something is not streamed, once."""
-        if reason and reason not in self._said:
-            self._said.add(reason)
+        """Warn once why messages are not streamed."""
+        if reason and reason not in self._warned:
+            self._warned.add(reason)
             self._warn(f"{self._publisher.topic_name} lacks messages: {reason}")
 
 
 @cache
 def _template(joints: tuple[str, ...]) -> tuple[bytes, np.dtype[np.void]]:
-    """A message of these joints whose numbers are zero, and where these are."""
+    """Return a message of these joints with zeros as numbers, and its layout."""
     zeros = [0.0] * len(joints)
     data = serialize_message(JointState(name=joints, position=zeros, velocity=zeros, effort=zeros))
-    numbers, count = ("<f8", (len(joints),)), "V8"  # an array's length stands before it, and is aligned
-    begin = f"V{len(data) - 12 - 3 * 8 * len(joints) - 2 * 8}"  # with names
+    numbers, count = ("<f8", (len(joints),)), "V8"  # an array's length precedes it, and is aligned
+    begin = f"V{len(data) - 12 - 3 * 8 * len(joints) - 2 * 8}"  # header and names
     stamp = [("", "V4"), ("seconds", "<u4"), ("nanoseconds", "<u4"), ("", begin)]
     return data, np.dtype(
         [*stamp, ("position", numbers), ("", count), ("velocity", numbers), ("", count), ("effort", numbers)]
@@ -108,7 +108,7 @@ def _template(joints: tuple[str, ...]) -> tuple[bytes, np.dtype[np.void]]:
 
 
 def serialised(predicted: Predicted) -> Iterator[bytes]:
-    """The messages (CDR). To make and to serialise them one by one takes several times as long."""
+    """Yield the messages (CDR). Making and serialising them one by one takes several times as long."""
     data, form = _template(predicted.joints)
     messages = np.frombuffer(bytearray(data * len(predicted.stamps)), form)
     messages["seconds"], messages["nanoseconds"] = np.divmod(predicted.stamps, 10**9)

@@ -1,1 +1,1 @@
-"""Messages to aligned, filtered, differentiated samples, and the ledger of what became of every message."""
+"""From messages to aligned, filtered, differentiated samples, and the ledger that counts every message."""

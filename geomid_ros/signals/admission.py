@@ -1,9 +1,8 @@
-"""The front of the pipeline: messages go on in the order in which they came, decided on by the gate of their source.
+"""First stage of the pipeline: gates decide which messages are admitted, in their order of arrival.
 
-A gate decides by the messages before and after. One that goes on from the one before passes at once; one that does not
-waits until others show what it was: a fault that is soon over, a clock that was set, or something real, which passes.
-All that came after it, on any topic, wait behind it: what is behind the gates sees one sequence, however many messages
-come at once.
+A gate decides by the messages before and after. A message that continues the one before passes at once. Any other waits
+until later ones show what it is: a short fault, a clock that was set, or something real, which passes. All later
+messages, on any topic, wait behind it. So the stages after the gates see one sequence, however messages are batched.
 """
 
 from __future__ import annotations
@@ -27,17 +26,17 @@ FROM_THE_FUTURE, TOO_OLD = "stamp from the future", "stamp too old"
 _REASONS = (NOT_LATER, FROM_THE_FUTURE, TOO_OLD)
 PAUSE = "pause: a new segment begins"
 SET_BACK = "clock set back: a new segment begins"
-FEW = 3  # messages in a row: a fault lasts no longer, and so many, each after a pause, are those of a slow topic
-_TO_CONFIRM_A_RESET = 10  # messages; a few late ones do not mean that a clock was set back
+FEW = 3  # messages: a fault is no longer; so many in order, each after a pause, are of a slow topic
+_TO_CONFIRM_A_RESET = 10  # messages, as a few late ones do not mean that a clock was set back
 
 Source: TypeAlias = tuple[str, tuple[str, ...]]
-"""A topic, and the joints that its messages have if they are of joints."""
+"""A topic, and for joint messages their joints."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What the first ``count`` suspicious messages are: ``refused``, or real. Something may be ``noted`` of the first;
-    if it ``begins`` anew, nothing is to be compared across it."""
+    """Decision on the first ``count`` suspicious messages: ``refused`` for a reason, or real. ``noted`` is a remark on
+    the first; if it ``begins`` a new segment, nothing is compared across it."""
 
     count: int = 1
     refused: str = ""
@@ -46,47 +45,46 @@ class Answer:
 
 
 class Gate:
-    """Decides on the messages of one source, by the order of their stamps.
+    """Decides on the messages of one source by the order of their stamps.
 
-    What is refused depends on these alone, in the order in which they came; not on how many come at once. A message
-    that is ahead by more than ``max_gap`` is after a pause if the next one is later by less than that, or, on a topic
-    that is as slow, if two more are later. One that is behind by more begins another time if ten are in order.
+    Decisions depend on the messages and their order of arrival, not on their batches. A stamp that is ahead by more
+    than ``max_gap`` follows a pause if the next one is later by less than that or, on a slow topic, if two more are
+    later. A stamp that is behind by more shows a clock that was set back if ten are in order.
     """
 
     def __init__(self, max_gap: int) -> None:
         """
         Args:
-            max_gap: [ns] what is further apart is not compared.
+            max_gap: [ns] messages further apart are not compared.
         """
         self._max_gap = max_gap
         self.waiting = NOTHING
-        """Messages that are not decided on."""
-        self._decided = 0  # stamp of the last message, good by itself, that was decided on
-        self._stamp = 0  # of the last one that passed
+        """Messages without a decision."""
+        self._decided = 0  # stamp of the last decided message that is good by itself
+        self._stamp = 0  # of the last message that passed
 
     def judge(self, new: Arrived, newest: int) -> tuple[Arrived, dict[int, Answer]]:
-        """Take messages, and decide on those that can be decided on.
+        """Take messages, and decide on those that can be decided.
 
         Args:
-            new: messages; none to look again at those that wait.
-            newest: the place of the last message of all topics.
+            new: messages; none to look again at the waiting ones.
+            newest: arrival index of the last message of all topics.
 
         Returns:
-            Those that are decided on, refused ones with the reason; and what is noted, by the place of its message as
-            they came.
+            Decided messages, refused ones with the reason; and remarks by the arrival index of their message.
         """
         arrived, notes = Arrived.joined([self.waiting, new]), dict[int, Answer]()
         good = np.flatnonzero(arrived.good)
-        again = steps(arrived.stamps[good], self._decided) == 0
-        arrived.refusals[good[again]] = NOT_LATER
-        places = good[~again]
+        repeated = steps(arrived.stamps[good], self._decided) == 0
+        arrived.refusals[good[repeated]] = NOT_LATER
+        places = good[~repeated]
         plain = arrived if len(places) == len(arrived) else arrived.select(places)
         stamps, numbers, order = plain.stamps, plain.numbers, plain.order
         place = self._pass_plain(stamps, numbers)
         while place < len(places):
             last = order[place] + PATIENCE
             window = slice(place, place + int(np.searchsorted(order[place:], last, side="right")))
-            answer = self._answer(stamps[window], numbers[window], whole=newest >= last)
+            answer = self._answer(stamps[window], numbers[window], final=newest >= last)
             if answer is None:
                 break
             if answer.refused:
@@ -100,21 +98,21 @@ class Gate:
             place += answer.count
             place += self._pass_plain(stamps[place:], numbers[place:])
         end = int(places[place]) if place < len(places) else len(arrived)
-        decided = good[good < end]
-        self._decided = int(arrived.stamps[decided[-1]]) if len(decided) else self._decided
-        found, self.waiting = arrived.divided(end)
-        return found, notes
+        decided_indices = good[good < end]
+        self._decided = int(arrived.stamps[decided_indices[-1]]) if len(decided_indices) else self._decided
+        decided, self.waiting = arrived.divided(end)
+        return decided, notes
 
     def begin_anew(self, decided: Arrived) -> Arrived:
-        """Forget the time before. Returns the messages that were decided on since then, and those that wait, as they
-        came."""
+        """Reset the gate. Return the messages that were ``decided`` since then, and the waiting ones, without its
+        refusals."""
         arrived = Arrived.joined([decided, self.waiting])
         self.waiting, self._stamp, self._decided = NOTHING, 0, 0
         arrived.refusals[[refusal in _REASONS for refusal in arrived.refusals]] = None
         return arrived
 
     def _pass_plain(self, stamps: IntArray, numbers: FloatArray) -> int:
-        """Let messages pass that go on from those before, up to the first that does not. Returns how many passed."""
+        """Pass messages that continue those before, up to the first that does not. Return how many passed."""
         if not len(stamps):
             return 0
         ahead = steps(stamps, self._stamp or int(stamps[0]) - 1)
@@ -123,25 +121,25 @@ class Gate:
         self._pass(stamps[:count], numbers[:count])
         return count
 
-    def _pass(self, stamps: IntArray, numbers: FloatArray) -> None:  # noqa: ARG002 for those that compare numbers
-        """Note messages that go on from the one before, or are real though they do not."""
+    def _pass(self, stamps: IntArray, numbers: FloatArray) -> None:  # noqa: ARG002 for gates that compare numbers
+        """Record messages that pass: they continue the one before, or are real although they do not."""
         if len(stamps):
             self._stamp = int(stamps[-1])
 
     def _compare_anew(self) -> None:
-        """Something has changed: the next message is not compared with those before."""
+        """Restart comparisons: the next message is not compared with earlier ones."""
 
-    def _answer(self, stamps: IntArray, numbers: FloatArray, *, whole: bool) -> Answer | None:  # noqa: ARG002
-        """What the first of these messages, which does not go on from the one before, is; None if more have to come,
-        and ``whole`` is not said."""
-        first, *others = stamps.tolist()
+    def _answer(self, stamps: IntArray, numbers: FloatArray, *, final: bool) -> Answer | None:  # noqa: ARG002
+        """Decide on the first of these messages, which does not continue the one before. Return None if more messages
+        are needed and this call is not ``final``."""
+        first, *later = stamps.tolist()
         back = first <= self._stamp
         if self._stamp - self._max_gap <= first <= self._stamp:
             return Answer(refused=NOT_LATER)
         wrong = Answer(refused=TOO_OLD if back else FROM_THE_FUTURE)
         real = Answer(noted=SET_BACK, begins=True) if back else Answer(noted=PAUSE)
         last, count = first, 1
-        for stamp in others:
+        for stamp in later:
             if (stamp >= self._stamp - self._max_gap) if back else (stamp < first - self._max_gap):
                 return wrong
             if not back and first < stamp <= first + self._max_gap:
@@ -149,68 +147,68 @@ class Gate:
             last, count = (stamp, count + 1) if stamp > last else (last, count)
             if count == (_TO_CONFIRM_A_RESET if back else FEW):
                 return real
-        return None if not whole else wrong if back and count == 1 else real
+        return None if not final else wrong if back and count == 1 else real
 
 
 class Admission:
-    """Messages of several sources, each with a gate."""
+    """Admits the messages of several sources, with a gate for each."""
 
     def __init__(self, new_gate: Callable[[Source], Gate], note: Callable[[str, str], None]) -> None:
         """
         Args:
             new_gate: makes the gate of a source.
-            note: is told by the topic of what has changed or is doubtful, as it goes on.
+            note: ``note(topic, remark)`` receives changes and doubts as they are found.
         """
         self._new_gate, self._note = new_gate, note
         self._gates: dict[Source, Gate] = {}
-        self._decided: dict[Source, Arrived] = {}  # messages that wait behind others, which are not decided on
-        self._notes: dict[int, tuple[Source, Answer]] = {}  # what is noted, by the place of its message
+        self._decided: dict[Source, Arrived] = {}  # decided messages that wait behind undecided ones
+        self._notes: dict[int, tuple[Source, Answer]] = {}  # remarks, by the arrival index of their message
 
     @property
     def held(self) -> Counter[str]:
-        """Number of messages that wait, by their topic."""
-        found = Counter[str]()
+        """Number of waiting messages by topic."""
+        counts = Counter[str]()
         for source, gate in self._gates.items():
-            found[source[0]] += len(gate.waiting) + len(self._decided[source])
-        return found
+            counts[source[0]] += len(gate.waiting) + len(self._decided[source])
+        return counts
 
     def take(self, new: Mapping[Source, Arrived], newest: int) -> list[dict[Source, Arrived]]:
-        """Take messages, and let those go on that are decided on.
+        """Take messages, and release those that are decided.
 
         Args:
-            new: messages of each source, in the order in which they came.
-            newest: the place of the last one that came, of any source.
+            new: messages of each source, in their order of arrival.
+            newest: arrival index of the last message of any source.
 
         Returns:
-            The messages that go on; with each part but the first something is another: a clock, or a unit.
+            The released messages; each part after the first begins a new segment, as a clock was set or positions
+            leapt.
         """
         for source in [source for source in new if source not in self._gates]:
             self._gates[source], self._decided[source] = self._new_gate(source), NOTHING
         for source in self._gates:
             self._decide(source, new.get(source, NOTHING), newest)
-        result = []
+        parts = []
         while (place := self._change(newest)) < self._end(newest):
-            result.append(self._before(place))
+            parts.append(self._before(place))
             changed, answer = self._notes.pop(place)
             self._note(changed[0], answer.noted)
             self._reconsider(changed, place, newest)
-        return [*result, self._before(self._end(newest))]
+        return [*parts, self._before(self._end(newest))]
 
     def give_up(self) -> Counter[str]:
-        """Give up the messages that are not decided on: others no longer wait for them. Returns how many they were, by
-        their topic."""
-        given_up = Counter[str]()
+        """Drop the undecided messages, so that others no longer wait for them. Return their numbers by topic."""
+        dropped = Counter[str]()
         for source, gate in self._gates.items():
-            given_up[source[0]] += len(gate.waiting)
+            dropped[source[0]] += len(gate.waiting)
             gate.waiting = NOTHING
-        return given_up
+        return dropped
 
     def _change(self, newest: int) -> int:
-        """The place of the first message from which on something is another."""
+        """Arrival index of the first message that begins a new segment."""
         return min((place for place, (_, answer) in self._notes.items() if answer.begins), default=newest + 1)
 
     def _end(self, newest: int) -> int:
-        """The place of the first message that is not decided on."""
+        """Arrival index of the first undecided message."""
         waiting = [gate.waiting.order for gate in self._gates.values()]
         return min((int(order[0]) for order in waiting if len(order)), default=newest + 1)
 
@@ -220,20 +218,20 @@ class Admission:
         self._decided[source] = Arrived.joined([self._decided[source], decided])
 
     def _reconsider(self, changed: Source, place: int, newest: int) -> None:
-        """Decide anew on what has come on other topics since the clock of one was set: they may have the same clock."""
+        """Decide again on messages of other topics since a clock was set, as they may have the same clock."""
         for source, gate in self._gates.items():
-            if source[0] in (changed[0], JOINT_STATES):  # the motion has told of the joints' clock
+            if source[0] in (changed[0], JOINT_STATES):  # joint states show their clock by the motion
                 continue
             self._decided[source], since = self._decided[source].split(place)
             self._notes = {other: entry for other, entry in self._notes.items() if entry[0] != source}
             self._decide(source, gate.begin_anew(since), newest)
 
     def _before(self, place: int) -> dict[Source, Arrived]:
-        """The messages that came before this place and are decided on; they wait no more."""
-        for noted in sorted(other for other in self._notes if other < place):
+        """Release the decided messages that arrived before this one."""
+        for noted in sorted(index for index in self._notes if index < place):
             (topic, _), answer = self._notes.pop(noted)
             self._note(topic, answer.noted)
-        found = {}
+        released = {}
         for source, decided in self._decided.items():
-            found[source], self._decided[source] = decided.split(place)
-        return found
+            released[source], self._decided[source] = decided.split(place)
+        return released

@@ -1,4 +1,4 @@
-"""Messages as they arrived: their numbers in the robot's order, and which cannot be used by themselves."""
+"""Messages on arrival: their numbers in the robot's order, and which are unusable by themselves."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 NO_STAMP = "stamp is zero: whoever publishes has to fill in header.stamp"
 NOT_VALID = "stamp is not valid"
-_NOT_MEASURED = -1.0  # first entry of a covariance, see sensor_msgs/Imu
+_NOT_MEASURED = -1.0  # first entry of a covariance; see sensor_msgs/Imu
 
 
 def plausible(values: FloatArray) -> BoolArray:
@@ -25,9 +25,9 @@ def plausible(values: FloatArray) -> BoolArray:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Arrived:
-    """N messages of one source: the places in which they came, stamps, and numbers in the robot's order.
+    """N messages of one source: arrival indices ``order``, stamps [ns], and numbers in the robot's order.
 
-    ``refusals`` are the reasons why some cannot be used for what they say by themselves, None for the others.
+    ``refusals`` are the reasons why messages are unusable by themselves, None for usable ones.
     """
 
     order: IntArray
@@ -40,37 +40,37 @@ class Arrived:
 
     @property
     def good(self) -> BoolArray:
-        """Which messages can be used by themselves ``(N,)``."""
+        """True for messages that are usable by themselves ``(N,)``."""
         return without_refusal(self.refusals)
 
     def select(self, index: BoolArray | IntArray | slice) -> Arrived:
-        """Some of them."""
+        """Return a selection of the messages."""
         return Arrived(self.order[index], self.stamps[index], self.numbers[index], self.refusals[index])
 
     def split(self, place: int) -> tuple[Arrived, Arrived]:
-        """Those that came before a place, and the others; in the order in which they came."""
+        """Split into messages before arrival index ``place``, and the others."""
         return self.divided(int(np.searchsorted(self.order, place)))
 
     def divided(self, count: int) -> tuple[Arrived, Arrived]:
-        """The first ``count``, and the others."""
+        """Split into the first ``count`` messages, and the others."""
         if count >= len(self):
             return self, NOTHING
         return self.select(slice(count)), self.select(slice(count, None))
 
     @staticmethod
     def joined(several: Sequence[Arrived]) -> Arrived:
-        """All of them, one after the other."""
-        some = [each for each in several if len(each)]
-        if len(some) < 2:
-            return (some or several)[0]
-        parts = zip(*((e.order, e.stamps, e.numbers, e.refusals) for e in some), strict=True)
-        return Arrived(*(np.concatenate(part) for part in parts))
+        """Concatenate messages."""
+        nonempty = [part for part in several if len(part)]
+        if len(nonempty) < 2:
+            return (nonempty or several)[0]
+        columns = zip(*((e.order, e.stamps, e.numbers, e.refusals) for e in nonempty), strict=True)
+        return Arrived(*(np.concatenate(column) for column in columns))
 
     @staticmethod
     def in_order(several: Sequence[Arrived]) -> Arrived:
-        """All of them, in the order in which they came."""
-        whole = Arrived.joined(several)
-        return whole.select(np.argsort(whole.order, kind="stable")) if len(several) > 1 else whole
+        """Concatenate messages, and sort them by arrival."""
+        merged = Arrived.joined(several)
+        return merged.select(np.argsort(merged.order, kind="stable")) if len(several) > 1 else merged
 
 
 NOTHING = Arrived(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 0)), np.full(0, None))
@@ -78,44 +78,44 @@ NOTHING = Arrived(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.z
 
 
 def without_refusal(refusals: AnyArray) -> BoolArray:
-    """Which elements are None."""
-    found: BoolArray = refusals == None  # noqa: E711 by element
-    return found
+    """True where ``refusals`` are None."""
+    usable: BoolArray = refusals == None  # noqa: E711 by element
+    return usable
 
 
 def poses(block: Block) -> tuple[FloatArray, AnyArray]:
-    """Poses ``(N, 7)`` with quaternions of length one, and why some cannot be used."""
+    """Poses ``(N, 7)`` with unit quaternions, and the reasons why some are unusable."""
     values, refusals = block.arrays[0].copy(), np.full(len(block.stamps), None)
-    wild = ~plausible(values).all(axis=1)
-    values[wild] = np.nan
+    invalid = ~plausible(values).all(axis=1)
+    values[invalid] = np.nan
     norms = np.linalg.norm(values[:, 3:], axis=1)
     refusals[np.abs(norms - 1.0) > UNLIKE_ONE] = "quaternion is not of length 1"
-    refusals[wild] = "pose not finite"
+    refusals[invalid] = "pose not finite"
     good = without_refusal(refusals)
     values[good, 3:] /= norms[good, None]
     return values, refusals
 
 
 def commands(block: Block, joints: Sequence[str]) -> tuple[FloatArray, AnyArray]:
-    """Set-points of positions and velocities and the feed-forward of ``joints``, one after the other ``(N, 3 joints)``,
-    zero where a message says none, and why some cannot be used."""
+    """Set-points of positions and velocities and the feed-forward of ``joints``, concatenated ``(N, 3 joints)``, zero
+    where a message has none; and the reasons why some are unusable."""
     count, names = len(block.stamps), list(block.names)
     values, refusals = np.zeros((count, 3, len(joints))), np.full(count, None)
     if missing := missing_joint(joints, names):
         refusals[:] = missing
         return values.reshape(count, -1), refusals
     order = [names.index(joint) for joint in joints]
-    for kind, said in enumerate(block.arrays):
-        if said.shape[1] == len(names):
-            values[:, kind] = said[:, order]
-        elif said.shape[1] or not kind:
-            refusals[:] = driver_error(f"a command of {said.shape[1]} numbers for {len(names)} names")
+    for kind, numbers in enumerate(block.arrays):
+        if numbers.shape[1] == len(names):
+            values[:, kind] = numbers[:, order]
+        elif numbers.shape[1] or not kind:
+            refusals[:] = driver_error(f"a command of {numbers.shape[1]} numbers for {len(names)} names")
     refusals[~plausible(values).all(axis=(1, 2))] = "command not finite"
     return values.reshape(count, -1), refusals
 
 
 def wrenches(block: Block, sensor: WrenchSensor) -> tuple[FloatArray, AnyArray]:
-    """Wrenches ``(N, 6)`` without the sensor's offset, and why some cannot be used."""
+    """Wrenches ``(N, 6)`` without the sensor's offset, and the reasons why some are unusable."""
     (values,), (frame,), declared = block.arrays, block.names, sensor.frame_id or sensor.frame
     refusals = np.full(len(values), None)
     refusals[~plausible(values[:, sensor.axis_indices]).all(axis=1)] = "wrench not finite"
@@ -125,7 +125,7 @@ def wrenches(block: Block, sensor: WrenchSensor) -> tuple[FloatArray, AnyArray]:
 
 
 def inertial(block: Block) -> tuple[FloatArray, AnyArray]:
-    """An IMU's angular velocities and specific forces ``(N, 6)``, and why some cannot be used."""
+    """Angular velocities and specific forces of an IMU ``(N, 6)``, and the reasons why some are unusable."""
     numbers, refusals = block.arrays[0], np.full(len(block.stamps), None)
     values = numbers[:, [13, 14, 15, 25, 26, 27]]
     refusals[~plausible(values).all(axis=1)] = "angular velocity or acceleration not finite"
@@ -139,15 +139,15 @@ NOBODY = (
     "if nobody publishes it, name it in the parameter locked_joints (--lock); if another node does, set "
     "merge_joint_states (--merge)"
 )
-"""What to do about a joint that is missing."""
+"""Advice for a joint that is missing in messages."""
 
 
 def missing_joint(joints: Sequence[str], names: Sequence[str]) -> str:
-    """Why messages with these names are not of all joints; empty if they are.
+    """Return a sentence on why messages with these names do not have all joints; empty if they do.
 
     Args:
         joints: the robot's.
-        names: those in the messages.
+        names: in the messages.
     """
     present = set(names)
     missing = next((joint for joint in joints if joint not in present), None)
@@ -163,14 +163,14 @@ def missing_joint(joints: Sequence[str], names: Sequence[str]) -> str:
     if present.isdisjoint(joints):
         quoted = ", ".join(f"'{name}'" for name in names[:3])
         return f"{sentence}: none of the messages' names is a joint of this URDF ({quoted} ...)"
-    strange = next((name for name in names if name not in joints), None)
-    other = f"; or is it '{strange}'?" if strange else ""
+    unknown = next((name for name in names if name not in joints), None)
+    other = f"; or is it '{unknown}'?" if unknown else ""
     return f"{sentence}: {NOBODY}{other}"
 
 
 def _prefix(plain: Sequence[str], prefixed: Sequence[str]) -> str:
-    """The one beginning with which all ``plain`` names are among the ``prefixed``; empty if there is none."""
+    """Return the common prefix with which all ``plain`` names are among the ``prefixed``; empty if there is none."""
     first = plain[0] if plain else ""
-    beginnings = (name.removesuffix(first) for name in prefixed if first and name.endswith(first))
-    every = set(prefixed)
-    return next((start for start in beginnings if start and all(start + name in every for name in plain)), "")
+    candidates = (name.removesuffix(first) for name in prefixed if first and name.endswith(first))
+    names = set(prefixed)
+    return next((prefix for prefix in candidates if prefix and all(prefix + name in names for name in plain)), "")

@@ -1,9 +1,9 @@
-"""The time between messages by their stamps, which the messages' velocities show to be wrong where they are not the
-derivatives of positions; and times for messages that come in bursts, whose stamps do not say them.
+"""Checks and corrects the times of messages: wrong clocks, shown by velocities that are not the derivatives of
+positions, and times of messages that arrive in bursts.
 
-Messages that wait somewhere and come together (wireless links, batches of a bus) are stamped when they arrive. If they
-were measured with a fixed period, their number in the row says when: the last of a burst waits the least, and all lie
-on a line through the last ones.
+Messages that wait somewhere and arrive together (wireless links, batches of a bus) are stamped on arrival. If they were
+measured with a fixed period, their running numbers give the times: the last message of a burst waits the least, and
+these lie on a line.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _Numbers = TypeVar("_Numbers", FloatArray, IntArray)
 FEWEST = 32
-"""Messages that the period is inferred from."""
+"""Number of messages from which the period is inferred."""
 FEWEST_IN_BURSTS = 320
-"""The same, where messages come in bursts."""
-_UNEVEN = 0.35  # of the time between bursts, that their ends may be off a line
+"""Number of messages from which the period is inferred if they arrive in bursts."""
+_UNEVEN = 0.35  # largest RMS distance of burst ends from a line, as a fraction of the time between bursts
 MISSED = 2.5
-"""Periods between two messages, or between bursts: more is a pause."""
-_LOST = 1.5  # periods that a burst is late by, if messages are missing
-_FOLLOWS = 0.05  # of the time that a burst is late by, which the times are moved by
+"""Periods between two messages, or between bursts, above which there is a pause."""
+_LOST = 1.5  # periods; a burst that is later has lost messages
+_FOLLOWS = 0.05  # fraction of a burst's lateness by which times are corrected
 
 
 def steps(values: _Numbers, before: _Numbers | int) -> _Numbers:
-    """The steps to values ``(N, ...)``, the first one from the value ``before``."""
-    found = values.copy()
-    found[1:] -= values[:-1]
-    found[:1] -= before
-    return found
+    """Return the steps between values ``(N, ...)``, the first one from the value ``before``."""
+    result = values.copy()
+    result[1:] -= values[:-1]
+    result[:1] -= before
+    return result
 
 
 def in_bursts(stamps: IntArray, max_gap: int) -> bool:
-    """Whether more than a quarter of the steps between increasing stamps are shorter than a quarter of the mean step.
+    """True if more than a quarter of the steps between increasing stamps are shorter than a quarter of the mean step.
     Steps longer than ``max_gap`` [ns] do not count."""
     steps = np.diff(stamps)
     steps = steps[steps <= max_gap]
@@ -46,12 +46,12 @@ def in_bursts(stamps: IntArray, max_gap: int) -> bool:
 
 
 class RegularClock:
-    """Times of messages that come in bursts, by their number in the row."""
+    """Times of messages that arrive in bursts, from their running numbers."""
 
     def __init__(self, stamps: IntArray) -> None:
         """
         Args:
-            stamps: of the first messages [ns], which are still to be given to :meth:`times`.
+            stamps: of the first messages [ns], which are still to be passed to :meth:`times`.
         """
         steps = np.diff(stamps)
         ends = np.flatnonzero(steps > np.mean(steps))
@@ -59,22 +59,22 @@ class RegularClock:
         period, begin = map(float, np.polyfit(ends, times, 1))
         self.period = period
         """Time between messages [ns]."""
-        self._between = float(period * np.mean(np.diff(ends)))  # bursts
+        self._between = float(period * np.mean(np.diff(ends)))  # [ns] time between bursts
         self.is_right = bool(period > 0.0 and np.std(times - begin - period * ends) < _UNEVEN * self._between)
-        """Whether the numbers of messages say when they were measured."""
+        """True if running numbers determine the times of measurement."""
         self._origin = self._last = int(stamps[0])
-        self._time = begin - period  # of the message before, since the origin [ns]
+        self._time = begin - period  # time of the message before, since the origin [ns]
 
     def times(self, stamps: IntArray) -> IntArray:
-        """The times [ns] of the next messages, by their stamps ``(N,)``."""
-        found = np.empty(len(stamps))
+        """Return the times [ns] of the next messages from their stamps ``(N,)``."""
+        result = np.empty(len(stamps))
         for index, stamp in enumerate(stamps.tolist()):
-            found[index] = self._time = self._time + max(self._step(stamp), 0.5 * self.period)
+            result[index] = self._time = self._time + max(self._step(stamp), 0.5 * self.period)
             self._last = stamp
-        return self._origin + np.round(found).astype(np.int64)
+        return self._origin + np.round(result).astype(np.int64)
 
     def _step(self, stamp: int) -> float:
-        """The time [ns] from the message before to the one with this stamp."""
+        """Return the time [ns] from the message before to the one with this stamp."""
         waited = stamp - self._last
         if waited > MISSED * self._between:
             return waited - self._between + self.period
@@ -93,90 +93,90 @@ _UNITS_OF_SPEED = (180.0 / np.pi, 1000.0, 30.0 / np.pi, 0.5 / np.pi)  # degrees,
 
 
 class VelocityCheck:
-    """Tells a wrong clock, or another unit, by the messages' velocities.
+    """Detects a wrong clock or unit by the messages' velocities.
 
-    Samples move by their positions alone, as the effects' columns do: what differed between two motions, noise or a
-    delay, would tell the inertia of links from that of rotors, and from a carriage's mass.
+    Samples derive velocities from positions alone, as effects' columns do. With measured velocities, noise or a delay
+    would falsely distinguish the inertia of links from that of rotors, and from a carriage's mass.
     """
 
-    _FEWEST = 100  # samples
+    _FEWEST = 100  # number of samples
     _OFF = 0.05
     _IN_PROPORTION = 0.99
-    _WRONG_CLOCK = 1.5  # a velocity that is off by less may be a gear's or a filter's
+    _WRONG_CLOCK = 1.5  # times; a smaller factor may be due to a gear or a filter
 
     def __init__(self, joints: int) -> None:
-        self._sums = np.zeros((4, joints))  # as of _moments
-        self._told = False
+        self._sums = np.zeros((4, joints))  # sums of _moments
+        self._reported = False
 
     def add(self, given: FloatArray, derived: FloatArray) -> FloatArray:
-        """Take velocities of samples, filtered.
+        """Take filtered velocities of samples.
 
         Args:
-            given: those of the messages ``(N, joints)``, NaN where there are none.
-            derived: the positions' derivatives ``(N, joints)``.
+            given: from the messages ``(N, joints)``, NaN where there are none.
+            derived: derivatives of positions ``(N, joints)``.
 
         Returns:
-            What the samples until each say ``(4, N, joints)``, for :meth:`are_derivatives`.
+            Sums over the samples up to each ``(4, N, joints)``, for :meth:`are_derivatives`.
         """
         sums = np.cumsum(np.concatenate([self._sums[:, None], _moments(given, derived)], axis=1), axis=1)
         self._sums = sums[:, -1]
         return np.asarray(sums[:, 1:])
 
     def are_derivatives(self, given: FloatArray, sums: FloatArray) -> BoolArray:
-        """Where a message's velocity is the derivative, but for noise ``(N, joints)``, by what :meth:`add` returned."""
-        _, _, both, square = sums
-        alike = (both > square / self._WRONG_CLOCK) & (both < square * self._WRONG_CLOCK)
-        return np.asarray(np.isfinite(given) & alike & ~self._scaled(sums))
+        """True where a message's velocity is the derivative but for noise ``(N, joints)``; sums are from
+        :meth:`add`."""
+        _, _, product, square = sums
+        similar = (product > square / self._WRONG_CLOCK) & (product < square * self._WRONG_CLOCK)
+        return np.asarray(np.isfinite(given) & similar & ~self._scaled(sums))
 
-    def _telling(self, sums: FloatArray) -> BoolArray:
-        """At which joints sums ``(4, ...)`` say what velocities are; where a joint stands still the filter's tails are
-        all there is."""
-        known, _, both, derived = sums
-        return np.asarray((known >= self._FEWEST) & (derived > known * STILL**2) & (both > 0.0))
+    def _informative(self, sums: FloatArray) -> BoolArray:
+        """True for joints with informative sums ``(4, ...)``; a joint at rest has the filter's tails only."""
+        count, _, product, derived = sums
+        return np.asarray((count >= self._FEWEST) & (derived > count * STILL**2) & (product > 0.0))
 
     def _scaled(self, sums: FloatArray) -> BoolArray:
-        """At which joints velocities are the derivatives but for a factor, by sums ``(4, ...)``."""
-        _, given, both, derived = sums
-        off: BoolArray = np.abs(both - derived) > self._OFF * derived
+        """True for joints whose velocities are the derivatives but for a factor, by sums ``(4, ...)``."""
+        _, given, product, derived = sums
+        off: BoolArray = np.abs(product - derived) > self._OFF * derived
         if off.any():
-            off &= self._telling(sums) & (both**2 > self._IN_PROPORTION * given * derived)
+            off &= self._informative(sums) & (product**2 > self._IN_PROPORTION * given * derived)
         return off
 
     @property
     def scaled(self) -> BoolArray:
-        """At which joints the messages' velocities are the derivatives but for a factor ``(joints,)``."""
+        """True for joints whose messages' velocities are the derivatives but for a factor ``(joints,)``."""
         return self._scaled(self._sums)
 
     def remark(self) -> Reason | None:
-        """What is peculiar about the messages' velocities, said once."""
-        if self._told or not self.scaled.any():
+        """Return a remark on the messages' velocities, once; None if there is none."""
+        if self._reported or not self.scaled.any():
             return None
-        self._told = True
+        self._reported = True
         rate = self.common_rate()
         return _wrong_clock(rate) if rate else SCALED
 
     def common_rate(self) -> float:
-        """How many times the derivatives the messages' velocities are, if that is the same at all joints that tell and
-        no unit's factor; else 0."""
-        _, _, both, derived = self._sums
+        """Return the factor from the derivatives to the messages' velocities, if it is common to all informative joints
+        and not that of a unit; else 0."""
+        _, _, product, derived = self._sums
         scaled = self.scaled
-        rates = both[scaled] / derived[scaled]
+        rates = product[scaled] / derived[scaled]
         if len(rates) < 2:
             return 0.0
-        alike = np.all(np.abs(rates / np.median(rates) - 1.0) < self._OFF)
+        is_common = np.all(np.abs(rates / np.median(rates) - 1.0) < self._OFF)
         sizes = np.abs(np.log(np.median(rates))) - np.abs(np.log(_UNITS_OF_SPEED))
-        of_unit = np.any(np.abs(sizes) < self._OFF)
-        far = abs(np.log(np.median(rates))) > np.log(self._WRONG_CLOCK)
-        every = far and np.all(scaled | ~self._telling(self._sums))
-        return float(np.median(rates)) if every and alike and not of_unit else 0.0
+        is_unit = np.any(np.abs(sizes) < self._OFF)
+        is_large = abs(np.log(np.median(rates))) > np.log(self._WRONG_CLOCK)
+        is_everywhere = is_large and np.all(scaled | ~self._informative(self._sums))
+        return float(np.median(rates)) if is_everywhere and is_common and not is_unit else 0.0
 
 
 def _moments(given: FloatArray, derived: FloatArray) -> FloatArray:
-    """Whether a velocity is given, its square, its product with the derivative, the derivative's square where it is
-    given: all ``(4, N, joints)``."""
-    known = np.isfinite(given)
-    own = np.where(known, given, 0.0)
-    return np.array([known, own**2, own * derived, known * derived**2])
+    """Moments ``(4, N, joints)``: 1 if a velocity is given, its square, its product with the derivative, and the
+    derivative's square where it is given."""
+    is_given = np.isfinite(given)
+    velocity = np.where(is_given, given, 0.0)
+    return np.array([is_given, velocity**2, velocity * derived, is_given * derived**2])
 
 
 def _wrong_clock(rate: float) -> Reason:

@@ -1,4 +1,4 @@
-"""Serialised messages to blocks of numbers: the layout of the first message serves all that differ in numbers only."""
+"""Decodes serialised messages to blocks of numbers. The layout of a message serves all that differ only in numbers."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from geomid_ros.types import AnyArray, BoolArray, IntArray
 
 LITTLE_ENDIAN = b"\0\1"
 Raw: TypeAlias = tuple[str, bytes, *tuple[Any, ...]]
-"""A message as it came: the topic, as the pipeline calls it, its bytes (CDR), and whatever else is known of it."""
+"""A message as received: its topic's name in the pipeline, its bytes (CDR), and any further data."""
 
 
 _without_rosbags: list[Any] = []
 
 
 def read_without_rosbags(types: Any) -> None:
-    """Have ``types.deserialize_cdr(data, kind)`` read messages where rosbags is not installed, as beside a robot."""
+    """Let ``types.deserialize_cdr(data, kind)`` read messages where rosbags is not installed, as on a robot."""
     _without_rosbags[:] = [types]
 
 
 @cache
 def message_types() -> Any:
-    """What reads messages by the definitions that come with ROS 2 Jazzy: ``deserialize_cdr(data, kind)``.
+    """Return the reader of messages by the definitions of ROS 2 Jazzy: ``deserialize_cdr(data, kind)``.
 
     Raises:
-        ModuleNotFoundError: rosbags is not installed, and nothing reads without it.
+        ModuleNotFoundError: rosbags is not installed, and there is no other reader.
     """
     try:
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 where it is installed
@@ -45,10 +45,10 @@ def message_types() -> Any:
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where the numbers stand in messages of one size and the same texts and lengths.
+    """Places of the numbers in messages of one size with the same texts and lengths.
 
-    ``fixed`` are the places of the bytes in which all of them are ``like`` each other, and ``text`` these bytes;
-    ``form`` has the stamp in its first two fields, and then the arrays.
+    ``fixed`` are the places of the bytes that all messages share with ``like``, and ``text`` these bytes; ``form`` has
+    the stamp in its first two fields, and then the arrays.
     """
 
     like: Block
@@ -57,12 +57,12 @@ class _Layout:
     form: np.dtype[np.void]
 
     def matches(self, data: AnyArray) -> BoolArray:
-        """Which messages ``(N, size)`` have this layout ``(N,)``."""
-        found: BoolArray = (data[:, self.fixed] == self.text).all(axis=1)
-        return found
+        """True for messages ``(N, size)`` with this layout ``(N,)``."""
+        matching: BoolArray = (data[:, self.fixed] == self.text).all(axis=1)
+        return matching
 
     def block(self, data: AnyArray, order: IntArray) -> Block:
-        """The numbers of messages ``(N, size)``."""
+        """Return the numbers of messages ``(N, size)``."""
         records = data.view(self.form)[:, 0]
         seconds, nanoseconds, *arrays = (records[field] for field in self.form.names or ())
         stamps = seconds.astype(np.int64) * 1_000_000_000 + nanoseconds
@@ -71,17 +71,17 @@ class _Layout:
 
 
 class Decoder:
-    """Decodes messages of several topics; remembers the layouts that it has met."""
+    """Decodes messages of several topics, and remembers their layouts."""
 
     def __init__(self) -> None:
         self._layouts: dict[tuple[str, int], list[_Layout]] = {}  # by topic and size
 
     def blocks(self, messages: Sequence[Raw], refuse: Callable[[int, str], None]) -> list[Block]:
-        """All messages, in as few blocks as possible.
+        """Decode messages into as few blocks as possible.
 
         Args:
-            messages: in the order in which they came.
-            refuse: ``refuse(place, why)`` is told of messages that are not of their topic's type.
+            messages: in their order of arrival.
+            refuse: ``refuse(place, why)`` receives messages that are not of their topic's type.
         """
         groups: defaultdict[tuple[str, int], list[int]] = defaultdict(list)
         for place, message in enumerate(messages):
@@ -95,14 +95,14 @@ class Decoder:
         messages: Sequence[Raw],
         refuse: Callable[[int, str], None],
     ) -> list[Block]:
-        """The messages of one topic and size."""
+        """Decode the messages of one topic and size."""
         data = np.frombuffer(b"".join([messages[place][1] for place in places]), np.uint8).reshape(len(places), -1)
-        left, blocks = np.array(places), []
+        remaining, blocks = np.array(places), []
         layouts = deque(self._layouts.get(group, ()))
-        while len(left):
+        while len(remaining):
             if not layouts:
-                place = int(left[0])
-                data, left = data[1:], left[1:]
+                place = int(remaining[0])
+                data, remaining = data[1:], remaining[1:]
                 try:
                     block, new = _parsed(messages[place], place)
                 except ValueError as error:
@@ -114,29 +114,29 @@ class Decoder:
                 layout = layouts.popleft()
                 same = layout.matches(data)
                 if same.all():
-                    return [*blocks, layout.block(data, left)]
+                    return [*blocks, layout.block(data, remaining)]
                 if same.any():
-                    blocks.append(layout.block(data[same], left[same]))
-                    data, left = data[~same], left[~same]
+                    blocks.append(layout.block(data[same], remaining[same]))
+                    data, remaining = data[~same], remaining[~same]
         return blocks
 
-    def _remembered(self, group: tuple[str, int], new: _Layout | None) -> list[_Layout]:
-        if new is None:
+    def _remembered(self, group: tuple[str, int], layout: _Layout | None) -> list[_Layout]:
+        if layout is None:
             return []
-        if sum(map(len, self._layouts.values())) >= MOST_KINDS:  # the sender decides how many there are
+        if sum(map(len, self._layouts.values())) >= MOST_KINDS:  # bounded, as the sender decides how many there are
             self._layouts.clear()
-        self._layouts.setdefault(group, []).append(new)
-        return [new]
+        self._layouts.setdefault(group, []).append(layout)
+        return [layout]
 
 
 def _parsed(raw: Raw, place: int) -> tuple[Block, _Layout | None]:
-    """A message, and its layout, if that is understood. Raises ValueError saying why there is none."""
+    """Parse a message. Return it and its layout, None if that is not understood. Raises ValueError with the reason."""
     topic, data, *_ = raw
     types = message_types()
     try:
         message = types.deserialize_cdr(data, message_type(topic))
         block = Block.of(parse(topic, message), place)
-    except Exception as error:  # whatever bytes of another form make the code for this type raise
+    except Exception as error:  # parsing malformed bytes may raise anything
         raise ValueError((str(error).splitlines() or [type(error).__name__])[0]) from error
     if data[:2] != LITTLE_ENDIAN:
         return block, None
@@ -144,7 +144,7 @@ def _parsed(raw: Raw, place: int) -> tuple[Block, _Layout | None]:
 
 
 def _layout(topic: str, data: bytes, message: Any, block: Block) -> _Layout | None:
-    """The layout of a message, unless its numbers are not found where it says."""
+    """Return the layout of a message; None if its numbers are not at the expected places."""
     fixed, place = [slice(0, 2)], 12
     texts = [message.header.frame_id, *([message.child_frame_id] if topic == ODOM else ())]
     for text in texts:
@@ -166,17 +166,17 @@ def _layout(topic: str, data: bytes, message: Any, block: Block) -> _Layout | No
     places = np.concatenate([np.arange(part.start, part.stop) for part in fixed])
     if place > len(data):
         return None
-    whole = np.frombuffer(data, np.uint8)[None]
+    record = np.frombuffer(data, np.uint8)[None]
     names = [*map(str, range(len(formats)))]
     form = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": len(data)})
-    layout = _Layout(block, places, whole[0, places], form)
-    again = layout.block(whole, block.order)
-    same = all(a.tobytes() == b.tobytes() for a, b in zip(again.arrays, block.arrays, strict=True))
-    return layout if same and again.stamps[0] == block.stamps[0] else None
+    layout = _Layout(block, places, record[0, places], form)
+    decoded = layout.block(record, block.order)
+    same = all(a.tobytes() == b.tobytes() for a, b in zip(decoded.arrays, block.arrays, strict=True))
+    return layout if same and decoded.stamps[0] == block.stamps[0] else None
 
 
 def _aligned(place: int, size: int) -> int:
-    """The next place of a number of this size; CDR counts from the fifth byte."""
+    """Next place of a number of this size; CDR counts from the fifth byte."""
     return place + (4 - place) % size
 
 

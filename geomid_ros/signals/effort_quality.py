@@ -1,5 +1,4 @@
-"""What the numbers of efforts look like over many messages: spikes, saturated, held, coarse, cut about zero,
-overflowing, copied."""
+"""Faults of effort numbers over many messages: spikes, saturated, held, coarse, dead band, overflowing, copied."""
 
 from __future__ import annotations
 
@@ -12,15 +11,15 @@ from geomid_ros.signals.ledger import Reason, driver_error
 from geomid_ros.signals.settings import CLEAR, LONGEST_SAME
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
-_CHUNK = 128  # messages that are learned from at once
-_TAIL = 6  # messages of a chunk, at either end, that do not count
+_CHUNK = 128  # messages of a chunk
+_TAIL = 6  # outliers of a chunk, at either end, that are ignored
 _IN_RANGE, _IN_CHANGES, _IN_LIMIT = 1.5, 8.0, 0.02  # times the range of efforts, their changes, and the URDF's limit
-_LONG = 6  # messages at least, and times as long as any smaller effort stayed the same
-_MOSTLY = 0.75  # the largest share of all messages in which a saturated effort is the largest
+_LONG = 6  # messages at least, and multiple of the longest time that a smaller effort stayed the same
+_MOSTLY = 0.75  # largest fraction of messages in which a saturated effort is at its largest
 
 
 class SpikeHeights:
-    """Learns from chunks of messages; what it says changes with a whole chunk only."""
+    """Learns the least height of spikes from chunks of messages; it changes only with a complete chunk."""
 
     def __init__(self, limits: FloatArray) -> None:
         """
@@ -34,16 +33,16 @@ class SpikeHeights:
         self._low, self._high = np.full(joints, np.inf), np.full(joints, -np.inf)
         self._change = np.zeros(joints)
         self.least = np.full(joints, np.inf)
-        """The least height of a spike ``(joints,)``; infinite until it is known what is usual."""
+        """Least height of a spike ``(joints,)``; infinite until typical efforts are known."""
 
     @property
     def room(self) -> int:
-        """Messages until the chunk is whole."""
+        """Number of messages that complete the chunk."""
         return _CHUNK - self._count
 
     def add(self, efforts: FloatArray) -> bool:
-        """Take the efforts ``(N, joints)`` of messages, at most as many as there is room for. Returns whether the chunk
-        was whole, so that something was learned."""
+        """Take the efforts ``(N, joints)`` of messages, at most as many as there is room for. Return True if they
+        completed the chunk, so that something was learned."""
         self._chunk[self._count : self._count + len(efforts)] = efforts
         self._count += len(efforts)
         if self._count < _CHUNK:
@@ -53,7 +52,7 @@ class SpikeHeights:
         return True
 
     def _learn(self, efforts: FloatArray) -> None:
-        """Learn the range and the largest change, of the joints whose efforts are all measured."""
+        """Learn the range and the largest change for joints whose efforts are all measured."""
         ends = np.sort(efforts, axis=0)[[_TAIL, -1 - _TAIL]]
         change = np.sort(np.abs(np.diff(efforts, axis=0)), axis=0)[-1 - _TAIL]
         measured = ~np.isnan(efforts).any(axis=0)
@@ -65,61 +64,61 @@ class SpikeHeights:
 
 
 class SaturationDetector:
-    """Learns the largest effort of every joint, and how long smaller ones stay the same.
+    """Learns the largest effort of every joint, and for how long smaller efforts stay constant.
 
-    Rounding keeps a slow curve at its largest, too: -t^2 that just reaches the top level, of depth 1, stays on it for
-    2 sqrt(1), and on the level below for sqrt(2) - 1, 4.8 times as short. One that is nearly always at its largest is
-    not saturated but constant, as friction at constant speed. A coarse or noiseless sensor is mistaken for a saturated
-    one when, after a jump, it shows the same during a long acceleration, larger than ever before.
+    Rounding also keeps a slow curve at its largest value: -t^2 that just reaches the top level, of depth 1, stays on it
+    for 2 sqrt(1), and on the level below for sqrt(2) - 1, 4.8 times shorter. An effort that is nearly always at its
+    largest is not saturated but constant, as friction at constant speed. A coarse or noiseless sensor is mistaken for a
+    saturated one if, after a jump, it is constant during a long acceleration, and larger than ever before.
     """
 
     def __init__(self, joints: int) -> None:
         self._joints = joints
-        self._largest = np.full(joints, np.finfo(np.float64).tiny)  # so zeros are never the largest
+        self._largest = np.full(joints, np.finfo(np.float64).tiny)  # so that zeros are never the largest
         self._messages = 0
-        self._at_largest = np.zeros(joints, dtype=np.int64)  # of the messages so far
-        self._held = np.zeros(joints, dtype=np.int64)  # messages in which a smaller effort stayed the same
+        self._at_largest = np.zeros(joints, dtype=np.int64)  # number of messages at the largest effort so far
+        self._held = np.zeros(joints, dtype=np.int64)  # longest run of messages with a constant smaller effort
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew, as a clock was set back. What was learned is kept."""
+        """Restart after a clock was set back. What was learned is kept."""
         self._stamp, self._last = 0, np.full(self._joints, np.nan)  # of the last message
         self._largest_since = np.zeros(self._joints, dtype=np.int64)
         self._last_below = np.full(self._joints, self._messages)  # number of the last message with a smaller effort
-        self._begun = np.full(self._joints, self._messages)  # since when efforts have been the same
-        self._moved = np.zeros(self._joints, dtype=np.bool_)  # while its effort has been the largest
+        self._begun = np.full(self._joints, self._messages)  # number of the message since which efforts are constant
+        self._moved = np.zeros(self._joints, dtype=np.bool_)  # True if the joint moved at its largest effort
 
     def saturated(self, stamps: IntArray, effort: FloatArray, velocity: FloatArray, moving: BoolArray) -> BoolArray:
-        """Take N messages.
+        """Take N messages, and find saturated efforts.
 
         Args:
             stamps: ``(N,)`` [ns].
-            effort: ``(N, joints)``, NaN where it is not measured; so is ``velocity``.
+            effort: ``(N, joints)``, NaN where it is not measured, like ``velocity``.
             velocity: ``(N, joints)``.
-            moving: ``(N,)`` whether the robot moves.
+            moving: ``(N,)`` True if the robot moves.
 
         Returns:
-            ``(N, joints)`` which efforts are saturated.
+            ``(N, joints)`` True for saturated efforts.
         """
         size, last = np.abs(effort), np.concatenate([self._last[None], effort[:-1]])
         numbers = np.arange(self._messages + 1, self._messages + 1 + len(stamps))[:, None]
         sizes = np.concatenate([self._largest[None], size])
-        if not self._stamp:  # the first one is not learned from
+        if not self._stamp:  # the first message is not learned from
             sizes[1] = np.nan
         records = np.fmax.accumulate(sizes)
         record, grown = records[1:], records[1:] > records[:-1]
         held = self._learn_held(numbers, effort != last, grown | (np.abs(last) < record), moving[:, None])
         largest: BoolArray = size == record
         if largest.any():
-            found = moving[:, None] & self._stays(stamps, numbers, largest, grown, np.abs(velocity) < STILL, held)
+            result = moving[:, None] & self._stays(stamps, numbers, largest, grown, np.abs(velocity) < STILL, held)
         else:
-            found = largest
+            result = largest
             self._last_below, self._largest_since = (np.full(self._joints, last[-1]) for last in (numbers, stamps))
             self._moved = np.zeros(self._joints, dtype=np.bool_)
         self._stamp, self._last = int(stamps[-1]), effort[-1].copy()
         self._messages += len(stamps)
         self._largest = record[-1]
-        return found
+        return result
 
     def _stays(
         self,
@@ -130,43 +129,42 @@ class SaturationDetector:
         still: BoolArray,
         held: IntArray,
     ) -> BoolArray:
-        """Which efforts stay at their largest for longer than rounding explains, while their joint moves; all
-        ``(N, joints)``.
+        """True for efforts that stay at their largest for longer than rounding explains, while their joint moves; all
+        arrays are ``(N, joints)``.
 
         Args:
             stamps: ``(N,)`` [ns].
-            numbers: of the messages ``(N, 1)``.
-            largest: which efforts are the largest so far, and where these have ``grown``.
-            still: which joints do not move.
-            held: the most messages in which smaller efforts stayed the same.
+            numbers: running numbers of the messages ``(N, 1)``.
+            largest: True for efforts that are the largest so far, and where these have ``grown``.
+            still: True for joints at rest.
+            held: longest runs of messages with a constant smaller effort.
         """
         below = ~largest
         last_below = _latest(np.where(below, numbers, np.where(grown, numbers - 1, -1)), self._last_below)
-        ended = np.logical_or.accumulate(below | grown)  # what was the largest before these messages
+        ended = np.logical_or.accumulate(below | grown)  # runs from before these messages
         since = np.concatenate([[self._stamp], stamps])[np.maximum(last_below - self._messages, 0)]
         since = np.where(ended, since, self._largest_since)
         moves = np.where(largest & ~still, numbers, -1)
         moved = (_latest(moves, np.full(self._joints, -1)) > last_below) | (self._moved & ~ended)
         count = self._at_largest + np.cumsum(largest, axis=0)
-        longest = _LONG * np.maximum(1, held)  # that rounding could explain
-        found: BoolArray = (held > 0) & (numbers - last_below >= longest) & moved
-        found &= (count < _MOSTLY * numbers) & (1e-9 * (stamps[:, None] - since) >= LONGEST_SAME)
+        longest = _LONG * np.maximum(1, held)  # run that rounding could explain
+        stays: BoolArray = (held > 0) & (numbers - last_below >= longest) & moved
+        stays &= (count < _MOSTLY * numbers) & (1e-9 * (stamps[:, None] - since) >= LONGEST_SAME)
         self._last_below, self._largest_since = last_below[-1], since[-1]
         self._moved, self._at_largest = moved[-1], count[-1]
-        return found
+        return stays
 
     def _learn_held(self, numbers: IntArray, new: BoolArray, smaller: BoolArray, moving: BoolArray) -> IntArray:
-        """Learn for how many messages efforts stay the same though they are not the largest: those of a driver that
-        renews them seldom do.
+        """Learn how long efforts below the largest stay constant, as they do if the driver seldom renews them.
 
         Args:
-            numbers: of the messages ``(N, 1)``.
-            new: whether efforts are others than those before ``(N, joints)``.
-            smaller: whether those before were not the largest ``(N, joints)``.
-            moving: ``(N, 1)`` whether the robot moves.
+            numbers: running numbers of the messages ``(N, 1)``.
+            new: ``(N, joints)`` True if efforts differ from those before.
+            smaller: ``(N, joints)`` True if the efforts before were not the largest.
+            moving: ``(N, 1)`` True if the robot moves.
 
         Returns:
-            ``(N, joints)`` the most messages so far.
+            ``(N, joints)`` longest run so far.
         """
         begun = _latest(np.where(new | ~moving, numbers, -1), self._begun)
         begun_before = np.concatenate([self._begun[None], begun[:-1]])
@@ -177,14 +175,14 @@ class SaturationDetector:
 
 
 def _latest(numbers: IntArray, before: IntArray) -> IntArray:
-    """The largest number so far ``(N, joints)``."""
+    """Largest number so far ``(N, joints)``."""
     latest: IntArray = np.maximum(np.maximum.accumulate(numbers), before)
     return latest
 
 
-_FIRST, _MOST = 512, 16384  # messages that are judged together: a quarter more each time, up to the most
-_SMALL = 0.05  # share of messages, and of a range
-_MANY, _OVERFLOWS = 10, 3  # changes, and overflows in either direction, at least
+_FIRST, _MOST = 512, 16384  # messages of a window: a quarter more each time, up to the most
+_SMALL = 0.05  # fraction of messages, and of a range
+_MANY, _OVERFLOWS = 10, 3  # least number of changes, and of overflows in either direction
 _SENTENCES = {
     "held": "come only every {:.1g} s, and are the same numbers in between",
     "zero": "fall to exactly zero, and rise again, at once: a dead band, or a drive switched off or braked",
@@ -195,23 +193,23 @@ _SENTENCES = {
 
 
 class EffortQuality:
-    """Collects messages with efforts of J joints, and tells once what is peculiar about them."""
+    """Checks the efforts of J joints over many messages, and reports each fault once."""
 
     def __init__(self, joints: Sequence[str], turning: BoolArray, note: Callable[[str], None]) -> None:
         """
         Args:
             joints: their names.
-            turning: ``(J,)`` which are revolute: two fingers of a gripper may have one effort.
-            note: told what is peculiar about efforts, as an error of the driver where it makes them doubtful.
+            turning: ``(J,)`` True for revolute joints: two fingers of a gripper may have the same effort.
+            note: receives faults of efforts, as an error of the driver if they make efforts doubtful.
         """
         self._joints, self._turning, self._note = tuple(joints), turning, note
         self._kept: list[tuple[IntArray, FloatArray, FloatArray]] = []
-        self._due = self._room = _FIRST  # messages of the window, and those that are still to come
+        self._due = self._room = _FIRST  # messages of the window, and how many are still to come
         self._before = {kind: np.zeros(len(joints), dtype=np.bool_) for kind in _SENTENCES}
-        self._told = dict(self._before)
+        self._reported = dict(self._before)
 
     def add(self, stamps: IntArray, positions: FloatArray, efforts: FloatArray) -> None:
-        """Take messages that are used.
+        """Take used messages.
 
         Args:
             stamps: ``(N,)`` [ns].
@@ -227,17 +225,17 @@ class EffortQuality:
             stamps, positions, efforts = stamps[room:], positions[room:], efforts[room:]
 
     def _judge(self) -> None:
-        """Tell of each joint once what is found twice in a row."""
+        """Check the window. Report faults that were found twice in a row, once for each joint."""
         stamps, positions, efforts = (np.concatenate(parts) for parts in zip(*self._kept, strict=True))
-        found, every = peculiar(stamps, positions, efforts, self._turning)
-        for kind, now in found.items():
-            joints = now & self._before[kind] & ~self._told[kind]
-            self._told[kind] = self._told[kind] | joints
+        faults, renewal_periods = peculiar(stamps, positions, efforts, self._turning)
+        for kind, affected in faults.items():
+            joints = affected & self._before[kind] & ~self._reported[kind]
+            self._reported[kind] = self._reported[kind] | joints
             if joints.any():
                 who = "all joints" if joints.all() else ", ".join(repr(self._joints[j]) for j in np.flatnonzero(joints))
-                sentence = f"efforts of {who} {_SENTENCES[kind].format(np.median(every[joints]))}"
+                sentence = f"efforts of {who} {_SENTENCES[kind].format(np.median(renewal_periods[joints]))}"
                 self._note(Reason(sentence, "told") if kind == "coarse" else driver_error(sentence))
-        self._before = found
+        self._before = faults
         kept = self._due if self._due < _MOST else 0
         self._kept = [(stamps[:kept], positions[:kept], efforts[:kept])]
         self._due = min(5 * self._due // 4, _MOST)
@@ -247,59 +245,59 @@ class EffortQuality:
 def peculiar(
     stamps: IntArray, positions: FloatArray, efforts: FloatArray, turning: BoolArray
 ) -> tuple[dict[str, BoolArray], FloatArray]:
-    """What is peculiar about efforts, each joint's by one thing alone.
+    """Find the faults of efforts: at most one for each joint, besides "copied".
 
     Args:
         stamps: ``(N,)`` [ns].
         positions: ``(N, J)``.
         efforts: ``(N, J)``, NaN where not measured.
-        turning: ``(J,)`` which joints are revolute.
+        turning: ``(J,)`` True for revolute joints.
 
     Returns:
-        Which joints are concerned ``(J,)``, by the kind; and the time between changes [s] ``(J,)``.
+        The affected joints ``(J,)`` by kind of fault; and the mean time between changes [s] ``(J,)``.
     """
     measured = np.isfinite(efforts)
-    efforts = _held(efforts, measured)  # a number of its own would be a step that no sensor has
-    size, spread, whole = np.abs(efforts), np.std(efforts, axis=0), np.ptp(efforts, axis=0)
+    efforts = _held(efforts, measured)  # any other fill value would be a step that no sensor has
+    size, std, span = np.abs(efforts), np.std(efforts, axis=0), np.ptp(efforts, axis=0)
     change, jumps = np.abs(np.diff(efforts, axis=0)), np.diff(size == 0.0, axis=0)
     count = np.count_nonzero(jumps, axis=0)
-    usual, jumped = _mean(change, (change > 0.0) & ~jumps), _mean(change, jumps)
+    typical, jumped = _mean(change, (change > 0.0) & ~jumps), _mean(change, jumps)
     step = np.min(change, axis=0, where=change > 0.0, initial=np.inf)
-    many = (np.count_nonzero(change, axis=0) >= _MANY) & (spread > 0.0)
-    coarse = many & (CLEAR * step > spread)
+    many = (np.count_nonzero(change, axis=0) >= _MANY) & (std > 0.0)
+    coarse = many & (CLEAR * step > std)
     fine = many & ~coarse
 
     period = 1e-9 * float(np.median(np.diff(stamps)))
     moving = np.abs(np.diff(positions, axis=0)) > STILL * period
     renewed = np.sum(moving & (change > 0.0), axis=0)
-    every = period * np.sum(moving, axis=0) / np.maximum(renewed, 1)
-    held = fine & (renewed >= _MANY) & (every > LONGEST_SAME) & (usual > CLEAR * step)
+    renewal_period = period * np.sum(moving, axis=0) / np.maximum(renewed, 1)
+    held = fine & (renewed >= _MANY) & (renewal_period > LONGEST_SAME) & (typical > CLEAR * step)
 
     least = np.min(size, axis=0, where=size > 0.0, initial=np.inf)
-    dead = (np.mean(size == 0.0, axis=0) > _SMALL) & (CLEAR * least > spread)
-    zero = fine & ~held & (dead | ((count >= _MANY) & (jumped > CLEAR * usual)))
+    dead = (np.mean(size == 0.0, axis=0) > _SMALL) & (CLEAR * least > std)
+    zero = fine & ~held & (dead | ((count >= _MANY) & (jumped > CLEAR * typical)))
 
-    place = (efforts - np.min(efforts, axis=0)) / np.where(whole > 0.0, whole, 1.0)
-    low, high = place < _SMALL, place > 1.0 - _SMALL
+    relative = (efforts - np.min(efforts, axis=0)) / np.where(span > 0.0, span, 1.0)
+    low, high = relative < _SMALL, relative > 1.0 - _SMALL
     both = [np.sum(one[:-1] & other[1:], axis=0) for one, other in ((low, high), (high, low))]
-    over = fine & ~held & ~zero & (usual < _SMALL * whole) & (np.minimum(*both) >= _OVERFLOWS)
-    over &= whole < 2.0 * CLEAR * spread  # else it is a few spikes that make the range
+    over = fine & ~held & ~zero & (typical < _SMALL * span) & (np.minimum(*both) >= _OVERFLOWS)
+    over &= span < 2.0 * CLEAR * std  # else a few spikes make the range
 
-    copied = np.zeros(len(whole), dtype=np.bool_)
-    few = np.where(size > 0.0, efforts, np.nan)[: int(_SMALL * len(efforts)) + 1].T  # not all of these may differ
+    copied = np.zeros(len(span), dtype=np.bool_)
+    few = np.where(size > 0.0, efforts, np.nan)[: int(_SMALL * len(efforts)) + 1].T  # copies agree at least once here
     for one, other in np.argwhere(np.any(few[:, None] == few, axis=2) & np.outer(fine & turning, fine & turning)):
         if one < other and np.mean((size[:, one] > 0.0) & (efforts[:, one] == efforts[:, other])) > 1.0 - _SMALL:
             copied[[one, other]] = True
-    return {"held": held, "zero": zero, "overflow": over, "copied": copied, "coarse": coarse}, every
+    return {"held": held, "zero": zero, "overflow": over, "copied": copied, "coarse": coarse}, renewal_period
 
 
 def _held(efforts: FloatArray, measured: BoolArray) -> FloatArray:
-    """Efforts ``(N, J)``, those before, or the first ones, where they are not measured; zero where none ever are."""
+    """Efforts ``(N, J)``; gaps have the value before, or the first one, or zero if none is measured."""
     places = np.where(measured, np.arange(len(efforts))[:, None], np.argmax(measured, axis=0))
-    held = np.take_along_axis(efforts, np.maximum.accumulate(places, axis=0), axis=0)
-    return np.where(np.any(measured, axis=0), held, 0.0)
+    result = np.take_along_axis(efforts, np.maximum.accumulate(places, axis=0), axis=0)
+    return np.where(np.any(measured, axis=0), result, 0.0)
 
 
-def _mean(values: FloatArray, which: BoolArray) -> FloatArray:
-    """Means ``(J,)`` of some of ``values (N, J)``, zero where there are none."""
-    return np.asarray(np.sum(values, axis=0, where=which) / np.maximum(np.sum(which, axis=0), 1))
+def _mean(values: FloatArray, selected: BoolArray) -> FloatArray:
+    """Means ``(J,)`` of the selected ``values (N, J)``; zero where none is selected."""
+    return np.asarray(np.sum(values, axis=0, where=selected) / np.maximum(np.sum(selected, axis=0), 1))

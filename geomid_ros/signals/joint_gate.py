@@ -1,7 +1,7 @@
-"""Gate on joint messages: those that neither their neighbours nor the URDF's limits allow are refused, too.
+"""Gate for joint messages: also refuses those that contradict their neighbours or the URDF's limits.
 
-A message that does not go on from the one before waits until up to :data:`AHEAD` more have come, which show what it
-was: a fault that is over after three messages, a clock that was set, or something real, which passes.
+A message that does not continue the one before waits for up to :data:`AHEAD` more. They show what it is: a fault of at
+most three messages, a clock that was set, or something real, which passes.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ LEAP = driver_error(
     "positions leap farther than joints can move: a simulation was reset, an encoder was frozen or lost its count, or "
     "recordings were joined; a new segment begins"
 )
-_USUAL_STEP = 1.9  # periods between two stamps, above which one may be ahead
-_TOO_FAST = 1.5  # times the limit
-_LEAST_SET = 20e-3  # [s] that a clock is set by
-_MUCH_LESS_LIKELY = 25.0  # square of standard deviations, of all joints
+_USUAL_STEP = 1.9  # periods; after a longer step a stamp may be ahead of its time
+_TOO_FAST = 1.5  # times the speed limit
+_LEAST_SET = 20e-3  # [s] smallest clock step that is detected
+_MUCH_LESS_LIKELY = 25.0  # difference in chi square, summed over joints
 
 
 class JointGate(Gate):
-    """Refuses joint messages by their neighbours, too; see the module."""
+    """Refuses joint messages that contradict their neighbours; see the module."""
 
     def __init__(self, joints: tuple[str, ...], limits: FloatArray, turning: BoolArray, max_gap: int) -> None:
         """
         Args:
-            joints: those of the messages.
-            limits: ``(2, joints)`` the URDF's of speeds and of efforts, infinite where it has none.
-            turning: ``(joints,)`` which are revolute: a whole turn is no jump.
-            max_gap: [ns] what is further apart is not compared.
+            joints: of the messages.
+            limits: ``(2, joints)`` the URDF's limits of speeds and efforts, infinite where it has none.
+            turning: ``(joints,)`` True for revolute joints, for which a whole turn is no jump.
+            max_gap: [ns] messages further apart are not compared.
         """
         super().__init__(max_gap)
         self._joints = joints
@@ -51,13 +51,13 @@ class JointGate(Gate):
         self._speed = _TOO_FAST * np.minimum(limits[0], FASTEST)
         self._efforts = SpikeHeights(limits[1])
         self._period_before = np.inf
-        self._usual_step = 0.0  # [s] between stamps, where they are uneven
-        self._stamps = np.zeros(0, dtype=np.int64)  # of the last messages that passed, of one segment
-        self._late = 0  # stamp of the first of late messages that no clock explains; that of the last that passed else
-        self._last = np.zeros((0, 3, len(joints)))  # numbers of the very last ones
+        self._usual_step = 0.0  # [s] long step between uneven stamps
+        self._stamps = np.zeros(0, dtype=np.int64)  # of the last messages that passed in this segment
+        self._late = 0  # stamp of the first late message that no clock explains, else of the last that passed
+        self._last = np.zeros((0, 3, len(joints)))  # numbers of the last few messages
 
     def _pass_plain(self, stamps: IntArray, numbers: FloatArray) -> int:
-        """Let messages pass that go on from those before, up to the first that does not. Returns how many passed."""
+        """Pass messages that continue those before, up to the first that does not. Return how many passed."""
         place = 0
         while place < len(stamps):
             if not len(self._stamps):
@@ -74,42 +74,42 @@ class JointGate(Gate):
 
     @property
     def _period(self) -> float:
-        """Time between messages [s], from the span of the last ones; infinite until it is known."""
+        """Mean time between the last messages [s]; infinite until it is known."""
         count = len(self._stamps) - 1
         if count < FEWEST:
             return self._period_before
         return 1e-9 * float(self._stamps[-1] - self._stamps[0]) / count
 
     def _compare_anew(self) -> None:
-        """Compare stamps with those that come alone; the period is what it was."""
+        """Restart comparisons of stamps; the period is kept."""
         self._period_before = self._period
         self._stamps = self._stamps[:0]
 
     def _suspicious(self, stamps: IntArray, numbers: FloatArray) -> BoolArray:
-        """Which messages do not go on from the one before ``(N,)``; as if all passed."""
-        every, passed = np.concatenate([self._stamps, stamps]), len(self._stamps)
-        before = every[passed - 1 : -1]
-        ends = np.arange(passed - 1, len(every) - 1)  # of the spans before each message
+        """True for messages ``(N,)`` that do not continue the one before, assuming that it passes."""
+        all_stamps, passed = np.concatenate([self._stamps, stamps]), len(self._stamps)
+        before = all_stamps[passed - 1 : -1]
+        ends = np.arange(passed - 1, len(all_stamps) - 1)  # last stamp of the span before each message
         begins = np.maximum(ends - 2 * FEWEST, 0)
         counts = ends - begins
-        periods = 1e-9 * (before - every[begins]) / np.maximum(counts, 1)
+        periods = 1e-9 * (before - all_stamps[begins]) / np.maximum(counts, 1)
         periods[counts < FEWEST] = self._period_before
         ahead = stamps - before
         seconds = 1e-9 * ahead
         reach = np.maximum(seconds, periods)[:, None] * self._speed
-        found: BoolArray = (seconds > np.maximum(_USUAL_STEP * periods, self._usual_step)) | (ahead <= 0)
-        found |= ahead > self._max_gap
-        found |= (self._size(steps(numbers[:, 0], self._last[-1, 0])) > reach).any(axis=1)
-        found |= (np.abs(steps(numbers[:, 2], self._last[-1, 2])) > self._efforts.least).any(axis=1)
-        return found
+        suspicious: BoolArray = (seconds > np.maximum(_USUAL_STEP * periods, self._usual_step)) | (ahead <= 0)
+        suspicious |= ahead > self._max_gap
+        suspicious |= (self._size(steps(numbers[:, 0], self._last[-1, 0])) > reach).any(axis=1)
+        suspicious |= (np.abs(steps(numbers[:, 2], self._last[-1, 2])) > self._efforts.least).any(axis=1)
+        return suspicious
 
     def _distance(self, first: FloatArray, second: FloatArray) -> FloatArray:
-        """How far positions ``(..., joints)`` are apart, but for whole turns."""
+        """Distances between positions ``(..., joints)``, modulo whole turns."""
         return self._size(first - second)
 
-    def _size(self, apart: FloatArray) -> FloatArray:
-        """The sizes of steps between positions ``(..., joints)``, but for whole turns."""
-        return np.asarray(np.abs(apart - self._turn * np.rint(apart / tau)))
+    def _size(self, step: FloatArray) -> FloatArray:
+        """Sizes of position steps ``(..., joints)``, modulo whole turns."""
+        return np.asarray(np.abs(step - self._turn * np.rint(step / tau)))
 
     def _pass(self, stamps: IntArray, numbers: FloatArray) -> None:
         if not len(stamps):
@@ -124,32 +124,32 @@ class JointGate(Gate):
         if self._efforts.add(numbers[:, 2]) and len(self._stamps) > 2 * FEWEST:
             self._usual_step = 1e-9 * float(np.partition(np.diff(self._stamps), -FEW)[-FEW])
 
-    def _answer(self, stamps: IntArray, numbers: FloatArray, *, whole: bool) -> Answer | None:
+    def _answer(self, stamps: IntArray, numbers: FloatArray, *, final: bool) -> Answer | None:
         in_order = super()._answer
         is_late = self._late < stamps[0] <= self._stamp or (len(stamps) > 1 and stamps[0] <= self._stamp < stamps[1])
         if is_late or abs(stamps[0] - self._stamp) > self._max_gap:
-            return in_order(stamps, numbers, whole=whole)
+            return in_order(stamps, numbers, final=final)
         stamps, numbers = stamps[: AHEAD + 1], numbers[: AHEAD + 1]
         for count in range(1, min(FEW, len(stamps) - 2) + 1):
             reason = self._early(stamps, count) or self._position_jumps(stamps, numbers, count)
             if reason:
                 return Answer(count, refused=reason)
-            spiking = self._effort_spikes(numbers, count)
-            if spiking:
-                return self._spike(spiking, count, self._elapsed(stamps, count))
-        if len(stamps) <= AHEAD and not whole:
+            spike = self._effort_spikes(numbers, count)
+            if spike:
+                return self._spike(spike, count, self._elapsed(stamps, count))
+        if len(stamps) <= AHEAD and not final:
             return None
         if self._clock_was_set(stamps, numbers):
             return Answer(noted=CLOCK_SET, begins=True)
         if stamps[0] <= self._stamp:
             self._late = int(stamps[0])
-            return in_order(stamps, numbers, whole=whole)
+            return in_order(stamps, numbers, final=final)
         return Answer(noted=LEAP, begins=True) if self._position_leaps(stamps, numbers) else Answer()
 
     @staticmethod
     def _spike(effort: str, count: int, elapsed: float) -> Answer:
-        """What an effort is that is back within so many seconds. That of a short contact is not the robot's either; for
-        what lasts longer the robot may have moved as never before."""
+        """Decide on an effort that returns within ``elapsed`` [s]. Short contacts are refused, too, as they are not the
+        robot's dynamics. Longer peaks are kept, as the robot may move in a new way."""
         if elapsed <= SHORTEST_CONTACT:
             return Answer(count, refused=f"{effort} {SPIKE}")
         if count == 1 and elapsed <= 2.0 * SHORTEST_CONTACT:
@@ -157,9 +157,10 @@ class JointGate(Gate):
         return Answer(noted=Reason(f"{effort} {SPIKE_OR_CONTACT}: kept", "told"))
 
     def _early(self, stamps: IntArray, length: int) -> str:
-        """The next two messages are later than the last good one, and not later than these."""
-        then, after = stamps[length : length + 2].tolist()
-        is_early = self._stamp < then < after <= int(np.min(stamps[:length]))
+        """EARLY if the first ``length`` stamps are ahead of the next two, which continue the last good one; else
+        empty."""
+        next_stamp, second_next = stamps[length : length + 2].tolist()
+        is_early = self._stamp < next_stamp < second_next <= int(np.min(stamps[:length]))
         return EARLY if is_early else ""
 
     def _elapsed(self, stamps: IntArray, length: int) -> float:
@@ -167,7 +168,7 @@ class JointGate(Gate):
         return max(1e-9 * float(stamps[length] - self._stamp), (length + 1) * self._period)
 
     def _position_jumps(self, stamps: IntArray, numbers: FloatArray, length: int) -> str:
-        """Positions that jump away and come back faster than the joint can move."""
+        """Describe a position that jumps away and back faster than the joint can move; empty if none does."""
         last, reach = self._last[-1], self._elapsed(stamps, length) * self._speed
         away, back, later = numbers[:length], numbers[length], numbers[length + 1]
         far = np.min(np.minimum(self._distance(away[:, 0], last[0]), self._distance(away[:, 0], back[0])), axis=0)
@@ -184,16 +185,16 @@ class JointGate(Gate):
         )
 
     def _position_leaps(self, stamps: IntArray, numbers: FloatArray) -> bool:
-        """Whether a position goes on elsewhere, farther than the joint can move."""
+        """True if a position continues elsewhere, farther than the joint can move."""
         reach = self._elapsed(stamps, 0) * self._speed
         far = self._distance(numbers[0, 0], self._last[-1, 0])
         if not (far > reach).any():
             return False
-        usual = np.maximum(self._largest_step(self._last), self._largest_step(numbers))
-        return bool(np.any((far > reach) & (far > CLEAR * usual)))
+        largest_step = np.maximum(self._largest_step(self._last), self._largest_step(numbers))
+        return bool(np.any((far > reach) & (far > CLEAR * largest_step)))
 
     def _effort_spikes(self, numbers: FloatArray, length: int) -> str:
-        """The effort that leaves what is usual, and comes back."""
+        """Name the effort that leaves its usual range and returns; empty if none does."""
         last, away, back, later = self._last[-1, 2], numbers[:length, 2], numbers[length, 2], numbers[length + 1, 2]
         height = np.min(np.minimum(np.abs(away - last), np.abs(away - back)), axis=0)
         spikes = height > self._efforts.least
@@ -203,13 +204,12 @@ class JointGate(Gate):
         return f"effort of '{self._joints[int(np.argmax(spikes))]}'" if spikes.any() else ""
 
     def _largest_step(self, numbers: FloatArray) -> FloatArray:
-        """Between positions of messages in a row ``(joints,)``: what moves fast anyway may be faster than thought."""
+        """Largest step between consecutive positions ``(joints,)``: a fast joint may exceed its assumed limit."""
         moved = self._distance(numbers[1:, 0], numbers[:-1, 0])
         return np.asarray(np.max(moved, axis=0, initial=0.0))
 
     def _clock_was_set(self, stamps: IntArray, numbers: FloatArray) -> bool:
-        """Whether by the motion only a period has passed between the last good message and the first of these, from
-        which the stamps go on as before."""
+        """True if the stamps step but the motion shows that one period passed, and the stamps go on as before."""
         period, count = self._period, AHEAD + 1
         periods = 1e-9 * np.diff(stamps)
         step = 1e-9 * float(stamps[0] - self._stamp)
@@ -217,31 +217,31 @@ class JointGate(Gate):
             return False
         if np.any((periods < period / CLEAR) | (periods > _USUAL_STEP * period)):
             return False
-        left, right = self._without_turns(self._last[-count:, 0], numbers[:, 0])
-        ends = _end(self._stamps[-count:] - self._stamps[-1], left), _end(stamps - stamps[0], right)
-        return _unlikely(*ends, step) > _unlikely(*ends, period) + _MUCH_LESS_LIKELY
+        before, after = self._without_turns(self._last[-count:, 0], numbers[:, 0])
+        ends = _edge_state(self._stamps[-count:] - self._stamps[-1], before), _edge_state(stamps - stamps[0], after)
+        return _chi_square(*ends, step) > _chi_square(*ends, period) + _MUCH_LESS_LIKELY
 
-    def _without_turns(self, left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Positions relative to the last of the first ones."""
-        apart = np.concatenate([left, right]) - left[-1]
-        whole = apart - self._turn * np.round(apart / tau)
-        return whole[: len(left)], whole[len(left) :]
+    def _without_turns(self, before: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return both position sequences relative to the last of ``before``, without whole turns."""
+        relative = np.concatenate([before, after]) - before[-1]
+        unwrapped = relative - self._turn * np.round(relative / tau)
+        return unwrapped[: len(before)], unwrapped[len(before) :]
 
 
-def _end(stamps: IntArray, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Place and speed where a piece of a motion ends, or begins, and the variances of both, each ``(2, joints)``: at
-    time zero of parabolas through ``positions (N, joints)``."""
+def _edge_state(stamps: IntArray, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Position and velocity at time zero and their variances, each ``(2, joints)``, of parabolas through
+    ``positions (N, joints)``."""
     terms = np.vander(1e-9 * stamps, 3, increasing=True)
-    fitted, *_ = np.linalg.lstsq(terms, positions, rcond=None)
-    noise = np.sum((positions - terms @ fitted) ** 2, axis=0) / (len(stamps) - 3) + FINEST**2
-    spread = np.diag(np.linalg.inv(terms.T @ terms))
-    return fitted[:2], spread[:2, None] * noise
+    coefficients, *_ = np.linalg.lstsq(terms, positions, rcond=None)
+    noise = np.sum((positions - terms @ coefficients) ** 2, axis=0) / (len(stamps) - 3) + FINEST**2
+    variances = np.diag(np.linalg.inv(terms.T @ terms))
+    return coefficients[:2], variances[:2, None] * noise
 
 
-def _unlikely(left: tuple[FloatArray, FloatArray], right: tuple[FloatArray, FloatArray], time: float) -> float:
-    """How unlikely it is that a time [s] has passed from the end of a motion to its next beginning: the sum of squares
-    of the joints' ways by the mean of the speeds, in standard deviations."""
-    (place, speed), (variance, of_speed) = left
-    (next_place, next_speed), (next_variance, of_next_speed) = right
-    error = next_place - place - 0.5 * time * (speed + next_speed)
-    return float(np.sum(error**2 / (variance + next_variance + 0.25 * time**2 * (of_speed + of_next_speed))))
+def _chi_square(end: tuple[FloatArray, FloatArray], start: tuple[FloatArray, FloatArray], time: float) -> float:
+    """Chi square, summed over joints, of the hypothesis that ``time`` [s] passed between the end of one motion and the
+    start of the next. The displacement is predicted with the mean of the velocities."""
+    (x, v), (var_x, var_v) = end
+    (next_x, next_v), (next_var_x, next_var_v) = start
+    error = next_x - x - 0.5 * time * (v + next_v)
+    return float(np.sum(error**2 / (var_x + next_var_x + 0.25 * time**2 * (var_v + next_var_v))))

@@ -1,4 +1,4 @@
-"""Joint messages: numbers in the robot's order of joints, and whether its efforts are plausible."""
+"""Joint messages: numbers in the robot's order of joints, and checks of efforts."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from geomid_ros.signals.ledger import Reason, driver_error
 from geomid_ros.signals.messages import Block
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
-_UNLIKE_A_TURN = 0.5  # [rad] a step that is no further from a whole turn is the driver's
+_UNLIKE_A_TURN = 0.5  # [rad] a step that is nearer to a whole turn is an artefact of the driver
 UNWRAPPED = "jump by whole turns: unwrapped"
 FROZEN = Reason("frozen: all numbers are those of the message before, though the robot moves", "repeated")
 
 
 class RejectedError(Exception):
-    """A message that cannot be used, for the ``reason`` that is counted."""
+    """A message is unusable, for the ``reason`` that is counted."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
@@ -29,9 +29,10 @@ class RejectedError(Exception):
 
 
 class JointReader:
-    """Checks joint messages, in the order of their stamps, and brings them into the robot's order of joints.
+    """Checks joint messages in the order of their stamps, and converts them to the robot's order of joints.
 
-    An effort that fails for less than ``max_gap`` costs the message, one that fails for longer its joint's equation.
+    If an effort is invalid for less than ``max_gap``, its messages are refused; if for longer, the equation of its
+    joint is left out.
     """
 
     def __init__(
@@ -47,10 +48,10 @@ class JointReader:
         Args:
             joints: the robot's, in its order.
             gains: ``(joints,)`` factors of efforts.
-            continuous: ``(joints,)`` which have no end: their positions may jump by whole turns.
+            continuous: ``(joints,)`` True for joints without limits: their positions may jump by whole turns.
             max_gap: [ns].
-            note: is told of peculiarities.
-            turning: ``(joints,)`` which are revolute: a step of a whole turn in their positions is the driver's.
+            note: receives remarks.
+            turning: ``(joints,)`` True for revolute joints: the driver causes steps of a whole turn in their positions.
         """
         self._joints = tuple(joints)
         self._gains = gains
@@ -66,36 +67,36 @@ class JointReader:
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew, as a clock was set back."""
+        """Restart after a clock was set back."""
         self._stamp = 0
-        self._last = np.full((3, len(self._joints)), np.inf)  # the numbers of the last message, as they were sent
-        self._raw: FloatArray | None = None  # its positions before turns were added to them
-        self._turns = np.zeros(len(self._joints))  # that were added
+        self._last = np.full((3, len(self._joints)), np.inf)  # numbers of the last message, as sent
+        self._raw: FloatArray | None = None  # its positions before turns were added
+        self._turns = np.zeros(len(self._joints))  # whole turns that are added
         self._came, self._speed = 0, 0.0  # stamp and speed of the last message
-        self._seen = np.zeros(len(self._joints), dtype=np.bool_)  # joints of which an effort was not zero
-        self._made_up = False  # efforts that are all zero, until one is not
+        self._seen = np.zeros(len(self._joints), dtype=np.bool_)  # joints that have had a nonzero effort
+        self._made_up = False  # True while all efforts are zero for lack of a sensor
         self._effort_stamps = np.zeros(len(self._joints), dtype=np.int64)
         self._saturation.restart()
 
     @property
     def stamp(self) -> int:
-        """Of the last message that was not frozen [ns]; 0 before."""
+        """Stamp of the last message that was not frozen [ns]; 0 before."""
         return self._stamp
 
     @property
     def unmeasured(self) -> tuple[str, ...]:
-        """The joints whose equations are left out, as their efforts have failed for long."""
+        """Joints whose equations are left out, as their efforts have been invalid for long."""
         if not self._stamp:
             return ()
         lost = (self._effort_stamps == 0) | (self._stamp - self._effort_stamps > self._max_gap)
-        return tuple(joint for joint, gone in zip(self._joints, lost, strict=True) if gone)
+        return tuple(joint for joint, is_lost in zip(self._joints, lost, strict=True) if is_lost)
 
     def numbers(self, block: Block) -> tuple[FloatArray, AnyArray]:
-        """What messages say, in the robot's order of joints.
+        """Read messages, each by itself, into the robot's order of joints.
 
         Returns:
-            Positions, velocities and efforts ``(N, 3, joints)``, NaN where something is not measured; and for each
-            message that cannot be used for what it says by itself the reason, None for the others ``(N,)``.
+            Positions, velocities and efforts ``(N, 3, joints)``, NaN where not measured; and for each message ``(N,)``
+            the reason why it is unusable by itself, or None.
         """
         count, names = len(block.stamps), block.names
         vector, refusals = np.full((count, 3, len(self._joints)), np.nan), np.full(count, None)
@@ -113,9 +114,9 @@ class JointReader:
         vector[:, 2] *= self._gains
         good = plausible(vector)
         if not good.all():
-            wild = ~good[:, 1] & ~np.isnan(vector[:, 1])  # NaN is what drivers send that measure no velocity
-            for row in np.flatnonzero(wild.any(axis=1)):
-                refusals[row] = f"velocity of '{self._joints[int(np.argmax(wild[row]))]}' not finite"
+            invalid = ~good[:, 1] & ~np.isnan(vector[:, 1])  # drivers without measured velocities send NaN
+            for row in np.flatnonzero(invalid.any(axis=1)):
+                refusals[row] = f"velocity of '{self._joints[int(np.argmax(invalid[row]))]}' not finite"
             vector[~good] = np.nan
             for row in np.flatnonzero(~good[:, 0].all(axis=1)):
                 joint = self._joints[int(np.argmin(good[row, 0]))]
@@ -127,11 +128,11 @@ class JointReader:
 
         Args:
             stamps: ``(N,)`` [ns], increasing.
-            numbers: ``(N, 3, joints)`` as :meth:`numbers` gives them.
+            numbers: ``(N, 3, joints)`` as from :meth:`numbers`.
 
         Returns:
-            The numbers of the messages ``(N, 3 joints)``, and for each that cannot be used the reason, None for the
-            others ``(N,)``.
+            The numbers of the messages ``(N, 3 joints)``; and for each message ``(N,)`` the reason why it is unusable,
+            or None.
         """
         values, refusals = numbers.copy(), np.full(len(stamps), None)
         self._unwind(values[:, 0])
@@ -139,23 +140,23 @@ class JointReader:
         refusals[frozen] = FROZEN
         used = np.flatnonzero(~frozen)
         if len(used):
-            then, kept = stamps[used], values[used]
-            self._stamp, self._last = int(then[-1]), kept[-1].copy()
-            refusals[used] = self._check_effort(then, kept, speeds[used] > STILL)
-            values[used] = kept
+            used_stamps, used_values = stamps[used], values[used]
+            self._stamp, self._last = int(used_stamps[-1]), used_values[-1].copy()
+            refusals[used] = self._check_effort(used_stamps, used_values, speeds[used] > STILL)
+            values[used] = used_values
             good = without_refusal(refusals)
             self._quality.add(stamps[good], values[good, 0], values[good, 2])
         return values.reshape(len(stamps), -1), refusals
 
     def _order_of(self, names: tuple[str, ...]) -> IntArray:
-        """The places of the robot's joints among a message's names. Most messages have those of the one before."""
+        """Places of the robot's joints among a message's names. Most messages have the same names as the one before."""
         if not names:
             raise RejectedError(driver_error("no joint names"))
         if self._names != names:
             index = {name: place for place, name in enumerate(names)}
             if len(index) != len(names):
-                twice = next(name for place, name in enumerate(names) if index[name] != place)
-                raise RejectedError(driver_error(f"joint '{twice}' is named twice"))
+                duplicate = next(name for place, name in enumerate(names) if index[name] != place)
+                raise RejectedError(driver_error(f"joint '{duplicate}' is named twice"))
             if missing := missing_joint(self._joints, names):
                 raise RejectedError(missing)
             extra = next((name for name in names if name not in self._joints), None)
@@ -171,7 +172,7 @@ class JointReader:
             self._note(remark)
 
     def _unwind(self, positions: FloatArray) -> None:
-        """Add whole turns to positions that jump by them: those of continuous joints, and of drivers that wrap."""
+        """Add whole turns to positions that jump by them, for continuous joints and for drivers that wrap."""
         moved = steps(positions, positions[0] if self._raw is None else self._raw)
         self._raw = positions[-1].copy()
         turns = np.rint(moved / tau)
@@ -186,21 +187,21 @@ class JointReader:
         self._turns = added[-1]
 
     def _frozen(self, stamps: IntArray, numbers: FloatArray) -> tuple[BoolArray, FloatArray]:
-        """In which messages no number has changed, though by velocities, or else by the positions before, the robot
-        moves; and the speed in each, both ``(N,)``."""
-        # Positions first, as hardly ever all of them are the same. Zeros as efforts are looked at elsewhere.
+        """Find messages in which no number changed although the robot moves, by velocities or else by earlier
+        positions; and the speed in each message. Both are ``(N,)``."""
+        # Positions first, as they are rarely all equal. Zero efforts are checked elsewhere.
         moved = steps(numbers[:, 0], self._last[0])
         same: BoolArray = ~moved.any(axis=1)
         if same.any():
-            now, then = numbers[same], np.concatenate([self._last[None], numbers[:-1]])[same]
-            same[same] = ((now == then) | (np.isnan(now) & np.isnan(then))).all(axis=(1, 2)) & now[:, 2].any(axis=1)
+            now, before = numbers[same], np.concatenate([self._last[None], numbers[:-1]])[same]
+            same[same] = ((now == before) | (np.isnan(now) & np.isnan(before))).all(axis=(1, 2)) & now[:, 2].any(axis=1)
         speeds = self._speeds(stamps, numbers[:, 1], moved, same)
         self._came, self._speed = int(stamps[-1]), float(speeds[-1])
         return same & (speeds > STILL), speeds
 
     def _speeds(self, stamps: IntArray, velocities: FloatArray, moved: FloatArray, same: BoolArray) -> FloatArray:
-        """The largest speed of a joint in each message ``(N,)``; where none is measured by how far joints have
-        ``moved (N, J)``, and where all numbers are the ``same`` that of the message before."""
+        """Largest joint speed in each message ``(N,)``. Where it is not measured, it is derived from the steps
+        ``moved (N, J)``; where all numbers are ``same`` as before, that of the message before is used."""
         speeds: FloatArray = np.fmax.reduce(np.abs(velocities), axis=1, initial=np.nan)
         unknown = np.isnan(speeds)
         if not unknown.any():
@@ -213,8 +214,8 @@ class JointReader:
         return np.asarray(speeds[latest][1:])
 
     def _check_effort(self, stamps: IntArray, numbers: FloatArray, moving: BoolArray) -> AnyArray:
-        """Leave out efforts that have failed for long. Returns why messages with others that fail are refused, None
-        for the others ``(N,)``."""
+        """Set invalid efforts to NaN. Return for each message ``(N,)`` the reason to refuse it, or None. Efforts that
+        have been invalid for long do not refuse their message."""
         effort = numbers[:, 2]
         zeros = self._zeros(effort, moving)
         effort[zeros] = np.nan
@@ -241,22 +242,21 @@ class JointReader:
         return refusals
 
     def _measuring(self, effort: FloatArray) -> BoolArray:
-        """The joints ``(N, J)`` whose driver has shown an effort other than exactly zero so far: of one that has not,
-        as of a gripper without a sensor, zero is no measurement."""
+        """True for joints ``(N, J)`` whose effort has ever differed from zero. A joint without an effort sensor, such
+        as a gripper, sends zeros that are no measurements."""
         shown = np.logical_or.accumulate(np.abs(effort) > 0.0, axis=0) | self._seen
         self._seen = shown[-1]
         return np.asarray(shown)
 
     def _zeros(self, effort: FloatArray, moving: BoolArray) -> BoolArray:
-        """Whether all efforts are exactly zero, and have been since the robot moved: the driver has no
-        sensor ``(N,)``."""
-        zero: BoolArray = np.logical_not(effort.any(axis=1))
-        places = np.arange(len(zero))
-        other = np.maximum.accumulate(np.where(zero, -1, places))
-        moved = np.maximum.accumulate(np.where(zero & moving, places, -1))
-        found: BoolArray = zero & ((moved > other) | (self._made_up & (other < 0)))
-        self._made_up = bool(found[-1])
-        return found
+        """True ``(N,)`` if all efforts are zero and have been since the robot moved: the driver has no sensor."""
+        all_zero: BoolArray = np.logical_not(effort.any(axis=1))
+        places = np.arange(len(all_zero))
+        last_nonzero = np.maximum.accumulate(np.where(all_zero, -1, places))
+        last_moved = np.maximum.accumulate(np.where(all_zero & moving, places, -1))
+        made_up: BoolArray = all_zero & ((last_moved > last_nonzero) | (self._made_up & (last_nonzero < 0)))
+        self._made_up = bool(made_up[-1])
+        return made_up
 
 
 def _check_lengths(block: Block) -> None:

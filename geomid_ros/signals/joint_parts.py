@@ -1,4 +1,4 @@
-"""Joint messages of several publishers, each with some of the joints."""
+"""Merges joint messages of several publishers, each with some of the joints."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from geomid_ros.signals.settings import MOST_WAITING
 from geomid_ros.types import FloatArray
 
 SILENT = 1_000_000_000
-"""[ns] behind the other parts, for which a part is not missed."""
+"""[ns] delay relative to the other parts, above which a part is silent."""
 
 Part: TypeAlias = tuple[str, ...]
-"""The robot's joints that come together, in the robot's order."""
+"""Joints of one publisher, in the robot's order."""
 
 
 class JointParts:
-    """Joins messages of several publishers, each with some of the joints, at the stamps of the fastest of them.
+    """Merges messages of several publishers, each with some of the joints, at the stamps of the fastest.
 
-    The others' numbers are on the line between two of their messages, unless these are further apart than ``max_gap``
-    and than their period explains. Efforts that come more seldom than ``resolved`` are left out: nothing is known of
-    them between two messages, while positions go on.
+    The others' numbers are interpolated linearly between two messages. These must be no further apart than ``max_gap``
+    or than their period explains. Efforts with a period longer than ``resolved`` are left out: positions are smooth
+    between two messages, efforts need not be.
     """
 
     def __init__(
@@ -42,10 +42,10 @@ class JointParts:
         Args:
             joints: the robot's.
             max_gap: [ns].
-            resolved: [ns] the longest period at which efforts can be filtered.
-            make_reader: of a part's messages.
-            note: is told of parts that are too slow.
-            merges: whether there are several; all messages have all joints otherwise.
+            resolved: [ns] longest period at which efforts can be filtered.
+            make_reader: makes the reader of a part's messages.
+            note: receives remarks on parts that are too slow.
+            merges: True if there are several publishers; otherwise all messages have all joints.
         """
         self._joints = tuple(joints)
         self._max_gap = max_gap
@@ -54,50 +54,50 @@ class JointParts:
         self._note = note
         self.merges = merges
         self.readers: dict[Part, JointReader] = {} if merges else {self._joints: make_reader(self._joints)}
-        self._periods: dict[Part, int] = {}  # [ns] of all parts, once they are known
+        self._periods: dict[Part, int] = {}  # [ns] of all parts, once known
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew, as a clock was set back."""
+        """Restart after a clock was set back."""
         for reader in self.readers.values():
             reader.restart()
         self._waiting: dict[Part, deque[tuple[int, FloatArray]]] = {part: deque() for part in self.readers}
 
     @property
     def silent(self) -> tuple[str, ...]:
-        """The joints of which nothing has come for long, while something came of others."""
+        """Joints without messages for long, while those of others arrive."""
         newest = max((reader.stamp for reader in self.readers.values()), default=0)
-        heard = [
+        received = [
             joint
             for part, reader in self.readers.items()
             if newest - reader.stamp <= max(SILENT, self._longest_gap(part))
             for joint in part
         ]
-        return tuple(joint for joint in self._joints if joint not in heard) if newest else ()
+        return tuple(joint for joint in self._joints if joint not in received) if newest else ()
 
     @property
     def unmeasured(self) -> tuple[str, ...]:
-        """The joints whose efforts are left out, as they have failed for long, or come too seldom."""
+        """Joints whose efforts are left out, as they have been invalid for long or come too seldom."""
         failed = [joint for reader in self.readers.values() for joint in reader.unmeasured]
         slow = [joint for part in self._periods if self._is_slow(part) for joint in part]
         return tuple(dict.fromkeys([*failed, *slow]))
 
     def part(self, names: Sequence[str]) -> Part:
-        """The part of a message with these names. Raises RejectedError if it is of several, or of none."""
+        """Return the part of a message with these names. Raises RejectedError if it is of several parts, or of none."""
         part = tuple(joint for joint in self._joints if joint in set(names)) if self.merges else self._joints
         if part in self.readers:
             return part
         if not part:
             raise RejectedError("none of the robot's joints" if names else driver_error("no joint names"))
-        known = next((joint for other in self.readers for joint in other if joint in part), None)
-        if known is not None:
-            raise RejectedError(driver_error(f"joint '{known}' comes with others than before"))
+        shared = next((joint for other in self.readers for joint in other if joint in part), None)
+        if shared is not None:
+            raise RejectedError(driver_error(f"joint '{shared}' comes with others than before"))
         self.readers = {**self.readers, part: self._make_reader(part)}
         self._waiting[part] = deque()
         return part
 
     def add(self, part: Part, stamp: int, values: FloatArray) -> Iterator[tuple[int, FloatArray]]:
-        """Take a part's numbers ``(3 joints of it,)``. Yields stamps and numbers ``(3 joints,)`` of the whole."""
+        """Take a part's numbers ``(3 part_joints,)``. Yield stamps and numbers ``(3 joints,)`` of the whole robot."""
         waiting = self._waiting[part]
         waiting.append((stamp, values.reshape(3, -1)))
         if len(waiting) > MOST_WAITING:
@@ -106,18 +106,18 @@ class JointParts:
             self._measure_periods()
         if not self._periods:
             return
-        fastest = self._waiting[min(self._periods, key=lambda each: self._periods[each])]
+        fastest = self._waiting[min(self._periods, key=lambda other: self._periods[other])]
         while fastest and all(entries and entries[-1][0] >= fastest[0][0] for entries in self._waiting.values()):
             common = fastest[0][0]
             for entries in self._waiting.values():
                 while len(entries) > 1 and entries[1][0] <= common:
                     entries.popleft()
-            if all(self._is_known(each, common) for each in self._waiting):
+            if all(self._is_known(other, common) for other in self._waiting):
                 yield common, self._at(common)
             fastest.popleft()
 
     def _measure_periods(self) -> None:
-        """Measure how fast the parts are, when all joints have been heard for long enough to tell."""
+        """Measure the periods of the parts, once all joints have been received for long enough."""
         if sum(map(len, self._waiting)) < len(self._joints):
             return
         firsts = {part: entries[0][0] for part, entries in self._waiting.items() if len(entries) > 1}
@@ -134,27 +134,27 @@ class JointParts:
                 self._note(f"only {rate:.1f} messages per second of {named}: the efforts there are left out")
 
     def _is_slow(self, part: Part) -> bool:
-        """Whether efforts come too seldom to be filtered."""
+        """True if efforts come too seldom to be filtered."""
         return self._periods[part] > self._resolved
 
     def _longest_gap(self, part: Part) -> int:
         return max(self._max_gap, int(MISSED * self._periods.get(part, 0)))
 
     def _is_known(self, part: Part, stamp: int) -> bool:
-        """Whether the numbers of a part are known at a stamp, which its messages have reached."""
+        """True if a part has numbers at a stamp that its messages have reached."""
         entries = self._waiting[part]
         return entries[0][0] == stamp or (
             entries[0][0] < stamp and entries[1][0] - entries[0][0] <= self._longest_gap(part)
         )
 
     def _at(self, stamp: int) -> FloatArray:
-        whole = np.empty((3, len(self._joints)))
+        result = np.empty((3, len(self._joints)))
         for part, entries in self._waiting.items():
             numbers = _between(entries, stamp)
             if self._is_slow(part):
                 numbers = np.concatenate([numbers[:2], np.full_like(numbers[2:], np.nan)])
-            whole[:, [self._joints.index(joint) for joint in part]] = numbers
-        return whole.ravel()
+            result[:, [self._joints.index(joint) for joint in part]] = numbers
+        return result.ravel()
 
 
 def _between(entries: deque[tuple[int, FloatArray]], stamp: int) -> FloatArray:

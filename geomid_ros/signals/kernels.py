@@ -1,7 +1,7 @@
-"""Zero-phase low-pass and derivative kernels, the values that they filter, and local cubic interpolation.
+"""Zero-phase low-pass and derivative kernels, values on the time grid, and local cubic interpolation.
 
-The same symmetric low-pass h filters every signal, which keeps the linear equations between them. A derivative is h
-followed by a central difference of order six, so it is the derivative of the filtered signal.
+The same symmetric low-pass h filters every signal, which preserves the linear equations between them. A derivative is h
+followed by a central difference of order six: the derivative of the filtered signal.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ _LENGTH_IN_CUTOFF_PERIODS = 4.0
 _FIRST_DIFFERENCE = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60.0
 _SECOND_DIFFERENCE = np.array([2.0, -27.0, 270.0, -490.0, 270.0, -27.0, 2.0]) / 180.0
 LOWEST_RATE_PER_CUTOFF = 2.5
-_UNSURE = 0.05  # of the highest cutoff: messages tell their period no better, each part of them another one
+_UNSURE = 0.05  # of the highest cutoff: accuracy of a period that is inferred from a part of the messages
 
 
 def highest_cutoff(period: float) -> float:
-    """The highest cutoff [Hz] on a grid of a ``period`` [s]."""
+    """Return the highest cutoff [Hz] on a grid of a ``period`` [s]."""
     return 1.0 / (LOWEST_RATE_PER_CUTOFF * period)
 
 
 def derivative_kernels(cutoff: float, period: float) -> FloatArray:
-    """Kernels for the filtered value and its first and second derivative by time.
+    """Return kernels for the filtered value and its first and second time derivative.
 
     Args:
         cutoff: [Hz] where h falls to one half.
@@ -57,44 +57,44 @@ def derivative_kernels(cutoff: float, period: float) -> FloatArray:
 def filtered(
     values: FloatArray, cutoff: float, period: float, at: IntArray | None = None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A whole recording through the zero-phase low-pass; at its ends the first and the last value go on.
+    """Filter a whole recording with the zero-phase low-pass; the first and last value are repeated beyond its ends.
 
     Args:
         values: ``(N, K)``, one row every ``period``.
-        cutoff: of the low-pass [Hz]; the highest that the period allows where it is higher.
+        cutoff: of the low-pass [Hz], limited to the highest that the period allows.
         period: [s].
-        at: the rows ``(n,)`` that are asked for, all of them unless given.
+        at: requested rows ``(n,)``; all rows if omitted.
 
     Returns:
-        The filtered values and their first and second derivative by time, each ``(N, K)`` or ``(n, K)``.
+        The filtered values and their first and second time derivative, each ``(N, K)`` or ``(n, K)``.
     """
     kernels = derivative_kernels(min(cutoff, highest_cutoff(period)), period)
     half = kernels.shape[1] // 2
-    whole = np.pad(values, ((half, half), (0, 0)), mode="edge")
+    extended = np.pad(values, ((half, half), (0, 0)), mode="edge")
     if at is not None:
-        windows, pieces = sliding_window_view(whole, 2 * half + 1, axis=0), range(0, max(len(at), 1), PIECE)
-        found = np.concatenate([windows[at[begin : begin + PIECE]] @ kernels.T for begin in pieces])
-        value, first, second = np.moveaxis(found, 2, 0)
+        windows, pieces = sliding_window_view(extended, 2 * half + 1, axis=0), range(0, max(len(at), 1), PIECE)
+        results = np.concatenate([windows[at[begin : begin + PIECE]] @ kernels.T for begin in pieces])
+        value, first, second = np.moveaxis(results, 2, 0)
         return value, first, second
     padded = GridValues()
-    padded.extend(-half, whole)
+    padded.extend(-half, extended)
     value, first, second = padded.correlated(range(len(values)), kernels)
     return value, first, second
 
 
 def _low_pass(cutoff: float, half: int) -> FloatArray:
-    """An ideal low-pass of ``cutoff`` (a share of the rate) under a Kaiser window, ``(2 half + 1,)``, of sum 1.
+    """Ideal low-pass of ``cutoff`` (a fraction of the rate) under a Kaiser window, ``(2 half + 1,)``, of sum 1.
 
-    The same as scipy.signal.firwin, whose import takes as long as a quarter of the node's start.
+    It equals scipy.signal.firwin, whose import takes as long as a quarter of the node's start.
     """
     taps = np.sinc(2.0 * cutoff * np.arange(-half, half + 1)) * np.kaiser(2 * half + 1, _KAISER_BETA)
     return np.asarray(taps / np.sum(taps))
 
 
 def cubic_weights(nodes: FloatArray, times: FloatArray) -> FloatArray:
-    """Interpolation weights of Lagrange's cubic.
+    """Return interpolation weights of Lagrange's cubic.
 
-    Where the nodes lie so unevenly (messages in bursts) that the cubic would amplify noise, they are those of the line
+    If the nodes are so uneven (messages in bursts) that the cubic would amplify noise, the weights interpolate linearly
     between the middle nodes.
 
     Args:
@@ -115,32 +115,32 @@ _OTHERS = ~np.eye(4, dtype=np.bool_)[:, :, None]
 
 
 def _lagrange(nodes: FloatArray, time: FloatArray) -> FloatArray:
-    shares = np.ones((4, *nodes.shape))
-    np.divide(time - nodes, nodes[:, None] - nodes, out=shares, where=_OTHERS)
-    return np.asarray(np.multiply.reduce(shares, axis=1))
+    factors = np.ones((4, *nodes.shape))
+    np.divide(time - nodes, nodes[:, None] - nodes, out=factors, where=_OTHERS)
+    return np.asarray(np.multiply.reduce(factors, axis=1))
 
 
 def _line(nodes: FloatArray, time: FloatArray) -> tuple[FloatArray, ...]:
-    share = (time - nodes[1]) / (nodes[2] - nodes[1])
-    return 0.0 * share, 1.0 - share, share, 0.0 * share
+    fraction = (time - nodes[1]) / (nodes[2] - nodes[1])
+    return 0.0 * fraction, 1.0 - fraction, fraction, 0.0 * fraction
 
 
 class GridValues:
-    """Vectors at consecutive grid instants, the oldest at ``first``."""
+    """Vectors at consecutive grid points; ``first`` is the index of the oldest."""
 
     def __init__(self) -> None:
         self.first = 0
-        self.values = np.zeros((0, 0))  # a view of the used part of the room
+        self.values = np.zeros((0, 0))  # view of the used part of ``_room``
         self._room = self.values
         self._used = 0
 
     @property
     def end(self) -> int:
-        """The instant after the last."""
+        """Index of the grid point after the last."""
         return self.first + len(self.values)
 
     def extend(self, start: int, values: FloatArray) -> None:
-        """Append ``values (N, ...)`` from instant ``start`` on, which is the end unless there are no values yet."""
+        """Append ``values (N, ...)`` from grid point ``start`` on: the :attr:`end`, unless there are no values yet."""
         if not len(self.values):
             self.first, self.values = start, values[:0]
         count = len(self.values) + len(values)
@@ -153,12 +153,12 @@ class GridValues:
         self.values = self._room[self._used - count : self._used]
 
     def correlated(self, instants: range, kernels: FloatArray, columns: int | None = None) -> FloatArray:
-        """Correlate with ``kernels (kernels, 2 half + 1)`` around each instant.
+        """Correlate with ``kernels (kernels, 2 half + 1)`` around each grid point.
 
         Args:
-            instants: N of them, each with ``half`` neighbours on both sides.
+            instants: N grid points, each with ``half`` neighbours on both sides.
             kernels: ``(kernels, 2 half + 1)``.
-            columns: how many of the values, all unless given.
+            columns: number of leading values; all if omitted.
 
         Returns:
             ``(kernels, N, values)``.
@@ -166,7 +166,7 @@ class GridValues:
         half = kernels.shape[1] // 2
         values = self.values[instants.start - half - self.first : instants[-1] + half + 1 - self.first, :columns]
         result = np.empty((len(kernels), len(instants), values.shape[1]))
-        # One sum of a fixed length after the other: their rounding does not depend on how many are asked for at once.
+        # Separate sums of a fixed length: rounding does not depend on how many are requested at once.
         if instants.step == 1:
             for column, signal in enumerate(np.ascontiguousarray(values.T)):
                 for kernel, filtered in zip(kernels, result, strict=True):
@@ -177,7 +177,7 @@ class GridValues:
         return result
 
     def drop_before(self, instant: int) -> None:
-        """Forget older instants."""
+        """Discard older grid points."""
         surplus = instant - self.first
         if surplus > 0:
             self.values = self.values[surplus:]

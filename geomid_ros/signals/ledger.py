@@ -1,4 +1,4 @@
-"""The ledger: what became of every message."""
+"""The ledger: counts what became of every message."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ Meaning: TypeAlias = Literal["", "driver error", "told", "repeated", "frame"]
 
 
 class Reason(str):
-    """Why messages were not used, or what is peculiar about them, in words; ``meaning`` says what follows from it.
+    """Reason why messages were not used, or a remark on them, in words. ``meaning`` is the consequence:
 
-    ``driver error``: the driver fills in its messages wrongly, all of them are doubtful; ``told``: the user is told of
-    it though the other messages can be used; ``repeated``: the driver may publish more often than it measures;
-    ``frame``: a wrench is expressed in another one.
+    - ``driver error``: the driver fills in its messages wrongly, so all of them are doubtful;
+    - ``told``: reported to the user, though the other messages are usable; ``frame``: a wrench is in another frame;
+    - ``repeated``: the driver may publish more often than it measures.
     """
 
     meaning: Meaning
 
     def __new__(cls, text: str, meaning: Meaning) -> Self:
-        own = super().__new__(cls, text)
-        own.meaning = meaning
-        return own
+        reason = super().__new__(cls, text)
+        reason.meaning = meaning
+        return reason
 
     @property
     def sentence(self) -> str:
-        """The text without its heading."""
+        """Text without its heading."""
         return self.removeprefix(_HEADING)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -43,21 +43,21 @@ class Reason(str):
 
 
 def driver_error(sentence: str) -> Reason:
-    """The reason of a message that the driver has filled in wrongly."""
+    """Return the reason for a message that the driver has filled in wrongly."""
     return Reason(_HEADING + sentence, "driver error")
 
 
 def meaning_of(reason: str) -> Meaning:
-    """What follows from a reason."""
+    """Return the meaning of a reason; empty if it has none."""
     return reason.meaning if isinstance(reason, Reason) else ""
 
 
 @dataclass
 class Account:
-    """What became of the messages of a topic.
+    """Counts of a topic's messages.
 
-    ``accepted`` were used; ``rejected``, by reason, could not be for what they say; ``dropped``, by reason, were not
-    looked at. ``noted`` are peculiarities, mostly of accepted messages; ``lost`` were published and never came.
+    ``accepted``: used; ``rejected``, by reason: unusable for their content; ``dropped``, by reason: not read. ``noted``
+    are remarks, mostly on accepted messages; ``lost``: published, but never received.
     """
 
     accepted: int = 0
@@ -68,20 +68,20 @@ class Account:
 
     @property
     def received(self) -> int:
-        """All that were accepted, rejected or dropped."""
+        """Number of accepted, rejected and dropped messages."""
         return self.accepted + self.rejected.total() + self.dropped.total()
 
     def since(self, before: Account) -> Account:
-        """What was counted since the account was ``before``."""
+        """Return the counts since the account was ``before``."""
         return Account(*map(operator.sub, vars(self).values(), vars(before).values()))
 
     def plus(self, other: Account) -> Account:
-        """What both have counted."""
+        """Return the sum of both counts."""
         return Account(*map(operator.add, vars(self).values(), vars(other).values()))
 
 
 class Ledger:
-    """The accounts of all topics. Every message is counted once, by :meth:`accept`, :meth:`reject` or :meth:`drop`.
+    """Accounts of all topics. Every message is counted once, by :meth:`accept`, :meth:`reject` or :meth:`drop`.
 
     Any thread may call any method.
     """
@@ -92,50 +92,50 @@ class Ledger:
 
     @property
     def topics(self) -> dict[str, Account]:
-        """A copy of the accounts by topic."""
+        """Copy of the accounts by topic."""
         with self._lock:
             return copy.deepcopy(self._topics)
 
     def restore(self, accounts: Mapping[str, Account]) -> None:
-        """Add what an earlier process counted, unless this one has accepted or rejected anything itself."""
+        """Add the counts of an earlier process, unless this one has accepted or rejected messages."""
         with self._lock:
             if not any(account.accepted or account.rejected for account in self._topics.values()):
                 self.add(accounts)
 
     def add(self, accounts: Mapping[str, Account]) -> None:
-        """Add what another ledger has counted."""
+        """Add the counts of another ledger."""
         with self._lock:
             for topic, other in accounts.items():
                 self._topics[topic] = self._account(topic).plus(other)
 
     def accept(self, topic: str, count: int = 1) -> None:
-        """Count messages that are used."""
+        """Count messages as used."""
         with self._lock:
             self._account(topic).accepted += count
 
     def reject(self, topic: str, reason: str, count: int = 1) -> None:
-        """Count messages that cannot be used for what they say."""
+        """Count messages as unusable for their content."""
         with self._lock:
             count_reason(self._account(topic).rejected, reason, count)
 
     def drop(self, topic: str, reason: str, count: int = 1) -> None:
-        """Count messages that are not looked at."""
+        """Count messages as not read."""
         with self._lock:
             count_reason(self._account(topic).dropped, reason, count)
 
     def revoke(self, topic: str, reason: str, count: int = 1) -> None:
-        """Count messages that were accepted as rejected."""
+        """Count accepted messages as rejected instead."""
         with self._lock:
             self.accept(topic, -count)
             self.reject(topic, reason, count)
 
     def note(self, topic: str, remark: str) -> None:
-        """Count a peculiarity."""
+        """Count a remark."""
         with self._lock:
             count_reason(self._account(topic).noted, remark)
 
     def lose(self, topic: str, count: int) -> None:
-        """Count messages that were published and never came."""
+        """Count messages as published but never received."""
         with self._lock:
             self._account(topic).lost += count
 
@@ -144,7 +144,7 @@ class Ledger:
 
 
 def count_reason(reasons: Counter[str], reason: str, count: int = 1) -> None:
-    """Count a reason once more, or ``count`` times. Long reasons are cut short; those beyond a bound count as one."""
+    """Count a reason ``count`` times. Long reasons are truncated; reasons beyond :data:`MOST_KINDS` count as one."""
     meaning, text = meaning_of(reason), one_line(reason)
     short = text if len(text) <= LONGEST_REASON else text[:LONGEST_REASON] + "..."
     short = Reason(short, meaning) if meaning else short

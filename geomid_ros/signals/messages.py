@@ -1,5 +1,4 @@
-"""Messages as frozen values: parsed once at the door, whether a node or a bag brings them; and what was accepted of
-them lately."""
+"""Messages as frozen values, parsed once on entry from a node or a bag, and the memory of recently accepted ones."""
 
 from __future__ import annotations
 
@@ -28,13 +27,13 @@ _WRENCH_TYPE = "geometry_msgs/msg/WrenchStamped"
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Message:
-    """A message as it was sent: nothing is checked yet.
+    """Message as it was sent, without checks.
 
-    ``stamp`` [ns] since the epoch, -1 if it is not valid; ``names`` of the joints, or the frame of a wrench, empty if
-    the message says none. ``arrays``, read-only, are positions, velocities and efforts ``(names,)`` of joints, of which
-    any may be empty, and for commands set-points and the feed-forward; the base's pose ``(7,)`` in the world, position
-    [m] and quaternion xyzw; a wrench ``(6,)``, force [N] and torque [N m]; or of an IMU ``(37,)`` orientation (4),
-    angular velocity (3) [rad/s] and linear acceleration (3) [m/s^2], each followed by its covariance (9).
+    ``stamp`` [ns] since the epoch, -1 if invalid; ``names`` of the joints, or the frame of a wrench, empty if the
+    message has none. ``arrays``, read-only, are: for joints, positions, velocities and efforts ``(names,)``, each of
+    which may be empty, and for commands set-points and the feed-forward; the base's pose ``(7,)`` in the world,
+    position [m] and quaternion xyzw; a wrench ``(6,)``, force [N] and torque [N m]; or of an IMU ``(37,)`` orientation
+    (4), angular velocity (3) [rad/s] and linear acceleration (3) [m/s^2], each followed by its covariance (9).
     """
 
     topic: str
@@ -48,11 +47,11 @@ class Message:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Block:
-    """N messages of one topic that differ in their stamps and numbers only.
+    """N messages of one topic that differ only in stamps and numbers.
 
-    ``order (N,)`` says in which order the messages of several blocks came; ``stamps (N,)`` [ns] are -1 where they are
-    not valid; ``names`` are those of the joints, or the frame of a wrench. ``arrays`` are positions, velocities and
-    efforts ``(N, names)``, each of which may have no columns, poses ``(N, 7)``, wrenches ``(N, 6)`` or all of an IMU
+    ``order (N,)`` are arrival indices among the messages of several blocks; ``stamps (N,)`` [ns] are -1 where invalid;
+    ``names`` are those of the joints, or the frame of a wrench. ``arrays`` are positions, velocities and efforts
+    ``(N, names)``, each of which may have no columns, poses ``(N, 7)``, wrenches ``(N, 6)`` or all of an IMU
     ``(N, 37)``.
     """
 
@@ -64,17 +63,17 @@ class Block:
 
     @staticmethod
     def of(message: Message, place: int = 0) -> Block:
-        """A block of one message, the ``place``-th that came."""
+        """Make a block of one message, with arrival index ``place``."""
         arrays = tuple(array[None] for array in message.arrays)
         return Block(message.topic, np.array([place]), np.array([message.stamp]), message.names, arrays)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Accepted:
-    """N messages that were accepted: their topic, stamps [ns] and checked numbers in the robot's order, read-only.
+    """N accepted messages of a topic: stamps [ns] and checked numbers in the robot's order, read-only.
 
-    ``stamps (N,)``; ``values (N, numbers)`` are positions, velocities and efforts of all joints, one after the other
-    (of commands, too), a pose (7 numbers), a wrench (6), or an IMU's angular velocity and specific force (6).
+    ``stamps (N,)``; ``values (N, numbers)`` are positions, velocities and efforts of all joints, concatenated (for
+    commands, too), a pose (7 numbers), a wrench (6), or an IMU's angular velocity and specific force (6).
     """
 
     topic: str
@@ -89,23 +88,23 @@ class Accepted:
         return len(self.stamps)
 
     def since(self, stamp: int) -> Accepted:
-        """Those with this stamp [ns] or a later one."""
+        """Return the messages with this stamp [ns] or later ones."""
         return self.after(int(np.searchsorted(self.stamps, stamp)))
 
     def before(self, stamp: int) -> Accepted:
-        """Those with an earlier stamp [ns]."""
+        """Return the messages with earlier stamps [ns]."""
         count = int(np.searchsorted(self.stamps, stamp))
         return Accepted(self.topic, self.stamps[:count], self.values[:count])
 
     def after(self, count: int) -> Accepted:
-        """Those after the first ``count``."""
+        """Return the messages after the first ``count``."""
         return Accepted(self.topic, self.stamps[count:], self.values[count:])
 
 
 class Recent:
-    """Remembers what a pipeline accepted in the last ``seconds`` of its stamps: its ``on_accepted``.
+    """Remembers what a pipeline accepted in the last ``seconds`` of its stamps, as its ``on_accepted``.
 
-    Less than that is kept where it would take too much memory. Any thread may call any method.
+    Fewer messages are kept if they take too much memory. Any thread may call any method.
     """
 
     def __init__(self, seconds: float) -> None:
@@ -116,7 +115,7 @@ class Recent:
         self._last: dict[str, int] = {}
 
     def __call__(self, accepted: Accepted) -> None:
-        """Keep the numbers of messages."""
+        """Remember messages."""
         topic, newest = accepted.topic, int(accepted.stamps[-1])
         with self._lock:
             if accepted.stamps[0] <= self._last.get(topic, 0):  # the clock was set back
@@ -138,10 +137,10 @@ class Recent:
             self._bytes = 0
 
     def entries(self) -> list[Accepted]:
-        """All that is kept, in the order in which it came."""
+        """Return all remembered messages, in their order of arrival."""
         with self._lock:
             begin = max(self._last.values(), default=0) - self._nanoseconds + 1
-            return [entry for each in self._entries if len(entry := each.since(begin))]
+            return [recent for entry in self._entries if len(recent := entry.since(begin))]
 
 
 def _size(accepted: Accepted) -> int:
@@ -149,20 +148,19 @@ def _size(accepted: Accepted) -> int:
 
 
 def message_type(topic: str) -> str:
-    """The ROS type of a topic's messages; all topics but these are of wrench sensors."""
+    """Return the ROS type of a topic's messages; unknown topics are of wrench sensors."""
     return _TYPES.get(topic, _WRENCH_TYPE)
 
 
 def parse(topic: str, message: Any) -> Message:
-    """The value of a ROS message, read by attribute: rclpy's messages and those of rosbags look the same.
+    """Parse a ROS message, by attributes, which the messages of rclpy and rosbags share.
 
     Args:
-        topic: the name by which the pipeline knows it: JOINT_STATES, COMMANDS, ODOM, IMU, or that of a declared wrench
-            sensor.
+        topic: its name in the pipeline: JOINT_STATES, COMMANDS, ODOM, IMU, or that of a declared wrench sensor.
         message: of the type :func:`message_type` of this topic.
 
     Raises:
-        AttributeError, TypeError or ValueError for what is no such message.
+        AttributeError, TypeError or ValueError: it is no such message.
     """
     stamp, names, arrays = _stamp(message.header), tuple[str, ...](), tuple[FloatArray, ...]()
     if topic in (JOINT_STATES, COMMANDS):
@@ -190,7 +188,7 @@ def _imu_numbers(message: Any) -> FloatArray:
 
 
 def _stamp(header: Any) -> int:
-    """Nanoseconds since the epoch; -1 if seconds or nanoseconds are out of range."""
+    """Return nanoseconds since the epoch; -1 if seconds or nanoseconds are out of range."""
     seconds, nanoseconds = int(header.stamp.sec), int(header.stamp.nanosec)
     if seconds < 0 or not 0 <= nanoseconds < 1_000_000_000:
         return -1

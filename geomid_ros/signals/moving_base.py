@@ -1,4 +1,4 @@
-"""A base that moves: its motion by the messages of an IMU, and which of its feet stand."""
+"""Moving base: its motion from the messages of an IMU, and which of its feet stand."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from geomid_ros.signals.ledger import driver_error
 from geomid_ros.signals.streams import Grid, VectorSegment
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
-_LEVELLING = 1.0  # [s] to both sides, over which the specific force is averaged
-_UNLIKE_GRAVITY = 0.3  # as a share of it
+_LEVELLING = 1.0  # [s] before and after, over which the specific force is averaged
+_UNLIKE_GRAVITY = 0.3  # as a fraction of gravity
 LIFTED = 0.1
-"""A foot in the air seems to bear less, as a share of what each bears when all stand: inertias are not known yet."""
+"""Largest load of a foot in the air, as a fraction of its load when all feet stand: inertias are not known yet."""
 
 _EXPECTED = "publish what the accelerometer measures, gravity included, in m/s^2 (sensor_msgs/Imu)"
 IN_G = driver_error(f"the acceleration is in g: {_EXPECTED}")
@@ -30,10 +30,10 @@ NO_SPECIFIC_FORCE = driver_error(f"the acceleration is not gravity on average: {
 
 
 class ImuSegment(VectorSegment):
-    """Angular velocity and specific force of an IMU on the base, which make the base's motion.
+    """Motion of the base from the angular velocity and specific force of its IMU.
 
-    Over a second or two a robot gains little speed: what the specific force is on average points up. The average is
-    taken in axes that do not turn, which the angular velocity tells.
+    Over a second or two a robot gains little speed, so the mean specific force points up. The mean is taken in axes
+    that do not rotate, from the integrated angular velocity.
     """
 
     def __init__(self, grid: Grid, mount: ImuMount) -> None:
@@ -41,8 +41,8 @@ class ImuSegment(VectorSegment):
         self._mount = mount
         self._wide = round(_LEVELLING / (grid.period * 1e-9))
         self._weights = np.hanning(2 * self._wide + 3)[None, 1:-1] / (self._wide + 1)
-        self._levelled = GridValues()  # specific forces in axes that do not turn, and the rotations to them
-        self._rotation, self._rate = np.eye(3), np.zeros((0, 3))  # at the last instant
+        self._levelled = GridValues()  # specific forces in non-rotating axes, and the rotations to them
+        self._rotation, self._rate = np.eye(3), np.zeros((0, 3))  # at the last grid point
 
     def _interpolate(self) -> None:
         super()._interpolate()
@@ -65,7 +65,7 @@ class ImuSegment(VectorSegment):
         return range(max(motion.start, start + self._wide), min(motion.stop, self._reached.stop - self._wide))
 
     def filtered(self, instants: range) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Poses ``(N, 7)``, velocities and accelerations ``(N, 6)`` of the base, as a :class:`PoseSegment` has them."""
+        """Return poses ``(N, 7)``, velocities and accelerations ``(N, 6)`` of the base, as in :class:`PoseSegment`."""
         value, first, _ = super().filtered(instants)
         mean = self._mean(instants)
         rotations = self._levelled.values[np.array(instants) - self._levelled.first, 3:].reshape(-1, 3, 3)
@@ -74,77 +74,77 @@ class ImuSegment(VectorSegment):
         return self._mount.base_motion(value[:, :3], first[:, :3], value[:, 3:], up)
 
     def _mean(self, instants: range) -> FloatArray:
-        """The specific force over a second before and after ``(N, 3)``, in axes that do not turn."""
+        """Mean specific force over a second before and after ``(N, 3)``, in non-rotating axes."""
         (mean,) = self._levelled.correlated(instants, self._weights, 3)
         return np.asarray(mean)
 
     def faults(self, instants: range) -> list[str]:
-        """What is wrong with the specific force at each of ``instants``, if it is not gravity on average."""
-        return [_fault(weighed) for weighed in self._mount.weighed(self._mean(instants)).tolist()]
+        """Return the fault of the specific force at each of ``instants``; empty where its mean is gravity."""
+        return [_fault(ratio) for ratio in self._mount.weighed(self._mean(instants)).tolist()]
 
     def drop_before(self, instant: int) -> None:
         super().drop_before(instant)
         self._levelled.drop_before(instant - self._wide)
 
 
-def _fault(weighed: float) -> str:
-    """What is wrong with an average specific force of so many times gravity, if anything is."""
-    if abs(weighed - 1.0) < _UNLIKE_GRAVITY:
+def _fault(ratio: float) -> str:
+    """Fault of a mean specific force that is ``ratio`` times gravity; empty if there is none."""
+    if abs(ratio - 1.0) < _UNLIKE_GRAVITY:
         return ""
-    if abs(STANDARD_GRAVITY * weighed - 1.0) < _UNLIKE_GRAVITY:
+    if abs(STANDARD_GRAVITY * ratio - 1.0) < _UNLIKE_GRAVITY:
         return IN_G
-    return GRAVITY_REMOVED if weighed < _UNLIKE_GRAVITY else NO_SPECIFIC_FORCE
+    return GRAVITY_REMOVED if ratio < _UNLIKE_GRAVITY else NO_SPECIFIC_FORCE
 
 
 class Stance:
-    """Says of samples which feet may touch the ground. A foot is in the air while, from a while before to a while
-    after, its leg bears next to nothing: samples are held until that is known."""
+    """Determines at each sample which feet may touch the ground. A foot is in the air if its leg bears almost no load
+    for ``1 / cutoff`` before and after; samples are held until that is known."""
 
     def __init__(self, loads: Callable[[Samples], FloatArray], cutoff: float) -> None:
         """
         Args:
-            loads: shares ``(N, feet)`` of the weight that the feet seem to bear, see
+            loads: fractions ``(N, feet)`` of the weight that the feet bear, see
                 :meth:`~geomid_ros.model.contacts.Legs.loads`.
             cutoff: of the low-pass on all signals [Hz].
         """
         self._loads = loads
-        self._span = round(1e9 / cutoff)  # the low-pass smears a change over so much to both sides
+        self._span = round(1e9 / cutoff)  # [ns] by which the low-pass smears a change to both sides
         self._held: Samples | None = None
-        self._before = 0  # of the samples that are held, so many are known already, and serve those after them
-        self._borne = np.zeros((0, 0))  # by the feet at the samples that are held
+        self._before = 0  # number of held samples that were returned already
+        self._borne = np.zeros((0, 0))  # loads of the feet at the held samples
 
     def known(self, new: Samples) -> Samples | None:
-        """Take samples in the order of time, and return those of which is known which feet stand."""
-        parts = [found for part in _in_order(new) if (found := self._take(part)) is not None]
+        """Take samples in the order of time. Return those whose standing feet are known."""
+        parts = [ready for part in _in_order(new) if (ready := self._take(part)) is not None]
         return Samples.concatenate(parts) if parts else None
 
     def _take(self, new: Samples) -> Samples | None:
-        borne = self._loads(new)
+        loads = self._loads(new)
         if self._held is not None and new.stamps[0] > self._held.stamps[-1]:
             new = Samples.concatenate([self._held, new])
-            borne = np.concatenate([self._borne, borne])
+            loads = np.concatenate([self._borne, loads])
         else:
             self._before = 0
         stamps, begin = new.stamps, self._before
         end = int(np.searchsorted(stamps, stamps[-1] - self._span, side="right"))
         oldest = int(np.searchsorted(stamps, stamps[end] - self._span))
         kept = slice(min(oldest, end), None)
-        self._held, self._borne, self._before = new.select(kept), borne[kept], max(end, begin) - kept.start
+        self._held, self._borne, self._before = new.select(kept), loads[kept], max(end, begin) - kept.start
         if end <= begin:
             return None
-        standing = _within(stamps, ~(borne < LIFTED), self._span)[begin:end]
+        standing = _within(stamps, ~(loads < LIFTED), self._span)[begin:end]
         return replace(new.select(slice(begin, end)), standing=standing)
 
 
 def _within(stamps: IntArray, true: BoolArray, span: int) -> BoolArray:
-    """Whether anything is ``true (N, feet)`` at most ``span`` before or after each of ``stamps (N,)``."""
+    """True if anything is ``true (N, feet)`` at most ``span`` before or after each of ``stamps (N,)``."""
     first, last = np.searchsorted(stamps, stamps - span), np.searchsorted(stamps, stamps + span, side="right")
     count = np.concatenate([np.zeros((1, true.shape[1]), dtype=np.int64), np.cumsum(true, axis=0)])
     return np.asarray(count[last] > count[first])
 
 
 def _in_order(samples: Samples) -> list[Samples]:
-    """The parts between which the clock was set back."""
+    """Split samples where the clock was set back."""
     ends = np.flatnonzero(np.diff(samples.stamps) <= 0) + 1
     bounds = [0, *ends.tolist(), len(samples)]
     return [samples.select(slice(*bounds[k : k + 2])) for k in range(len(bounds) - 1)]

@@ -1,7 +1,7 @@
-"""From messages to samples: which messages are used, in the order of each topic's stamps; a sampler does the rest.
+"""From messages to samples: decides which messages are used, in each topic's order of stamps; a sampler does the rest.
 
-The bag reader feeds large blocks of messages, the node small ones, often of one message, and both collect what samples
-have become ready. They get the same samples, with a fixed lag behind the data (:attr:`SignalPipeline.lag`).
+The bag reader pushes large blocks of messages, the node small ones, often of one message. Both collect the samples that
+are ready, and get the same samples, with a fixed lag behind the data (:attr:`SignalPipeline.lag`).
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def ignore(*_: object) -> None:
 
 
 class SignalPipeline:
-    """Takes messages with :meth:`push`; :meth:`collect` gives the samples that they complete."""
+    """Takes messages with :meth:`push`; :meth:`collect` returns the samples that they complete."""
 
     def __init__(
         self,
@@ -75,20 +75,20 @@ class SignalPipeline:
         """
         Args:
             joints: the robot's, in its order.
-            floating_base: whether the base moves: its pose comes on ODOM, unless it has an IMU.
+            floating_base: True if the base moves: its pose comes on ODOM, unless it has an IMU.
             sensors: the wrench sensors, in the order of samples.
             settings: of the filter and of efforts.
-            continuous: the joints without end: their positions may jump by whole turns between messages, and are given
-                from -pi to pi in samples.
-            turning: the revolute joints: a step of a whole turn in their positions is the driver's, and is undone.
-            limits: ``(2, joints)`` the URDF's of speeds and of efforts, infinite where it has none.
-            effect_columns: those that samples carry (:attr:`MeasurementModel.columns`).
-            on_accepted: is told of every message that is accepted, as :meth:`push_accepted` takes it.
-            ledger: is told what becomes of every message.
-            joints_heard: the names of joints in messages are added to it.
+            continuous: joints without limits: their positions may jump by whole turns between messages, and are wrapped
+                to -pi to pi in samples.
+            turning: revolute joints: a step of a whole turn in their positions is caused by the driver, and is undone.
+            limits: ``(2, joints)`` the URDF's limits of speeds and efforts, infinite where it has none.
+            effect_columns: columns of effects that samples contain (:attr:`MeasurementModel.columns`).
+            on_accepted: called with all accepted messages, in the form that :meth:`push_accepted` takes.
+            ledger: counts all messages.
+            joints_heard: set to which the names of joints in messages are added.
             mount: of the IMU on a floating base, whose messages come on IMU.
             controller: of the joints: efforts are those of commands, which come on COMMANDS.
-            loads: of the feet, whose stance samples carry; see :class:`~geomid_ros.signals.moving_base.Stance`.
+            loads: of the feet, whose stance samples contain; see :class:`~geomid_ros.signals.moving_base.Stance`.
 
         Raises:
             InputError: two topics have the same name, a gain is of an unknown joint, or the cutoff is too high.
@@ -111,9 +111,9 @@ class SignalPipeline:
         note = partial(self.ledger.note, JOINT_STATES)
         self._parts = JointParts(self._joints, self._max_gap, resolved, self._new_reader, note, settings.merge)
         self._admission = Admission(self._new_gate, self.ledger.note)
-        self._arrived = 0  # messages
-        self._open: Counter[str] = Counter()  # messages of which nothing has become yet
-        self._joined: list[tuple[int, Part, int, FloatArray]] = []  # messages that wait for the other parts
+        self._arrived = 0  # number of messages
+        self._open: Counter[str] = Counter()  # messages that are not yet accounted for
+        self._joined: list[tuple[int, Part, int, FloatArray]] = []  # messages that wait for those of other joints
         base = [ODOM if mount is None else IMU] if floating_base else []
         topics = (*self._sensors, *base)
         self._sampler = Sampler(
@@ -139,27 +139,26 @@ class SignalPipeline:
 
     @property
     def lag(self) -> float:
-        """Seconds by which samples trail the newest message; 0 until the rate is known."""
+        """Time [s] by which samples trail the newest message; 0 until the rate is known."""
         return self._sampler.lag
 
     @property
     def held(self) -> int:
-        """Number of messages that later ones will decide on."""
+        """Number of messages that wait for later ones to decide."""
         return sum(list(self._open.values()))
 
     @property
     def unmeasured(self) -> tuple[str, ...]:
-        """The joints whose efforts are left out, as they have not been measured for long."""
+        """Joints whose efforts are left out, as they have not been measured for long."""
         return () if self._commanded else self._parts.unmeasured
 
     @property
     def silent(self) -> tuple[str, ...]:
-        """The joints of publishers that have fallen silent, if joint messages are merged."""
+        """Joints of publishers that have fallen silent, if joint messages are merged."""
         return self._parts.silent
 
     def push(self, messages: Message | Sequence[Block]) -> None:
-        """Take a message, or many; those that cannot be used are counted. If this fails, all that are left are dropped
-        and counted.
+        """Take messages; unusable ones are counted. If this fails, all unprocessed messages are dropped and counted.
 
         Raises:
             InputError: a sensor was not declared, or the cutoff is too high for the rate of the messages.
@@ -173,9 +172,9 @@ class SignalPipeline:
             self._take(batch)
 
     def _take(self, batch: Mapping[Source, Arrived]) -> None:
-        """Use what is admitted when messages have come."""
-        for part, admitted in enumerate(self._admission.take(batch, self._arrived - 1)):
-            if part:
+        """Admit new messages and use the released ones."""
+        for index, admitted in enumerate(self._admission.take(batch, self._arrived - 1)):
+            if index:
                 self._begin_anew()
             for source, arrived in admitted.items():
                 self._use(source, arrived)
@@ -184,7 +183,7 @@ class SignalPipeline:
 
     @contextmanager
     def _dropping(self) -> Iterator[None]:
-        """If what is done inside fails, messages of which nothing has become are dropped and counted."""
+        """Drop and count unprocessed messages if the block inside fails."""
         try:
             yield
         except Exception as error:
@@ -200,8 +199,8 @@ class SignalPipeline:
         self._open[topic] -= count
 
     def _read(self, blocks: Iterable[Block]) -> dict[Source, Arrived]:
-        """What messages say by themselves, by their source."""
-        found: dict[Source, list[Arrived]] = {}
+        """Read the messages, each by itself, grouped by source."""
+        groups: dict[Source, list[Arrived]] = {}
         for block in blocks:
             if block.topic == JOINT_STATES and len(self.joints_heard) < MOST_WAITING:
                 self.joints_heard.update(block.names)
@@ -213,8 +212,8 @@ class SignalPipeline:
             numbers, refusals = self._numbers(source, block)
             refusals[block.stamps < 0] = NOT_VALID
             refusals[block.stamps == 0] = NO_STAMP
-            found.setdefault(source, []).append(Arrived(block.order + self._arrived, block.stamps, numbers, refusals))
-        return {source: Arrived.in_order(several) for source, several in found.items()}
+            groups.setdefault(source, []).append(Arrived(block.order + self._arrived, block.stamps, numbers, refusals))
+        return {source: Arrived.in_order(arrivals) for source, arrivals in groups.items()}
 
     def _part(self, block: Block) -> Part:
         return self._parts.part(block.names) if block.topic == JOINT_STATES else ()
@@ -233,20 +232,20 @@ class SignalPipeline:
         return wrenches(block, self._sensors[block.topic])
 
     def _use(self, source: Source, arrived: Arrived) -> None:
-        """Use the messages that are not refused, by their gate or their reader."""
+        """Use the messages that neither their gate nor their reader refuses."""
         topic, part = source
-        good, refused = arrived.good, list[str]()
+        good, reasons = arrived.good, list[str]()
         if not good.all():
-            refused += arrived.refusals[~good].tolist()
+            reasons += arrived.refusals[~good].tolist()
             arrived = arrived.select(good)
         stamps, values, order = arrived.stamps, arrived.numbers, arrived.order
         if topic == JOINT_STATES and len(stamps):
             values, refusals = self._parts.readers[part].read(stamps, values)
-            taken = without_refusal(refusals)
-            if not taken.all():
-                refused += refusals[~taken].tolist()
-                stamps, values, order = stamps[taken], values[taken], order[taken]
-        for reason, count in Counter(refused).items():
+            accepted = without_refusal(refusals)
+            if not accepted.all():
+                reasons += refusals[~accepted].tolist()
+                stamps, values, order = stamps[accepted], values[accepted], order[accepted]
+        for reason, count in Counter(reasons).items():
             self._refused(topic, reason, count)
         if len(stamps):
             if topic == JOINT_STATES and self._parts.merges:
@@ -257,25 +256,25 @@ class SignalPipeline:
             self._open[topic] -= len(stamps)
 
     def _join_parts(self) -> None:
-        """Join the messages of several publishers, in the order in which they came."""
+        """Join the messages of several publishers, in their order of arrival."""
         rows = sorted(self._joined, key=operator.itemgetter(0))
         self._joined.clear()
-        found = [whole for _, part, stamp, row in rows for whole in self._parts.add(part, stamp, row)]
-        if found:
-            self._accept(Accepted(JOINT_STATES, *map(np.array, zip(*found, strict=True))))
+        joined = [complete for _, part, stamp, row in rows for complete in self._parts.add(part, stamp, row)]
+        if joined:
+            self._accept(Accepted(JOINT_STATES, *map(np.array, zip(*joined, strict=True))))
 
     def _accept(self, accepted: Accepted) -> None:
         self._on_accepted(accepted)
         self._sampler.add(accepted)
 
     def push_accepted(self, accepted: Accepted) -> None:
-        """Take what another pipeline for the same robot has accepted, in the same order."""
+        """Take messages that another pipeline for the same robot accepted, in the same order."""
         self._sampler.add(accepted)
         self.ledger.accept(accepted.topic, len(accepted))
         self._sampler.make_samples()
 
     def release(self) -> None:
-        """Give up the messages that nothing has decided on, as no more will come; what waited behind them is used.
+        """Drop the undecided messages, as no more will come, and use those that waited behind them.
 
         Raises InputError as :meth:`push` does.
         """
@@ -287,12 +286,12 @@ class SignalPipeline:
             self._take({})
 
     def _begin_anew(self) -> None:
-        """Begin a new segment, as a clock was set."""
+        """Begin a new segment, as a clock was set or positions leapt."""
         self._join_parts()
         self._parts.restart()
         self._sampler.restart()
 
     def collect(self) -> Samples | None:
-        """The samples that have become ready since the last call, oldest first; None if there are none."""
+        """Return the samples that became ready since the last call, oldest first; None if there are none."""
         samples = self._sampler.collect()
         return samples if samples is None or self._stance is None else self._stance.known(samples)

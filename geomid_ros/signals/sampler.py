@@ -1,4 +1,4 @@
-"""From accepted numbers to samples: alignment, filtering, differentiation."""
+"""From accepted messages to samples: alignment, filtering, differentiation."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ NOW_IN_BURSTS = driver_error(
     "where they are measured"
 )
 UNEVEN = driver_error("messages come in uneven bursts: nothing says when they were measured")
-_EFFORTS = "joint_states.effort"  # stream of efforts with a delay; no topic has that name
+_EFFORTS = "joint_states.effort"  # stream of delayed efforts; no topic has this name
 
 
 class Sampler:
-    """Takes accepted numbers with :meth:`add`; :meth:`make_samples` makes the samples that they complete, and
-    :meth:`collect` gives them."""
+    """Takes accepted messages with :meth:`add`. :meth:`make_samples` computes the samples that they complete,
+    :meth:`collect` returns them."""
 
     def __init__(
         self,
@@ -52,10 +52,10 @@ class Sampler:
         """
         Args:
             settings: of the filter.
-            continuous: ``(joints,)`` which joints have no end; their positions are from -pi to pi in samples.
-            topics: of the numbers beside joints': those of the wrench sensors, and ODOM or IMU of a floating base.
-            effect_columns: those of effects that samples carry.
-            ledger: is told of accepted messages that are given up.
+            continuous: ``(joints,)`` True for joints without limits; their positions are from -pi to pi in samples.
+            topics: of wrench sensors, and ODOM or IMU of a floating base; joint topics are not listed.
+            effect_columns: columns of effects that samples contain.
+            ledger: counts accepted messages that are dropped.
             mount: of the IMU.
             controller: of the joints, if efforts are those of commands.
         """
@@ -69,12 +69,12 @@ class Sampler:
         self._entries = Entries(effect_columns, len(continuous))
         self._ledger = ledger
         self._velocities = VelocityCheck(len(continuous))
-        self._clock: RegularClock | None = None  # of joint messages whose stamps do not say when they were measured
+        self._clock: RegularClock | None = None  # of joint messages whose stamps are not times of measurement
         self._watched = np.zeros(0, dtype=np.int64)  # stamps of the last joint messages
         self._grid: Grid | None = None
         self._streams: dict[str, Stream[Any]] = {}
         self._waiting: deque[Accepted] = deque()
-        self._newest: dict[str, int] = {}  # stamp of each topic
+        self._newest: dict[str, int] = {}  # newest stamp of each topic
         self._next_instant = 0
         self._pending: list[Samples] = []
         if settings.period > 0.0:
@@ -82,19 +82,19 @@ class Sampler:
 
     @property
     def lag(self) -> float:
-        """Seconds by which samples trail the newest message; 0 until the rate is known."""
+        """Time [s] by which samples trail the newest message; 0 until the rate is known."""
         return self._grid.lag * self._grid.period * 1e-9 if self._grid is not None else 0.0
 
     def add(self, accepted: Accepted) -> None:
-        """Take numbers, later than the last ones of their topic. Raises InputError if the cutoff is too high for the
-        rate."""
+        """Take messages that are later than the last ones of their topic. Raises InputError if the cutoff is too high
+        for the rate."""
         if self._grid is None:
             self._wait(accepted)
         else:
             self._take(accepted)
 
     def restart(self) -> None:
-        """Begin anew, as a clock was set back."""
+        """Restart after a clock was set back."""
         self.make_samples()
         self._waiting.clear()
         self._newest.clear()
@@ -103,16 +103,15 @@ class Sampler:
             self._open_streams(self._grid)
 
     def _wait(self, accepted: Accepted) -> None:
-        """Keep what arrives before the period is known."""
+        """Keep messages that arrive before the period is known."""
         self._waiting.append(accepted)
         self._give_up(sum(map(len, self._waiting)) - MOST_WAITING, "no joint states to go with")
         while self._grid is None and self._begin():
             pass
 
     def _begin(self) -> bool:
-        """Start if the joint messages so far tell the period. Returns whether messages were given up, as they tell
-        nothing."""
-        parts = [each.stamps for each in self._waiting if each.topic == JOINT_STATES]
+        """Start if the joint messages determine the period. Return True if messages were dropped, as they do not."""
+        parts = [accepted.stamps for accepted in self._waiting if accepted.topic == JOINT_STATES]
         stamps = np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
         if len(stamps) < FEWEST:
             return False
@@ -130,17 +129,17 @@ class Sampler:
         return False
 
     def _give_up(self, count: int, reason: str, topic: str = "") -> None:
-        """Give up the first messages that wait, of all topics or of one."""
-        passed = list[Accepted]()
+        """Drop the first waiting messages, of all topics or of one."""
+        skipped = list[Accepted]()
         while count > 0:
             oldest = self._waiting.popleft()
-            given_up = min(count, len(oldest)) if topic in ("", oldest.topic) else 0
-            if given_up:
-                self._ledger.revoke(oldest.topic, reason, given_up)
-                count -= given_up
-            if given_up < len(oldest):
-                passed.append(oldest.after(given_up))
-        self._waiting.extendleft(reversed(passed))
+            dropped = min(count, len(oldest)) if topic in ("", oldest.topic) else 0
+            if dropped:
+                self._ledger.revoke(oldest.topic, reason, dropped)
+                count -= dropped
+            if dropped < len(oldest):
+                skipped.append(oldest.after(dropped))
+        self._waiting.extendleft(reversed(skipped))
 
     def _take(self, accepted: Accepted) -> None:
         stamps, values = accepted.stamps, accepted.values
@@ -157,7 +156,7 @@ class Sampler:
             self._newest[_EFFORTS] = int(stamps[-1])
 
     def _watch(self, stamps: IntArray) -> None:
-        """Say it if messages begin to come in bursts."""
+        """Note in the ledger if messages begin to come in bursts."""
         self._watched = np.concatenate([self._watched, stamps])
         while len(self._watched) >= FEWEST_IN_BURSTS:
             if in_bursts(self._watched[:FEWEST_IN_BURSTS], self._max_gap):
@@ -176,7 +175,7 @@ class Sampler:
         self._waiting.clear()
 
     def _repeated(self) -> str:
-        """What to say of joint messages that are slower than their rate, as some only repeat the one before."""
+        """Sentence on joint messages that only repeat the one before, which lowers the rate; empty if none do."""
         account = self._ledger.topics.get(JOINT_STATES, Account())
         if not (repeated := account.rejected[FROZEN]):
             return ""
@@ -200,7 +199,7 @@ class Sampler:
         self._streams = {JOINT_STATES: self._joint_stream, **streams}
 
     def collect(self) -> Samples | None:
-        """The samples that have become ready since the last call, oldest first; None if there are none."""
+        """Return the samples that became ready since the last call, oldest first; None if there are none."""
         if not self._pending:
             return None
         samples = Samples.concatenate(self._pending)
@@ -208,7 +207,7 @@ class Sampler:
         return samples
 
     def make_samples(self) -> None:
-        """Make the samples for which every topic has numbers, going on after pauses; forget what is too old."""
+        """Compute the samples for which every topic has data, also after pauses; discard data that are too old."""
         grid, streams = self._grid, self._streams.values()
         while grid is not None:
             ranges = [stream.segment.ready() for stream in streams]
@@ -234,17 +233,17 @@ class Sampler:
         position, velocity, acceleration = value[:, 0], first[:, 0], second[:, 0]
         if self._continuous.any():
             position[:, self._continuous] = np.remainder(position[:, self._continuous] + np.pi, 2.0 * np.pi) - np.pi
-        told = self._velocities.add(value[:, 1], velocity)
+        sums = self._velocities.add(value[:, 1], velocity)
         if remark := self._velocities.remark():
             self._ledger.note(JOINT_STATES, remark)
         effort = self._streams[_EFFORTS].segment.filtered(instants)[0] if self._effort_delay else value[:, 2]
         effects, commands = self._joint_stream.segment.effects(instants), np.zeros((count, 4, 0))
         if self._controller is not None:
-            own, rates, _ = (part.reshape(count, 3, -1) for part in self._streams[COMMANDS].segment.filtered(instants))
-            commands = np.concatenate([own, effort[:, None]], axis=1)
-            # A controller acts on the velocity that its driver sends.
-            sent = np.where(self._velocities.are_derivatives(value[:, 1], told), value[:, 1], velocity)
-            effort = self._controller.efforts(own, value[:, 0], sent)
+            ref, rates, _ = (part.reshape(count, 3, -1) for part in self._streams[COMMANDS].segment.filtered(instants))
+            commands = np.concatenate([ref, effort[:, None]], axis=1)
+            # The controller acts on these set-points, and on the velocity that its driver sends.
+            sent = np.where(self._velocities.are_derivatives(value[:, 1], sums), value[:, 1], velocity)
+            effort = self._controller.efforts(ref, value[:, 0], sent)
             for column in self._entries.columns:
                 if isinstance(column, PlacedColumn) and column.effect.place == "commands":
                     effects[:, self._entries.of(column)[0]] = self._controller.rate(rates)
@@ -271,7 +270,7 @@ class Sampler:
         return samples if self._mount is None else samples.select(self._with_gravity(instants))
 
     def _with_gravity(self, instants: range) -> BoolArray:
-        """Those of ``instants`` at which the IMU's specific force is gravity on average; what else it is is noted."""
+        """True for ``instants`` at which the IMU's mean specific force is gravity; faults are noted in the ledger."""
         faults = self._streams[IMU].segment.faults(instants)
         for fault in dict.fromkeys(filter(None, faults)):
             self._ledger.note(IMU, fault)

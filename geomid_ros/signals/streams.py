@@ -1,7 +1,7 @@
 """Streams of stamped numbers, interpolated on a common time grid and filtered there.
 
-The grid's instants are the multiples of its period since the epoch. They do not depend on when the first message came:
-a node that joins late and a reader of the whole bag make the same samples of the same messages.
+Grid points are the multiples of the period since the epoch. They do not depend on when the first message came: a node
+that joins late and a reader of the whole bag make the same samples of the same messages.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from geomid_ros.signals.kernels import GridValues, cubic_weights, derivative_ker
 from geomid_ros.signals.settings import MEAN_STEPS, MEAN_TOLERANCE
 from geomid_ros.types import FloatArray, IntArray
 
-_SHARPER = 4.0  # cutoff of the motion that effects are computed on, in units of the filter's
+_SHARPER = 4.0  # cutoff of the motion for effects, in units of the filter's
 
 
 class Grid:
-    """The common time grid: its ``period`` [ns], the kernels on it with ``half`` of their taps, the ``lag`` of samples
-    in instants, and the ``stride`` from one sample to the next."""
+    """Common time grid: its ``period`` [ns], the kernels on it with ``half`` of their taps, the ``lag`` of samples and
+    the ``stride`` from one sample to the next, both in grid points."""
 
     def __init__(self, period: int, cutoff: float, samples_per_cutoff_period: float) -> None:
         self.period = period
@@ -39,7 +39,7 @@ class Grid:
 
 
 class Segment(ABC):
-    """Numbers of one topic without a pause. :meth:`push` takes them, :meth:`filtered` gives filtered values."""
+    """Data of one topic without a pause. :meth:`push` takes them, :meth:`filtered` returns filtered values."""
 
     @abstractmethod
     def push(self, stamps: IntArray, values: FloatArray) -> None:
@@ -47,23 +47,23 @@ class Segment(ABC):
 
     @abstractmethod
     def ready(self) -> range:
-        """Grid instants that can be filtered now."""
+        """Return the grid points that can be filtered now."""
 
     @abstractmethod
     def filtered(self, instants: range) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Filtered values and their first two derivatives at ``instants`` (all ready), each ``(N, values)``."""
+        """Return filtered values and their first two derivatives at ``instants`` (all ready), each ``(N, values)``."""
 
     @abstractmethod
     def drop_before(self, instant: int) -> None:
-        """Forget what is needed only for earlier instants."""
+        """Discard data that only earlier grid points need."""
 
 
 S = TypeVar("S", bound=Segment)
 
 
 class Stream(Generic[S]):
-    """One topic's numbers. A pause longer than ``max_gap`` [ns] starts a new segment: nothing is interpolated or
-    filtered across it. The segment before stays until the other topics, which may be later, have passed its end."""
+    """Data of one topic. A pause longer than ``max_gap`` [ns] starts a new segment: nothing is interpolated or filtered
+    across it. The previous segment remains until the other topics, which may be later, have passed its end."""
 
     def __init__(self, max_gap: int, new_segment: Callable[[], S]) -> None:
         self._max_gap = max_gap
@@ -73,7 +73,7 @@ class Stream(Generic[S]):
 
     @property
     def segment(self) -> S:
-        """The oldest that is still needed."""
+        """Oldest segment that is still needed."""
         return self._segments[0]
 
     def push(self, stamps: IntArray, values: FloatArray) -> None:
@@ -87,17 +87,17 @@ class Stream(Generic[S]):
         self._last = int(stamps[-1])
 
     def drop_before(self, instant: int) -> None:
-        """Forget what is needed only for earlier instants."""
+        """Discard data that only earlier grid points need."""
         self.skip_to(instant)
         self.segment.drop_before(instant)
 
     def forget(self, instant: int) -> None:
-        """As :meth:`drop_before`, where there is anything that old."""
+        """Do :meth:`drop_before` if there are data that old."""
         if len(self._segments) > 1 or self.segment.ready().start < instant:
             self.drop_before(instant)
 
     def skip_to(self, instant: int) -> bool:
-        """Drop the segments that end before this instant. Returns whether there was one."""
+        """Drop the segments that end before this grid point. Return True if there was one."""
         count = len(self._segments)
         while len(self._segments) > 1 and self.segment.ready().stop <= instant:
             self._segments.popleft()
@@ -105,17 +105,17 @@ class Stream(Generic[S]):
 
 
 class VectorSegment(Segment):
-    """Plain vectors, interpolated by local cubics and filtered component by component.
+    """Vectors, interpolated by local cubics and filtered per component.
 
-    They are interpolated when they are needed, as many at once as there are.
+    They are interpolated when needed, as many at once as possible.
     """
 
     def __init__(self, grid: Grid) -> None:
         self._grid = grid
-        self._nodes: list[tuple[IntArray, FloatArray]] = []  # those that later instants lie between
+        self._nodes: list[tuple[IntArray, FloatArray]] = []  # messages around later grid points
         self._count = 0
         self._last_stamps = [0, 0]
-        self._next: int | None = None  # instant to be interpolated
+        self._next: int | None = None  # grid point to be interpolated
         self._on_grid = GridValues()
 
     def push(self, stamps: IntArray, values: FloatArray) -> None:
@@ -127,14 +127,14 @@ class VectorSegment(Segment):
 
     @property
     def _reached(self) -> range:
-        """The instants between the second message and the last but one, that are not forgotten."""
+        """Remembered grid points between the second message and the last but one."""
         if self._count < 4 or self._next is None:
             return range(0)
         first = self._on_grid.first if len(self._on_grid.values) else self._next
         return range(first, self._last_stamps[0] // self._grid.period + 1)
 
     def _interpolate(self) -> None:
-        """Bring the values to all instants that are reached."""
+        """Interpolate the values at all reached grid points."""
         instants = range(self._next or 0, self._reached.stop)
         if not instants:
             return
@@ -143,13 +143,13 @@ class VectorSegment(Segment):
         self._on_grid.extend(instants.start, self._between(stamps, values, times))
         self._next = instants.stop
         oldest = int(np.searchsorted(stamps, (instants.stop - 1) * self._grid.period, side="right")) - 1
-        kept = slice(max(0, min(oldest, len(stamps) - 3)), None)
-        self._nodes = [(stamps[kept].copy(), values[kept].copy())]
+        remaining = slice(max(0, min(oldest, len(stamps) - 3)), None)
+        self._nodes = [(stamps[remaining].copy(), values[remaining].copy())]
 
     def _between(self, stamps: IntArray, values: FloatArray, times: IntArray) -> FloatArray:
-        """Values at ``times`` [ns] among ``stamps (N,)`` of ``values (N, ...)``."""
-        left = np.minimum(np.maximum(np.searchsorted(stamps, times) - 2, 0), len(stamps) - 4)
-        nodes, origins = left[:, None] + np.arange(4), stamps[left]
+        """Interpolate ``values (N, ...)`` at ``stamps (N,)`` to ``times`` [ns]."""
+        start = np.minimum(np.maximum(np.searchsorted(stamps, times) - 2, 0), len(stamps) - 4)
+        nodes, origins = start[:, None] + np.arange(4), stamps[start]
         weights = cubic_weights((stamps[nodes] - origins[:, None]).astype(float), (times - origins).astype(float))
         return np.asarray(np.einsum("ni,nij->nj", weights, values[nodes]))
 
@@ -168,8 +168,8 @@ class VectorSegment(Segment):
 
 
 class HeldSegment(VectorSegment):
-    """Vectors that hold until the next ones come, filtered component by component: commands. At an instant of the grid
-    they are what they are on average from half a period before to half a period after."""
+    """Commands: vectors that hold until the next ones, filtered per component. The value at a grid point is the mean
+    from half a period before to half a period after."""
 
     @property
     def _reached(self) -> range:
@@ -182,7 +182,7 @@ class HeldSegment(VectorSegment):
         first, last = (np.maximum(np.searchsorted(stamps, side, side="right") - 1, 0) for side in (begin, end))
         ends = np.append(stamps[1:], np.iinfo(np.int64).max)
         total = np.zeros((len(times), *values.shape[1:]))
-        for further in range(int(np.max(last - first)) + 1):  # one after the other, in whichever blocks they come
+        for further in range(int(np.max(last - first)) + 1):  # in order, independent of blocks
             node = np.minimum(first + further, len(stamps) - 1)
             until = np.minimum(ends[node], end)
             total += np.where(first + further <= last, until - begin, 0)[:, None] * values[node]
@@ -191,10 +191,10 @@ class HeldSegment(VectorSegment):
 
 
 class JointSegment(VectorSegment):
-    """Joint messages' vectors (positions first), and with them the columns of effects.
+    """Vectors of joint messages (positions first), with the columns of effects.
 
-    Friction jumps when a joint reverses, and the filtered effort shows a smoothed jump. So effects are computed on a
-    less filtered motion at every instant of the grid, and then filtered as the efforts are.
+    Friction jumps when a joint reverses, and the filtered effort shows a smoothed jump. So effects are computed from a
+    less filtered motion at every grid point, and then filtered like the efforts.
     """
 
     def __init__(self, grid: Grid, entries: Entries) -> None:
@@ -203,7 +203,7 @@ class JointSegment(VectorSegment):
         self._sharp_half = grid.sharp_kernels.shape[1] // 2
         self._entries_on_grid = GridValues()
         self._past: dict[type[JointEffect], FloatArray] = {}
-        self._position = np.zeros((0, entries.joints))  # at the last instant that effects remember
+        self._position = np.zeros((0, entries.joints))  # at the last grid point with known states of effects
 
     def ready(self) -> range:
         motion, margin = super().ready(), self._sharp_half
@@ -212,40 +212,40 @@ class JointSegment(VectorSegment):
         return range(max(motion.start, start), motion.stop - margin)
 
     def effects(self, instants: range) -> FloatArray:
-        """The filtered entries of columns ``(N, entries)`` at ``instants`` (all ready)."""
+        """Return the filtered entries of columns ``(N, entries)`` at ``instants`` (all ready)."""
         self._interpolate()
-        half, known = self._grid.half, self._entries_on_grid
-        start = known.end if len(known.values) else self._on_grid.first + self._sharp_half
+        half, entries = self._grid.half, self._entries_on_grid
+        start = entries.end if len(entries.values) else self._on_grid.first + self._sharp_half
         missing = range(start, instants[-1] + half + 1)
         if missing:
             motion = self._on_grid.correlated(missing, self._grid.sharp_kernels, self._entries.joints)
-            known.extend(start, self._entries.values(Motion(motion, self._remembered(motion[0]))))
-        (filtered,) = known.correlated(instants, self._grid.kernels[:1])
+            entries.extend(start, self._entries.values(Motion(motion, self._remembered(motion[0]))))
+        (filtered,) = entries.correlated(instants, self._grid.kernels[:1])
         return np.asarray(filtered)
 
     def _remembered(self, position: FloatArray) -> dict[JointEffect, FloatArray]:
-        """What effects remember at the next instants, at which joints are at a ``position (N, J)``."""
+        """States of effects with memory at the next grid points, where joints are at ``position (N, J)``."""
         moved = steps(position, self._position if len(self._position) else position[:1])
         self._position = position[-1:]
-        found: dict[JointEffect, FloatArray] = {}
+        result: dict[JointEffect, FloatArray] = {}
         for kind, effects in self._entries.remembering.items():
             states = kind.states(effects, moved, self._past.get(kind, np.zeros((len(effects), moved.shape[1]))))
             self._past[kind] = states[-1]
-            found |= zip(effects, np.moveaxis(states, 1, 0), strict=True)
-        return found
+            result |= zip(effects, np.moveaxis(states, 1, 0), strict=True)
+        return result
 
     def drop_before(self, instant: int) -> None:
         self._interpolate()
-        known, before = self._entries_on_grid, instant - self._grid.half
-        known.drop_before(before)
-        end = known.end if len(known.values) else before
+        entries, before = self._entries_on_grid, instant - self._grid.half
+        entries.drop_before(before)
+        end = entries.end if len(entries.values) else before
         self._on_grid.drop_before(min(before, end - self._sharp_half))
 
 
 class PoseSegment(Segment):
     """Poses ``(7,)``, filtered and differentiated on SE(3).
 
-    Around an instant, poses become logarithms relative to a reference pose, which is moved until the filtered
+    Around a grid point, poses become logarithms relative to a reference pose, which is moved until the filtered
     logarithm vanishes: the filtered pose is the kernel-weighted mean on the group. There the derivatives of the
     logarithm are the body's spatial velocity and acceleration (linear, angular; base frame), as all structure terms of
     the group are multiples of the logarithm or of the velocity's bracket with itself.
@@ -279,8 +279,8 @@ class PoseSegment(Segment):
         end = int(np.searchsorted(self._stamps, window[-1], side="left")) + 2
         stamps = np.array(self._stamps[begin:end])
         poses = np.array(self._poses[begin:end])
-        left = np.clip(np.searchsorted(stamps, window, side="right") - 2, 0, len(stamps) - 4)
-        nodes = left[:, None] + np.arange(4)
+        start = np.clip(np.searchsorted(stamps, window, side="right") - 2, 0, len(stamps) - 4)
+        nodes = start[:, None] + np.arange(4)
         weights = cubic_weights((stamps - origin)[nodes].astype(float), (window - origin).astype(float))
         reference = poses[int(np.argmin(np.abs(stamps - instant * period)))]
         for _ in range(MEAN_STEPS):

@@ -1,8 +1,8 @@
-"""Messages of Unitree's robots in place of ROS's: LowState as JointState and Imu, LowCmd as set-points.
+"""Messages of Unitree's robots instead of ROS's: LowState as JointState and Imu, LowCmd as set-points.
 
-They are read by place: all their fields have fixed sizes, and their package is not needed. They have no stamp, so that
-the time at which they came counts, and no names: these are the motors' (https://github.com/unitreerobotics/unitree_ros2,
-``unitree_go/msg``). Robots of ``unitree_hg`` send others.
+They are read by byte offsets, as all their fields have fixed sizes: their package is not needed. They have no stamp, so
+the time of arrival is used, and no names, so those of the motors are used
+(https://github.com/unitreerobotics/unitree_ros2, ``unitree_go/msg``). Robots of ``unitree_hg`` send other messages.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from geomid_ros.types import FloatArray
 
 LOW_STATE, LOW_CMD = "unitree_go/msg/LowState", "unitree_go/msg/LowCmd"
 KINDS = {JOINT_STATES: LOW_STATE, IMU: LOW_STATE, COMMANDS: LOW_CMD}
-"""The type that serves in place of that of each topic."""
+"""Type that replaces the ROS type of each topic."""
 
 _MOTORS = 20
 _SENSED = slice(44, 68)  # gyroscope and accelerometer, three numbers each
-# Size, and place of the first motor in bytes, with the four that say how the rest is written; and a motor, in single
+# Size and offset of the first motor in bytes, with the four of the encapsulation; and a motor in single
 # precision: q, dq, tau_est; q, dq, tau, kp, kd.
 _LAYOUTS = {
     LOW_STATE: (1180, 84, np.dtype({"names": "qdt", "formats": ["<f4"] * 3, "offsets": (0, 4, 12), "itemsize": 48})),
@@ -40,13 +40,13 @@ _LAYOUTS = {
 
 @dataclass(eq=False)
 class UnitreeMessages:
-    """Makes other messages (CDR) of Unitree's, in the order in which they came.
+    """Converts messages (CDR) of Unitree's robots, in their order of arrival.
 
     Attributes:
-        motors: the joints of a robot's motors, in their order.
-        joints: all of the robot's.
-        controller: the gains that set-points are read with; None if they are not.
-        source: where the motors are from, for messages.
+        motors: joints of the robot's motors, in their order.
+        joints: all joints of the robot.
+        controller: its gains, with which set-points are read; None if they are not read.
+        source: origin of the motors, for messages.
     """
 
     motors: Sequence[str]
@@ -57,7 +57,7 @@ class UnitreeMessages:
 
     @cached_property
     def _gains(self) -> FloatArray:
-        """kp and kd ``(2, motors)``, NaN where there are none. Raises InputError for motors that no robot has."""
+        """Gains kp and kd ``(2, motors)``, NaN where there are none. Raises InputError for motors that no robot has."""
         wrong = [joint for joint in self.joints if self.motors.count(joint) != 1]
         if wrong or len(self.motors) > _MOTORS:
             raise InputError(
@@ -76,37 +76,37 @@ class UnitreeMessages:
         names: Mapping[str, Sequence[str]],
         refuse: Callable[[int, str], None],
     ) -> tuple[list[int], list[Raw]]:
-        """Messages of any types as what is read of them, and the place of the one that each is from.
+        """Convert Unitree's messages, and pass on others. Return each result's place of origin, and the results.
 
         Args:
             messages: topic, time [ns], type and bytes.
-            names: what is read of each topic, as the pipeline calls it.
-            refuse: ``refuse(place, why)`` is told of messages that are not of their type.
+            names: names in the pipeline that are read of each topic.
+            refuse: ``refuse(place, why)`` receives messages that are not of their type.
         """
         origins, raw = list[int](), list[Raw]()
         for place, (topic, time, kind, data) in enumerate(messages):
-            found = dict.fromkeys(names[topic], data)
+            converted = dict.fromkeys(names[topic], data)
             if kind in _LAYOUTS:
                 try:
-                    found = self.translated(kind, time, data)
-                except (ValueError, struct.error) as error:  # a time that no stamp can be
+                    converted = self.translated(kind, time, data)
+                except (ValueError, struct.error) as error:  # the time does not fit a stamp
                     refuse(place, str(error))
-            own = [(name, found[name]) for name in names[topic] if name in found]
-            origins += [place] * len(own)
-            raw += own
+            named = [(name, converted[name]) for name in names[topic] if name in converted]
+            origins += [place] * len(named)
+            raw += named
         return origins, raw
 
     def translated(self, kind: str, time: int, data: bytes) -> dict[str, bytes]:
-        """The messages that one of a ``kind`` which came at a ``time`` [ns] stands for, by topic.
+        """Convert a message of a ``kind`` that arrived at a ``time`` [ns]. Return the resulting messages by topic.
 
         Raises:
-            ValueError: it is none of this kind.
+            ValueError: it is not of this kind.
         """
         size, first, motor = _LAYOUTS[kind]
         if len(data) < size or data[:2] != LITTLE_ENDIAN:
             raise ValueError(f"{len(data)} bytes, expected {size}, little-endian")
-        own = np.ndarray(self._gains.shape[1], motor, data, first)
-        numbers = np.array([own[name] for name in motor.names or ()], dtype=float)
+        motors = np.ndarray(self._gains.shape[1], motor, data, first)
+        numbers = np.array([motors[name] for name in motor.names or ()], dtype=float)
         if kind == LOW_CMD:
             return {COMMANDS: self._joint_state(time, self._set_points(*numbers))} if self._state.size else {}
         self._state = numbers
@@ -114,37 +114,37 @@ class UnitreeMessages:
         return {JOINT_STATES: self._joint_state(time, numbers), IMU: _imu(time, sensed)}
 
     def _set_points(
-        self, wanted: FloatArray, speed: FloatArray, forward: FloatArray, kp: FloatArray, kd: FloatArray
+        self, target: FloatArray, speed: FloatArray, forward: FloatArray, kp: FloatArray, kd: FloatArray
     ) -> FloatArray:
-        """Position, velocity and feed-forward ``(3, motors)`` that mean the same with the known gains: if a command
-        brings others, those of the motors' last state, and its effort there."""
+        """Position, velocity and feed-forward ``(3, motors)`` that are equivalent under the known gains. If a command
+        has other gains, return the motors' last state and the effort of the command there."""
         position, velocity, _ = self._state
-        effort = kp * (wanted - position) + kd * (speed - velocity) + forward
+        effort = kp * (target - position) + kd * (speed - velocity) + forward
         same = np.all(np.isclose([kp, kd], self._gains), axis=0)
-        return np.where(same, [wanted, speed, forward], [position, velocity, effort])
+        return np.where(same, [target, speed, forward], [position, velocity, effort])
 
     def _joint_state(self, time: int, numbers: FloatArray) -> bytes:
-        """A sensor_msgs/JointState of position, velocity and effort ``(3, motors)``."""
+        """Return a sensor_msgs/JointState of position, velocity and effort ``(3, motors)``."""
         data = _header(time) + struct.pack("<I", len(self.motors))
         for name in self.motors:
             text = name.encode() + b"\0"
             data = _padded(data, 4) + struct.pack("<I", len(text)) + text
-        for own in numbers:
-            data = _padded(_padded(data, 4) + struct.pack("<I", len(own)), 8) + own.astype("<f8").tobytes()
+        for values in numbers:
+            data = _padded(_padded(data, 4) + struct.pack("<I", len(values)), 8) + values.astype("<f8").tobytes()
         return data
 
 
 def _imu(time: int, sensed: FloatArray) -> bytes:
-    """A sensor_msgs/Imu of angular velocity and specific force ``(6,)``, without orientation (a covariance of -1)."""
+    """Return a sensor_msgs/Imu of angular velocity and specific force ``(6,)``, without orientation (covariance -1)."""
     parts = ([0.0, 0.0, 0.0, 1.0, -1.0], np.zeros(8), sensed[:3], np.zeros(9), sensed[3:], np.zeros(9))
     return _padded(_header(time), 8) + np.concatenate(parts).astype("<f8").tobytes()
 
 
 def _header(time: int) -> bytes:
-    """A std_msgs/Header without a frame, aligned for a count."""
+    """Return a std_msgs/Header without a frame, aligned for a count."""
     return _padded(LITTLE_ENDIAN + b"\0\0" + struct.pack("<IIIx", *divmod(time, 1_000_000_000), 1), 4)
 
 
 def _padded(data: bytes, size: int) -> bytes:
-    """With zeros up to the next place of a number of this size; the first four bytes do not count."""
+    """Pad with zeros to the next place of a number of this size; the first four bytes do not count."""
     return data + bytes((4 - len(data)) % size)

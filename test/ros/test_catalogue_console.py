@@ -91,7 +91,7 @@ class TestConsole:
             for _ in range(2):
                 console.tell([Complaint(f"joint '{name}' is missing", False)])
             clock[0] += 1.0
-        assert len(console._said) <= 200
+        assert len(console._logged) <= 200
 
     def test_names_are_printable(self) -> None:
         log = Lines()

@@ -17,7 +17,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.signals.decoding import Decoder
-from geomid_ros.signals.joint_gate import CLOCK_SET, EARLY, LEAP, SPIKE_OR_CONTACT, _end, _unlikely
+from geomid_ros.signals.joint_gate import CLOCK_SET, EARLY, LEAP, SPIKE_OR_CONTACT, _chi_square, _edge_state
 from geomid_ros.signals.messages import JOINT_STATES, Block
 from geomid_ros.signals.pipeline import UNDECIDED
 from geomid_ros.signals.sampler import IN_BURSTS
@@ -345,7 +345,9 @@ def test_where_a_motion_ends_is_as_sure_as_it_scatters() -> None:
     rng, stamps, sigma = np.random.default_rng(0), 10_000_000 * np.arange(-19, 1), 1e-3
     time = 1e-9 * stamps[:, None]
     true = rng.normal(size=(3, 2000))
-    found, variances = _end(stamps, true[0] + true[1] * time + true[2] * time**2 + sigma * rng.normal(size=(20, 2000)))
+    found, variances = _edge_state(
+        stamps, true[0] + true[1] * time + true[2] * time**2 + sigma * rng.normal(size=(20, 2000))
+    )
     np.testing.assert_allclose(np.var(found - true[:2], axis=1), np.mean(variances, axis=1), rtol=0.1)
     assert np.mean(variances[0]) < sigma**2
 
@@ -355,5 +357,5 @@ def test_the_time_between_two_pieces_of_a_motion_is_the_likely_one() -> None:
     noise, start, time = np.full((2, 3), 1e-6), np.array([[0.1, -0.2, 0.3], [0.4, 0.1, -0.3]]), 0.7
     slope = np.array([0.2, -0.1, 0.3])
     end = np.array([start[0] + start[1] * time + 0.5 * slope * time**2, start[1] + slope * time])
-    assert _unlikely((start, noise), (end, noise), time) == pytest.approx(0.0, abs=1e-12)
-    assert _unlikely((start, noise), (end, noise), time + 0.1) > 100.0
+    assert _chi_square((start, noise), (end, noise), time) == pytest.approx(0.0, abs=1e-12)
+    assert _chi_square((start, noise), (end, noise), time + 0.1) > 100.0

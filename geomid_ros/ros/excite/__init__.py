@@ -1,1 +1,1 @@
-"""Runs a motion on a robot: finds its controller, watches over it and records it."""
+"""Runs a motion on a robot: finds its controller, monitors and records the motion."""

@@ -1,4 +1,4 @@
-"""Ways to a joint_trajectory_controller: the action where ``control_msgs`` is installed, the topic elsewhere."""
+"""Interfaces to a joint_trajectory_controller: its action if ``control_msgs`` is installed, else its topic."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from geomid_ros.ros.starting import MATCHING, PATIENCE
 
 _KIND = "trajectory_msgs/msg/JointTrajectory"
 NOT_ACCEPTED = "not accepted; check that the controller is active and has these joints"
-"""Why a goal came back, as far as a rejection says."""
+"""Reason that is reported for a rejected goal, as the rejection itself has none."""
 
 
 class Controller(Protocol):
-    """Takes trajectories; each replaces the one before it, at once. ``name``: of its topic or action."""
+    """Follows trajectories; each replaces the previous one at once. ``name``: of its topic or action."""
 
     name: str
 
     @property
     def ready(self) -> bool:
-        """Whether somebody is there to take them."""
+        """True if the controller is available."""
 
     @property
     def problem(self) -> str:
-        """Why it does not do what it was sent, if that is known."""
+        """Reason why it does not follow the trajectory, if known."""
 
     def send(self, trajectory: Trajectory) -> None:
-        """Let it follow a trajectory from now on."""
+        """Let the controller follow a trajectory from now on."""
 
 
 class TopicController:
@@ -58,7 +58,7 @@ class TopicController:
 
 
 class ActionController:
-    """Sends goals to ``<controller>/follow_joint_trajectory``. A goal preempts the one before it."""
+    """Sends goals to ``<controller>/follow_joint_trajectory``. A goal preempts the previous one."""
 
     def __init__(self, node: Node, controller: str, action: Any, client: Callable[..., Any]) -> None:
         """``action``: control_msgs' FollowJointTrajectory; ``client``: makes an action client."""
@@ -93,13 +93,13 @@ class ActionController:
         if result.error_code != self._action.Result.SUCCESSFUL:
             self._refuse(number, result.error_string or f"error {result.error_code}")
 
-    def _refuse(self, number: int, why: str) -> None:
-        if number == self._goals:  # one that was replaced is expected to fail
-            self._refusal = f"the controller aborted the motion: {why}"
+    def _refuse(self, number: int, reason: str) -> None:
+        if number == self._goals:  # a replaced goal is expected to fail
+            self._refusal = f"the controller aborted the motion: {reason}"
 
 
 def message_of(trajectory: Trajectory) -> JointTrajectory:
-    """The message, to be followed from when it arrives."""
+    """Return the message; the motion starts on arrival."""
     message = JointTrajectory(joint_names=list(trajectory.joints))
     for numbers, seconds, nanoseconds in points_of(trajectory):
         time_from_start = Duration(sec=seconds, nanosec=nanoseconds)
@@ -108,45 +108,45 @@ def message_of(trajectory: Trajectory) -> JointTrajectory:
 
 
 def find_controller(node: Node, controller: str, look: Callable[[], object]) -> Controller:
-    """The controller of this name.
+    """Find the controller of this name.
 
     Args:
         node: to reach it from.
         controller: its name, as ``/joint_trajectory_controller``.
-        look: lets a moment pass.
+        look: spins the node for a moment.
 
     Raises:
-        InputError: nobody is there; it names those who are.
+        InputError: it is not available; the error names the available ones.
     """
-    ways: list[Controller] = [*_action(node, controller), TopicController(node, controller)]
-    found: Controller | None = None
+    interfaces: list[Controller] = [*_action(node, controller), TopicController(node, controller)]
+    ready: Controller | None = None
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
         look()
-        first = next((way for way in ways if way.ready), None)
-        if first is not None and found is None:
+        first = next((interface for interface in interfaces if interface.ready), None)
+        if first is not None and ready is None:
             end = time.monotonic() + MATCHING
-        found = first
-    if found is not None:
-        return found
+        ready = first
+    if ready is not None:
+        return ready
     others = [
         topic.rpartition("/")[0]
         for topic, kinds in node.get_topic_names_and_types()
         if _KIND in kinds and node.count_subscribers(topic)
     ]
-    there = (
+    advice = (
         f"available: {', '.join(sorted(others))}" if others else "there is no other; check that it is loaded and active"
     )
-    raise InputError(f"--controller {controller}: nothing subscribes to {ways[-1].name}; {there}")
+    raise InputError(f"--controller {controller}: nothing subscribes to {interfaces[-1].name}; {advice}")
 
 
 def action_name(controller: str) -> str:
-    """The action of a controller."""
+    """Return the name of a controller's action."""
     return f"{controller}/follow_joint_trajectory"
 
 
 def follow_joint_trajectory() -> Any:
-    """The action's type; None where ``control_msgs`` is not installed."""
+    """Return the action's type; None if ``control_msgs`` is not installed."""
     try:
         return import_module("control_msgs.action").FollowJointTrajectory
     except ImportError:

@@ -1,4 +1,4 @@
-"""A robot as it is heard: its joints, its description, and the bag that is recorded of it, whole however that ends."""
+"""Data of a robot from its topics: joint states, description, and a bag that is complete even after an error."""
 
 from __future__ import annotations
 
@@ -28,30 +28,30 @@ from geomid_ros.ros.outputs import latched
 from geomid_ros.signals.messages import JOINT_STATES, parse
 from geomid_ros.simulation.bag import BagWriter
 
-_LOOK = 0.003  # [s] at most that a look waits for a message
+_LOOK = 0.003  # [s] longest wait for a message
 _DESCRIPTION = "robot_description"
 _WRENCH, _STATE, _TEXT = "geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/JointState", "std_msgs/msg/String"
 T = TypeVar("T")
 
 
 class Recorder:
-    """Writes serialised messages into a new bag, for a ``with`` statement.
+    """Writes serialised messages into a new bag; a context manager.
 
-    In a thread of its own: whoever watches over a robot does not wait for a disk.
+    It writes in a separate thread, as the monitoring of a robot must not wait for a disk.
     """
 
     def __init__(self, path: Path, topics: Mapping[str, str]) -> None:
         """
         Args:
             path: of the bag, which does not exist yet.
-            topics: the messages' types, as ``sensor_msgs/msg/JointState``, by topic.
+            topics: types of the messages, as ``sensor_msgs/msg/JointState``, by topic.
 
         Raises:
             GeomidError: the bag cannot be written.
         """
         self.path = path
         self.problem = ""
-        """Why nothing is recorded any more, if so."""
+        """Reason why recording has stopped; empty if it has not."""
         try:
             self._bag = BagWriter(path)
         except (OSError, WriterError) as error:
@@ -83,15 +83,15 @@ class Recorder:
 
 
 class HeardRobot:
-    """Subscribes to joint states and description, and records what is heard when it is asked to."""
+    """Subscribes to joint states and the description, and records messages on request."""
 
     def __init__(self, node: Node, joints: tuple[str, ...], topic: str, interrupted: Callable[[], bool]) -> None:
         """
         Args:
             node: subscribes.
-            joints: whose states are asked for.
+            joints: whose states are requested.
             topic: of the joint states.
-            interrupted: whether the user wants an end.
+            interrupted: returns True if the user interrupts.
         """
         self._joints = joints
         self._interrupted = interrupted
@@ -101,19 +101,19 @@ class HeardRobot:
         self._new: list[JointState] = []
         self._recorder: Recorder | None = None
         self.description = ""
-        """The robot's URDF, as it was heard."""
+        """URDF of the robot, as received."""
         self.positions: dict[str, float] = {}
-        """Of all joints that were heard of, by name; not finite where they are not known."""
+        """Positions of all received joints by name; not finite if unknown."""
         self.state: JointState | None = None
-        """The last one."""
+        """Latest joint state."""
         self._qos = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
         self._states = node.create_subscription(JointStateMessage, topic, self._take, self._qos, raw=True)
         self._descriptions = node.create_subscription(String, _DESCRIPTION, self._describe, latched())
         self.topic: str = self._states.topic_name
-        """Of the joint states, in full."""
+        """Full name of the joint states' topic."""
 
     def look(self) -> list[JointState]:
-        """What has come since the last look, or comes within a moment."""
+        """Return the joint states since the last call, or within a moment."""
         self._executor.spin_once(timeout_sec=_LOOK)
         for _ in range(MOST_AT_ONCE):
             with self._states.handle:
@@ -121,20 +121,20 @@ class HeardRobot:
             if taken is None:
                 break
             self._take(taken[0])
-        new, self._new = self._new, []
-        return new
+        states, self._new = self._new, []
+        return states
 
     def wait_for(self, find: Callable[[], T | None], patience: float) -> T | None:
-        """What is found within ``patience`` [s]. Raises GeomidError when the user wants an end."""
+        """Return the result of ``find``, None after ``patience`` [s]. Raises GeomidError if the user interrupts."""
         end = time.monotonic() + patience
-        while (found := find()) is None and time.monotonic() < end:
+        while (result := find()) is None and time.monotonic() < end:
             if self._interrupted():
                 raise GeomidError("interrupted; nothing has moved")
             self.look()
-        return found
+        return result
 
     def period(self, seconds: float) -> float:
-        """The time from one joint state to the next [s], by what comes within some ``seconds``."""
+        """Mean time between joint states [s], measured for some ``seconds``."""
         begin, count = time.monotonic(), 0
         while time.monotonic() - begin < seconds:
             count += len(self.look())
@@ -142,9 +142,9 @@ class HeardRobot:
 
     @contextmanager
     def recorded(self, path: Path, urdf: str) -> Iterator[Recorder]:
-        """Record joint states and all wrenches that there are into a new bag, and the ``urdf`` as description."""
-        known = self._node.get_topic_names_and_types()
-        wrenches = {topic: _WRENCH for topic, kinds in known if kinds == [_WRENCH]}
+        """Record joint states and all wrenches into a new bag, with the ``urdf`` as description."""
+        topics = self._node.get_topic_names_and_types()
+        wrenches = {topic: _WRENCH for topic, kinds in topics if kinds == [_WRENCH]}
         description: str = self._descriptions.topic_name
         with Recorder(path, {self.topic: _STATE, description: _TEXT, **wrenches}) as recorder:
             recorder.write(description, serialize_message(String(data=urdf)))
@@ -162,8 +162,8 @@ class HeardRobot:
             self._recorder.write(self.topic, data)
         message = parse(JOINT_STATES, deserialize_message(data, JointStateMessage))
         count, position = len(message.names), message.arrays[0]
-        known = position if len(position) == count else np.full(count, np.nan)
-        self.positions.update(zip(message.names, known.tolist(), strict=True))
+        positions = position if len(position) == count else np.full(count, np.nan)
+        self.positions.update(zip(message.names, positions.tolist(), strict=True))
         if (state := JointState.of(message, self._joints)) is not None:
             self.state = state
             self._new.append(state)

@@ -1,4 +1,4 @@
-"""Runs a motion on a robot: what would be done, and doing it."""
+"""Runs a motion on a robot: plans and executes it."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ from geomid_ros.session.collision_scene import NOT_LOOKED, collision_model, not_
 from geomid_ros.session.options import RunOptions
 from geomid_ros.types import FloatArray
 
-_LISTENING = 0.5  # [s] to learn how often joint states come
-_SILENCE, _PERIODS = 0.04, 3.0  # [s] and periods of the joint states without any
-_SETTLING = 0.5  # [s] after a motion
-_RESTING, _LATELY = 0.02, 0.1  # [rad/s, m/s] below which a joint stands, within the last [s]
+_LISTENING = 0.5  # [s] to measure the rate of joint states
+_SILENCE, _PERIODS = 0.04, 3.0  # [s] and periods without joint states
+_SETTLING = 0.5  # [s] monitored after a motion
+_RESTING, _LATELY = 0.02, 0.1  # [rad/s, m/s] below which a joint is at rest, over the last [s]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Order:
-    """What is to be run, and how.
+    """Request to run a motion.
 
     Attributes:
         motion: at full speed.
-        source: where it is from, for messages.
-        speed: times its own.
+        source: its origin, for messages.
+        speed: factor on the motion's speed.
         urdf: text and source of the robot's description; None for that on the topic robot_description.
-        options: who moves the robot, and what stops it.
+        options: the controller, and what stops the motion.
     """
 
     motion: Trajectory
@@ -50,14 +50,14 @@ class Order:
 
     @property
     def slowed(self) -> Trajectory:
-        """The motion as it is run."""
+        """Motion at the requested speed."""
         return self.motion.at_speed(self.speed)
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What would be done: the slow ``way`` from where the robot is to the start, then the ``motion``, within
-    ``limits``; joint states may stay away for ``silence`` [s]. ``notes``: on what was looked at, in sentences."""
+    """Plan of a run: the slow ``way`` from the present pose to the start, then the ``motion``, within ``limits``. Joint
+    states may be missing for ``silence`` [s]. ``notes``: sentences on the checks."""
 
     way: Trajectory
     motion: Trajectory
@@ -68,10 +68,10 @@ class Plan:
 
 @contextmanager
 def prepared_run(order: Order) -> Iterator[MotionRun]:
-    """A run with all that it needs of ROS. SIGINT and SIGTERM stop it.
+    """Prepare a run with its node. SIGINT and SIGTERM stop it.
 
     Raises:
-        InputError: the motion does not fit the robot, or what is needed is not there.
+        InputError: the motion does not fit the robot, or something required is missing.
     """
     signals: list[int] = []
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
@@ -86,7 +86,7 @@ def prepared_run(order: Order) -> Iterator[MotionRun]:
 
 
 class MotionRun:
-    """One motion of one robot; see :func:`prepared_run`."""
+    """Run of one motion on one robot; see :func:`prepared_run`."""
 
     def __init__(self, node: Node, order: Order, interrupted: Callable[[], bool]) -> None:
         self._node = node
@@ -115,8 +115,8 @@ class MotionRun:
             raise InputError(
                 f"no joint states on {topic}: check that the driver runs; --joint-topic names another topic"
             )
-        what = f"no data of {', '.join(missing)}" if missing else "no message has finite positions of all joints"
-        raise InputError(f"{topic}: {what}; {self._order.source} moves {', '.join(self._order.motion.joints)}")
+        problem = f"no data of {', '.join(missing)}" if missing else "no message has finite positions of all joints"
+        raise InputError(f"{topic}: {problem}; {self._order.source} moves {', '.join(self._order.motion.joints)}")
 
     def _planned(self, robot: Robot, state: JointState) -> Plan:
         if outside := self._limits.out_of_range(state.position):
@@ -126,34 +126,34 @@ class MotionRun:
         postures, notes = self._postures(robot, state.position)
         return Plan(way_by(motion.joints, postures, self._limits.speeds), motion, self._limits, silence, notes)
 
-    def _postures(self, robot: Robot, here: FloatArray) -> tuple[list[FloatArray], tuple[str, ...]]:
-        """By which the robot goes to the start, from ``here``, and what to say of it.
+    def _postures(self, robot: Robot, present: FloatArray) -> tuple[list[FloatArray], tuple[str, ...]]:
+        """Return the postures of the approach from the ``present`` one to the start, and sentences on the checks.
 
         Raises InputError if there is no free way, or the motion comes too close to something.
         """
-        around, motion = self._order.options, self._order.motion
+        options, motion = self._order.options, self._order.motion
         start = motion.positions[0]
-        collision = collision_model(around, robot, Path(robot.source))
-        heard = [self._robot.positions.get(name, np.nan) for name in robot.joint_names]
-        passage = Passage(robot, motion.joints, np.nan_to_num(heard), collision)
+        collision = collision_model(options, robot, Path(robot.source))
+        received = [self._robot.positions.get(name, np.nan) for name in robot.joint_names]
+        passage = Passage(robot, motion.joints, np.nan_to_num(received), collision)
         unwatched = without_touching(collision, passage.whole(start[None])[0]) if collision else ()
-        for where, position in (("at the present pose", here), ("at the start of the motion", start)):
+        for label, position in (("at the present pose", present), ("at the start of the motion", start)):
             if touching := passage.overlap(position):
-                raise InputError(f"{where}, {touching}; move it away first, or correct --avoid")
-        passage.keep(np.array([here, start]), around.clearance)
+                raise InputError(f"{label}, {touching}; move it away first, or correct --avoid")
+        passage.keep(np.array([present, start]), options.clearance)
         passage.check(motion, self._order.source)
         notes = ["" if collision else NOT_LOOKED, not_watched(unwatched)]
-        return [here, *passage.to(here, start)], tuple(filter(None, notes))
+        return [present, *passage.to(present, start)], tuple(filter(None, notes))
 
     def execute(self, bag: Path, say: Callable[[str], None]) -> None:
         """Move, and record.
 
         Args:
             bag: to write, which does not exist yet.
-            say: is told what happens.
+            say: receives sentences on the progress.
 
         Raises:
-            GeomidError: why the motion was stopped. The bag is whole.
+            GeomidError: the motion was stopped, for the reason stated. The bag is complete.
         """
         controller = find_controller(self._node, self._order.options.controller, self._robot.look)
         with self._robot.recorded(bag, self._urdf) as recorder:
@@ -166,7 +166,7 @@ class MotionRun:
     def _follow(
         self, motion: Trajectory, controller: Controller, recorder: Recorder, say: Callable[[str], None]
     ) -> None:
-        """Let the robot follow a motion, and watch over it. Raises GeomidError when it had to be stopped."""
+        """Let the robot follow a motion, and monitor it. Raises GeomidError if it had to be stopped."""
         if self._interrupted():
             raise GeomidError(f"interrupted before {'the motion' if motion is self.plan.motion else 'anything moved'}")
         self._robot.look()
@@ -188,15 +188,15 @@ class MotionRun:
             raise GeomidError(f"the motion was stopped: {problem}. {ending}. Recorded until then: {recorder.path}")
 
     def _watched(self, watch: Watch, duration: float, controller: Controller, recorder: Recorder) -> str:
-        """Why the robot must be stopped, or nothing when the motion is over."""
+        """Return the reason to stop the robot; empty once the motion is over."""
         before = time.monotonic()
         while watch.elapsed < duration:
             states = self._robot.look()
             now = time.monotonic()
-            seen = watch.look(states, now - before)
+            deviation = watch.look(states, now - before)
             before = now
             interruption = "interrupted" if self._interrupted() else ""
-            if problem := interruption or controller.problem or seen or recorder.problem:
+            if problem := interruption or controller.problem or deviation or recorder.problem:
                 return problem
         return ""
 
@@ -204,14 +204,14 @@ class MotionRun:
         return way_to_rest(self._order.motion.joints, *watch.whereabouts, self._stopping)
 
     def _ending(self, seconds: float) -> str:
-        """Whether the robot stands after some seconds, in a sentence."""
-        heard: list[JointState] = []
+        """Return a sentence on whether the robot is at rest after some seconds."""
+        states: list[JointState] = []
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            heard += self._robot.look()
-        lately = [state.position for state in heard if state.stamp > heard[-1].stamp - 1e9 * _LATELY]
-        if len(lately) < 2:
+            states += self._robot.look()
+        recent = [state.position for state in states if state.stamp > states[-1].stamp - 1e9 * _LATELY]
+        if len(recent) < 2:
             return "It is not known whether the robot is at rest, as no joint states arrive: check it"
-        if np.max(np.ptp(lately, axis=0)) > _RESTING * _LATELY:
+        if np.max(np.ptp(recent, axis=0)) > _RESTING * _LATELY:
             return "The robot still moves: use its emergency stop"
         return "The robot is at rest"
