@@ -23,8 +23,7 @@ Packages: TypeAlias = Mapping[str, Path] | None
 Config: TypeAlias = "PathLike | Mapping[str, Any] | Configuration"
 """A parameter file (YAML), or parameters by their full names, as in ``{"filter.cutoff": 8.0}``."""
 Gains: TypeAlias = float | str | Sequence[float | str] | Mapping[str, float]
-"""Gain factor for all joints' efforts, ``[JOINT=]FACTOR`` as on the command line, several of them, or factors by
-joint."""
+"""Factor of all joints' efforts, ``[JOINT=]FACTOR`` as on the command line, several of these, or by joint."""
 
 
 def paths(given: Paths) -> list[Path]:
