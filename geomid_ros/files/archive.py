@@ -73,16 +73,16 @@ def _with_meanings(value: Any, meanings: Mapping[str, Meaning]) -> Any:
     return value
 
 
-def _require_meaning(found: Any, expected: Mapping[str, Any]) -> None:
+def _require_meaning(actual: Any, expected: Mapping[str, Any]) -> None:
     """Refuse rows with another meaning."""
-    if not isinstance(found, dict):
+    if not isinstance(actual, dict):
         raise InputError("does not say what its rows mean")
-    different = [name for name in {**expected, **found} if found.get(name) != expected.get(name)]
+    different = [name for name in {**expected, **actual} if actual.get(name) != expected.get(name)]
     if "robot_description" in different:
         raise InputError("of another robot: the robot description differs")
     if different:
-        named = [f"{name} is {found.get(name)!r:.80}, here {expected.get(name)!r:.80}" for name in different]
-        raise InputError(f"of another configuration: {'; '.join(named)}")
+        differences = [f"{name} is {actual.get(name)!r:.80}, here {expected.get(name)!r:.80}" for name in different]
+        raise InputError(f"of another configuration: {'; '.join(differences)}")
 
 
 def archived(document: Mapping[str, Any]) -> bytes:

@@ -117,7 +117,7 @@ def _sync_folder(folder: Path) -> None:
 
 
 def read_bytes(path: Path, what: str, most_bytes: int = MOST_BYTES) -> bytes:
-    """Content of a regular file of at most ``most_bytes``; messages call it a ``what``. Raises InputError naming it.
+    """Content of a regular file of at most ``most_bytes``; ``what`` names it in messages. Raises InputError naming it.
 
     A pipe or a device is not opened, as reading it may never end.
     """

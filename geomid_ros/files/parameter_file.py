@@ -53,7 +53,7 @@ for _kind, _form, _beginnings in (
 
 
 def read_yaml(path: Path, what: str) -> Any:
-    """Content of a YAML file; messages call it a ``what``. Raises InputError naming the file."""
+    """Content of a YAML file; ``what`` names it in messages. Raises InputError naming the file."""
     text = read_text(path, what, MOST_BYTES)  # a parameter may contain a robot description
     try:
         return yaml.load(text, _Loader)  # noqa: S506 it is a safe loader
@@ -91,8 +91,8 @@ def read_joint_limits(path: Path, joints: Collection[str]) -> dict[str, JointLim
     if not isinstance(entries, dict):
         raise InputError(f"{path}: has no 'joint_limits' by joint, as MoveIt's joint_limits.yaml has")
     if not set(entries) & set(joints):
-        named = [str(name) for name in entries]
-        raise InputError(f"{path}: {unknown_name('joint', named[0] if named else '', joints)}")
+        names = [str(name) for name in entries]
+        raise InputError(f"{path}: {unknown_name('joint', names[0] if names else '', joints)}")
     return {name: _limits_of(entries[name], f"{path}: joint '{name}'") for name in joints if name in entries}
 
 

@@ -48,7 +48,7 @@ class Stored:
 
 
 def read_document(path: Path, what: str, keys: tuple[str, ...]) -> dict[str, Any]:
-    """JSON object in a file, with these ``keys``; messages call it a ``what``.
+    """JSON object in a file, with these ``keys``; ``what`` names it in messages.
 
     Raises InputError naming the file.
     """

@@ -273,10 +273,10 @@ def _decisions(
     motion: ExcitingMotion,
     randoms: Sequence[ExcitingMotion],
 ) -> Iterator[Decision]:
-    differences, others = discrimination.differences(motion), [discrimination.differences(random) for random in randoms]
-    for place, (found, rivals) in enumerate(labels):
+    designed, others = discrimination.differences(motion), [discrimination.differences(random) for random in randoms]
+    for place, (finding, rivals) in enumerate(labels):
         for index, rival in enumerate(rivals):
-            yield Decision(found, rival, differences[place][index], float(np.median([o[place][index] for o in others])))
+            yield Decision(finding, rival, designed[place][index], float(np.median([o[place][index] for o in others])))
 
 
 def open_questions(feasibility: Feasibility, path: Path) -> tuple[DiscriminationCriterion, list[tuple[str, list[str]]]]:
@@ -306,9 +306,9 @@ def _refuse_other_robot(model: MeasurementModel, floor: Mapping[str, float], pat
 
 
 def _ambiguity(model: MeasurementModel, entry: OpenFinding) -> Ambiguity:
-    found = _name_of_finding(model, entry)
+    name = _name_of_finding(model, entry)
     rivals = [_any(model, rival.effect, rival.joint) for rival in entry.rivals]
-    return Ambiguity(found, _coefficients(entry, found), tuple(rivals))
+    return Ambiguity(name, _coefficients(entry, name), tuple(rivals))
 
 
 def _name_of_finding(model: MeasurementModel, finding: KnownEffect) -> Name:
@@ -337,8 +337,8 @@ def _parameter_count(effect: Effect, place: Place) -> float:
     return float(len(terms) + bool(effect.scanned)) if terms else float(effect.said_first or 0)
 
 
-def _coefficients(finding: KnownEffect, found: Name) -> FloatArray:
+def _coefficients(finding: KnownEffect, name: Name) -> FloatArray:
     values = values_of(finding)
-    if isinstance(found.place, OnLink):
+    if isinstance(name.place, OnLink):
         return payload_parameters(values)
-    return coefficients_of(effect_class(finding.effect), values, found.variants[0].parts)
+    return coefficients_of(effect_class(finding.effect), values, name.variants[0].parts)

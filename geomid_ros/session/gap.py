@@ -123,7 +123,7 @@ def find(session: Session, recordings: Recordings, standing: StandingRemainder |
             f"{session.loaded.not_predicted}. On legs that stand, the ground loads the joints, too, and gaps cannot be "
             "found beside such effects; leave them out of the model"
         )
-    known, deviations = known_of(session)
+    information, deviations = known_of(session)
     return find_gap(
         session.model,
         recordings.train,
@@ -132,7 +132,7 @@ def find(session: Session, recordings: Recordings, standing: StandingRemainder |
         alike=session.alike,
         nominal=session.prior,
         deviations=deviations,
-        known=known,
+        known=information,
         beside=session.loaded.beside_coefficients,
         standing=standing,
         simulated=recordings.simulated,
@@ -391,8 +391,8 @@ def _resampled(samples: Samples) -> FloatArray:
 
 def _rms_differences(a: FloatArray, b: FloatArray) -> FloatArray:
     """RMS difference of positions ``(joints,)`` at the time shift that minimises the total difference."""
-    most = round(_LONGEST_SHIFT / _STEP)
-    shifts = [shift for shift in range(-most, most + 1) if abs(shift) < min(len(a), len(b))]
+    longest = round(_LONGEST_SHIFT / _STEP)
+    shifts = [shift for shift in range(-longest, longest + 1) if abs(shift) < min(len(a), len(b))]
     differences = [_rms(a[max(shift, 0) :], b[max(-shift, 0) :]) for shift in shifts]
     return differences[int(np.argmin([np.sum(rms**2) for rms in differences]))]
 

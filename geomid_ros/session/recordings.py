@@ -116,10 +116,10 @@ def recorded_description(bags: Sequence[Path]) -> tuple[str, str]:
     if len(sources) == 1:
         ((text, source),) = sources.items()
         return text, source
-    named = ", ".join(map(str, bags))
+    names = ", ".join(map(str, bags))
     if sources:
-        raise InputError(f"{named}: several robot descriptions ({', '.join(sources.values())}); choose one with --urdf")
-    raise InputError(f"{named}: no robot description is recorded ({_DESCRIPTION}, {_TEXT}); name a file with --urdf")
+        raise InputError(f"{names}: several robot descriptions ({', '.join(sources.values())}); choose one with --urdf")
+    raise InputError(f"{names}: no robot description is recorded ({_DESCRIPTION}, {_TEXT}); name a file with --urdf")
 
 
 def divided(batches: Sequence[Samples], share: float) -> list[tuple[Samples, Samples]]:

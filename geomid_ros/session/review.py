@@ -1,5 +1,5 @@
-"""Review of the recordings that a session read, and of its estimate: can it be used? If the URDF has shapes, links that
-cannot be such a solid are reported."""
+"""Review of the recordings that a session read, and the verdict on its estimate. Links that are impossible for their
+shapes in the URDF are reported."""
 
 from __future__ import annotations
 
@@ -174,11 +174,11 @@ class Review:
         """Begin without recordings of this ``setup``, whose messages the ``ledger`` counts."""
         self._setup, self._model, self._robot, self._ledger = setup, setup.model, setup.robot, ledger
         configuration, joints = setup.configuration, setup.robot.joint_names
-        named = {s.topic: name for name, s in zip(configuration["wrenches"], configuration.sensors, strict=True)}
+        names = {s.topic: name for name, s in zip(configuration["wrenches"], configuration.sensors, strict=True)}
         gains = configuration.signals(joints).effort_gains(joints)
         # A separate model: checks run in another thread than rows, and pinocchio's buffers must not be shared.
         model = setup.model.with_gravity(setup.robot.gravity)
-        self.new_check = partial(RecordingCheck, JudgementTask(model, gains, named, setup.controller))
+        self.new_check = partial(RecordingCheck, JudgementTask(model, gains, names, setup.controller))
         """Creates a check of other recordings of this robot."""
         self.check = self.new_check()
         """Collects all samples, and checks them as a whole."""
@@ -300,11 +300,11 @@ class Review:
             if far and len(self._robot.subtree(link.name)) > 1:
                 yield link
 
-    def _unexplained(self, estimate: Estimate, judged: Sequence[Samples]) -> tuple[Finding, ...]:
+    def _unexplained(self, estimate: Estimate, samples: Sequence[Samples]) -> tuple[Finding, ...]:
         """Finding that an estimate does not explain the efforts of some joints, if so."""
         if not efforts_alone(self._model):
             return ()
-        return unexplained(self._model, judged, estimate.parameters, self.check.recorded)
+        return unexplained(self._model, samples, estimate.parameters, self.check.recorded)
 
     def warnings(self, estimate: Estimate | None = None, verdict: Verdict | None = None) -> list[str]:
         """Sentences on what makes results doubtful: the initial model, the estimate and its verdict."""
@@ -321,7 +321,7 @@ class Review:
 
     @property
     def notes(self) -> list[str]:
-        """Sentences that are worth knowing and do not make results doubtful."""
+        """Remarks in sentences that do not make results doubtful."""
         names = ", ".join(dict.fromkeys(self._unchecked))
         unchecked = [f"{names}: no CRCs; corruption cannot be detected"] if names else []
         return [*self.settled, *unchecked]

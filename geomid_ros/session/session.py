@@ -113,7 +113,7 @@ class Session(Setup):
 
     @property
     def notes(self) -> list[str]:
-        """Sentences that are worth knowing and do not make results doubtful."""
+        """Remarks in sentences that do not make results doubtful."""
         return [*self.review.notes, *said_alike(self.alike)]
 
     def rms(

@@ -33,11 +33,11 @@ class Training:
 
     def end(self) -> None:
         """Add findings on the sensors that are not as declared to the session's review."""
-        named = {place for finding in self._session.review.findings for place in finding.cause.places}
+        reported = {place for finding in self._session.review.findings for place in finding.cause.places}
         self._session.review.findings += tuple(
             Finding(cause=Cause(kind="wrench", sentence=sentence, places=(topic,)))
             for topic, sentence in self._guard.sentences.items()
-            if topic not in named
+            if topic not in reported
         )
 
 
@@ -83,36 +83,36 @@ class TrainingData:
 
     def check(self, bags: Sequence[Path]) -> None:
         """Refuse the data like :func:`check_measured`."""
-        named = ", ".join(map(str, bags))
+        files = ", ".join(map(str, bags))
         if not self._any:
-            raise InputError(f"{named}: too short, no data left to identify from")
+            raise InputError(f"{files}: too short, no data left to identify from")
         legs = self._session.model.legs
         if legs is not None and not self._stands:
             feet = ", ".join(contact.frame for contact in legs.contacts)
             raise InputError(
-                f"{named}: by their legs' efforts none of the feet {feet} ever stands. If the robot stands, check that "
+                f"{files}: by their legs' efforts none of the feet {feet} ever stands. If the robot stands, check that "
                 "efforts are in N m (--gain); if it hangs or lies on a stand, leave out --imu and --contacts"
             )
         if legs is not None and not self._measured:
             raise InputError(
-                f"{named}: at no instant the efforts tell the forces of the ground: not all joints of a leg have "
+                f"{files}: at no instant the efforts tell the forces of the ground: not all joints of a leg have "
                 "efforts, or legs are always stretched. Let the driver publish the efforts of all joints"
             )
         if not self._measured:
             channels = ", ".join(channel.name for channel in self._session.model.channels)
             raise InputError(
-                f"{named}: no effort is measured (empty, NaN or zero throughout), and no wrench is declared with "
+                f"{files}: no effort is measured (empty, NaN or zero throughout), and no wrench is declared with "
                 f"--wrench. At least one of these channels is needed: {channels}. Let the driver publish efforts, or "
                 "record a wrench sensor"
             )
 
     def standing(self) -> tuple[Finding, ...]:
         """Finding that the robot does not move in the data to fit, if so."""
-        most = float(np.max(self._high - self._low, initial=0.0))
-        if self._session.robot.floating_base or most >= self._session.configuration["still_distance"]:
+        largest = float(np.max(self._high - self._low, initial=0.0))
+        if self._session.robot.floating_base or largest >= self._session.configuration["still_distance"]:
             return ()
         sentence = (
-            f"the robot stands still: no joint moves by more than {most:.2g} (rad, m), which contains almost no "
+            f"the robot stands still: no joint moves by more than {largest:.2g} (rad, m), which contains almost no "
             "information"
         )
         return (Finding(cause=Cause(kind="still", sentence=f"{sentence}; record a motion of all joints")),)

@@ -41,9 +41,9 @@ def write_found(folder: Path, session: Session, result: GapResult, reader: str =
     Returns:
         The files: estimate.json, identified.urdf, identified.xml (MJCF) and effects.yaml.
     """
-    known = session.loaded.refitted(session.model, result.coefficients, result.beside)
+    refitted = session.loaded.refitted(session.model, result.coefficients, result.beside)
     noise = {"floor": by_channel(result.channels, result.corrected_floor), "cutoff": result.cutoff}
-    effects = [*known.beside_inertias, *result.ordinary, *result.sure]
+    effects = [*refitted.beside_inertias, *result.ordinary, *result.sure]
     before = dict(zip(session.model.body_names, nominal_inertias(session), strict=True))
     after = dict(zip(session.model.body_names, result.inertias, strict=True))
     fitted = {name: _changed(model, before, after, result) for name, model in session.loaded.fitted.items()}
@@ -105,11 +105,11 @@ def simulate_again(
     """
     if find_spec("mujoco") is None:
         return [], _NO_MUJOCO
-    known = session.loaded
-    fitted = known.refitted(session.model, result.coefficients, result.beside)
+    loaded = session.loaded
+    fitted = loaded.refitted(session.model, result.coefficients, result.beside)
     with TemporaryDirectory() as folder:
         before, after = Path(folder) / "before", Path(folder) / "after"
-        _write(before, session, nominal_inertias(session), known.in_samples)
+        _write(before, session, nominal_inertias(session), loaded.in_samples)
         _write(after, session, result.inertias, [*fitted.in_samples, *result.ordinary, *result.sure])
         robots, noise = (session.model, ModelFiles.of(before), ModelFiles.of(after)), Noise.of(result)
         simulations = [("", partial(resimulate, *robots, sharp, noise))]
@@ -128,11 +128,11 @@ def simulate_again(
 
 
 def _write(
-    folder: Path, session: Session, inertias: FloatArray, effects: Sequence[KnownEffect], **judged: Any
+    folder: Path, session: Session, inertias: FloatArray, effects: Sequence[KnownEffect], **further: Any
 ) -> list[Path]:
     by_name = dict(zip(session.model.body_names, inertias, strict=True))
     gravity, findings = session.configuration.gravity, session.review.findings
-    return write_model(folder, session.model, session.urdf, by_name, effects, gravity, findings=findings, **judged)
+    return write_model(folder, session.model, session.urdf, by_name, effects, gravity, findings=findings, **further)
 
 
 _OPTION = "--command"
@@ -178,8 +178,8 @@ def _setpoints(joints: Sequence[str], path: Path, topic: str) -> tuple[IntArray,
             names = list(message.name)
             if missing := [joint for joint in joints if joint not in names]:
                 raise InputError(f"{path}: {name} commands no joint '{missing[0]}'; it has {', '.join(names)}")
-            order, none = [names.index(joint) for joint in joints], np.zeros(len(names))
+            order, zeros = [names.index(joint) for joint in joints], np.zeros(len(names))
             fields = (message.position, message.velocity, message.effort)
-            setpoints.append(np.array([values if len(values) == len(names) else none for values in fields])[:, order])
+            setpoints.append(np.array([values if len(values) == len(names) else zeros for values in fields])[:, order])
             stamps.append(message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec)
     return np.array(stamps, dtype=np.int64), np.array(setpoints).reshape(-1, 3, len(joints))

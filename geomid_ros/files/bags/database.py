@@ -138,9 +138,9 @@ class Database(Storage):
         if len(header) < _HEADER.size:
             raise TornError("the file is empty" if not header else "the file ends in its first bytes", 0)
         page_size, changes, pages, changes_then = _HEADER.unpack(header)
-        whole = pages * (page_size if page_size > 1 else 1 << 16)
-        if changes == changes_then and whole > self._size:
-            raise TornError(f"of {whole} bytes, {self._size} are there", self._size)
+        expected = pages * (page_size if page_size > 1 else 1 << 16)
+        if changes == changes_then and expected > self._size:
+            raise TornError(f"of {expected} bytes, {self._size} are there", self._size)
 
     def _check_schema(self) -> None:
         for name, text in self._query("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL"):

@@ -87,8 +87,8 @@ class Storage(ABC):
         return InputError(f"{self._path}: cannot be read as a rosbag2 recording: damaged{fault.sentence}. {readable}")
 
     def _truncated(self, fault: FaultError, count: int, time: int) -> str:
-        whole = f"its {count} intact messages are read, up to {time * 1e-9:.3f} s"
-        return f"{self._path}: truncated{fault.sentence}; {whole if count else 'it has no intact message'}"
+        intact = f"its {count} intact messages are read, up to {time * 1e-9:.3f} s"
+        return f"{self._path}: truncated{fault.sentence}; {intact if count else 'it has no intact message'}"
 
 
 METHODS = ("zstd", "lz4")

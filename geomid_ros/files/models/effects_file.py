@@ -92,8 +92,8 @@ def by_parameter(effects: Iterable[KnownEffect]) -> dict[tuple[str, str, str], Q
 def coefficients_of(model: MeasurementModel, effects: Iterable[KnownEffect]) -> FloatArray:
     """Values ``(coefficients,)`` of a model's coefficients according to the effects, zero for others."""
     numbers = by_parameter(effects)
-    none = Quantity(0.0, 0.0, "")
-    return np.array([numbers.get((c.effect.name, c.place_name, c.parameter), none).value for c in model.coefficients])
+    zero = Quantity(0.0, 0.0, "")
+    return np.array([numbers.get((c.effect.name, c.place_name, c.parameter), zero).value for c in model.coefficients])
 
 
 def joint_attributes(effects: Iterable[KnownEffect], element: str) -> dict[str, dict[str, float]]:

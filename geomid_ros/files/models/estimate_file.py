@@ -310,9 +310,9 @@ class EstimateFile:
         shares = {(entry.name, entry.joint): entry.from_data for entry in self.effects}
         shares |= {(entry.effect, entry.joint): entry.from_data for entry in self.added}
         return [
-            EffectEstimate(name=known.effect, joint=known.joint, parameters=known.parameters, from_data=share)
-            for known in self.known_effects
-            if math.isfinite(share := shares[known.effect, known.joint])
+            EffectEstimate(name=effect.effect, joint=effect.joint, parameters=effect.parameters, from_data=share)
+            for effect in self.known_effects
+            if math.isfinite(share := shares[effect.effect, effect.joint])
         ]
 
 
@@ -398,7 +398,7 @@ def estimate_document(
     rms = {"nominal": estimate.rms_nominal, "train": estimate.rms, "held_out": held_out}
     rejected = {reason: count for reason, count in sorted(rows_rejected.items()) if count}
     rows = estimate.information.rows
-    together = InformationEntry(
+    information = InformationEntry(
         links=tuple(link.name for link in estimate.links),
         rows=packed(rows[np.triu_indices(len(rows))], _PACKED),
         residuals=packed(estimate.information.residuals, _PACKED),
@@ -425,7 +425,7 @@ def estimate_document(
             kind: None if values is None else by_channel(estimate.channels, values) for kind, values in rms.items()
         },
         "sigma": by_channel(estimate.channels, estimate.sigmas),
-        "information": plain(together) if len(estimate.links) <= _MOST_LINKS_TOGETHER else None,
+        "information": plain(information) if len(estimate.links) <= _MOST_LINKS_TOGETHER else None,
     }
 
 

@@ -68,14 +68,14 @@ class LoadedModel:
     @staticmethod
     def of(file: EstimateFile) -> LoadedModel:
         """Convert the content of such a file. Raises InputError naming its fault."""
-        known = file.known_information
+        information = file.known_information
         models = {reader: written_for(file, reader) for reader in file.handover}
         fitted = {reader: written.with_payloads_in_links for reader, written in models.items() if written}
         return LoadedModel(
             source=file.source,
             inertias=file.inertias,
             effects=tuple(file.known_effects),
-            known=known,
+            known=information,
             merged=file.merged,
             doubt=file.doubt,
             fitted=fitted,
@@ -108,23 +108,23 @@ class LoadedModel:
     @property
     def beside_coefficients(self) -> list[KnownEffect]:
         """Effects in samples that no measurement model has as coefficients, as they depend on its state."""
-        return [known for known in self.in_samples if _is_situational(known)]
+        return [effect for effect in self.in_samples if _is_situational(effect)]
 
     @property
     def not_predicted(self) -> str:
         """Sentence on known effects that cannot be predicted; empty if there are none."""
-        names = [f"{known.effect} of {known.joint}" for known in self.effects if _is_situational(known)]
+        names = [f"{effect.effect} of {effect.joint}" for effect in self.effects if _is_situational(effect)]
         return f"{self.source}: {', '.join(names)}: not predicted, only simulated with the MJCF" if names else ""
 
     @property
     def beside_inertias(self) -> list[KnownEffect]:
         """Effects without payloads, which are in the inertias of :meth:`parameters`."""
-        return [known for known in self.effects if not is_body(known)]
+        return [effect for effect in self.effects if not is_body(effect)]
 
     @property
     def in_samples(self) -> list[KnownEffect]:
         """Effects without payloads that remain in samples corrected by :meth:`signals` and :meth:`sensors`."""
-        return [known for known in self.beside_inertias if not effect_class(known.effect).corrected_in_samples]
+        return [effect for effect in self.beside_inertias if not effect_class(effect.effect).corrected_in_samples]
 
     def gravity(self, gravity: FloatArray) -> FloatArray:
         """Gravity ``(3,)`` in the base frame, from that of an upright base."""
@@ -140,11 +140,11 @@ class LoadedModel:
     def sensors(self, sensors: Sequence[WrenchSensor]) -> list[WrenchSensor]:
         """Apply the known offsets to the sensors."""
         shifts: dict[str, FloatArray] = {}
-        for known in self.effects:
-            shift = effect_class(known.effect).wrench_shift(values_of(known))
+        for effect in self.effects:
+            shift = effect_class(effect.effect).wrench_shift(values_of(effect))
             if shift:
                 offset = np.array([shift.get(axis, 0.0) for axis in AXES])
-                shifts[known.joint] = shifts.get(known.joint, np.zeros(len(AXES))) + offset
+                shifts[effect.joint] = shifts.get(effect.joint, np.zeros(len(AXES))) + offset
         return [
             replace(sensor, offset=tuple(shifts[sensor.topic].tolist())) if sensor.topic in shifts else sensor
             for sensor in sensors
@@ -155,7 +155,7 @@ class LoadedModel:
         given = settings.effort_gain
         by_joint = given if isinstance(given, dict) else dict.fromkeys(joints, given)
         gains = {joint: by_joint.get(joint, 1.0) / self._gains.get(joint, 1.0) for joint in joints}
-        delay = sum(effect_class(known.effect).effort_lag(values_of(known)) for known in self.effects)
+        delay = sum(effect_class(effect.effect).effort_lag(values_of(effect)) for effect in self.effects)
         return replace(settings, effort_gain=gains if self._gains else given, effort_delay=delay)
 
     @cached_property
@@ -169,11 +169,11 @@ class LoadedModel:
         """Coefficients of effects that a measurement model can have, without gain error, by effect, place and
         parameter."""
         coefficients: dict[tuple[IdentifiedEffect, str, str], float] = {}
-        for known in self.in_samples:
-            for part, values in effect_class(known.effect).coefficients(values_of(known)).items():
+        for effect in self.in_samples:
+            for part, values in effect_class(effect.effect).coefficients(values_of(effect)).items():
                 if isinstance(part, IdentifiedEffect):
                     for form, value in zip(part.own, values, strict=True):
-                        key = part, known.joint, form.name
+                        key = part, effect.joint, form.name
                         coefficients[key] = coefficients.get(key, 0.0) + value
         return coefficients
 
@@ -199,8 +199,8 @@ class LoadedModel:
         inertias = [
             self.inertias.get(name, np.full(10, np.nan)) + self._payload(name, model) for name in model.body_names
         ]
-        known = self._coefficients
-        coefficients = np.array([known.get((c.effect, c.place_name, c.parameter), np.nan) for c in model.coefficients])
+        stored = self._coefficients
+        coefficients = np.array([stored.get((c.effect, c.place_name, c.parameter), np.nan) for c in model.coefficients])
         positive = np.array([c.effect.own[c.index].above == 0.0 for c in model.coefficients], dtype=bool)
         if np.any(coefficients[positive] <= 0.0) or np.any(np.isinf(coefficients)):
             raise InputError(f"{self.source}: an effect that must be positive and finite is not")
@@ -208,20 +208,20 @@ class LoadedModel:
 
     def in_its_shape(self, model: MeasurementModel) -> BoolArray:
         """Boolean mask ``(coefficients,)`` of ``model``: False for another shape of a mechanism that is known."""
-        known = [(c.effect, c.place_name, c.parameter) in self._coefficients for c in model.coefficients]
-        mechanisms = {c.mechanism for c, is_there in zip(model.coefficients, known, strict=True) if is_there}
-        pairs = zip(model.coefficients, known, strict=True)
-        return np.array([is_there or c.mechanism not in mechanisms for c, is_there in pairs], dtype=bool)
+        is_known = [(c.effect, c.place_name, c.parameter) in self._coefficients for c in model.coefficients]
+        mechanisms = {c.mechanism for c, known in zip(model.coefficients, is_known, strict=True) if known}
+        pairs = zip(model.coefficients, is_known, strict=True)
+        return np.array([known or c.mechanism not in mechanisms for c, known in pairs], dtype=bool)
 
     def _check_merged(self, model: MeasurementModel) -> None:
         """Raise InputError if a body consists of other links than the body of this name in the file. Links without a
         mass in this description belong to no body, and a payload in the file may be a link here."""
         moving = {link for body in model.robot.bodies for link in (body.name, *body.merged)}
         for body in (model.robot.bodies[place] for place in model.identified):
-            here = {*body.merged} - {link for link in body.merged if self._is_payload(link, body.name)}
-            there = self.merged.get(body.name, here)
-            if there & moving != here:
-                then, now = (", ".join(sorted(links)) or "no other link" for links in (there, here))
+            current = {*body.merged} - {link for link in body.merged if self._is_payload(link, body.name)}
+            recorded = self.merged.get(body.name, current)
+            if recorded & moving != current:
+                then, now = (", ".join(sorted(links)) or "no other link" for links in (recorded, current))
                 raise InputError(
                     f"{self.source}: link '{body.name}' was identified together with {then}, here it moves with {now}: "
                     "declare the same mounted wrench sensors and locked joints as then"
@@ -229,7 +229,7 @@ class LoadedModel:
 
     def _is_payload(self, link: str, carrier: str) -> bool:
         """True if a link is the payload of another one in a description that was written from this model."""
-        has_payload = any(is_body(known) and known.link == carrier for known in self.effects)
+        has_payload = any(is_body(effect) and effect.link == carrier for effect in self.effects)
         return has_payload and link.rstrip("_") == payload_name(carrier)
 
     def deviations(self, model: MeasurementModel) -> FloatArray:
@@ -254,15 +254,15 @@ class LoadedModel:
     def _payload(self, body: str, model: MeasurementModel) -> FloatArray:
         """Parameters ``(10,)`` of a body's payload."""
         total = np.zeros(10)
-        for known in self.effects:
-            if is_body(known) and known.link not in model.body_names:
-                raise InputError(f"{self.source}: {unknown_name('link with a payload', known.link, model.body_names)}")
-            if is_body(known) and known.link == body:
-                total += payload_parameters(values_of(known))
+        for effect in self.effects:
+            if is_body(effect) and effect.link not in model.body_names:
+                raise InputError(f"{self.source}: {unknown_name('link with a payload', effect.link, model.body_names)}")
+            if is_body(effect) and effect.link == body:
+                total += payload_parameters(values_of(effect))
         return total
 
 
-def _is_situational(known: KnownEffect) -> bool:
-    cls = effect_class(known.effect)
+def _is_situational(effect: KnownEffect) -> bool:
+    cls = effect_class(effect.effect)
     identified = issubclass(cls, LoadEffect) or cls.corrected_in_samples or cls.absorbed
     return issubclass(cls, SituationEffect) and not identified

@@ -69,7 +69,7 @@ class _PopulationDocument:
 
 
 def read_population(path: Path) -> Population:
-    """Read a population. Raises InputError naming the file and what is wrong in it."""
+    """Read a population. Raises InputError naming the file and its fault."""
     document = read_document(path, "population", ("robots", "links", "effects", "covariance"))
     content = structured(_PopulationDocument, document, f"{path}:")
     inertias, effects = inertias_of(content.links, str(path)), content.effects

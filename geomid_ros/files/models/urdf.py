@@ -191,11 +191,11 @@ def _rotor(inertia: float) -> bytes:
 
 
 def _transmission(joint: str, inside: bytes) -> bytes:
-    named = _quoted(joint)
+    name = _quoted(joint)
     return (
         f"  <transmission name={_quoted(joint + '_transmission')}>\n"
-        f"    <type>transmission_interface/SimpleTransmission</type>\n    <joint name={named}/>\n"
-        f"    <actuator name={named}>\n      {inside.decode()}\n    </actuator>\n  </transmission>\n"
+        f"    <type>transmission_interface/SimpleTransmission</type>\n    <joint name={name}/>\n"
+        f"    <actuator name={name}>\n      {inside.decode()}\n    </actuator>\n  </transmission>\n"
     ).encode()
 
 

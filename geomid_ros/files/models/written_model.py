@@ -76,8 +76,8 @@ def write_model(
     Duplicate effects are merged, see :func:`~geomid_ros.files.models.effects_file.combined`.
     """
     effects = combined(effects)
-    whole = WrittenModel(inertias, tuple(effects), folded)
-    models = {name: fitted.get(name, whole) for name in READERS}
+    full = WrittenModel(inertias, tuple(effects), folded)
+    models = {name: fitted.get(name, full) for name in READERS}
     alone = {name: replace(m, effects=tuple(_with_folded(m.effects, m.folded))) for name, m in models.items()}
     merged = {body.name: body.merged for body in model.robot.bodies if body.name in inertias}
     removed = [name for names in merged.values() for name in names]
