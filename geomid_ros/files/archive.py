@@ -46,7 +46,7 @@ def encoded(fields: Mapping[str, Any], accounts: Mapping[str, Account]) -> bytes
 
 
 def decoded(kind: type[T], content: bytes, meaning: Mapping[str, Any]) -> T:
-    """Decode such a file into a dataclass, if its rows have this ``meaning``.
+    """Decode a file of :func:`encoded` into a dataclass, if its rows have this ``meaning``.
 
     Raises InputError for a file that is damaged or crafted, or of another robot or configuration.
     """
@@ -108,7 +108,7 @@ def archived(document: Mapping[str, Any]) -> bytes:
 
 
 def unarchived(content: bytes) -> dict[str, Any]:
-    """Decode such a file; its arrays and bytes become :class:`Stored`. Raises InputError if it is invalid."""
+    """Decode a file of :func:`archived`; its arrays and bytes become :class:`Stored`. Raises InputError if invalid."""
     text, vectors = unpack(content)
 
     def restored(entry: dict[str, Any]) -> Any:

@@ -124,7 +124,7 @@ class Excitation:
 
     @property
     def closest(self) -> str:
-        """Pair with the smallest spare distance, in words; empty if no pair is watched."""
+        """Pair with the smallest margin to its required distance, in words; empty if no pair is watched."""
         collision, clearances = self.task.feasibility.collision, self.task.feasibility.clearances
         if collision is None or not collision.pairs:
             return ""

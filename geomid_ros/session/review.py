@@ -205,7 +205,7 @@ class Review:
             self.findings = tuple({finding.sentence: finding for finding in findings}.values())
 
     def _moving_base(self) -> tuple[Finding, ...]:
-        """Finding that the base may move, if it counts as fixed and an IMU was recorded."""
+        """One finding that the base may move, if it counts as fixed and an IMU was recorded; else none."""
         if self._robot.floating_base or not self._imus:
             return ()
         imu = self._imus[0]
@@ -301,7 +301,7 @@ class Review:
                 yield link
 
     def _unexplained(self, estimate: Estimate, samples: Sequence[Samples]) -> tuple[Finding, ...]:
-        """Finding that an estimate does not explain the efforts of some joints, if so."""
+        """Findings on joints whose efforts an estimate does not explain; empty if there are none."""
         if not efforts_alone(self._model):
             return ()
         return unexplained(self._model, samples, estimate.parameters, self.check.recorded)

@@ -107,7 +107,7 @@ class TrainingData:
             )
 
     def standing(self) -> tuple[Finding, ...]:
-        """Finding that the robot does not move in the data to fit, if so."""
+        """One finding if the robot does not move in the data to fit, else none."""
         largest = float(np.max(self._high - self._low, initial=0.0))
         if self._session.robot.floating_base or largest >= self._session.configuration["still_distance"]:
             return ()

@@ -87,7 +87,7 @@ class Bag:
     def find_topic(self, name: str, message_type: str, option: str, instead: str = "") -> str:
         """Return the topic ``name``, with or without leading slash. Its type must be ``message_type`` or ``instead``.
 
-        ``option`` tells the user where the name can be changed.
+        Raises InputError otherwise, in which ``option`` tells the user where the name can be changed.
         """
         wanted = "/" + name.lstrip("/")
         topics = {("/" + topic.lstrip("/")): (topic, kind) for topic, kind in self.topics.items()}

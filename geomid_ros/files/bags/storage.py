@@ -49,7 +49,7 @@ class Storage(ABC):
     """
 
     rescue = ""
-    """Advice how to recover a part of a damaged file."""
+    """Advice on recovering a part of a damaged file."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._size = path, path.stat().st_size

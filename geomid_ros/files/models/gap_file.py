@@ -46,7 +46,7 @@ Parameters: TypeAlias = Annotated[FloatArray, (10,)]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BodyEntry:
-    """A body with its parameters ``(10,)`` before and after."""
+    """A body with its parameters ``(10,)`` before and after the search."""
 
     name: str
     before: Parameters

@@ -84,8 +84,8 @@ class LoadedModel:
     def refitted(
         self, model: MeasurementModel, coefficients: FloatArray, beside: Sequence[KnownEffect] = ()
     ) -> LoadedModel:
-        """Return the model with other coefficients, which keep their standard deviations. Payloads are dropped, as the
-        links' inertias include them by then.
+        """Return the effects with other coefficients, which keep their standard deviations; the result has no inertias.
+        Payloads are dropped, as the links' inertias include them by then.
 
         Args:
             model: a measurement model.

@@ -143,7 +143,7 @@ class WrittenModel:
 
     @property
     def with_payloads_in_links(self) -> WrittenModel:
-        """The model with payloads added to the inertias of their links."""
+        """The model, without ``folded``, with payloads added to the inertias of their links."""
         inertias = dict(self.inertias)
         for effect in self.effects:
             if is_body(effect):
