@@ -1,1 +1,1 @@
-"""Floor 4: bags, robot descriptions, configuration and results on disk."""
+"""Layer 5: bags, robot descriptions, configuration and results on disk."""

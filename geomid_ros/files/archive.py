@@ -1,13 +1,13 @@
-"""Dataclasses with arrays, above all rows with their meaning, in one file of the safetensors format with a checksum:
-nothing in it could run.
+"""Dataclasses with arrays, above all regressor rows with their meaning, in one safetensors file with a checksum.
+Loading it executes no code.
 
-The length of a JSON header (8 bytes, little-endian), the header, the arrays' numbers one after the other. The header
-has ``dtype``, ``shape`` and ``data_offsets`` of each, and a text under ``__metadata__``: the fields as JSON, in which
-``{"array": NAME, "shape": [...]}`` stands for an array of float64, with ``"triangle": true`` for an upper triangle, row
-by row; ``{"bytes": NAME}`` for bytes. The last is ``sha256``, that of all bytes before it.
+Layout: the length of the JSON header (8 bytes, little-endian), the header, then the numbers of all arrays. The header
+gives ``dtype``, ``shape`` and ``data_offsets`` of each array. Its text under ``__metadata__`` contains the fields as
+JSON. There, ``{"array": NAME, "shape": [...]}`` stands for an array of float64, with ``"triangle": true`` for an upper
+triangle, row by row; ``{"bytes": NAME}`` for bytes. The last, ``sha256``, is the checksum of all bytes before it.
 
-The library of that name is not used: rosdep has no key for it, and the node must run on packages of Ubuntu alone. It
-also takes every type and shape, and writes arrays in an order of its own, in which the checksum would not be the last.
+The safetensors library is not used: rosdep has no key for it, and the node must run on Ubuntu packages alone. It also
+accepts every type and shape, and orders the arrays itself, so the checksum would not be last.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from geomid_ros.signals.ledger import Account, Meaning, Reason, meaning_of
 from geomid_ros.types import AnyArray, FloatArray
 
 FORMAT = 5
-"""Of files of rows."""
+"""Format version of files of rows."""
 MOST_HEADER = 4_000_000
-"""Bytes of the header."""
+"""Maximum header size [bytes]."""
 T = TypeVar("T")
 _TEXTS, _CHECKSUM = "__metadata__", "sha256"
 _LENGTH, _DIGEST = struct.Struct("<Q"), hashlib.sha256().digest_size
@@ -38,15 +38,15 @@ _DTYPES: Mapping[str, np.dtype[Any]] = {"F64": np.dtype("<f8"), "U8": np.dtype(n
 
 
 def encoded(fields: Mapping[str, Any], accounts: Mapping[str, Account]) -> bytes:
-    """The file of a checkpoint, or of other rows: its ``fields``, among them the ``meaning``; and what follows from the
-    reasons in the ``accounts`` that are in these fields. Raises InputError when the ledger is too long."""
-    reasons = (why for own in accounts.values() for kind in (own.rejected, own.dropped, own.noted) for why in kind)
+    """Encode a checkpoint or other rows as a file: the ``fields``, which include the rows' ``meaning``, and the
+    meanings of the reasons in the ``accounts``. Raises InputError if the ledger is too long."""
+    reasons = (why for a in accounts.values() for kind in (a.rejected, a.dropped, a.noted) for why in kind)
     meanings = {why: meaning for why in reasons if (meaning := meaning_of(why))}
     return archived({"format": FORMAT, **fields, "meanings": meanings})
 
 
 def decoded(kind: type[T], content: bytes, meaning: Mapping[str, Any]) -> T:
-    """The dataclass that such a file holds, if its rows have this ``meaning``.
+    """Decode a file of :func:`encoded` into a dataclass, if its rows have this ``meaning``.
 
     Raises InputError for a file that is damaged or crafted, or of another robot or configuration.
     """
@@ -64,30 +64,29 @@ class _Reasons:
 
 
 def _with_meanings(value: Any, meanings: Mapping[str, Meaning]) -> Any:
-    """What a document has, in which reasons say again what follows from them."""
+    """Document in which the reasons have their meanings again."""
     if isinstance(value, dict):
         return {
-            Reason(key, meanings[key]) if key in meanings else key: _with_meanings(own, meanings)
-            for key, own in value.items()
+            Reason(key, meanings[key]) if key in meanings else key: _with_meanings(item, meanings)
+            for key, item in value.items()
         }
     return value
 
 
-def _require_meaning(found: Any, expected: Mapping[str, Any]) -> None:
-    """Refuse rows that mean something else."""
-    if not isinstance(found, dict):
+def _require_meaning(actual: Any, expected: Mapping[str, Any]) -> None:
+    """Refuse rows with another meaning."""
+    if not isinstance(actual, dict):
         raise InputError("does not say what its rows mean")
-    different = [name for name in {**expected, **found} if found.get(name) != expected.get(name)]
+    different = [name for name in {**expected, **actual} if actual.get(name) != expected.get(name)]
     if "robot_description" in different:
         raise InputError("of another robot: the robot description differs")
     if different:
-        named = [f"{name} is {found.get(name)!r:.80}, here {expected.get(name)!r:.80}" for name in different]
-        raise InputError(f"of another configuration: {'; '.join(named)}")
+        differences = [f"{name} is {actual.get(name)!r:.80}, here {expected.get(name)!r:.80}" for name in different]
+        raise InputError(f"of another configuration: {'; '.join(differences)}")
 
 
 def archived(document: Mapping[str, Any]) -> bytes:
-    """The file of a document, whose values may be dataclasses, arrays and bytes. Raises InputError for one whose texts
-    are too long."""
+    """Encode a document of dataclasses, arrays and bytes as a file. Raises InputError if its texts are too long."""
     vectors: dict[str, AnyArray] = {}
 
     def stored(value: Any) -> Any:
@@ -102,14 +101,14 @@ def archived(document: Mapping[str, Any]) -> bytes:
         return (
             value.item()
             if isinstance(value, np.generic)
-            else {own.name: getattr(value, own.name) for own in fields(value)}
+            else {field.name: getattr(value, field.name) for field in fields(value)}
         )
 
     return pack(json.dumps(document, default=stored, allow_nan=False), vectors)
 
 
 def unarchived(content: bytes) -> dict[str, Any]:
-    """The document of such a file, its arrays and bytes as :class:`Stored`. Raises InputError for what is none."""
+    """Decode a file of :func:`archived`; its arrays and bytes become :class:`Stored`. Raises InputError if invalid."""
     text, vectors = unpack(content)
 
     def restored(entry: dict[str, Any]) -> Any:
@@ -129,19 +128,18 @@ class _Reference:
     triangle: bool = False
 
 
-def _shaped(vector: AnyArray, given: _Reference) -> FloatArray:
-    """The array of these numbers. Raises ValueError where they are more or fewer."""
-    if not given.triangle:
-        return vector.reshape(given.shape)
-    rows, columns = given.shape
+def _shaped(vector: AnyArray, reference: _Reference) -> FloatArray:
+    """Array of these numbers in the shape of the ``reference``. Raises ValueError if their count differs."""
+    if not reference.triangle:
+        return vector.reshape(reference.shape)
+    rows, columns = reference.shape
     if not 0 < rows <= columns or rows * columns - rows * (rows - 1) // 2 != len(vector):
-        raise ValueError(f"{len(vector)} numbers are no triangle of shape {given.shape}")
-    return upper_triangle(vector, given.shape)
+        raise ValueError(f"{len(vector)} numbers are no triangle of shape {reference.shape}")
+    return upper_triangle(vector, reference.shape)
 
 
 def pack(text: str, vectors: Mapping[str, AnyArray]) -> bytes:
-    """The file with this text and these vectors, of numbers or of bytes. Raises InputError if names and text are too
-    long."""
+    """Encode a text and vectors of numbers or bytes as a file. Raises InputError if names and text are too long."""
     header: dict[str, Any] = {_TEXTS: {"document": text}}
     end = 0
     for name, vector in vectors.items():
@@ -153,7 +151,7 @@ def pack(text: str, vectors: Mapping[str, AnyArray]) -> bytes:
     encoded += b" " * (-len(encoded) % 8)
     if len(encoded) > MOST_HEADER:
         raise InputError(f"a header of {len(encoded)} bytes, at most {MOST_HEADER} are allowed")
-    content = b"".join([_LENGTH.pack(len(encoded)), encoded, *(own.tobytes() for own in vectors.values())])
+    content = b"".join([_LENGTH.pack(len(encoded)), encoded, *(array.tobytes() for array in vectors.values())])
     return content + hashlib.sha256(content).digest()
 
 
@@ -165,7 +163,7 @@ class _Tensor:
 
 
 def unpack(content: bytes) -> tuple[str, dict[str, AnyArray]]:
-    """The text and the vectors of a file. Raises InputError for what :func:`pack` cannot have made."""
+    """Decode a file into its text and vectors. Raises InputError for content that :func:`pack` cannot have made."""
     body, checksum = content[:-_DIGEST], content[-_DIGEST:]
     if hashlib.sha256(body).digest() != checksum:
         raise InputError("the checksum is wrong: damaged or truncated")
@@ -178,12 +176,12 @@ def unpack(content: bytes) -> tuple[str, dict[str, AnyArray]]:
     header.pop(_CHECKSUM, None)
     vectors, end = {}, 0
     for name, entry in header.items():
-        own = structured(_Tensor, entry, f"the header: {name}")
-        size = math.prod(own.shape)
-        begin, end = end, end + _DTYPES[own.dtype].itemsize * size
-        if own != _Tensor(own.dtype, (size,), (begin, end)) or end > len(numbers):
+        tensor = structured(_Tensor, entry, f"the header: {name}")
+        size = math.prod(tensor.shape)
+        begin, end = end, end + _DTYPES[tensor.dtype].itemsize * size
+        if tensor != _Tensor(tensor.dtype, (size,), (begin, end)) or end > len(numbers):
             raise InputError(f"the header does not describe {name!r} as a vector that is there")
-        vectors[name] = np.frombuffer(numbers[begin:end], _DTYPES[own.dtype])
+        vectors[name] = np.frombuffer(numbers[begin:end], _DTYPES[tensor.dtype])
     if end != len(numbers):
         raise InputError(f"{len(numbers)} bytes of numbers, {end} are described")
     return text, vectors
@@ -195,7 +193,7 @@ class _Texts:
 
 
 def _parsed(text: str, restored: Callable[[dict[str, Any]], Any] | None = None) -> dict[str, Any]:
-    """A JSON object without NaN or infinity, in which ``restored`` replaces objects. Raises InputError."""
+    """JSON object without NaN or infinity, in which ``restored`` replaces inner objects. Raises InputError."""
     try:
         document = json.loads(text, parse_constant=_refuse, object_hook=restored)
     except (ValueError, RecursionError) as error:

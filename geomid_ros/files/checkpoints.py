@@ -1,6 +1,6 @@
-"""Checkpoints of a running node: all that an identification has learned, so that it can go on after a crash.
+"""Checkpoints of a running node: everything the identification has learned, so that it can resume after a crash.
 
-Their folder has two generations, each whole, and the newest of those that could not be used.
+The folder keeps two generations, each complete, and the newest of the files that could not be used.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ from geomid_ros.signals.ledger import Account
 
 _NAMES = ("checkpoint-a.safetensors", "checkpoint-b.safetensors")
 _LOCK = ".lock"
-_ASIDE = "unused-"  # how the names of files begin that could not be used
+_ASIDE = "unused-"  # name prefix of files that could not be used
 _MOST_ASIDE = 10
 
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """What an identification needs to go on after a crash.
+    """State from which an identification resumes after a crash.
 
     Attributes:
-        meaning: What the rows mean (:attr:`Session.meaning`).
+        meaning: Meaning of the rows (:attr:`Session.meaning`).
         memory: State of the identifier.
-        accounts: The ledger's, by topic.
+        accounts: Accounts of the ledger, by topic.
         warm: The last estimate.
-        solving: Checksum of what the estimate depends on beside the rows.
-        number: Greater than that of the checkpoint before.
+        solving: Checksum of everything but the rows that the estimate depends on.
+        number: Increases from checkpoint to checkpoint.
     """
 
     meaning: Mapping[str, Any]
@@ -53,28 +53,27 @@ class Checkpoint:
 
 
 def largest_size(channels: Sequence[Channel], folds: int) -> int:
-    """Bytes that no checkpoint of these channels exceeds."""
+    """Maximum size of a checkpoint of these channels [bytes]."""
     numbers = sum((len(channel.columns) + 1) ** 2 + 1 for channel in channels)
     return 2 * MOST_HEADER + 8 * folds * REGIMES * numbers
 
 
 @dataclass(frozen=True)
 class Restored:
-    """What was restored: the checkpoint, None if there is none, and a sentence on the problem with each of the
-    others."""
+    """The restored checkpoint, None if there is none, and a sentence for each file that could not be used."""
 
     checkpoint: Checkpoint | None = None
     problems: tuple[str, ...] = ()
 
 
 class CheckpointFolder:
-    """A folder that belongs to one node at a time, from now until :meth:`close`."""
+    """Checkpoint folder that belongs to one node at a time, until :meth:`close`."""
 
     def __init__(self, path: Path, meaning: Mapping[str, Any], channels: Sequence[Channel], folds: int) -> None:
-        """For rows of this ``meaning``, of ``channels`` in so many ``folds``. Makes the folder, for its owner alone,
-        unless it exists.
+        """Open the folder for rows of this ``meaning``, of ``channels`` in so many ``folds``. Make it, for its owner
+        alone, if it does not exist.
 
-        Raises GeomidError naming the folder, when it is open to others, in use, or cannot be made.
+        Raises GeomidError naming the folder, if others have access to it, it is in use, or it cannot be made.
         """
         self.path = path
         self._meaning = meaning
@@ -99,25 +98,25 @@ class CheckpointFolder:
             raise GeomidError(f"{path}: another node keeps its checkpoints here; each needs its own folder") from error
 
     def close(self) -> None:
-        """Let another node use the folder."""
+        """Release the folder for another node."""
         os.close(self._lock)
 
     def restore(self, use: Callable[[Checkpoint], None]) -> Restored:
-        """Let ``use`` go on from the newest checkpoint that is whole and of this robot and configuration.
+        """Restore the newest checkpoint that is intact and of this robot and configuration, by calling ``use``.
 
-        ``use`` raises InputError for one that it cannot use. Such are renamed, so that nothing replaces them; of all
-        that were ever renamed the newest are kept.
+        ``use`` raises InputError for a checkpoint that it cannot use. Such files are renamed, so that nothing
+        overwrites them. Only the newest renamed files are kept.
         """
         self._clear()
-        found, problems = self._candidates()
+        checkpoints, problems = self._candidates()
         used = None
-        for name in sorted(found, key=lambda name: -found[name].number):
+        for name in sorted(checkpoints, key=lambda name: -checkpoints[name].number):
             try:
-                use(found[name])
+                use(checkpoints[name])
             except InputError as error:
                 problems[name] = str(error)
                 continue
-            used, self._number = found[name], found[name].number
+            used, self._number = checkpoints[name], checkpoints[name].number
             self._next = _other(name)
             break
         sentences = tuple(self._set_aside(name, problem) for name, problem in problems.items())
@@ -125,34 +124,34 @@ class CheckpointFolder:
         return Restored(used, sentences)
 
     def _clear(self) -> None:
-        """Remove what was being written when a process was killed."""
+        """Remove temporary files of a process that was killed while writing."""
         for name in _NAMES:
-            for left in self.path.glob(f".{name}.*"):
+            for temporary in self.path.glob(f".{name}.*"):
                 with suppress(OSError):
-                    left.unlink()
+                    temporary.unlink()
 
     def _clear_aside(self) -> None:
-        """Remove the oldest of what was set aside: the names are in the order of time."""
+        """Remove the oldest renamed files; sorting by name sorts by time."""
         for old in sorted(path for name in _NAMES for path in self.path.glob(f"{_ASIDE}*-{name}"))[:-_MOST_ASIDE]:
             with suppress(OSError):
                 old.unlink()
 
     def _candidates(self) -> tuple[dict[str, Checkpoint], dict[str, str]]:
-        """The checkpoints that can be read, and what is wrong with the others, by name."""
-        found, problems = {}, {}
+        """Readable checkpoints, and the problems of the other files, by name."""
+        checkpoints, problems = {}, {}
         for name in _NAMES:
             path = self.path / name
             try:
                 if path.is_symlink():
                     raise InputError("a link, which may lead out of the folder")  # noqa: TRY301
                 if path.exists():
-                    found[name] = decoded(Checkpoint, read_bytes(path, "checkpoint", self._limit), self._meaning)
+                    checkpoints[name] = decoded(Checkpoint, read_bytes(path, "checkpoint", self._limit), self._meaning)
             except InputError as error:
                 problems[name] = str(error)
-        return found, problems
+        return checkpoints, problems
 
     def _set_aside(self, name: str, problem: str) -> str:
-        """Rename a file that cannot be used; a sentence about it."""
+        """Rename a file that cannot be used, and return a sentence about it."""
         path = self.path / name
         try:
             aside = _renamed(path)
@@ -162,7 +161,7 @@ class CheckpointFolder:
         return f"checkpoint {path} is not used: {problem}; it is kept as {aside}"
 
     def write(self, checkpoint: Checkpoint) -> None:
-        """Write in place of the older generation. Raises GeomidError naming the file."""
+        """Write a checkpoint over the older generation. Raises GeomidError naming the file."""
         if self._in_the_way:
             raise GeomidError(self._in_the_way)
         path = self.path / self._next
@@ -176,12 +175,12 @@ class CheckpointFolder:
 
 
 def _other(name: str) -> str:
-    """The name of the other generation."""
+    """File name of the other generation."""
     return _NAMES[1 - _NAMES.index(name)]
 
 
 def _renamed(path: Path) -> str:
-    """Give a file a name that no other has; the new name. Raises OSError."""
+    """Rename a file to a unique name, and return that name. Raises OSError."""
     now = datetime.now(UTC)
     names = (f"{_ASIDE}{now:%Y%m%dT%H%M%S.%fZ}-{number}-{path.name}" for number in count())
     aside = next(path.with_name(name) for name in names if not path.with_name(name).exists())

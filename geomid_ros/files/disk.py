@@ -1,4 +1,4 @@
-"""Reading files of bounded size, and writing files that are either whole or not there, for their owner alone."""
+"""Bounded reading of files, and atomic writing of files that only their owner can read."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from typing import Any
 from geomid_ros.errors import GeomidError, InputError
 
 MOST_BYTES = 100_000_000
-"""Of a file that is read as a whole, unless a smaller bound is given; of a message or a chunk of messages in a
-recording: recorders make chunks of 1 or 4 MB, or of one message that is larger."""
+"""Maximum size of a file that is read as a whole, unless a smaller bound is given [bytes]; also of a message, or of a
+chunk of messages in a recording. Recorders make chunks of 1 or 4 MB, or of one message that is larger."""
 
 FOR_OWNER = stat.S_IRUSR | stat.S_IWUSR
 
@@ -36,9 +36,9 @@ def write_json(path: Path, document: Mapping[str, Any]) -> None:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write ``content`` to ``path`` by way of a temporary file beside it. It is on the disk when this returns.
+    """Write ``content`` to ``path`` through a temporary file in the same folder. It is on the disk when this returns.
 
-    Only the owner may read it. Folders that are missing are made. Raises GeomidError naming the file.
+    Only the owner may read it. Missing folders are made. Raises GeomidError naming the file.
     """
     try:
         make_folder(path.parent)
@@ -61,7 +61,7 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 @contextmanager
 def staged(folder: Path) -> Iterator[Path]:
-    """A folder for files that go into ``folder`` together when the block ends; none does if it ends with an error.
+    """Yield a temporary folder. Its files move to ``folder`` when the block ends, none if it ends with an error.
 
     Raises GeomidError naming the file.
     """
@@ -84,7 +84,7 @@ def staged(folder: Path) -> Iterator[Path]:
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder, and those that it is in, for their owner alone; one that exists stays as it is. Raises OSError."""
+    """Make a folder and its missing parents, for the owner alone; existing ones stay as they are. Raises OSError."""
     for folder in reversed(path.parents):
         if not folder.exists():
             folder.mkdir(stat.S_IRWXU, exist_ok=True)
@@ -92,12 +92,12 @@ def make_folder(path: Path) -> None:
 
 
 def check_writable(folder: Path) -> None:
-    """Refuse a folder in which no file can be made, or that cannot be made. Nothing is left behind.
+    """Refuse a folder that cannot be made, or in which no file can be made. Nothing is left behind.
 
     Raises GeomidError naming it.
     """
     try:
-        existing = next(each for each in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(each))
+        existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(path))
         with tempfile.TemporaryFile(dir=existing):
             pass
     except OSError as error:
@@ -105,21 +105,21 @@ def check_writable(folder: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Write a folder's names to the disk, too."""
+    """Flush the folder's directory entries to the disk."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)
     except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # some network file systems have no such thing
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # some network file systems do not support it
             raise
     finally:
         os.close(descriptor)
 
 
 def read_bytes(path: Path, what: str, most_bytes: int = MOST_BYTES) -> bytes:
-    """The content of a regular file, at most ``most_bytes``; ``what`` it is, for messages. Raises InputError naming it.
+    """Content of a regular file of at most ``most_bytes``; ``what`` names it in messages. Raises InputError naming it.
 
-    A pipe or a device, which may never end, is not opened.
+    A pipe or a device is not opened, as reading it may never end.
     """
     try:
         if path.exists() and not path.is_file():
@@ -134,7 +134,7 @@ def read_bytes(path: Path, what: str, most_bytes: int = MOST_BYTES) -> bytes:
 
 
 def read_text(path: Path, what: str, most_bytes: int = MOST_BYTES) -> str:
-    """The text of a UTF-8 file, with the line ends it has; else as :func:`read_bytes`. Raises InputError naming it."""
+    """Text of a UTF-8 file with its line ends; otherwise like :func:`read_bytes`. Raises InputError naming it."""
     try:
         return read_bytes(path, what, most_bytes).decode()
     except UnicodeDecodeError as error:

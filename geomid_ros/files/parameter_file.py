@@ -1,4 +1,4 @@
-"""Reading YAML as rcl does, and no more: ROS parameter files, and ``joint_limits.yaml`` of MoveIt and ros2_control."""
+"""Reading YAML exactly as rcl does: ROS parameter files, and ``joint_limits.yaml`` of MoveIt and ros2_control."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from geomid_ros.model.urdf_tree import MOST_BYTES
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML as rcl reads it: the same forms of numbers and truth values, so that ``1e-3`` is a number.
+    """YAML with the number and boolean forms of rcl, so that ``1e-3`` is a number.
 
-    Aliases, which can expand a small file beyond memory, and tags, whose types rcl does not have, are refused.
+    Aliases are refused, as they can expand a small file beyond memory; so are tags, whose types rcl does not have.
     """
 
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012 as the base class has it
@@ -53,16 +53,16 @@ for _kind, _form, _beginnings in (
 
 
 def read_yaml(path: Path, what: str) -> Any:
-    """The content of a YAML file; ``what`` it is for messages. Raises InputError naming the file."""
-    text = read_text(path, what, MOST_BYTES)  # a robot description may be among the parameters
+    """Content of a YAML file; ``what`` names it in messages. Raises InputError naming the file."""
+    text = read_text(path, what, MOST_BYTES)  # a parameter may contain a robot description
     try:
         return yaml.load(text, _Loader)  # noqa: S506 it is a safe loader
-    except Exception as error:  # the parser raises errors of many kinds
+    except Exception as error:  # the parser raises many types of errors
         raise InputError(f"{path}: the {what} cannot be read ({' '.join(str(error).split())})") from error
 
 
 def read_parameter_file(path: Path) -> dict[str, Any]:
-    """The parameters of ``node_name: ros__parameters: ...`` by full name. Raises InputError naming the file."""
+    """Parameters of ``node_name: ros__parameters: ...`` by full name. Raises InputError naming the file."""
     document = read_yaml(path, "parameter file")
     nodes = list(document.values()) if isinstance(document, dict) else []
     sections = [node["ros__parameters"] for node in nodes if isinstance(node, dict) and "ros__parameters" in node]
@@ -82,7 +82,7 @@ _LIMITS = ("velocity", "acceleration", "jerk", "effort")
 
 
 def read_joint_limits(path: Path, joints: Collection[str]) -> dict[str, JointLimits]:
-    """The limits of a robot's ``joints`` in a file, by name; other joints may be in it.
+    """Limits of a robot's ``joints`` in a file, by name; the file may have other joints, too.
 
     Raises InputError naming the file and the key.
     """
@@ -91,27 +91,27 @@ def read_joint_limits(path: Path, joints: Collection[str]) -> dict[str, JointLim
     if not isinstance(entries, dict):
         raise InputError(f"{path}: has no 'joint_limits' by joint, as MoveIt's joint_limits.yaml has")
     if not set(entries) & set(joints):
-        named = [str(name) for name in entries]
-        raise InputError(f"{path}: {unknown_name('joint', named[0] if named else '', joints)}")
+        names = [str(name) for name in entries]
+        raise InputError(f"{path}: {unknown_name('joint', names[0] if names else '', joints)}")
     return {name: _limits_of(entries[name], f"{path}: joint '{name}'") for name in joints if name in entries}
 
 
 def _limits_of(entry: Any, where: str) -> JointLimits:
     if not isinstance(entry, dict):
         raise InputError(f"{where} is no mapping of limits")
-    found = {kind: _limit(entry, f"max_{kind}", f"has_{kind}_limits", where) for kind in _LIMITS}
-    for kind, value in found.items():
+    limits = {kind: _limit(entry, f"max_{kind}", f"has_{kind}_limits", where) for kind in _LIMITS}
+    for kind, value in limits.items():
         if value is not None and not value > 0.0:
             raise InputError(f"{where}: max_{kind} is {value:g}, expected a number greater than zero")
     ends = {end: _limit(entry, f"{key}_position", "has_position_limits", where) for end, key in _ENDS.items()}
-    return JointLimits(**ends, **found)
+    return JointLimits(**ends, **limits)
 
 
 _ENDS = {"lower": "min", "upper": "max"}
 
 
 def _limit(entry: Mapping[str, Any], key: str, switch: str, where: str) -> float | None:
-    """The number of a limit; None where it is absent or switched off."""
+    """Value of a limit; None if it is absent or switched off."""
     if entry.get(switch) is False or entry.get(key) is None:
         if entry.get(switch) is True:
             raise InputError(f"{where}: {switch} is true and {key} is absent; give it a number")

@@ -1,10 +1,10 @@
 """Documents (JSON, YAML) and the dataclasses that are their schema.
 
-The type of a field says what its key must hold, and its default what counts where the key is absent. Keys that no
-field names are left alone: a later version may have added them. Numbers that do not exist are NaN here and null there.
+The type of a field determines the value of its key; its default applies if the key is absent. Unknown keys are ignored:
+a later version may have added them. NaN is written as null.
 
-Neither msgspec nor cattrs does this: rosdep has a key for neither, and the node, which must run on packages of Ubuntu
-alone, reads and writes these files; made strict (no text is a number), cattrs takes as many lines.
+Neither msgspec nor cattrs is used: rosdep has a key for neither, and the node, which must run on Ubuntu packages alone,
+reads and writes these files. With strict types (no text is a number), cattrs would need as many lines.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ Vector: TypeAlias = Annotated[FloatArray, (3,)]
 Matrix: TypeAlias = Annotated[FloatArray, (3, 3)]
 
 FORMAT = 1
-"""Of all documents that :func:`read_document` reads."""
+"""Format version of all documents that :func:`read_document` reads."""
 MOST_ENTRIES = 40_000
-"""Of a list, and of a YAML file."""
+"""Maximum number of entries of a list, and of values in a YAML file."""
 
 _EXPECTED = {float: "a finite number", int: "a count", str: "a text", bool: "true or false"}
 T = TypeVar("T")
@@ -42,13 +42,13 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class Stored:
-    """An array of float64, or bytes, that a document of an archive holds; see :mod:`geomid_ros.files.archive`."""
+    """Array of float64, or bytes, in the document of an archive; see :mod:`geomid_ros.files.archive`."""
 
     content: AnyArray | bytes
 
 
 def read_document(path: Path, what: str, keys: tuple[str, ...]) -> dict[str, Any]:
-    """The JSON object in a file, with these ``keys``; ``what`` it is, for messages.
+    """JSON object in a file, with these ``keys``; ``what`` names it in messages.
 
     Raises InputError naming the file.
     """
@@ -61,7 +61,7 @@ def read_document(path: Path, what: str, keys: tuple[str, ...]) -> dict[str, Any
 
 
 def check_form(document: Any, keys: tuple[str, ...], where: str, what: str) -> None:
-    """Refuse another format, and what lacks one of the ``keys``. Raises InputError beginning with ``where``."""
+    """Refuse another format, or a document without one of the ``keys``. Raises InputError beginning with ``where``."""
     missing = [key for key in keys if not isinstance(document, dict) or key not in document]
     if missing:
         raise InputError(f"{where} not a {what} as geomid writes it, it has no {' and '.join(map(repr, missing))}")
@@ -70,18 +70,18 @@ def check_form(document: Any, keys: tuple[str, ...], where: str, what: str) -> N
 
 
 def structured(kind: type[T], value: Any, where: str) -> T:
-    """The object of a dataclass in a document.
+    """Convert a value of a document to a dataclass.
 
     Args:
         kind: the dataclass.
-        value: what the document has.
+        value: the value in the document.
         where: its file, with a colon, and its key, for messages.
 
     Raises:
-        InputError: the value is none; it says where, and what is expected there.
+        InputError: the value does not fit; it names the place and the expected value.
     """
-    found: T = _structured(kind, value, where)
-    return found
+    result: T = _structured(kind, value, where)
+    return result
 
 
 def _structured(kind: Any, value: Any, where: str) -> Any:
@@ -101,21 +101,21 @@ def _structured(kind: Any, value: Any, where: str) -> Any:
     if origin is tuple:
         if not isinstance(value, list) or len(value) > MOST_ENTRIES:
             raise _wrong(value, where, f"a list of at most {MOST_ENTRIES}")
-        return tuple(_structured(inner[0], each, f"{where}[{index}]") for index, each in enumerate(value))
+        return tuple(_structured(inner[0], element, f"{where}[{index}]") for index, element in enumerate(value))
     if inner:
         _check_keys(value, where, "an object")
         kind = int if origin is Counter else inner[-1]
-        entries = {name: _structured(kind, own, _at(where, name)) for name, own in value.items()}
+        entries = {name: _structured(kind, item, _at(where, name)) for name, item in value.items()}
         return entries if origin is Mapping else origin(entries)
     return _simple(kind, value, where)
 
 
 def _stored(kind: Any, value: Any, where: str) -> AnyArray | bytes:
-    found = value.content if isinstance(value, Stored) else None
-    if kind is bytes and isinstance(found, bytes):
-        return found
-    if kind is not bytes and isinstance(found, np.ndarray) and np.all(np.isfinite(found)):
-        return frozen(found)
+    content = value.content if isinstance(value, Stored) else None
+    if kind is bytes and isinstance(content, bytes):
+        return content
+    if kind is not bytes and isinstance(content, np.ndarray) and np.all(np.isfinite(content)):
+        return frozen(content)
     raise _wrong(value, where, "bytes" if kind is bytes else "an array of finite numbers")
 
 
@@ -133,28 +133,28 @@ def _simple(kind: Any, value: Any, where: str) -> Any:
 
 @cache
 def _keys(kind: Any) -> dict[str, tuple[Any, bool]]:
-    """The type of each key, and whether it must be there."""
+    """Type of each key, and whether it is required."""
     hints = get_type_hints(kind, include_extras=True)
-    needed = {own.name: own.default is MISSING and own.default_factory is MISSING for own in fields(kind)}
-    return {name: (hints[name], is_needed) for name, is_needed in needed.items()}
+    required = {field.name: field.default is MISSING and field.default_factory is MISSING for field in fields(kind)}
+    return {name: (hints[name], is_required) for name, is_required in required.items()}
 
 
 def _object(kind: Any, value: Any, where: str) -> Any:
     keys = _keys(kind)
-    _check_keys(value, where, f"an object with {', '.join(name for name, (_, needed) in keys.items() if needed)}")
-    for name, (_, needed) in keys.items():
-        if needed and name not in value:
-            raise InputError(f"{_at(where, name)} is not given")
-    given = {name: _structured(own, value[name], _at(where, name)) for name, (own, _) in keys.items() if name in value}
-    found = kind(**given)
-    check(found, where)
-    return found
+    _check_keys(value, where, f"an object with {', '.join(key for key, (_, required) in keys.items() if required)}")
+    for key, (_, required) in keys.items():
+        if required and key not in value:
+            raise InputError(f"{_at(where, key)} is not given")
+    given = {key: _structured(form, value[key], _at(where, key)) for key, (form, _) in keys.items() if key in value}
+    result = kind(**given)
+    check(result, where)
+    return result
 
 
 @singledispatch
 def check(value: Any, where: str) -> None:
-    """Refuse an object that its fields allow and that cannot be, which ``where`` names. Who knows a class registers
-    what refuses its objects."""
+    """Refuse an object whose fields are valid alone but not together; ``where`` names it. Each class registers its
+    check."""
 
 
 def _check_keys(value: Any, where: str, expected: str) -> None:
@@ -173,29 +173,29 @@ def _array(value: Any, shape: tuple[int, ...], where: str) -> FloatArray:
 
 
 def packed(numbers: FloatArray, form: str) -> str:
-    """Numbers in base64, each of this ``form``: ``<f4`` or ``<f8``."""
+    """Encode numbers as base64, each in this ``form``: ``<f4`` or ``<f8``."""
     return base64.b64encode(numbers.astype(form).tobytes()).decode()
 
 
 def unpacked(text: str, form: str, count: int) -> FloatArray:
-    """So many numbers of such a text. Raises ValueError."""
+    """Decode ``count`` numbers from such a text. Raises ValueError."""
     return np.frombuffer(base64.b64decode(text, validate=True), form).astype(np.float64).reshape(count)
 
 
 def unpacked_triangle(text: str, form: str, size: int) -> FloatArray:
-    """The upper triangular matrix ``(size, size)`` whose numbers are in such a text, row by row. Raises ValueError."""
+    """Decode an upper triangular matrix ``(size, size)``, stored row by row, from such a text. Raises ValueError."""
     return upper_triangle(unpacked(text, form, size * (size + 1) // 2), (size, size))
 
 
 def upper_triangle(numbers: AnyArray, shape: tuple[int, ...]) -> FloatArray:
-    """The matrix with these numbers in its upper triangle, row by row, which no file claims without them."""
+    """Matrix with these numbers in its upper triangle, row by row. No file can claim a large one without them."""
     matrix = np.zeros(shape)
     matrix[triangle_of(shape)] = numbers
     return matrix
 
 
 def triangle_of(shape: tuple[int, ...]) -> tuple[AnyArray, ...]:
-    """The places of the numbers in an upper triangle, row by row."""
+    """Indices of an upper triangle, row by row."""
     return np.triu_indices(shape[0], 0, shape[1])
 
 
@@ -208,18 +208,18 @@ def _wrong(value: Any, where: str, expected: str) -> InputError:
 
 
 def plain(value: Any) -> Any:
-    """What a document has of a value: of a dataclass its fields, of an array its numbers."""
+    """Convert a value for a document: a dataclass to its fields, an array to its numbers."""
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     if isinstance(value, np.ndarray):
         return plain(value.tolist())
     if is_dataclass(value):
-        return entry(value, *(own.name for own in fields(value)))
+        return entry(value, *(item.name for item in fields(value)))
     if isinstance(value, Mapping):
-        return {name: plain(own) for name, own in value.items()}
-    return [plain(own) for own in value] if isinstance(value, list | tuple) else value
+        return {name: plain(item) for name, item in value.items()}
+    return [plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def entry(value: Any, *names: str) -> dict[str, Any]:
-    """What a document has of these attributes."""
+    """Convert these attributes of a value for a document."""
     return {name: plain(getattr(value, name)) for name in names}

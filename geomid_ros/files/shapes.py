@@ -1,5 +1,4 @@
-"""The solids that fill a URDF's links (collision shapes, or visual ones where a link has no others), and the mesh files
-that they are in."""
+"""Solids that fill a URDF's links: collision shapes, or visual ones if there are no others. Reading of mesh files."""
 
 from __future__ import annotations
 
@@ -26,32 +25,32 @@ from geomid_ros.model.urdf_tree import origin_of, read_numbers
 from geomid_ros.types import FloatArray, IntArray
 
 SUFFIXES = (".stl", ".dae", ".obj")
-# Attributes of the primitives: one number each, but for the edges of a box.
+# Attributes of the primitives: one number each, except for the three edges of a box.
 _PRIMITIVES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}
-# Of the surfaces of round shapes, with which only their overlap with others is computed.
+# Resolution of round surfaces, which only serve to compute overlaps with other shapes.
 _SECTIONS, _SUBDIVISIONS = 128, 4
-# Surfaces are joined in single precision.
+# Relative tolerance of volumes, as surfaces are joined in single precision.
 _ROUNDING = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
 class _Shape:
-    """One shape: its ``moments (4, 4)``, and a ``surface`` that lies on it with all its corners."""
+    """A shape: its ``moments (4, 4)``, and its ``surface``, all of whose corners lie on the true surface."""
 
     moments: FloatArray
     surface: trimesh.Trimesh
     name: str
 
     def moved(self, placement: FloatArray) -> _Shape:
-        """The shape after an affine map ``(4, 4)``."""
+        """Return the shape after an affine map ``(4, 4)``."""
         return _Shape(shapes.moved(self.moments, placement), self.surface.copy().apply_transform(placement), self.name)
 
 
 class ShapeReader:
-    """Reads the solids of links; :attr:`warnings` list what could not be taken as it is."""
+    """Reads the solids of links; :attr:`warnings` list the shapes that had to be replaced or ignored."""
 
     def __init__(self, urdf: Path, packages: Mapping[str, Path]) -> None:
-        """The links are those of the file ``urdf``; ``packages`` as for :class:`MeshFinder`."""
+        """Prepare to read the links of the file ``urdf``; ``packages`` as for :class:`MeshFinder`."""
         self._no_volume: list[str] = []
         self._hulls: list[str] = []
         self._doubled: list[str] = []
@@ -60,40 +59,40 @@ class ShapeReader:
 
     @property
     def warnings(self) -> list[str]:
-        """One sentence for each thing that was found, with all links where it was."""
-        found = {
+        """One sentence per kind of problem, with all links that have it."""
+        problems = {
             "shapes without volume, ignored": self._no_volume,
             "meshes that are not closed, replaced by their convex hulls": self._hulls,
             "shapes that cannot be merged, so their overlap counts twice": self._doubled,
         }
-        return [f"{what}: {', '.join(dict.fromkeys(where))}" for what, where in found.items() if where]
+        return [f"{problem}: {', '.join(dict.fromkeys(places))}" for problem, places in problems.items() if places]
 
     def solid(self, link: Element) -> Solid | None:
-        """The solid of a ``<link>``; None if its shapes have no volume.
+        """Return the solid of a ``<link>``; None if its shapes have no volume.
 
-        It is the union of the collision shapes, which usually are closed and solid where visual ones often are mere
-        covers; of the visual shapes if there are no others.
+        It is the union of the collision shapes, or of the visual shapes if there are no others. Collision shapes are
+        usually closed and solid, whereas visual ones are often only covers.
 
         Raises InputError naming the link.
         """
         for kind in ("collision", "visual"):
-            found = list(self._shapes(link, kind))
-            if found:
-                name = found[0].name if len(found) == 1 else f"{len(found)} shapes"
-                return Solid(self._union(found, link.get("name", "")), *_together(found), f"{kind}: {name}")
+            parts = list(self._shapes(link, kind))
+            if parts:
+                name = parts[0].name if len(parts) == 1 else f"{len(parts)} shapes"
+                return Solid(self._union(parts, link.get("name", "")), *_together(parts), f"{kind}: {name}")
         return None
 
     def outlines(self, link: Element) -> list[FloatArray]:
-        """Corners ``(V, 3)`` [m] of each shape of a ``<link>``, in its frame: of the collision shapes, or of the visual
-        ones if there are no others.
+        """Corners ``(V, 3)`` [m] of each shape of a ``<link>``, in the link's frame. The collision shapes count, or the
+        visual ones if there are no others.
 
         Raises InputError naming the link.
         """
-        found = list(self._shapes(link, "collision")) or list(self._shapes(link, "visual"))
-        return [np.asarray(shape.surface.vertices) for shape in found]
+        parts = list(self._shapes(link, "collision")) or list(self._shapes(link, "visual"))
+        return [np.asarray(shape.surface.vertices) for shape in parts]
 
     def _shapes(self, link: Element, kind: str) -> Iterator[_Shape]:
-        """The shapes of one kind in the link's frame, without those of no volume."""
+        """Yield the shapes of one kind in the link's frame, without those that have no volume."""
         name = link.get("name", "")
         where = f"{self._source}: link '{name}'"
         for element in link.findall(kind):
@@ -118,42 +117,43 @@ class ShapeReader:
         shape = _Shape(shapes.polyhedron(mesh.vertices, mesh.faces), mesh, name)
         return shape.moved(np.diag([*scale, 1.0]))
 
-    def _union(self, found: Sequence[_Shape], link: str) -> FloatArray:
-        """Moments ``(4, 4)`` of the union: the sum, less what surfaces have in common.
+    def _union(self, parts: Sequence[_Shape], link: str) -> FloatArray:
+        """Moments ``(4, 4)`` of the union: the sum, minus the overlap of the surfaces.
 
-        The surface of a round shape lies within it, so that what it lacks is a solid too: the difference is one.
+        The surface of a round shape lies inside it, and the part between both is a solid. So the result belongs to a
+        solid.
         """
-        total: FloatArray = np.sum([shape.moments for shape in found], axis=0)
-        if len(found) == 1:
+        total: FloatArray = np.sum([shape.moments for shape in parts], axis=0)
+        if len(parts) == 1:
             return total
-        apart = [shapes.polyhedron(shape.surface.vertices, shape.surface.faces) for shape in found]
-        volumes = [shapes.volume(moments) for moments in apart]
-        together = _union_of_surfaces([shape.surface for shape in found])
-        if not (1.0 - _ROUNDING) * max(volumes) < shapes.volume(together) < (1.0 + _ROUNDING) * sum(volumes):
+        separate = [shapes.polyhedron(shape.surface.vertices, shape.surface.faces) for shape in parts]
+        volumes = [shapes.volume(moments) for moments in separate]
+        union = _union_of_surfaces([shape.surface for shape in parts])
+        if not (1.0 - _ROUNDING) * max(volumes) < shapes.volume(union) < (1.0 + _ROUNDING) * sum(volumes):
             self._doubled.append(link)
             return total
-        overlap: FloatArray = np.sum(apart, axis=0) - together
+        overlap: FloatArray = np.sum(separate, axis=0) - union
         return total - overlap if shapes.volume(overlap) > _ROUNDING * sum(volumes) else total
 
 
 def _union_of_surfaces(surfaces: Sequence[trimesh.Trimesh]) -> FloatArray:
-    """Moments ``(4, 4)`` within any of the surfaces; zero if they cannot be joined."""
+    """Moments ``(4, 4)`` of the union of the surfaces; zero if they cannot be joined."""
     try:
         united = trimesh.boolean.union(surfaces, engine="manifold", check_volume=False)
-    except ImportError:  # no rosdep key brings manifold3d
+    except ImportError:  # rosdep has no key for manifold3d
         return np.zeros((4, 4))
     return shapes.polyhedron(united.vertices, united.faces)
 
 
-def _together(found: Sequence[_Shape]) -> tuple[FloatArray, IntArray]:
-    """Corners ``(V, 3)`` and triangles ``(T, 3)`` of all surfaces."""
-    starts = np.cumsum([0, *(len(shape.surface.vertices) for shape in found[:-1])])
-    triangles = [shape.surface.faces + start for shape, start in zip(found, starts, strict=True)]
-    return np.concatenate([shape.surface.vertices for shape in found]), np.concatenate(triangles)
+def _together(parts: Sequence[_Shape]) -> tuple[FloatArray, IntArray]:
+    """Concatenated corners ``(V, 3)`` and triangles ``(T, 3)`` of all surfaces."""
+    starts = np.cumsum([0, *(len(shape.surface.vertices) for shape in parts[:-1])])
+    triangles = [shape.surface.faces + start for shape, start in zip(parts, starts, strict=True)]
+    return np.concatenate([shape.surface.vertices for shape in parts]), np.concatenate(triangles)
 
 
 def _primitive(geometry: Element, tag: str, where: str) -> _Shape | None:
-    """A primitive about its own centre; None if it has no volume."""
+    """Primitive about its centre; None if it has no volume."""
     if tag not in _PRIMITIVES:
         raise InputError(f"{where}: a shape is a <{tag}>. Valid: {', '.join(_PRIMITIVES)}, mesh")
     keys = _PRIMITIVES[tag]
@@ -171,22 +171,22 @@ def _primitive(geometry: Element, tag: str, where: str) -> _Shape | None:
 
 
 def _placement(element: Element, where: str) -> FloatArray:
-    """The ``<origin>`` of a shape, ``(4, 4)``."""
+    """Pose ``(4, 4)`` of a shape, from its ``<origin>``."""
     position, axes = origin_of(element, where)
     return pseudo_inertia.change_of_frame(axes, position)
 
 
 class MeshFinder:
-    """Finds the file that a URDF's mesh URI names."""
+    """Finds the file of a URDF's mesh URI."""
 
     def __init__(self, urdf: Path, packages: Mapping[str, Path]) -> None:
-        """``packages``: folders by package name, which win. Others are looked for above the ``urdf``, in
-        ROS_PACKAGE_PATH and in AMENT_PREFIX_PATH."""
+        """Set where meshes are searched. ``packages``: folders by package name, which take precedence. Other packages
+        are searched above the ``urdf``, in ROS_PACKAGE_PATH and in AMENT_PREFIX_PATH."""
         self._folder = urdf.resolve().parent
         self._packages = packages
 
     def find(self, uri: str, where: str) -> Path:
-        """The file of a ``package://`` or ``file://`` URI or of a path, relative ones from the URDF's folder.
+        """Find the file of a ``package://`` or ``file://`` URI or a path; relative paths start at the URDF's folder.
 
         Raises InputError beginning with ``where``.
         """
@@ -227,10 +227,10 @@ def _advice(uri: str, candidates: list[Path]) -> str:
 
 
 def read_mesh(path: Path, where: str) -> tuple[trimesh.Trimesh, bool]:
-    """The solid in a mesh file, in metres, and whether its surface is closed; if it is not, its convex hull.
+    """Read the solid in a mesh file, in metres, and True; if its surface is not closed, its convex hull and False.
 
-    As in RViz, the unit of a Collada file counts and its upward axis does not. No other file is opened, though a mesh
-    may name materials. Raises InputError beginning with ``where``, also for a surface that is not closed and flat.
+    As in RViz, the unit of a Collada file is applied and its upward axis is ignored. No other file is opened, though a
+    mesh may name materials. Raises InputError beginning with ``where``, also for a surface that is flat and not closed.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
@@ -243,7 +243,7 @@ def read_mesh(path: Path, where: str) -> tuple[trimesh.Trimesh, bool]:
         scene = trimesh.load_scene(BytesIO(content), file_type=suffix[1:], skip_materials=True)
         unit = unit_conversion(scene.units, "meters") if scene.units else 1.0
         loaded = scene.to_mesh()
-    except Exception as error:  # whatever a broken file makes its reader raise
+    except Exception as error:  # a broken file makes its reader raise any error
         raise InputError(f"{where}: {path} cannot be read ({error})") from error
     vertices = unit * np.asarray(loaded.vertices, dtype=np.float64)
     if not len(loaded.faces) or not np.all(np.isfinite(vertices)):

@@ -29,9 +29,9 @@ _KIND = "trajectory_msgs/msg/JointTrajectory"
 
 
 def save_trajectory(path: Path, trajectory: Trajectory) -> None:
-    """Write YAML or CSV by the suffix of ``path``, without one a rosbag in this folder.
+    """Write YAML or CSV depending on the suffix of ``path``; without a suffix, a rosbag in this folder.
 
-    Raises GeomidError naming the file or folder, which may be a bag, but nothing else.
+    Raises GeomidError naming the file or folder. An existing folder must be a bag.
     """
     writers = {".yaml": write_yaml, ".yml": write_yaml, ".csv": write_csv, "": write_bag}
     if path.suffix not in writers or path.name in ("", ".."):
@@ -43,16 +43,16 @@ def write_yaml(path: Path, trajectory: Trajectory) -> None:
     """Write ``trajectory.yaml``. Raises GeomidError naming the file."""
     lines = [f"joint_names: [{', '.join(map(_quoted, trajectory.joints))}]", "points:"]
     for numbers, seconds, nanoseconds in points_of(trajectory):
-        fields = [f"{name}: [{', '.join(map(repr, own))}]" for name, own in numbers.items() if own]
+        fields = [f"{name}: [{', '.join(map(repr, values))}]" for name, values in numbers.items() if values]
         fields.append(f"time_from_start: {{sec: {seconds}, nanosec: {nanoseconds}}}")
         lines += [f"{'  ' if place else '- '}{text}" for place, text in enumerate(fields)]
     write_text(path, "\n".join(lines) + "\n")
 
 
 def write_csv(path: Path, trajectory: Trajectory) -> None:
-    """Write one line per point: time, then positions, velocities, accelerations and efforts. Raises GeomidError."""
+    """Write one line per point: time, positions, velocities, accelerations and efforts. Raises GeomidError."""
     points = [numbers for numbers, _, _ in points_of(trajectory)]
-    kinds = [_ONE_OF[kind] for kind, own in points[0].items() if own]
+    kinds = [_ONE_OF[kind] for kind, values in points[0].items() if values]
     lines = [",".join(["time", *(f"{name} {kind}" for kind in kinds for name in trajectory.joints)])]
     for time, numbers in zip(trajectory.times.tolist(), points, strict=True):
         lines.append(",".join(map(repr, [time, *chain(*numbers.values())])))
@@ -60,14 +60,14 @@ def write_csv(path: Path, trajectory: Trajectory) -> None:
 
 
 def write_bag(folder: Path, trajectory: Trajectory) -> None:
-    """Write a rosbag with one ``trajectory_msgs/JointTrajectory``; a bag that is there is replaced.
+    """Write a rosbag with one ``trajectory_msgs/JointTrajectory``; an existing bag is replaced.
 
     Raises GeomidError naming the folder.
     """
     types = _TYPES.types
     points = [
         types["trajectory_msgs/msg/JointTrajectoryPoint"](
-            **{name: np.array(own) for name, own in numbers.items()},
+            **{name: np.array(values) for name, values in numbers.items()},
             time_from_start=types["builtin_interfaces/msg/Duration"](sec=seconds, nanosec=nanoseconds),
         )
         for numbers, seconds, nanoseconds in points_of(trajectory)
@@ -78,18 +78,18 @@ def write_bag(folder: Path, trajectory: Trajectory) -> None:
 
 
 def _write(folder: Path, message: Any) -> None:
-    there = [*folder.iterdir()] if folder.is_dir() else []
-    if folder.exists() and not all(file.name == "metadata.yaml" or file.suffix == ".mcap" for file in there):
+    existing = [*folder.iterdir()] if folder.is_dir() else []
+    if folder.exists() and not all(file.name == "metadata.yaml" or file.suffix == ".mcap" for file in existing):
         raise InputError(f"{folder}: is there already and is no bag; name another folder")
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder.parent) as temporary:
-            made = Path(temporary) / folder.name
-            with Writer(made, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP) as writer:
+            bag = Path(temporary) / folder.name
+            with Writer(bag, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP) as writer:
                 connection = writer.add_connection(TOPIC, _KIND, typestore=_TYPES)
                 writer.write(connection, 0, _TYPES.serialize_cdr(message, _KIND))
             shutil.rmtree(folder, ignore_errors=True)
-            made.rename(folder)
+            bag.rename(folder)
     except OSError as error:
         raise GeomidError(f"{folder}: the bag cannot be written ({error})") from error
 
@@ -98,10 +98,10 @@ _ONE_OF = {"positions": "position", "velocities": "velocity", "accelerations": "
 
 
 def points_of(trajectory: Trajectory) -> Iterator[tuple[dict[str, list[float]], int, int]]:
-    """Of each point the numbers by the message's field, no number in what the trajectory has none of; and seconds and
-    nanoseconds from the start."""
+    """Yield the numbers of each point by the message's field, empty where the trajectory has none, and the time from
+    the start in seconds and nanoseconds."""
     arrays = trajectory.positions, trajectory.velocities, trajectory.accelerations, trajectory.efforts
-    for time, *numbers in zip(trajectory.times.tolist(), *(own.tolist() for own in arrays), strict=True):
+    for time, *numbers in zip(trajectory.times.tolist(), *(array.tolist() for array in arrays), strict=True):
         yield dict(zip(_ONE_OF, numbers, strict=True)), *divmod(round(1e9 * time), 10**9)
 
 
@@ -110,18 +110,18 @@ def _quoted(name: str) -> str:
     return f'"{escaped}"'
 
 
-_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast, where there is libyaml
+_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times faster, if libyaml is installed
 
 
 def read_trajectory(path: Path) -> Trajectory:
-    """Read ``trajectory.yaml``, or what ``ros2 topic echo`` prints of a ``trajectory_msgs/JointTrajectory``, or of a
-    message of MoveIt's that holds one.
+    """Read ``trajectory.yaml``, or the output of ``ros2 topic echo`` for a ``trajectory_msgs/JointTrajectory`` or for a
+    MoveIt message that contains one.
 
-    It has ``joint_names`` and ``points``, each of ``positions``, ``velocities``, ``accelerations`` (or none at any
-    point) and ``time_from_start`` with ``sec`` and ``nanosec``.
+    It has ``joint_names`` and ``points``, each with ``positions``, ``velocities``, ``accelerations`` (at all points or
+    at none) and ``time_from_start`` with ``sec`` and ``nanosec``.
 
     Raises:
-        InputError: naming the file, and the point that cannot be used.
+        InputError: it names the file, and the point that cannot be used.
     """
     document = _document(path)
     rows = [_row(point, f"{path}: point {index}") for index, point in enumerate(document["points"])]
@@ -129,14 +129,14 @@ def read_trajectory(path: Path) -> Trajectory:
 
 
 def trajectory_in_bag(path: Path, topic: str | None) -> Trajectory:
-    """The last ``trajectory_msgs/JointTrajectory`` with points in a rosbag.
+    """Return the last ``trajectory_msgs/JointTrajectory`` with points in a rosbag.
 
     Args:
-        path: of the bag.
-        topic: on which; None for the only one that has such messages.
+        path: path of the bag.
+        topic: topic of the messages; None for the only one of this type.
 
     Raises:
-        InputError: naming the bag, and what of the trajectory cannot be used.
+        InputError: it names the bag, and the part of the trajectory that cannot be used.
     """
     with Bag(path) as bag:
         topics = [name for name, kind in bag.topics.items() if kind == _KIND]
@@ -151,7 +151,7 @@ def trajectory_in_bag(path: Path, topic: str | None) -> Trajectory:
 
 
 def trajectory_of(message: Any, source: str) -> Trajectory:
-    """The trajectory of a ``trajectory_msgs/JointTrajectory``. Raises InputError naming the ``source``."""
+    """Convert a ``trajectory_msgs/JointTrajectory``. Raises InputError naming the ``source``."""
     times = [float(point.time_from_start.sec) + 1e-9 * float(point.time_from_start.nanosec) for point in message.points]
     motions = ([list(getattr(point, name)) for name in _MOTION] for point in message.points)
     return _trajectory(source, tuple(message.joint_names), list(zip(times, motions, strict=True)))
@@ -159,11 +159,11 @@ def trajectory_of(message: Any, source: str) -> Trajectory:
 
 _MOTION = ("positions", "velocities", "accelerations")
 _Row: TypeAlias = tuple[float, list[list[float]]]
-"""Time [s]; positions, velocities and accelerations, none of which there need be."""
+"""Time [s]; positions, velocities and accelerations, each of which may be empty."""
 
 
 def _trajectory(source: str, joints: tuple[str, ...], rows: Sequence[_Row]) -> Trajectory:
-    """The checked trajectory of its points. Raises InputError naming the source."""
+    """Checked trajectory of these points. Raises InputError naming the source."""
     if not joints or len(set(joints)) != len(joints):
         raise InputError(f"{source}: joint_names must name every joint once, and at least one")
     if len(rows) < 2:
@@ -179,9 +179,9 @@ def _trajectory(source: str, joints: tuple[str, ...], rows: Sequence[_Row]) -> T
                 "planner add times and velocities (in MoveIt: AddTimeOptimalParameterization)"
             )
         if [*map(len, numbers)] != widths or not np.all(np.isfinite([time, *chain(*numbers)])):
-            more = ", accelerations" if accelerated else ""
+            optional = ", accelerations" if accelerated else ""
             raise InputError(
-                f"{source}: point {index} must have {len(joints)} finite positions, velocities{more}, one for each "
+                f"{source}: point {index} must have {len(joints)} finite positions, velocities{optional}, one for each "
                 "joint, and accelerations at every point or at none"
             )
     times = np.array([time for time, _ in rows])
@@ -212,7 +212,7 @@ def _document(path: Path) -> Mapping[str, Any]:
 
 
 _AROUND = ("trajectory", "joint_trajectory")
-"""Fields of moveit_msgs/DisplayTrajectory and of RobotTrajectory, one in the other."""
+"""Fields of moveit_msgs/DisplayTrajectory and of RobotTrajectory; the first contains the second."""
 
 
 def _row(point: Any, where: str) -> _Row:
@@ -220,7 +220,7 @@ def _row(point: Any, where: str) -> _Row:
         time = point["time_from_start"]
         seconds = float(time["sec"]) + 1e-9 * float(time["nanosec"])
         lists = [point.get(name) or [] for name in _MOTION]
-        return seconds, [[float(number) for number in own] for own in lists if isinstance(own, list)]
+        return seconds, [[float(number) for number in values] for values in lists if isinstance(values, list)]
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         expected = f"lists of numbers ({', '.join(_MOTION)}), and time_from_start: {{sec, nanosec}}"
         raise InputError(

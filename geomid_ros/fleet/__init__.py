@@ -1,1 +1,1 @@
-"""Many bags of many robots: summaries of bags made side by side, summed by robot, and solved."""
+"""Many bags of many robots: bags are summarised in parallel, summaries are summed by robot, and robots are solved."""

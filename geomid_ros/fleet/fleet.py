@@ -1,6 +1,6 @@
-"""A fleet: every bag is summarised, every robot solved for, all of it kept, and what is kept is not done again.
+"""A fleet: every bag is summarised, every robot is solved, and all results are stored, so that nothing is done twice.
 
-Dask does it, on this machine's cores or on a cluster, in many small tasks, whatever becomes of workers and scheduler.
+Dask runs many small tasks on this machine's cores or on a cluster; they survive lost workers and schedulers.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from geomid_ros.fleet.work import BagOutcome, FleetPlan, solve_robot, summarise_
 from geomid_ros.options import Progress, silent
 from geomid_ros.session.session import installed_version
 
-_PATIENCE = 120.0  # [s] for a scheduler that was restarted, with its workers
+_PATIENCE = 120.0  # [s] time for a scheduler and its workers to restart
 _CONNECT = 10.0  # [s]
-_AHEAD = 8  # tasks per thread that are handed over: none waits, and the client stays small
+_AHEAD = 8  # submitted tasks per thread: no thread waits, and the client stays small
 Job = TypeVar("Job")
 
 
 class Cluster:
-    """A connection to Dask, for a ``with`` statement: to the scheduler of that address, or to workers of this machine.
+    """A connection to Dask, for a ``with`` statement: to the scheduler at an address, or to workers of this machine.
 
     Raises:
-        InputError: Dask is not installed, or the scheduler cannot be reached, or workers have another version of this
+        InputError: Dask is not installed, the scheduler cannot be reached, or workers have another version of this
             package.
     """
 
@@ -45,7 +45,7 @@ class Cluster:
             import distributed  # noqa: PLC0415 an extra
         except ImportError as error:
             raise InputError("geomid fleet needs the extra 'fleet': pip install geomid_ros[fleet]") from error
-        # What it logs, with tracebacks, is what is told here in a sentence.
+        # Its log has tracebacks of what is reported here in a sentence.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         self._dask: Any = distributed
         self._patience = patience
@@ -72,19 +72,19 @@ class Cluster:
         self.close()
 
     def close(self) -> None:
-        """Let go of it; workers of this machine are stopped."""
+        """Close the connection; workers of this machine are stopped."""
         self._disconnect()
         if self._local is not None:
             self._local.close()
 
     def _disconnect(self) -> None:
         if self._client is not None:
-            with suppress(Exception):  # of a scheduler that is gone
+            with suppress(Exception):  # the scheduler may be gone
                 self._client.close(timeout=2)
             self._client = None
 
     def _connect(self, patience: float) -> None:
-        """Connect, and look at the workers' version."""
+        """Connect, and check the version of the workers."""
         deadline = time.monotonic() + patience
         while self._client is None:
             try:
@@ -104,23 +104,23 @@ class Cluster:
         if versions != {self._version}:
             raise InputError(self._other_version(f"they have {', '.join(sorted(versions))}"))
 
-    def _other_version(self, found: str) -> str:
+    def _other_version(self, reason: str) -> str:
         return (
-            f"{self._address}: its workers lack geomid_ros {self._version} with the extra 'fleet' ({found}); install "
+            f"{self._address}: its workers lack geomid_ros {self._version} with the extra 'fleet' ({reason}); install "
             "the same everywhere"
         )
 
     def run(
         self, function: Callable[..., Any], jobs: Sequence[tuple[Job, tuple[Any, ...]]]
     ) -> Iterator[tuple[Job, Any]]:
-        """Call ``function(*arguments)`` for every job, a few at a time; a task whose worker is lost is done again.
+        """Call ``function(*arguments)`` for every job, a few at a time; tasks of lost workers are repeated.
 
         Args:
-            function: of this package.
-            jobs: what each is for, and its arguments.
+            function: a function of this package.
+            jobs: pairs of a key and the arguments.
 
         Yields:
-            What a job is for, and what it returned, or the exception that it raised, in the order in which they end.
+            The key of a job, and its return value or exception, in the order in which jobs end.
 
         Raises:
             InputError: the scheduler is gone and does not come back.
@@ -153,7 +153,7 @@ class Cluster:
 
 
 def failure(error: BaseException) -> str:
-    """What to say of a task that ended in an exception."""
+    """Sentence on a task that ended with an exception."""
     if isinstance(error, GeomidError):
         return str(error)
     if type(error).__name__ == "KilledWorker":
@@ -166,11 +166,11 @@ class FleetRobot:
     """A robot of the fleet.
 
     Attributes:
-        name: the robot's.
-        bags: all of its bags with what became of each.
+        name: name of the robot.
+        bags: all of its bags with their outcomes.
         used: addresses of the bags that its results are from.
-        error: why there are no results, in a sentence.
-        kept: what its results are kept under; empty if there are none.
+        error: reason why there are no results, in a sentence.
+        kept: name under which its results are stored; empty if there are none.
     """
 
     name: str
@@ -181,13 +181,13 @@ class FleetRobot:
 
 
 class Fleet:
-    """The robots and bags of a fleet, and what is known of them."""
+    """The robots and bags of a fleet, and their stored results."""
 
     def __init__(self, plan: FleetPlan, bags: Sequence[FleetBag], store: Store) -> None:
-        """Look at what is kept already.
+        """Look up the stored results.
 
         Raises:
-            InputError: the configuration is none for a fleet, or the store cannot be read.
+            InputError: the configuration is not suited to a fleet, or the store cannot be read.
         """
         if np.isfinite(plan.configuration.buffer.forgetting_time):
             raise InputError("forgetting_time is given; of a fleet's bags, which are summed, nothing is forgotten")
@@ -196,14 +196,14 @@ class Fleet:
         store.put(plan.name, json.dumps(plan.document).encode())
 
     def work(self, connect: Callable[[], Cluster], progress: Progress = silent) -> list[FleetRobot]:
-        """Do all that is not done yet.
+        """Do all work that is not done yet.
 
         Args:
-            connect: connects to the workers, if there is anything to do for them.
-            progress: called with what is being done, and the share of it that is done.
+            connect: connects to the workers, if there is work for them.
+            progress: called with the current stage, and the fraction of it that is done.
 
         Raises:
-            InputError: the workers cannot be reached, or are gone; what was done so far is kept.
+            InputError: the workers cannot be reached, or are gone; finished work is kept.
         """
         with ExitStack() as stack:
             workers = cache(lambda: stack.enter_context(connect()))
@@ -211,10 +211,10 @@ class Fleet:
             return list(self._solve(workers, outcomes, progress))
 
     def _summarise(self, workers: Callable[[], Cluster], progress: Progress) -> dict[FleetBag, BagOutcome]:
-        """What became of every bag."""
+        """Outcome of every bag."""
         names = {bag: f"{self._plan.of_bag(bag)}.json" for bag in self._bags}
-        found = {bag: self._outcome(name) for bag, name in names.items() if name in self._kept}
-        outcomes = {bag: outcome for bag, outcome in found.items() if outcome is not None}
+        stored = {bag: self._outcome(name) for bag, name in names.items() if name in self._kept}
+        outcomes = {bag: outcome for bag, outcome in stored.items() if outcome is not None}
         progress(f"{len(outcomes)} of {len(self._bags)} bags", 0.0)
         jobs = [(bag, (self._store, self._plan.name, bag)) for bag in self._bags if bag not in outcomes]
         for bag, outcome in _run(workers, summarise_bag, jobs):
@@ -224,7 +224,7 @@ class Fleet:
         return outcomes
 
     def _outcome(self, name: str) -> BagOutcome | None:
-        """What became of a bag that was read before; None if that cannot be told."""
+        """Stored outcome of a bag; None if it cannot be read."""
         try:
             return structured(BagOutcome, json.loads(self._store.get(name) or b""), f"{self._store.url}/{name}:")
         except (InputError, ValueError, RecursionError):
@@ -233,18 +233,18 @@ class Fleet:
     def _solve(
         self, workers: Callable[[], Cluster], outcomes: Mapping[FleetBag, BagOutcome], progress: Progress
     ) -> Iterator[FleetRobot]:
-        """The robots, once they are solved for."""
+        """Yield the robots, after solving for them."""
         chosen = {name: self._chosen(name, outcomes) for name in dict.fromkeys(bag.robot for bag in self._bags)}
-        kept = {robot: [self._plan.of_bag(bag) for bag in used] for robot, (used, _) in chosen.items()}
-        names = {robot: self._plan.of_robot(robot, bags) for robot, bags in kept.items()}
+        summaries = {robot: [self._plan.of_bag(bag) for bag in used] for robot, (used, _) in chosen.items()}
+        names = {robot: self._plan.of_robot(robot, bags) for robot, bags in summaries.items()}
         jobs = [
-            (robot, (self._store, self._plan.name, names[robot], kept[robot], locked))
+            (robot, (self._store, self._plan.name, names[robot], summaries[robot], locked))
             for robot, (used, locked) in chosen.items()
             if used and f"{names[robot]}{SUFFIX}" not in self._kept
         ]
         errors: dict[str, str] = {}
-        for done, (robot, found) in enumerate(_run(workers, solve_robot, jobs), 1):
-            errors[robot] = found if isinstance(found, str) else failure(found)
+        for done, (robot, outcome) in enumerate(_run(workers, solve_robot, jobs), 1):
+            errors[robot] = outcome if isinstance(outcome, str) else failure(outcome)
             progress(f"{done} of {len(jobs)} robots", done / len(jobs))
         for robot, (used, _) in chosen.items():
             error = errors.get(robot, "") if used else "none of its bags can be used"
@@ -258,9 +258,9 @@ class Fleet:
             )
 
     def _chosen(self, robot: str, outcomes: Mapping[FleetBag, BagOutcome]) -> tuple[list[FleetBag], tuple[str, ...]]:
-        """The bags that a robot is identified from, and the joints that they all lack.
+        """Bags that a robot is identified from, and the joints that all of them lack.
 
-        Bags that seem to be wrong are left out as long as there are others.
+        Suspect bags are left out if there are others.
         """
         readable = [bag for bag in self._bags if bag.robot == robot and not outcomes[bag].error]
         used = [bag for bag in readable if not outcomes[bag].doubts] or readable
@@ -270,7 +270,7 @@ class Fleet:
         return [bag for bag in used if outcomes[bag].locked == locked], locked
 
     def results(self, robot: FleetRobot) -> RobotResults:
-        """The results of a robot that has some. Raises InputError if they cannot be read."""
+        """Load the results of a robot that has some. Raises InputError if they cannot be read."""
         content = self._store.get(f"{robot.kept}{SUFFIX}")
         if content is None:
             raise InputError(f"{self._store.url}: the results of robot '{robot.name}' are missing; run the same again")
@@ -285,8 +285,8 @@ class Fleet:
 def _run(
     workers: Callable[[], Cluster], function: Callable[..., Any], jobs: Sequence[tuple[Any, tuple[Any, ...]]]
 ) -> Iterator[tuple[Any, Any]]:
-    """What each job returned, or its exception. Raises InputError for what no worker can do any job with."""
-    for what, found in workers().run(function, jobs) if jobs else ():
-        if isinstance(found, InputError):
-            raise found
-        yield what, found
+    """Yield the key of each job, and its return value or exception. Raises InputError if no worker can do any job."""
+    for key, result in workers().run(function, jobs) if jobs else ():
+        if isinstance(result, InputError):
+            raise result
+        yield key, result

@@ -1,9 +1,9 @@
-"""What is kept of bags and robots while a fleet is worked on, in a folder that all workers see or an object store.
+"""Stored results on bags and robots of a fleet, in a folder that all workers share or in an object store.
 
-Of a bag, what an estimate needs: the summaries of its rows, and what is known of it beside them. Of a robot its files,
-and what a population is made of.
+For a bag, everything that an estimate needs: summaries of its rows, and facts about it in addition to them. For a
+robot, its files, and its contribution to a population.
 
-Both are files as checkpoints are (:mod:`geomid_ros.files.archive`).
+Both have the file format of checkpoints (:mod:`geomid_ros.files.archive`).
 """
 
 from __future__ import annotations
@@ -34,35 +34,35 @@ from geomid_ros.session.training import Training
 
 
 def file_system(url: str) -> tuple[Any, str]:
-    """The file system of a path or URL (fsspec), and the path there.
+    """Find the file system of a path or URL (fsspec), and the path there.
 
     Raises:
-        InputError: fsspec, or what it needs for this kind of URL, is not installed, or knows no such kind.
+        InputError: fsspec, or a package that it needs for this kind of URL, is not installed, or the kind is unknown.
     """
     try:
         from fsspec.core import url_to_fs  # noqa: PLC0415 an extra
     except ImportError as error:
         raise InputError("geomid fleet needs the extra 'fleet': pip install geomid_ros[fleet]") from error
     try:
-        found: tuple[Any, str] = url_to_fs(url)
+        result: tuple[Any, str] = url_to_fs(url)
     except (ImportError, ValueError, OSError) as error:
         raise InputError(f"{url}: cannot be reached ({error})") from error
-    return found
+    return result
 
 
 def is_local(system: Any) -> bool:
-    """Whether a file system is this machine's."""
+    """True if a file system is this machine's."""
     return "file" in (system.protocol if isinstance(system.protocol, tuple) else (system.protocol,))
 
 
 @dataclass(frozen=True)
 class Store:
-    """Files by name under a path or URL; each is whole or not there."""
+    """Files by name under a path or URL; each is complete or missing."""
 
     url: str
 
     def get(self, name: str) -> bytes | None:
-        """The content of a file; None if there is none. Raises InputError if it cannot be read."""
+        """Content of a file; None if it does not exist. Raises InputError if it cannot be read."""
         system, folder = file_system(self.url)
         try:
             content: bytes = system.cat_file(f"{folder}/{name}")
@@ -84,7 +84,7 @@ class Store:
             raise GeomidError(f"{self.url}: cannot be written ({error})") from error
 
     def names(self) -> set[str]:
-        """The names of all files."""
+        """Names of all files."""
         system, folder = file_system(self.url)
         try:
             return {path.rpartition("/")[2] for path in system.ls(folder, detail=False)}
@@ -95,7 +95,7 @@ class Store:
 
 
 SUFFIX = ".safetensors"
-"""Of these files."""
+"""Suffix of these files."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -103,11 +103,11 @@ class BagSummary:
     """A summary of one bag, or of several of the same robot and configuration.
 
     Attributes:
-        fitted: rows to fit, and why others were not taken.
-        held_out: rows to judge on.
-        recorded: what is known beside them.
-        locked: the joints that were locked.
-        begin, end: stamps of the first and of the last instant that is fitted [ns].
+        fitted: rows to fit, and the reasons why others were rejected.
+        held_out: rows to evaluate on.
+        recorded: facts about the recordings in addition to the rows.
+        locked: joints that were locked.
+        begin, end: stamps of the first and last fitted samples [ns].
     """
 
     fitted: Memory
@@ -118,19 +118,19 @@ class BagSummary:
     end: int
 
     def encoded(self, session: Session) -> bytes:
-        """As a file."""
+        """Encode as a file."""
         return encoded({"meaning": session.meaning, **vars(self)}, self.recorded.accounts)
 
     @staticmethod
     def decoded(content: bytes, session: Session) -> BagSummary:
-        """From a file, for a session of the same meaning. Raises InputError for what is no such file."""
+        """Decode a file, for a session of the same meaning. Raises InputError for an invalid file."""
         try:
             return decoded(BagSummary, content, session.meaning)
         except InputError as error:
             raise InputError(f"the summary of a bag cannot be read ({error})") from error
 
     def plus(self, later: BagSummary) -> BagSummary:
-        """The rows of both, of which the other was recorded later."""
+        """Sum of the rows of this summary and a ``later`` one."""
         pause = min(max(0.0, 1e-9 * (later.begin - self.end)), LONGEST_STEP)
         rows = self.fitted.summary.plus(later.fitted.summary, pause)
         return BagSummary(
@@ -144,13 +144,13 @@ class BagSummary:
 
 
 def summarise(text: str, source: str, configuration: Configuration, bags: Bags) -> tuple[Session, BagSummary]:
-    """Read bags, and keep of them what an estimate needs, as ``geomid identify`` does.
+    """Read bags, and keep everything that an estimate needs, as ``geomid identify`` does.
 
     Args:
         text: the robot description.
-        source: where it is from.
-        configuration: of the session.
-        bags: which to read, and what to hold out.
+        source: its origin.
+        configuration: configuration of the session.
+        bags: the bags to read, and the fraction to hold out.
 
     Returns:
         The session that read them, and the summary.
@@ -174,7 +174,7 @@ def summarise(text: str, source: str, configuration: Configuration, bags: Bags) 
 
 
 def _read(session: Session, bags: Bags) -> tuple[list[Samples], int, int]:
-    """The samples to judge on, and the first and the last stamp of those that were fitted."""
+    """Held-out samples, and the first and last stamp of the fitted ones [ns]."""
     training, stamps = Training(session), list[int]()
 
     def fit(samples: Samples) -> None:
@@ -187,17 +187,16 @@ def _read(session: Session, bags: Bags) -> tuple[list[Samples], int, int]:
 
 
 def total(summaries: Sequence[BagSummary]) -> BagSummary:
-    """The sum of at least one: in the order of recording and always by the same tree, so that it depends on nothing
-    else."""
-    several = sorted(summaries, key=lambda summary: (summary.begin, summary.end, summary.fitted.summary.rows))
-    while len(several) > 1:
-        pairs = [several[index : index + 2] for index in range(0, len(several), 2)]
-        several = [reduce(BagSummary.plus, pair) for pair in pairs]
-    return several[0]
+    """Sum of at least one summary, in the order of recording and by a fixed tree, so that it is reproducible."""
+    summed = sorted(summaries, key=lambda summary: (summary.begin, summary.end, summary.fitted.summary.rows))
+    while len(summed) > 1:
+        pairs = [summed[index : index + 2] for index in range(0, len(summed), 2)]
+        summed = [reduce(BagSummary.plus, pair) for pair in pairs]
+    return summed[0]
 
 
 def _rows(model: MeasurementModel, batches: Sequence[Samples]) -> SummaryState:
-    """All rows of samples, those at a standstill included: a prediction is judged there, too."""
+    """All rows of samples, including those at rest, as a prediction is evaluated there, too."""
     summary = RowSummary(model.channels)
     for samples in batches:
         rows = model.rows(samples)
@@ -207,19 +206,19 @@ def _rows(model: MeasurementModel, batches: Sequence[Samples]) -> SummaryState:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RobotResults:
-    """The ``files`` of a robot's folder by name, and the ``evidence`` that a population is made of."""
+    """The ``files`` of a robot's folder by name, and the ``evidence`` for a population."""
 
     files: Mapping[str, bytes]
     evidence: RobotLikelihood
 
     @property
     def encoded(self) -> bytes:
-        """As a file."""
+        """Encoded as a file."""
         return archived(vars(self))
 
     @staticmethod
     def decoded(content: bytes) -> RobotResults:
-        """From such a file. Raises InputError for what is none."""
+        """Decode such a file. Raises InputError if it is invalid."""
         try:
             return structured(RobotResults, unarchived(content), "its text:")
         except InputError as error:
@@ -227,7 +226,7 @@ class RobotResults:
 
     @property
     def estimate(self) -> EstimateFile:
-        """What ``estimate.json`` says."""
+        """Content of ``estimate.json``."""
         return EstimateFile.of(json.loads(self.files["estimate.json"]), "the new estimate")
 
     def write(self, folder: Path) -> None:
@@ -236,20 +235,20 @@ class RobotResults:
             write_bytes(folder / Path(name).name, content)
 
 
-_CHANCE = 1e-4  # a fleet has many robots: of any of one robot's numbers, if none has changed
+_CHANCE = 1e-4  # false-alarm probability for all numbers of one robot; it is low, as a fleet has many robots
 
 
 def changes(before: EstimateFile, after: EstimateFile) -> list[str]:
-    """The links that have changed, and the numbers of links and effects that differ by more than their standard
-    deviations explain, in words, the surest first.
+    """Sentences on links that have changed, and on numbers of links and effects that differ by more than their standard
+    deviations explain, the most certain first.
 
-    What both estimates took from the same prior counts as uncertain twice: little data tell no change.
+    Information that both estimates took from the same prior counts as uncertain twice, so few data show no change.
 
     Args:
-        before, after: of one robot.
+        before, after: estimates of one robot.
 
     Raises:
-        InputError: a file says what cannot be.
+        InputError: a file has invalid content.
     """
-    found = compared(before.values, after.values, _CHANCE)
-    return [*(link.sentence for link in found.changed), *(number.sentence for number in found.differing)]
+    comparison = compared(before.values, after.values, _CHANCE)
+    return [*(link.sentence for link in comparison.changed), *(number.sentence for number in comparison.differing)]

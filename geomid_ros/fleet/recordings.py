@@ -1,4 +1,4 @@
-"""Which bags a fleet has, and whose they are: in folders, by a pattern, or listed in a table."""
+"""Bags of a fleet and their robots: in folders, by a pattern, or listed in a table."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _METADATA = "metadata.yaml"
 _PATTERN = frozenset("*?[")
 _TABLE = ".csv"
 _BAG = "bag"  # the table's column
-# What file systems call the time of the last change, or stands for the content.
+# Keys of file systems for the time of the last change, or for a checksum of the content.
 _CHANGED = ("mtime", "LastModified", "last_modified", "updated", "ETag", "etag", "modified", "created")
 
 
@@ -34,33 +34,33 @@ class FleetBag:
 
 
 def find_bags(source: str, by: str = "robot") -> list[FleetBag]:
-    """All bags of a fleet, by robot and address.
+    """Find all bags of a fleet, sorted by robot and address.
 
     Args:
         source: a folder, a pattern, or a .csv file, on a disk or by a URL that fsspec knows. The robot of a bag is the
-            folder that it lies in. A table has the columns ``bag``, addresses that may be relative to its folder, and
+            folder that contains it. A table has the columns ``bag``, addresses that may be relative to its folder, and
             ``by``.
         by: the column that names the robot.
 
     Raises:
-        InputError: there is none, or it cannot be looked at.
+        InputError: there is none, or the source cannot be read.
     """
     system, path = file_system(source)
     try:
         if path.endswith(_TABLE):
-            found = list(_listed(source, system, path, by))
+            bags = list(_listed(source, system, path, by))
         else:
             places = sorted(system.glob(path)) if _PATTERN & set(path) else [path]
-            found = [_bag(system, bag, files) for place in places for bag, files in _bags_below(system, place)]
+            bags = [_bag(system, bag, files) for place in places for bag, files in _bags_below(system, place)]
     except OSError as error:
         raise InputError(f"{source}: cannot be listed ({error})") from error
-    if not found:
+    if not bags:
         raise InputError(f"{source}: no rosbag found, expected ROBOT/BAG folders, a pattern or a .csv file")
-    return sorted(set(found), key=lambda bag: (bag.robot, bag.url))
+    return sorted(set(bags), key=lambda bag: (bag.robot, bag.url))
 
 
 def _listed(source: str, system: Any, path: str, by: str) -> Iterator[FleetBag]:
-    """The bags in a table."""
+    """Yield the bags in a table."""
     with system.open(path, "r", encoding="utf-8", newline="") as file:
         table = csv.DictReader(file)
         for column in (_BAG, by):
@@ -71,15 +71,15 @@ def _listed(source: str, system: Any, path: str, by: str) -> Iterator[FleetBag]:
         if not bag or not robot:
             raise InputError(f"{source}: line {line} has no {_BAG} or no {by}")
         url = bag if "://" in bag or PurePosixPath(bag).is_absolute() else f"{source.rpartition('/')[0] or '.'}/{bag}"
-        own, place = file_system(url)
-        found = list(_bags_below(own, place))
-        # What is not there is no reason to refuse the others: it is told when it is read.
-        for address, files in found or [(place, {})]:
-            yield _bag(own, address, files, robot)
+        bag_system, place = file_system(url)
+        bags = list(_bags_below(bag_system, place))
+        # A missing bag is no reason to refuse the others: it is reported when it is read.
+        for address, files in bags or [(place, {})]:
+            yield _bag(bag_system, address, files, robot)
 
 
 def _bags_below(system: Any, path: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Every bag at a path or below it, with its files."""
+    """Yield every bag at or below a path, with its files."""
     if path.endswith(_SUFFIXES) and system.isfile(path):
         yield path, {path: system.info(path)}
         return
@@ -92,18 +92,18 @@ def _bags_below(system: Any, path: str) -> Iterator[tuple[str, Mapping[str, Any]
 
 
 def _files_below(system: Any, path: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Every file with what is told of it; on disks also behind links to folders, each folder once."""
+    """Yield every file with its details; on disks also behind links to folders, each folder once."""
     if not is_local(system):
         yield from system.find(path, detail=True).items()
         return
     seen: set[str] = set()
     for folder, folders, names in os.walk(path, followlinks=True):
         folders.sort()
-        own = os.path.realpath(folder)
-        if own in seen:
+        real = os.path.realpath(folder)
+        if real in seen:
             folders.clear()
             continue
-        seen.add(own)
+        seen.add(real)
         for name in names:
             with suppress(FileNotFoundError):  # a link to nowhere
                 file = f"{folder}/{name}"
@@ -116,22 +116,22 @@ def _bag(system: Any, path: str, files: Mapping[str, Any], robot: str = "") -> F
     if not name.isprintable() or "/" in name or name in ("", ".", ".."):
         raise InputError(f"{url}: the robot's name is {name!r}, which is not a valid folder name")
     # A listing of a web server knows names only.
-    told = [info if info.get("size") is not None else system.info(file) for file, info in sorted(files.items())]
-    return FleetBag(name, url, _fingerprint(told))
+    details = [info if info.get("size") is not None else system.info(file) for file, info in sorted(files.items())]
+    return FleetBag(name, url, _fingerprint(details))
 
 
 def _fingerprint(files: Iterable[Mapping[str, Any]]) -> str:
-    """A checksum of names, sizes and times of files."""
-    told = [
+    """Checksum of names, sizes and times of files."""
+    details = [
         (info["name"].rpartition("/")[2], info["size"], next((str(info[key]) for key in _CHANGED if key in info), ""))
         for info in files
     ]
-    return hashlib.sha256(repr(told).encode()).hexdigest()
+    return hashlib.sha256(repr(details).encode()).hexdigest()
 
 
 @contextmanager
 def on_this_disk(url: str) -> Iterator[Path]:
-    """The path of a bag; of one that is elsewhere, that of a copy, for a ``with`` statement.
+    """Yield the path of a bag, or of a temporary copy if it is elsewhere, for a ``with`` statement.
 
     Raises:
         GeomidError: it cannot be copied now.

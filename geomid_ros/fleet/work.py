@@ -1,4 +1,4 @@
-"""What workers do by a plan: a bag to its summary, a robot's summaries to its results, all of it kept in the store."""
+"""Tasks of the workers, by a plan: a bag to its summary, and summaries to a robot's results. All are stored."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ from geomid_ros.types import FloatArray
 
 @dataclass(frozen=True, kw_only=True)
 class FleetPlan:
-    """What all bags have in common.
+    """Settings that all bags have in common.
 
     Attributes:
         description: text of the URDF.
-        source: where it is from.
+        source: its origin.
         given: parameters of the configuration by full name.
-        topics: that bags are read from.
-        hold_out: share of each bag's time, at the end, to judge on; None for the usual one.
-        version: of this package.
+        topics: topics that bags are read from.
+        hold_out: fraction of each bag's time, at the end, to evaluate on; None for the default.
+        version: version of this package.
     """
 
     description: str
@@ -49,25 +49,25 @@ class FleetPlan:
 
     @property
     def configuration(self) -> Configuration:
-        """Of the sessions."""
+        """Configuration of the sessions."""
         return Configuration(self.given, "options")
 
     @property
     def document(self) -> dict[str, Any]:
-        """As JSON."""
+        """The plan as JSON."""
         return asdict(self)
 
     @property
     def name(self) -> str:
-        """What it is kept under."""
+        """Name under which it is stored."""
         return f"plan-{_checksum(self.document)}"
 
     def of_bag(self, bag: FleetBag) -> str:
-        """What the summary of a bag is kept under."""
+        """Name under which the summary of a bag is stored."""
         return f"bag-{_checksum([self.document, bag.url, bag.fingerprint])}"
 
     def of_robot(self, robot: str, bags: Iterable[str]) -> str:
-        """What the results of a robot are kept under, whose bags are kept under these names."""
+        """Name under which the results of a robot are stored, from the names of its bags' summaries."""
         return f"robot-{_checksum([self.document, robot, sorted(bags)])}"
 
 
@@ -78,12 +78,12 @@ def _checksum(content: Any) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class BagOutcome:
-    """What became of a bag.
+    """Outcome of a bag.
 
     Attributes:
-        error: why it could not be used, in a sentence; empty if it could.
-        doubts: what seems to be wrong with it, in sentences.
-        locked: joints that were locked, as it does not name them.
+        error: reason why it could not be used, in a sentence; empty if it could.
+        doubts: suspected faults, in sentences.
+        locked: joints that were locked, as its messages do not contain them.
     """
 
     error: str = ""
@@ -92,7 +92,7 @@ class BagOutcome:
 
 
 def summarise_bag(store: Store, plan_name: str, bag: FleetBag) -> BagOutcome:
-    """Summarise a bag. What is wrong with the bag itself is an outcome, too."""
+    """Summarise a bag. Faults of the bag itself are an outcome, too."""
     plan = _plan(store, plan_name)
     name = plan.of_bag(bag)
     try:
@@ -112,17 +112,17 @@ def summarise_bag(store: Store, plan_name: str, bag: FleetBag) -> BagOutcome:
 
 
 def solve_robot(store: Store, plan_name: str, name: str, bags: Sequence[str], locked: Sequence[str]) -> str:
-    """Identify a robot from the kept summaries of its bags.
+    """Identify a robot from the stored summaries of its bags.
 
     Args:
-        store: where they are.
-        plan_name: what the plan is kept under.
-        name: what the results are kept under.
-        bags: what the summaries are kept under.
-        locked: joints that none of the bags names.
+        store: where they are stored.
+        plan_name: name of the stored plan.
+        name: name under which the results are stored.
+        bags: names of the stored summaries.
+        locked: joints that none of the bags contains.
 
     Returns:
-        Why that is impossible, in a sentence; empty if it is not.
+        The reason why that is impossible, in a sentence; empty if it was done.
     """
     plan = _plan(store, plan_name)
     try:
@@ -136,28 +136,28 @@ def solve_robot(store: Store, plan_name: str, name: str, bags: Sequence[str], lo
 
 
 def solve(session: Session, summary: BagSummary) -> tuple[Estimate, FloatArray | None, Verdict]:
-    """Identify a robot as ``geomid identify`` does, from what was kept of its bags.
+    """Identify a robot as ``geomid identify`` does, from the summary of its bags.
 
     Args:
-        session: of the robot, which has read nothing.
-        summary: of its bags.
+        session: a session of the robot that has read nothing.
+        summary: the summary of its bags.
 
     Returns:
-        The estimate, the RMS residual of each channel on what was held out, if anything was, and the verdict.
+        The estimate, the RMS residual of each channel on held-out data, if there are any, and the verdict.
     """
     session.review.read_elsewhere(summary.recorded)
     session.identifier.restore(summary.fitted)
     estimate = session.identifier.solve()
-    judged = RowSummary(session.model.channels)
-    judged.restore(summary.held_out)
-    if not judged.rows:
+    test_rows = RowSummary(session.model.channels)
+    test_rows.restore(summary.held_out)
+    if not test_rows.rows:
         return estimate, None, session.review.verdict(estimate)
-    held_out = judged.rms(estimate.parameters)
-    return estimate, held_out, session.review.verdict(estimate, judged, held_out)
+    held_out = test_rows.rms(estimate.parameters)
+    return estimate, held_out, session.review.verdict(estimate, test_rows, held_out)
 
 
 def _results(session: Session, estimate: Estimate, held_out: FloatArray | None, verdict: Verdict) -> RobotResults:
-    """Its files, as ``geomid identify`` writes them, and what a population is made of."""
+    """The robot's files, as ``geomid identify`` writes them, and its evidence for a population."""
     with TemporaryDirectory(prefix="geomid_robot_") as folder:
         files = save(session, Path(folder), estimate, held_out, verdict)
         content = {file.name: file.read_bytes() for file in files}
@@ -173,7 +173,7 @@ def _kept(store: Store, name: str, session: Session) -> BagSummary:
 
 @lru_cache(maxsize=4)
 def _plan(store: Store, name: str) -> FleetPlan:
-    """The plan of that name. Raises InputError if it is another version's, or if it cannot be seen here."""
+    """Load the plan of that name. Raises InputError if it is of another version, or is not visible here."""
     content = store.get(name)
     if content is None:
         raise InputError(
@@ -182,6 +182,6 @@ def _plan(store: Store, name: str) -> FleetPlan:
         )
     plan = structured(FleetPlan, json.loads(content), f"{store.url}/{name}:")
     if plan.version != installed_version():
-        found = installed_version()
-        raise InputError(f"a worker has geomid_ros {found}, not {plan.version}: install the same everywhere")
+        installed = installed_version()
+        raise InputError(f"a worker has geomid_ros {installed}, not {plan.version}: install the same everywhere")
     return plan

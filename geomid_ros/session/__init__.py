@@ -1,1 +1,1 @@
-"""From a description, a configuration and recordings to an identifier or a gap."""
+"""Sessions: from a description, a configuration and recordings to an identifier or a gap."""

@@ -1,4 +1,4 @@
-"""What a robot must not touch: itself, and what a user says is around it, each as convex shapes."""
+"""Convex shapes of a robot and of the user's obstacles, for collision checks."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _NEIGHBOURS = 2  # joints between links whose hulls may overlap all the time
 
 
 def collision_model(around: Surroundings, robot: Robot, source: Path) -> CollisionModel | None:
-    """The shapes of a robot, whose URDF is of the file ``source``, and the obstacles; None if nobody looks.
+    """Collision model of a robot, whose URDF is from the file ``source``, and the obstacles; None if not requested.
 
     Raises InputError: the URDF has no shapes, or one cannot be read.
     """
@@ -35,8 +35,8 @@ def collision_model(around: Surroundings, robot: Robot, source: Path) -> Collisi
 
 
 def without_touching(collision: CollisionModel, start: FloatArray) -> tuple[Pair, ...]:
-    """Leave out pairs of links that overlap where a motion begins ``(J,)`` and are only two joints apart: their hulls
-    are too rough. Returns them."""
+    """Exclude pairs of links that overlap at the start ``(J,)`` of a motion and are at most two joints apart, as their
+    hulls are too coarse. Returns these pairs."""
     touching = collision.distances(start[None])[0] <= 0.0
     touching &= np.count_nonzero(collision.reach, axis=1) <= _NEIGHBOURS
     touching &= np.array([not pair.is_obstacle for pair in collision.pairs], dtype=bool)
@@ -46,40 +46,40 @@ def without_touching(collision: CollisionModel, start: FloatArray) -> tuple[Pair
 
 
 def not_watched(pairs: Sequence[Pair]) -> str:
-    """Which pairs are left out, in a sentence; empty for none."""
-    named = "; ".join(map(str, pairs))
-    return f"not watched, as their convex hulls overlap at the start already: {named}" if named else ""
+    """Sentence on the excluded pairs; empty if there are none."""
+    listing = "; ".join(map(str, pairs))
+    return f"not watched, as their convex hulls overlap at the start already: {listing}" if listing else ""
 
 
 def link_shapes(urdf: str, path: Path, packages: Mapping[str, Path]) -> dict[str, list[ConvexShape]]:
-    """The convex hulls of the shapes of a URDF's links, by link.
+    """Convex hulls of the shapes of a URDF's links, by link.
 
     Args:
-        urdf: its text.
-        path: where it is from: meshes are looked for from there.
+        urdf: text of the URDF.
+        path: its file, from which meshes are searched.
         packages: folders by package name, see :class:`~geomid_ros.files.shapes.MeshFinder`.
 
     Raises:
         InputError: a mesh cannot be read, or no link has a shape.
     """
     reader = ShapeReader(path, packages)
-    found = {}
+    hulls = {}
     for link in read_xml(urdf, str(path)).findall("link"):
         name = link.get("name", "")
         outlines = reader.outlines(link)
         if outlines:
-            found[name] = [ConvexShape(name, vertices) for vertices in outlines]
-    if not found:
+            hulls[name] = [ConvexShape(name, vertices) for vertices in outlines]
+    if not hulls:
         raise InputError(
             f"{path}: no link has a <collision> or <visual> shape to check for collisions; add shapes, or "
             "give --no-collision if nothing can collide"
         )
-    return found
+    return hulls
 
 
 def obstacles(text: str) -> list[Obstacle]:
-    """What one ``--avoid`` says: a box about its centre, the half-space below a plane (points with ``n . x`` up to the
-    offset), or a mesh, each of whose connected parts counts as its convex hull.
+    """Parse one ``--avoid``: a box about its centre, the half-space below a plane (points with ``n . x`` up to the
+    offset), or a mesh, each of whose connected parts becomes its convex hull.
 
     Raises InputError naming it.
     """
@@ -108,11 +108,11 @@ def _parts(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
     return list(parts) or [mesh]
 
 
-def _numbers(text: str, count: int, whole: str) -> np.ndarray:
+def _numbers(text: str, count: int, obstacle: str) -> np.ndarray:
     try:
         numbers = np.array([float(part) for part in text.split(",")])
     except ValueError as error:
-        raise InputError(f"--avoid {whole}: expected {_FORMS}") from error
+        raise InputError(f"--avoid {obstacle}: expected {_FORMS}") from error
     if len(numbers) != count or not np.all(np.isfinite(numbers)):
-        raise InputError(f"--avoid {whole}: expected {count} finite numbers, as {_FORMS}")
+        raise InputError(f"--avoid {obstacle}: expected {count} finite numbers, as {_FORMS}")
     return numbers

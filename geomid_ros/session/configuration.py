@@ -1,6 +1,6 @@
 """The one table of parameters.
 
-The node declares it, the command line reads the same YAML file, and ``make docs`` writes it into the reference.
+The node declares them, the command line reads the same YAML file, and ``make docs`` writes the reference.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ class Parameter:
 
     Attributes:
         name: full name; ``*`` in it stands for the name of a joint, a channel or a wrench sensor.
-        default: its type is the parameter's.
-        description: what it does, with its unit.
+        default: its default; the type of the parameter is the default's.
+        description: its effect, with its unit.
         minimum, maximum: the closed range of a number.
         choices: the values of a text; empty for any.
-        of_rows: whether rows depend on it: those of before serve as long as all of these are the same.
-        change: when a running node lets it change: never what names files, as others may be on the network.
+        of_rows: True if rows depend on it: earlier rows remain valid only if all of these parameters are the same.
+        change: when it may change in a running node: never if it names files, as others may be on the network.
     """
 
     name: str
@@ -58,27 +58,27 @@ class Parameter:
 _NONE = [""]
 _SIDES = ("motor", "link")
 _ALIKE = ("urdf", "none")
-# Parameters that every node has, by the beginning of their names: not ours to check.
+# Prefixes of the parameters that ROS gives every node; they are not checked here.
 _OF_ROS = ("use_sim_time", "qos_overrides.", "start_type_description_service")
-_OF_SENSOR = ("topic", "frame", "frame_id", "role", "axes", "sign")  # each wrench.*. in the table
-_beside_rows = partial(Parameter, of_rows=False)
+_OF_SENSOR = ("topic", "frame", "frame_id", "role", "axes", "sign")  # each is wrench.*.KEY in the table
+_not_of_rows = partial(Parameter, of_rows=False)
 AT_START, AT_ANY_TIME = "at the start", "at any time"
-_of_start = partial(_beside_rows, change=AT_START)
-_of_solve = partial(_beside_rows, change=AT_ANY_TIME)
+_at_start = partial(_not_of_rows, change=AT_START)
+_at_any_time = partial(_not_of_rows, change=AT_ANY_TIME)
 _KINDS = {bool: "true or false", float: "a number", str: "a text"}
 
 PARAMETERS = (
-    _of_start("robot_description", "", "URDF text; empty: taken from the topic robot_description"),
-    _of_start("model", "", "estimate.json of an earlier run to start from instead of the URDF's inertias"),
-    _of_start("prior", "", "population.json of the robot's type to start from instead of the URDF's inertias"),
-    _beside_rows(
+    _at_start("robot_description", "", "URDF text; empty: taken from the topic robot_description"),
+    _at_start("model", "", "estimate.json of an earlier run to start from instead of the URDF's inertias"),
+    _at_start("prior", "", "population.json of the robot's type to start from instead of the URDF's inertias"),
+    _not_of_rows(
         "alike",
         "urdf",
         "links that are alike in the URDF (legs, arms) err mostly alike; none: each by itself",
         choices=_ALIKE,
     ),
     Parameter("links", _NONE, "moving links to identify; empty: all with a mass"),
-    _of_solve("known", _NONE, "weighed masses, as LINK=MASS:STD, LINK+LINK=MASS:STD or total=MASS:STD [kg]"),
+    _at_any_time("known", _NONE, "weighed masses, as LINK=MASS:STD, LINK+LINK=MASS:STD or total=MASS:STD [kg]"),
     Parameter("effects", list(DEFAULT_EFFECTS), "effects identified at every joint and wrench sensor"),
     Parameter("candidates", list(DEFAULT_CANDIDATES), "effects added where the data need them"),
     Parameter("floating_base", False, "the base moves; its pose is read from the topic odom"),
@@ -118,12 +118,14 @@ PARAMETERS = (
     Parameter("filter.cutoff", 5.0, "cutoff of the zero-phase low-pass filter on all signals [Hz]", 0.05, 500.0),
     Parameter("filter.period", 0.0, "period of the time grid [s]; 0: that of the first joint messages", 0.0, 1.0),
     Parameter("filter.max_gap", 0.5, "a longer pause of a topic starts a new segment [s]", 0.001, 60.0),
-    _of_solve(
+    _at_any_time(
         "gamma", 0.0, "weight of the prior relative to the rows; 0: estimated from the data for each link", 0.0, 1e6
     ),
-    _of_solve("objective", "residual", "objective: residual (Remark 3 of the paper) or geodesic (its equation (19))"),
-    _of_solve("solver", "trust_region", "solver of the geodesic objective: trust_region or cyclic (the paper's)"),
-    _of_solve(
+    _at_any_time(
+        "objective", "residual", "objective: residual (Remark 3 of the paper) or geodesic (its equation (19))"
+    ),
+    _at_any_time("solver", "trust_region", "solver of the geodesic objective: trust_region or cyclic (the paper's)"),
+    _at_any_time(
         "sigma.*", 1.0, "standard deviation of a channel's noise [N m, N], if known (else from residuals)", 1e-9, 1e9
     ),
     Parameter(
@@ -133,35 +135,35 @@ PARAMETERS = (
         0.0,
         1e6,
     ),
-    _beside_rows("still_speed", 1e-3, "speed below which a joint counts as standing still [rad/s, m/s]", 0.0, 10.0),
-    _beside_rows(
+    _not_of_rows("still_speed", 1e-3, "speed below which a joint counts as standing still [rad/s, m/s]", 0.0, 10.0),
+    _not_of_rows(
         "still_distance", 1e-2, "at standstill, smallest distance between two poses that are used [rad, m]", 0.0, 10.0
     ),
-    _of_solve("solve_period", 1.0, "shortest time between estimates [s]", 0.001, 3600.0),
-    _beside_rows(
+    _at_any_time("solve_period", 1.0, "shortest time between estimates [s]", 0.001, 3600.0),
+    _not_of_rows(
         "gap.memory", 120.0, "length of the message memory for ~/find_gap and ~/payload [s]; 0: none", 0.0, 3600.0
     ),
-    _beside_rows("payload.frame", "", "flange whose payload is identified; empty: the last moving link"),
-    _beside_rows(
+    _not_of_rows("payload.frame", "", "flange whose payload is identified; empty: the last moving link"),
+    _not_of_rows(
         "payload.gain", GAIN, "relative standard deviation of the common effort gain; 0: calibrated sensors", 0.0, 0.99
     ),
-    _of_start("active", True, "use data from startup; otherwise wait for ~/start"),
-    _of_start(
+    _at_start("active", True, "use data from startup; otherwise wait for ~/start"),
+    _at_start(
         "lifecycle",
         "none",
         "lifecycle node, which its manager configures and activates (managed), or which does so itself (autostart)",
         choices=("none", "managed", "autostart"),
     ),
-    _of_start("checkpoint.folder", "", "folder for checkpoints, used by this node alone; empty: no checkpoints"),
-    _of_start("checkpoint.period", 2.0, "time between checkpoints, about the data that a crash loses [s]", 0.1, 3600.0),
-    _of_start("dashboard", False, "show the node on a local page, as geomid dashboard does"),
-    _of_start("output_folder", "", "output folder of ~/save and of the shutdown; empty: the working directory"),
+    _at_start("checkpoint.folder", "", "folder for checkpoints, used by this node alone; empty: no checkpoints"),
+    _at_start("checkpoint.period", 2.0, "time between checkpoints, about the data that a crash loses [s]", 0.1, 3600.0),
+    _at_start("dashboard", False, "show the node on a local page, as geomid dashboard does"),
+    _at_start("output_folder", "", "output folder of ~/save and of the shutdown; empty: the working directory"),
 )
 _BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
 
 
 def find_parameter(name: str) -> Parameter:
-    """The parameter that a full name belongs to. Raises InputError with the valid names for an unknown one."""
+    """Find the parameter of a full name. Raises InputError with the valid names for an unknown one."""
     if name in _BY_NAME:
         return _BY_NAME[name]
     first, _, rest = name.partition(".")
@@ -173,26 +175,26 @@ def find_parameter(name: str) -> Parameter:
 
 
 def _real(value: Any) -> Any:
-    """Integers serve as real numbers; what else is no real number stays what it is."""
+    """Convert an integer to a real number; return any other value unchanged."""
     return float(value) if type(value) is int and abs(value) < 2**63 else value
 
 
 class Configuration:
-    """Checked parameters, and the settings of the lower floors that they make."""
+    """Checked parameters, and the settings of the lower layers that they define."""
 
     def __init__(self, values: Mapping[str, Any] | None = None, source: str = "parameters") -> None:
         """Check the values that do not depend on the robot.
 
         Args:
-            values: parameters by full name; what is not given has its default. Those of ROS itself are ignored.
-            source: where they are from, for messages.
+            values: parameters by full name; missing ones have their defaults. Parameters of ROS itself are ignored.
+            source: their origin, for messages.
 
         Raises:
             InputError: a parameter is unknown or has a wrong value; ``source`` and the key are named.
         """
         self.source = source
-        own = {name: value for name, value in (values or {}).items() if not name.startswith(_OF_ROS)}
-        self._values = {name: self._checked(name, value) for name, value in own.items()}
+        given = {name: value for name, value in (values or {}).items() if not name.startswith(_OF_ROS)}
+        self._values = {name: self._checked(name, value) for name, value in given.items()}
         _ = self.effects, self.candidates, self.sensors, self.contacts, self.gains
         _ = self.gravity, self.buffer, self.signals(()), self._estimator({})
 
@@ -202,11 +204,11 @@ class Configuration:
         return Configuration(read_parameter_file(path), str(path))
 
     def with_values(self, values: Mapping[str, Any]) -> Configuration:
-        """A copy in which these values replace what was there."""
+        """Return a copy with these values replaced."""
         return Configuration({**self._values, **values}, self.source)
 
     def with_sensors(self, sensors: Sequence[WrenchSensor]) -> Configuration:
-        """A copy with these wrench sensors instead of those that were there."""
+        """Return a copy with these wrench sensors instead of the present ones."""
         values = {name: value for name, value in self._values.items() if not name.startswith("wrench")}
         values["wrenches"] = names = [f"sensor{index}" for index in range(len(sensors))]
         for name, sensor in zip(names, sensors, strict=True):
@@ -215,7 +217,7 @@ class Configuration:
 
     @property
     def given(self) -> dict[str, Value]:
-        """The values that were given, by full name."""
+        """Values that were given, by full name."""
         return dict(self._values)
 
     def _checked(self, name: str, value: Any) -> Value:
@@ -240,10 +242,10 @@ class Configuration:
         entries = list(value) if isinstance(value, (list, tuple)) or hasattr(value, "tolist") else [value]
         if kind is float:
             entries = [_real(entry) for entry in entries]
-        right = all(isinstance(entry, kind) for entry in entries)
-        if not right or (kind is float and not np.all(np.isfinite(entries))):
-            what = "finite numbers" if kind is float else "texts"
-            raise InputError(f"{self.source}: {name} is {value!r}, expected a list of {what}")
+        valid = all(isinstance(entry, kind) for entry in entries)
+        if not valid or (kind is float and not np.all(np.isfinite(entries))):
+            expected = "finite numbers" if kind is float else "texts"
+            raise InputError(f"{self.source}: {name} is {value!r}, expected a list of {expected}")
         return [entry for entry in entries if entry != ""]
 
     def __getitem__(self, name: str) -> Any:
@@ -252,7 +254,7 @@ class Configuration:
         return self._values.get(name, [e for e in default if e != ""] if isinstance(default, list) else default)
 
     def _under(self, prefix: str, suffix: str = "") -> dict[str, Any]:
-        """Values of all ``prefix.NAME suffix`` that are set, by NAME."""
+        """Values of all given ``prefix.NAME suffix``, by NAME."""
         head = prefix + "."
         return {
             name[len(head) : len(name) - len(suffix)]: value
@@ -262,20 +264,19 @@ class Configuration:
 
     @property
     def of_rows(self) -> dict[str, Value]:
-        """The values by full name that say what a row is and weighs; what the model file says is not among them."""
+        """Values, by full name, of parameters that define rows and their weights, without those of the model file."""
         single = {parameter.name for parameter in PARAMETERS if "*" not in parameter.name}
         names = sorted(single | self._values.keys())
         return {name: self[name] for name in names if find_parameter(name).of_rows}
 
     @property
     def effects(self) -> list[IdentifiedEffect]:
-        """The effects to identify everywhere, with those that they come with."""
+        """Effects to identify everywhere, with the effects that they include."""
         return list(dict.fromkeys(part for effect in self._named("effects") for part in _parts(effect)))
 
     @property
     def candidates(self) -> list[IdentifiedEffect]:
-        """The effects to identify where the data ask for them; if there are any, with the other shapes of those that
-        are everywhere."""
+        """Effects to identify where the data require them; if any, including other shapes of the effects everywhere."""
         keys = ("effects", "candidates") if self["candidates"] else ()
         trials = [trial for key in keys for effect in self._named(key) for trial in type(effect).trials()]
         return [effect for effect in trials if isinstance(effect, IdentifiedEffect) and effect not in self.effects]
@@ -284,7 +285,7 @@ class Configuration:
         return [self._naming_source(f"{key}: ", partial(identified_effect, name)) for name in dict.fromkeys(self[key])]
 
     def _naming_source(self, key: str, make: Callable[[], T]) -> T:
-        """What ``make`` makes; its error says that ``key`` of this source is what is wrong."""
+        """Return the result of ``make``, whose error then names this source and the ``key``."""
         try:
             return make()
         except InputError as error:
@@ -299,13 +300,12 @@ class Configuration:
 
     @property
     def floating_base(self) -> bool:
-        """Whether the base moves, as its odometry or its IMU tells."""
+        """True if the base moves, as measured by its odometry or its IMU."""
         return bool(self["floating_base"] or self["imu.frame"])
 
     @property
     def contacts(self) -> list[Contact]:
-        """The feet whose forces the efforts of their legs tell. Raises InputError where nothing tells how the base
-        moves."""
+        """Feet whose forces follow from their legs' efforts. Raises InputError if the base's motion is not measured."""
         if self["contacts"] and not self.floating_base:
             raise InputError(
                 f"{self.source}: contacts need an IMU on the base (--imu TOPIC:FRAME, imu.frame) or its pose"
@@ -314,42 +314,42 @@ class Configuration:
 
     @property
     def gains(self) -> dict[str, Gains]:
-        """Gains by joint, those of all others under an empty name; none if efforts are measured."""
-        pairs = (text.rpartition("=") for text in self["command.gains"])
-        return {joint: self._naming_source("command.gains: ", partial(Gains.parse, own)) for joint, _, own in pairs}
+        """Gains by joint, those of all other joints under an empty name; none if efforts are measured."""
+        pairs = (entry.rpartition("=") for entry in self["command.gains"])
+        return {joint: self._naming_source("command.gains: ", partial(Gains.parse, text)) for joint, _, text in pairs}
 
     @property
     def sensors(self) -> list[WrenchSensor]:
-        """The declared wrench sensors."""
+        """Declared wrench sensors."""
         for name in {full.split(".")[1] for full in self._values if full.startswith("wrench.")}:
             if name not in self["wrenches"]:
                 raise InputError(f"{self.source}: wrench.{name} is described but 'wrenches' does not list '{name}'")
         return [self._sensor(name) for name in self["wrenches"]]
 
     def _sensor(self, name: str) -> WrenchSensor:
-        own = {key: self[f"wrench.{name}.{key}"] for key in _OF_SENSOR}
-        if not own["frame"]:
+        fields = {key: self[f"wrench.{name}.{key}"] for key in _OF_SENSOR}
+        if not fields["frame"]:
             raise InputError(f"{self.source}: wrench.{name}.frame is not given")
-        own |= {"topic": own["topic"] or name, "axes": tuple(own["axes"])}
-        return self._naming_source(f"wrench.{name}: ", lambda: WrenchSensor(**own))
+        fields |= {"topic": fields["topic"] or name, "axes": tuple(fields["axes"])}
+        return self._naming_source(f"wrench.{name}: ", lambda: WrenchSensor(**fields))
 
     def behind_gear(self, joints: Sequence[str]) -> frozenset[str]:
-        """Those of the joints whose efforts are measured behind the gear."""
-        own = self._under("joint", ".effort_side")
-        return frozenset(joint for joint in joints if own.get(joint, self["effort_side"]) == "link")
+        """Joints whose efforts are measured on the link side of the gear."""
+        sides = self._under("joint", ".effort_side")
+        return frozenset(joint for joint in joints if sides.get(joint, self["effort_side"]) == "link")
 
     def signals(self, joints: Sequence[str]) -> SignalSettings:
         """Settings of the signal pipeline for a robot with these joints."""
-        own = self._under("joint", ".effort_gain")
+        by_joint = self._under("joint", ".effort_gain")
         common = self["effort_gain"]
-        gains = {joint: own.get(joint, common) for joint in joints} | own
+        gains = {joint: by_joint.get(joint, common) for joint in joints} | by_joint
         return self._naming_source(
             "",
             lambda: SignalSettings(
                 cutoff=self["filter.cutoff"],
                 period=self["filter.period"],
                 max_gap=self["filter.max_gap"],
-                effort_gain=gains if own else common,
+                effort_gain=gains if by_joint else common,
                 merge=self["merge_joint_states"],
             ),
         )

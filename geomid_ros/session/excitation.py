@@ -1,6 +1,5 @@
-"""From a robot description and what a user asks for to a motion that is feasible and tells much, or decides between
-the names that a gap report leaves open.
-"""
+"""From a robot description and a user's request to a feasible motion that is informative, or that discriminates between
+the rival effects of a gap report."""
 
 from __future__ import annotations
 
@@ -52,23 +51,23 @@ from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray, frozen
 
 RATE = 100.0
-"""[Hz] of the points of a trajectory."""
-_OTHERS = 6  # motions on which efforts are to be predicted
-_COMPARED = 3  # random motions with which a designed one is compared
-_MANY = 20.0  # recordings
+"""Rate of the points of a trajectory [Hz]."""
+_OTHERS = 6  # number of other motions whose efforts are to be predicted
+_COMPARED = 3  # number of random motions to compare a designed one with
+_MANY = 20.0  # recordings; a motion that needs as many does not discriminate
 _SLOW_SHARE = {PREDICTION: 0.1, "friction": 0.5}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DesignTask:
-    """A robot, its limits and surroundings, and what is known of it.
+    """A robot, its limits and surroundings, and the prior knowledge of it.
 
     Attributes:
-        feasibility: what a motion must hold.
-        knowledge: before the motion.
-        form: of the motion.
-        not_watched: pairs of links whose distance is not looked at.
-        notes: what was settled for the user, in sentences.
+        feasibility: constraints on a motion.
+        knowledge: belief before the motion.
+        form: form of the motion.
+        not_watched: pairs of links whose distance is not checked.
+        notes: choices made for the user, in sentences.
     """
 
     feasibility: Feasibility
@@ -80,8 +79,8 @@ class DesignTask:
 
 @dataclass(frozen=True)
 class Decision:
-    """By how much a name and its rival will differ (-2 log p, in the worse case of which is true): after the designed
-    motion, and after a ``random`` one."""
+    """Expected difference of the scores of an effect and its rival (-2 log p, in the worse case of which one is true),
+    after the designed motion and after a ``random`` one."""
 
     found: str
     rival: str
@@ -90,31 +89,31 @@ class Decision:
 
     @property
     def is_sure(self) -> bool:
-        """Whether the motion is expected to decide."""
+        """True if the motion is expected to discriminate."""
         return self.difference >= DECIDED
 
     @property
     def sentence(self) -> str:
-        """In words."""
-        said = (
+        """The decision in words."""
+        summary = (
             f"{self.found} or {self.rival}: after this motion their scores differ by {self.difference:.3g} or more, "
             f"after a random one by {self.random:.3g}"
         )
         if self.is_sure:
-            return f"{said}; {DECIDED:g} decide"
+            return f"{summary}; {DECIDED:g} decide"
         times = DECIDED / max(self.difference, 1e-9)
-        longer = (
+        advice = (
             f"record it {times:.0f} times"
             if times < _MANY
             else "no motion within these limits discriminates between them"
         )
-        return f"{said}; {DECIDED:g} would decide: {longer}"
+        return f"{summary}; {DECIDED:g} would decide: {advice}"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Excitation:
-    """A designed motion, with how far it stays from all limits, what it is expected to teach (of what the expected
-    ``error`` is, in words), and which rivals it is expected to tell apart."""
+    """A designed motion, its margins to all limits, and its expected learning and discrimination of rivals; ``error``
+    describes in words which expected error is reduced."""
 
     task: DesignTask
     error: str
@@ -125,42 +124,42 @@ class Excitation:
 
     @property
     def closest(self) -> str:
-        """The pair that has the least to spare, in words; empty if nothing is watched."""
+        """Pair with the smallest margin to its required distance, in words; empty if no pair is watched."""
         collision, clearances = self.task.feasibility.collision, self.task.feasibility.clearances
         if collision is None or not collision.pairs:
             return ""
         place = int(np.argmin(self.margins.distance - clearances))
-        lower, asked = 1e3 * self.margins.distance[place], 1e3 * clearances[place]
+        lower, required = 1e3 * self.margins.distance[place], 1e3 * clearances[place]
         half = ", half of their distance at the start" if clearances[place] < self.task.feasibility.clearance else ""
-        return f"{collision.pairs[place]} stay at least {lower:.0f} mm apart (required: {asked:.0f} mm{half})"
+        return f"{collision.pairs[place]} stay at least {lower:.0f} mm apart (required: {required:.0f} mm{half})"
 
     def not_worth(self, until: float) -> str:
-        """Why a motion is not worth it that lowers the expected error by less than the share ``until``, in words."""
+        """Sentence: a motion is not worthwhile, as it lowers the expected error by less than the fraction ``until``."""
         gain, seconds = max(self.learning.gain, 0.0), self.motion.form.duration
         return f"{seconds:g} s more would lower the expected error by {gain:.1%}, less than {100.0 * until:g}%"
 
     @property
     def trajectory(self) -> Trajectory:
-        """The motion as points."""
+        """The motion as trajectory points."""
         duration = self.motion.form.duration
         times = np.linspace(0.0, duration, round(RATE * duration) + 1)
         return Trajectory(self.task.feasibility.names, times, *self.motion.at(times)[:3])
 
 
 def task_of(urdf: str, source: Path, configuration: Configuration, wish: MotionOptions) -> DesignTask:
-    """All that a search needs.
+    """Collect everything that a search needs.
 
     Args:
         urdf: text of the robot description.
-        source: its file, from where meshes are looked for.
-        configuration: parameters; ``model`` says what is known already.
-        wish: what is asked for.
+        source: its file, from which meshes are searched.
+        configuration: parameters; ``model`` is the earlier estimate.
+        wish: the user's request.
 
     Raises:
-        InputError: something is missing, or the robot cannot begin.
+        InputError: something is missing, or no start is feasible.
     """
-    if known := str(configuration["model"]):
-        beside(Path(known))  # a gap's estimate has none, and its identified.urdf has links that were not identified
+    if earlier := str(configuration["model"]):
+        beside(Path(earlier))  # a gap's estimate has none; its identified.urdf has links that were not identified
     session = Session(urdf, configuration, str(source))
     robot, model = session.robot, _model_of(session)
     if robot.floating_base or not model.layout.efforts:
@@ -184,16 +183,16 @@ def task_of(urdf: str, source: Path, configuration: Configuration, wish: MotionO
 
 
 def _model_of(session: Session) -> MeasurementModel:
-    """The session's model with the effects that every place has, or that an earlier estimate found."""
+    """The session's model with the effects of an earlier estimate, or else with the effects that every place has."""
     model = session.model
     if session.loaded.source:
-        known = read_posterior(beside(Path(session.loaded.source)))
-        found = {(effect.name, effect.place, effect.parameter, effect.positive) for effect in known.effects}
-        said = session.loaded.in_its_shape(model)
+        posterior = read_posterior(beside(Path(session.loaded.source)))
+        identified = {(effect.name, effect.place, effect.parameter, effect.positive) for effect in posterior.effects}
+        in_shape = session.loaded.in_its_shape(model)
         chosen = [
             index
-            for index, (c, is_said) in enumerate(zip(model.coefficients, said.tolist(), strict=True))
-            if is_said and (c.effect.name, c.place_name, c.parameter, c.positive) in found
+            for index, (c, is_in_shape) in enumerate(zip(model.coefficients, in_shape.tolist(), strict=True))
+            if is_in_shape and (c.effect.name, c.place_name, c.parameter, c.positive) in identified
         ]
         return model.with_coefficients(chosen)
     return model.with_coefficients([index for index, c in enumerate(model.coefficients) if not c.optional])
@@ -205,59 +204,59 @@ def _knowledge(session: Session, model: MeasurementModel, limits: MotionLimits) 
         return prior
     measured = EstimateFile.read(Path(session.loaded.source)).sigma
     sigmas = [measured.get(channel.name) for channel in model.channels]
-    own = [
-        sigma if sigma and math.isfinite(sigma) else usual
-        for sigma, usual in zip(sigmas, prior.sigmas.tolist(), strict=True)
+    known_sigmas = [
+        sigma if sigma and math.isfinite(sigma) else default
+        for sigma, default in zip(sigmas, prior.sigmas.tolist(), strict=True)
     ]
-    return known_before(model, read_posterior(beside(Path(session.loaded.source))), own, session.loaded.source)
+    return known_before(model, read_posterior(beside(Path(session.loaded.source))), known_sigmas, session.loaded.source)
 
 
 def _feasibility(
     knowledge: Belief, limits: MotionLimits, collision: CollisionModel | None, wish: MotionOptions
 ) -> tuple[Feasibility, tuple[Pair, ...]]:
-    """The first of the starts that can be begun from, and the pairs that are left out."""
+    """Feasibility from the first feasible start, and the pairs that are not watched."""
     names = knowledge.model.robot.joint_names
     if len(wish.start) not in (0, len(names)):
         raise InputError(
             f"--start has {len(wish.start)} numbers, expected {len(names)}: those of {', '.join(names)} [rad, m]"
         )
-    tried = [np.array(wish.start)] if wish.start else list(starts(limits))
-    unwatched = without_touching(collision, tried[0]) if collision is not None else ()
-    refused = []
-    for start in tried:
+    candidates = [np.array(wish.start)] if wish.start else list(starts(limits))
+    unwatched = without_touching(collision, candidates[0]) if collision is not None else ()
+    errors = []
+    for start in candidates:
         try:
             return Feasibility(knowledge, limits, start, collision, wish.clearance), unwatched
         except InputError as error:
-            refused.append(error)
+            errors.append(error)
     if wish.start:
-        raise refused[0]
-    raise InputError(_nowhere(refused, room=bool(wish.avoid)))
+        raise errors[0]
+    raise InputError(_no_start(errors, room=bool(wish.avoid)))
 
 
-def _nowhere(refused: Sequence[InputError], *, room: bool) -> str:
-    """Why no posture can be begun from, and what to give; ``room``: obstacles may take it."""
-    said = f"no feasible start was found among {len(refused)} postures; the first one: {refused[0]}"
+def _no_start(errors: Sequence[InputError], *, room: bool) -> str:
+    """Reason why no start is feasible, and a remedy. ``room``: obstacles may leave too little room."""
+    reason = f"no feasible start was found among {len(errors)} postures; the first one: {errors[0]}"
     if not room:
-        return said
-    return f"{said}, or make room: --avoid is in metres in the base frame, each part of a mesh is its convex hull"
+        return reason
+    return f"{reason}, or make room: --avoid is in metres in the base frame, each part of a mesh is its convex hull"
 
 
 def design(task: DesignTask, wish: MotionOptions) -> Excitation:
-    """Search for a motion and say what to expect of it."""
+    """Search for a motion, and predict its benefit."""
     random, feasibility = np.random.default_rng(wish.seed), task.feasibility
-    judge, labels = (None, []) if wish.settle is None else open_questions(task.feasibility, Path(wish.settle))
+    discrimination, labels = (None, []) if wish.settle is None else open_questions(task.feasibility, Path(wish.settle))
     others = other_motions(feasibility, task.form, random, _OTHERS)
     weight = weight_of(wish.aim, task.knowledge, others)
     criterion = expected_error(feasibility, weight, task.form)
     searching = partial(wish.progress, "searching")
-    if judge is None:
+    if discrimination is None:
         motion = Search(feasibility, task.form, criterion).run(random, searching)
     else:
-        motion = deciding_motion(feasibility, task.form, judge, random, searching)
+        motion = deciding_motion(feasibility, task.form, discrimination, random, searching)
     wish.progress("comparing", 0.0)
     randoms = [random_feasible(feasibility, task.form, random) for _ in range(_COMPARED)]
     learning = expected_learning(task.knowledge, weight, motion, randoms)
-    decisions = () if judge is None else tuple(_decisions(judge, labels, motion, randoms))
+    decisions = () if discrimination is None else tuple(_decisions(discrimination, labels, motion, randoms))
     return Excitation(
         task=task,
         error=meaning_of(wish.aim),
@@ -269,56 +268,56 @@ def design(task: DesignTask, wish: MotionOptions) -> Excitation:
 
 
 def _decisions(
-    judge: DiscriminationCriterion,
+    discrimination: DiscriminationCriterion,
     labels: Sequence[tuple[str, Sequence[str]]],
     motion: ExcitingMotion,
     randoms: Sequence[ExcitingMotion],
 ) -> Iterator[Decision]:
-    own, others = judge.differences(motion), [judge.differences(random) for random in randoms]
-    for place, (found, rivals) in enumerate(labels):
+    designed, others = discrimination.differences(motion), [discrimination.differences(random) for random in randoms]
+    for place, (finding, rivals) in enumerate(labels):
         for index, rival in enumerate(rivals):
-            yield Decision(found, rival, own[place][index], float(np.median([o[place][index] for o in others])))
+            yield Decision(finding, rival, designed[place][index], float(np.median([o[place][index] for o in others])))
 
 
 def open_questions(feasibility: Feasibility, path: Path) -> tuple[DiscriminationCriterion, list[tuple[str, list[str]]]]:
-    """Who says what a motion would decide, and of each finding its label and those of its rivals.
+    """Criterion of how well a motion discriminates between rivals; and labels of each finding and its rivals.
 
-    Raises InputError naming the ``path`` of the gap.json, and what does not fit the robot.
+    Raises InputError naming the ``path`` of the gap.json, and the entry that does not fit the robot.
     """
     findings, floor = read_open_findings(path)
     before = feasibility.knowledge
     model = before.model.without_effects()
-    _refuse_others(model, floor, path)
+    _refuse_other_robot(model, floor, path)
     knowledge = prior_knowledge(model, feasibility.limits)
     names = [channel.name for channel in model.channels]
-    sigmas = [floor.get(name) or own for name, own in zip(names, knowledge.sigmas.tolist(), strict=True)]
+    sigmas = [floor.get(name) or default for name, default in zip(names, knowledge.sigmas.tolist(), strict=True)]
     knowledge = replace(knowledge, sigmas=frozen(sigmas))
-    disputes = [_dispute(model, finding) for finding in findings]
+    disputes = [_ambiguity(model, finding) for finding in findings]
     labels = [(dispute.found.label, [rival.label for rival in dispute.rivals]) for dispute in disputes]
     return DiscriminationCriterion(knowledge, disputes), labels
 
 
-def _refuse_others(model: MeasurementModel, floor: Mapping[str, float], path: Path) -> None:
-    """Raise InputError where a gap report says something of joints that the robot does not have."""
+def _refuse_other_robot(model: MeasurementModel, floor: Mapping[str, float], path: Path) -> None:
+    """Raise InputError if a gap report names joints that the robot does not have."""
     joints = [joint.name for joint in model.robot.tree.joints if joint.type != "fixed"]
     for name in floor:
         if name not in joints and not is_wrench_channel(name):
             raise InputError(f"{path}: was written for another robot: {unknown_name('joint', name, joints)}")
 
 
-def _dispute(model: MeasurementModel, entry: OpenFinding) -> Ambiguity:
-    found = _name_of_finding(model, entry)
+def _ambiguity(model: MeasurementModel, entry: OpenFinding) -> Ambiguity:
+    name = _name_of_finding(model, entry)
     rivals = [_any(model, rival.effect, rival.joint) for rival in entry.rivals]
-    return Ambiguity(found, _coefficients(entry, found), tuple(rivals))
+    return Ambiguity(name, _coefficients(entry, name), tuple(rivals))
 
 
 def _name_of_finding(model: MeasurementModel, finding: KnownEffect) -> Name:
-    """The found effect with its constants first."""
+    """Name of the found effect; of its variants, the one with the constants that were found comes first."""
     any_of = _any(model, finding.effect, finding.joint, finding.link)
     if isinstance(any_of.place, OnLink):
         return any_of
-    own = effect_class(finding.effect).from_values(values_of(finding))
-    return replace(any_of, variants=(own, *(variant for variant in any_of.variants if variant != own)))
+    chosen = effect_class(finding.effect).from_values(values_of(finding))
+    return replace(any_of, variants=(chosen, *(variant for variant in any_of.variants if variant != chosen)))
 
 
 def _any(model: MeasurementModel, effect: str, joint: str, link: str = "") -> Name:
@@ -327,19 +326,19 @@ def _any(model: MeasurementModel, effect: str, joint: str, link: str = "") -> Na
     variants = cls.variants()
     places = {model.places.link(place) or model.places.name(place): place for place in model.places.of(variants[0])}
     place = places[link] if link in places else model.places.named(variants[0], joint)
-    where = link or joint
-    label = f"{cls.label} at {where}" if where else cls.label
-    return Name(variants, place, label, _penalty(variants[0], place))
+    location = link or joint
+    label = f"{cls.label} at {location}" if location else cls.label
+    return Name(variants, place, label, _parameter_count(variants[0], place))
 
 
-def _penalty(effect: Effect, place: Place) -> float:
-    """For how many parameters an effect counts: a body for those that are said first, without its inertia."""
+def _parameter_count(effect: Effect, place: Place) -> float:
+    """Number of parameters that an effect counts for; for a payload, those that sentences state, without inertia."""
     terms = Candidate.of(effect, place).terms
     return float(len(terms) + bool(effect.scanned)) if terms else float(effect.said_first or 0)
 
 
-def _coefficients(finding: KnownEffect, found: Name) -> FloatArray:
+def _coefficients(finding: KnownEffect, name: Name) -> FloatArray:
     values = values_of(finding)
-    if isinstance(found.place, OnLink):
+    if isinstance(name.place, OnLink):
         return payload_parameters(values)
-    return coefficients_of(effect_class(finding.effect), values, found.variants[0].parts)
+    return coefficients_of(effect_class(finding.effect), values, name.variants[0].parts)

@@ -1,4 +1,4 @@
-"""The gap workflow for a session: from recordings, or from what the node remembers, to what is found."""
+"""The gap workflow for a session: from recordings, or from messages that the node remembers, to findings."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.signals.unitree import LOW_STATE
 from geomid_ros.types import FloatArray
 
-_LENGTHS = 0.1  # relative difference of two recordings of one motion
-_MOTIONS = 0.5  # of the larger one's standard deviation: a simulation lags and droops, but does the same
-_STILL = 0.02  # [rad, m] standard deviation of a joint that does not move
-_LONGEST_SHIFT = 2.0  # [s] between the beginnings of the two recordings and of the motion in them
-_STEP = 0.02  # [s]
+_LENGTHS = 0.1  # largest relative difference in duration of two recordings of one motion
+_MOTIONS = 0.5  # largest RMS difference in position / larger standard deviation: a simulation lags and droops
+_STILL = 0.02  # [rad, m] standard deviation assumed for a joint that does not move
+_LONGEST_SHIFT = 2.0  # [s] between the recordings' beginnings and those of the motion in them
+_STEP = 0.02  # [s] of the grid on which positions are compared
 MESSAGES_FOR_RATE = 64
-"""The rate is that of so many messages at the beginning."""
+"""Number of messages at the beginning from which the rate is computed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,9 +51,9 @@ class Recordings:
 
     Attributes:
         cutoff: low-pass of the samples [Hz].
-        train: what is fitted.
-        held_out: what is judged on.
-        simulated: what the user's simulator did, if it was recorded.
+        train: samples to fit.
+        held_out: samples to evaluate on.
+        simulated: samples from the user's simulator, if it was recorded.
     """
 
     cutoff: float
@@ -63,12 +63,12 @@ class Recordings:
 
 
 def gap_session(urdf: str, configuration: Configuration, source: str) -> Session:
-    """A session whose model has the effects of the configured ``model`` and no others.
+    """Create a session whose model has only the effects of the configured ``model``.
 
     Args:
         urdf: text of the robot description.
-        configuration: parameters; ``effects`` and ``candidates`` of it do not count.
-        source: where the description is from, for messages.
+        configuration: parameters; its ``effects`` and ``candidates`` are ignored.
+        source: origin of the description, for messages.
 
     Raises:
         InputError: these do not fit together.
@@ -77,33 +77,32 @@ def gap_session(urdf: str, configuration: Configuration, source: str) -> Session
 
 
 def identified_session(session: Session, estimate: Estimate) -> Session:
-    """As :func:`gap_session`, but the model is what a session has identified so far.
+    """Like :func:`gap_session`, but the model is the session's present estimate.
 
     Raises:
-        InputError: it cannot be a model.
+        InputError: the estimate is not a valid model.
     """
     file = EstimateFile.of(document(session, estimate), "the estimate so far")
-    known = replace(LoadedModel.of(file), posterior=estimate.posterior)
+    loaded = replace(LoadedModel.of(file), posterior=estimate.posterior)
     values = {"effects": [], "candidates": [], "model": "", "prior": ""}
-    return Session(session.urdf, session.configuration.with_values(values), "robot_description", loaded=known)
+    return Session(session.urdf, session.configuration.with_values(values), "robot_description", loaded=loaded)
 
 
 def rate(stamps: Sequence[int]) -> float:
-    """Messages per second, from the first ones' stamps [ns]; infinite if they do not tell."""
+    """Messages per second, from the first stamps [ns]; infinite if these do not determine it."""
     period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
     return 1e9 / period if period > 0.0 else np.inf
 
 
 def gap_cutoff(session: Session, rate: float) -> float:
-    """The low-pass [Hz] of recordings with ``rate`` joint messages per second: the configured one, or what the rate
-    allows."""
+    """Low-pass cutoff [Hz] for ``rate`` joint messages per second: the configured one, or what the rate allows."""
     if "filter.cutoff" in session.configuration.given:
         return float(session.configuration["filter.cutoff"])
     return min(CUTOFF, rate / LOWEST_RATE_PER_CUTOFF)
 
 
 def gap_pipeline(session: Session, cutoff: float) -> SignalPipeline:
-    """A pipeline with a low-pass of ``cutoff`` [Hz] that makes samples for the gap workflow."""
+    """Create a pipeline with a low-pass of ``cutoff`` [Hz] that makes samples for the gap workflow."""
     return session.new_pipeline(_filtered_at(session, cutoff), library_columns(session.model))
 
 
@@ -112,8 +111,8 @@ def _filtered_at(session: Session, cutoff: float) -> SignalSettings:
 
 
 def find(session: Session, recordings: Recordings, standing: StandingRemainder | None, progress: Progress) -> GapResult:
-    """Run :func:`~geomid_ros.gap.workflow.find_gap` with the session's model, what is known of it, and what it lacked
-    where it was identified: ``standing``.
+    """Run :func:`~geomid_ros.gap.workflow.find_gap` with the session's model, the information on it, and its remainder
+    in the recordings that it was identified from: ``standing``.
 
     Raises:
         InputError: the recordings are too short, without motion or without anything measured, or the robot stands on
@@ -124,7 +123,7 @@ def find(session: Session, recordings: Recordings, standing: StandingRemainder |
             f"{session.loaded.not_predicted}. On legs that stand, the ground loads the joints, too, and gaps cannot be "
             "found beside such effects; leave them out of the model"
         )
-    known, deviations = known_of(session)
+    information, deviations = known_of(session)
     return find_gap(
         session.model,
         recordings.train,
@@ -133,7 +132,7 @@ def find(session: Session, recordings: Recordings, standing: StandingRemainder |
         alike=session.alike,
         nominal=session.prior,
         deviations=deviations,
-        known=known,
+        known=information,
         beside=session.loaded.beside_coefficients,
         standing=standing,
         simulated=recordings.simulated,
@@ -142,28 +141,28 @@ def find(session: Session, recordings: Recordings, standing: StandingRemainder |
 
 
 def known_of(session: Session) -> tuple[OtherRecordings | None, FloatArray]:
-    """What the recordings of the session's model say of its links and, as far as that was kept, of its effects
-    together; all masses may be off by a common share. And the standard deviations ``(D,)`` of what they do not say."""
+    """Information from the recordings of the session's model on its links, jointly with its effects if that was kept;
+    and standard deviations ``(D,)`` apart from this information. All masses may be off by a common fraction."""
     model, loaded, prior = session.model, session.loaded, session.prior
     deviations = loaded.deviations(model)
     if prior is None or loaded.known is None:
         return None, deviations
     if (posterior := _posterior_of(session)) is not None:
-        known, unsaid = _of_posterior(posterior, model)
-        deviations = np.where(np.isfinite(unsaid), unsaid, deviations)
-    elif (links := loaded.information(model)) is not None:
-        known = OtherRecordings(links.rows, links.residuals)
+        known, prior_stds = _information_of(posterior, model)
+        deviations = np.where(np.isfinite(prior_stds), prior_stds, deviations)
+    elif (information := loaded.information(model)) is not None:
+        known = OtherRecordings(information.rows, information.residuals)
     else:
         return None, deviations
     if session.share_of_mass:
-        masses = prior[: known.links].reshape(-1, 10) * ([1.0] * 4 + [0.0] * 6)  # gravity's
+        masses = prior[: known.links].reshape(-1, 10) * ([1.0] * 4 + [0.0] * 6)  # gravity acts on these
         known, _ = known.beside(session.share_of_mass * known.rows[:, : known.links] @ masses.reshape(-1, 1))
     return known, deviations
 
 
 def _posterior_of(session: Session) -> Posterior | None:
-    """What is known of the links of the session's model and its effects together. Raises InputError if the file beside
-    the model is not of it."""
+    """Joint posterior of the model's links and effects, if there is one. Raises InputError if the file next to the
+    model does not belong to it."""
     loaded, posterior = session.loaded, session.loaded.posterior
     path = Path(loaded.source).with_name(POSTERIOR)
     if posterior is None and path.is_file():
@@ -172,40 +171,40 @@ def _posterior_of(session: Session) -> Posterior | None:
     return posterior if posterior is not None and {*session.model.body_names} <= {*posterior.links} else None
 
 
-def _of_posterior(posterior: Posterior, model: MeasurementModel) -> tuple[OtherRecordings, FloatArray]:
-    """What the data of a posterior say of the parameters of a model, off its estimate; and the standard deviations
-    ``(D,)`` that effects had without them, NaN of those that it has not."""
+def _information_of(posterior: Posterior, model: MeasurementModel) -> tuple[OtherRecordings, FloatArray]:
+    """Information of a posterior's data on the parameters of a model, relative to its estimate; and the prior standard
+    deviations ``(D,)`` of its effects, NaN where it has none."""
     order, (rows, _) = places_in(posterior, model), posterior.evidence
-    unsaid = np.abs(np.diag(posterior.jacobian)) * posterior.prior_spreads
+    prior_stds = np.abs(np.diag(posterior.jacobian)) * posterior.prior_spreads
     known = OtherRecordings(
         np.where(order >= 0, rows[:, order], 0.0), np.zeros(len(rows)), np.zeros(len(model.coefficients))
     )
-    return known, np.where(order >= 0, unsaid[order], np.nan)
+    return known, np.where(order >= 0, prior_stds[order], np.nan)
 
 
 def standing_of(session: Session) -> StandingRemainder | None:
-    """What the session's model lacked where it was identified; that this is not known is told."""
+    """Remainder of the session's model where it was identified. If it is not known, a note is added to the review."""
     source = session.loaded.source
     if session.loaded.known is None:
         return None
     path = Path(source).with_name(POSTERIOR)
-    found = read_remainder(path) if path.is_file() else None
-    if found is None:
-        without = f"{path}: has no remainder" if path.is_file() else f"{source}: no {POSTERIOR} beside it"
-        session.review.settled.append(f"{without}: changes are judged without it; identify again from bags to have it")
+    stored = read_remainder(path) if path.is_file() else None
+    if stored is None:
+        reason = f"{path}: has no remainder" if path.is_file() else f"{source}: no {POSTERIOR} beside it"
+        session.review.settled.append(f"{reason}: changes are judged without it; identify again from bags to have it")
         return None
     names = tuple(channel.name for channel in session.model.channels)
-    if (found.joints, found.channels) != (tuple(session.robot.joint_names), names):
+    if (stored.joints, stored.channels) != (tuple(session.robot.joint_names), names):
         session.review.settled.append(
-            f"{path}: its remainder is of {', '.join(found.channels)}, here {', '.join(names)} are measured; changes "
+            f"{path}: its remainder is of {', '.join(stored.channels)}, here {', '.join(names)} are measured; changes "
             "are judged without it"
         )
         return None
-    return found
+    return stored
 
 
 def remainder_of(session: Session, bags: Bags, progress: Progress = silent) -> StandingRemainder | None:
-    """What a session's model lacks on the bags that it was identified from; None if they tell too little.
+    """Remainder of a session's model on the bags that it was identified from; None if they are not informative enough.
 
     Raises:
         InputError: a bag cannot be read.
@@ -216,7 +215,7 @@ def remainder_of(session: Session, bags: Bags, progress: Progress = silent) -> S
 
 def rms_of_model(session: Session, samples: Sequence[Samples]) -> FloatArray:
     """RMS residual of each channel ``(channels,)`` over samples, in batches, by the session's model with all of its
-    effects, elastic gears and play included."""
+    effects, including elastic gears and backlash."""
     parameters, beside = session.prior, session.loaded.beside_coefficients
     if parameters is None or not beside:
         return session.rms(samples, session.known_parameters)
@@ -227,7 +226,7 @@ def rms_of_model(session: Session, samples: Sequence[Samples]) -> FloatArray:
 def find_in_messages(
     session: Session, messages: Sequence[Accepted], standing: StandingRemainder | None, progress: Progress
 ) -> GapResult:
-    """As :func:`find`, on messages that another pipeline has accepted; the last part of them is judged on.
+    """Like :func:`find`, on messages accepted by another pipeline; their last part is held out.
 
     Raises:
         InputError: too little was measured.
@@ -242,18 +241,17 @@ def find_in_messages(
 def lacking_in_messages(
     session: Session, messages: Sequence[Accepted], progress: Progress = silent
 ) -> StandingRemainder | None:
-    """What the model of an :func:`identified_session` lacks in messages that it is from; None if they tell too
-    little."""
+    """Remainder of an :func:`identified_session`'s model in its messages; None if they are not informative enough."""
     try:
         cutoff, samples = _samples_of(session, messages, progress)
         return lacking(session.model, [samples], cutoff, session.prior, session.loaded.beside_coefficients)
-    except (InputError, np.linalg.LinAlgError):  # what was found is worth having without it
+    except (InputError, np.linalg.LinAlgError):  # the remainder is optional
         return None
 
 
 def _samples_of(session: Session, messages: Sequence[Accepted], progress: Progress) -> tuple[float, Samples]:
-    """The cutoff [Hz] and the samples of messages that another pipeline has accepted."""
-    joint_stamps = [stamp for each in messages if each.topic == JOINT_STATES for stamp in each.stamps.tolist()]
+    """Cutoff [Hz] and samples of messages accepted by another pipeline."""
+    joint_stamps = [stamp for message in messages if message.topic == JOINT_STATES for stamp in message.stamps.tolist()]
     cutoff = gap_cutoff(session, rate(joint_stamps[:MESSAGES_FOR_RATE]))
     samples = samples_of_messages(gap_pipeline(session, cutoff), messages, "reading", progress)
     if samples is None:
@@ -273,7 +271,7 @@ class GapReader:
     progress: Progress = silent
 
     def read(self, simulated: Sequence[Path]) -> Recordings:
-        """Read what is fitted and what is judged on.
+        """Read the samples to fit and those to evaluate on.
 
         Args:
             simulated: recordings of the user's simulator, one for each fitted bag, or none.
@@ -288,14 +286,14 @@ class GapReader:
                 "for each bag, in their order"
             )
         cutoff = gap_cutoff(self.session, self._rate([*fitted, *validate, *simulated]))
-        whole = [self._whole(path, cutoff) for path in fitted]
+        recorded = [self._whole(path, cutoff) for path in fitted]
         twins = [self._whole(path, cutoff) for path in simulated]
-        for samples in whole:
+        for samples in recorded:
             self.session.review.check.add(samples)
         self.session.review.judge()
-        for pair in zip(simulated, twins, fitted, whole, strict=False):
+        for pair in zip(simulated, twins, fitted, recorded, strict=False):
             _check_twin(self.session, *pair)
-        parts = [part for samples in whole for part in divided([samples], self.bags.share)]
+        parts = [part for samples in recorded for part in divided([samples], self.bags.share)]
         train, held_out = [early for early, _ in parts], [late for _, late in parts]
         held_out += [self._whole(path, cutoff) for path in validate]
         check_measured(self.session, train, fitted)
@@ -307,20 +305,20 @@ class GapReader:
         return Recordings(cutoff=cutoff, train=train, held_out=held_out, simulated=twins)
 
     def train(self) -> tuple[float, list[Samples]]:
-        """Read what is fitted, for the model as it is: the cutoff of its samples [Hz], and these, one element per bag.
+        """Read the samples to fit, for the present model: their cutoff [Hz], and the samples, one element per bag.
 
         Raises:
             InputError: a bag cannot be used; it is named.
         """
         session, cutoff = self.session, gap_cutoff(self.session, self._rate(self.bags.fitted))
-        # Effects beside the model's coefficients are of the library.
+        # Effects in addition to the model's coefficients need columns of the library.
         columns = library_columns(session.model) if session.loaded.beside_coefficients else session.model.columns
         pipelines = [session.new_pipeline(_filtered_at(session, cutoff), columns) for _ in self.bags.fitted]
-        whole = map(self._samples, self.bags.fitted, pipelines)
-        return cutoff, [divided([samples], self.bags.share)[0][0] for samples in whole]
+        recorded = map(self._samples, self.bags.fitted, pipelines)
+        return cutoff, [divided([samples], self.bags.share)[0][0] for samples in recorded]
 
     def sharp(self, topic: str = "") -> list[Samples]:
-        """Read what is judged on, one element per bag, with as high a cutoff as its rate allows.
+        """Read the samples to evaluate on, one element per bag, with the highest cutoff that the rate allows.
 
         Args:
             topic: read the joints' set-points on this topic instead of the joint states.
@@ -332,7 +330,7 @@ class GapReader:
     def _late(self, path: Path, share: float, cutoff: float, topic: str) -> Samples:
         pipeline = self.session.new_pipeline(_filtered_at(self.session, cutoff))
         ((_, late),) = divided([self._samples(path, pipeline, topic)], share)
-        return Samples.concatenate([late])  # a copy, which does not keep the whole recording
+        return Samples.concatenate([late])  # a copy, so that the whole recording is not kept in memory
 
     def _whole(self, path: Path, cutoff: float) -> Samples:
         return self._samples(path, gap_pipeline(self.session, cutoff))
@@ -353,14 +351,14 @@ class GapReader:
             topic = bag.find_topic(name, message_type(JOINT_STATES), option, LOW_STATE)
             if bag.topics[topic] == LOW_STATE:
                 return [time for _, time, _ in islice(bag.raw_messages([topic]), MESSAGES_FOR_RATE)]
-            first = [parse(JOINT_STATES, m) for _, _, m in islice(bag.messages([topic]), MESSAGES_FOR_RATE)]
+            first = [parse(JOINT_STATES, raw) for _, _, raw in islice(bag.messages([topic]), MESSAGES_FOR_RATE)]
         # A driver may publish more often than it measures.
-        new = {tuple(array.tobytes() for array in each.arrays): each.stamp for each in first[::-1]}
-        return sorted(new.values() if len(new) > 1 else {each.stamp for each in first})
+        stamps = {tuple(array.tobytes() for array in message.arrays): message.stamp for message in first[::-1]}
+        return sorted(stamps.values() if len(stamps) > 1 else {message.stamp for message in first})
 
 
 def _check_twin(session: Session, simulated: Path, twin: Samples, recorded: Path, measured: Samples) -> None:
-    """Refuse a simulator's recording of another motion than the measured one, naming both and what differs."""
+    """Refuse a simulator's recording of another motion than the measured one, naming both and their difference."""
     check_measured(session, [twin], [simulated])
     if len(twin) == len(measured) and np.array_equal(twin.position, measured.position):
         raise InputError(
@@ -373,30 +371,30 @@ def _check_twin(session: Session, simulated: Path, twin: Samples, recorded: Path
             f"{simulated}: {lengths[0]:.1f} s of simulation for the {lengths[1]:.1f} s of {recorded}. Record the "
             "simulator under the same commands, from their beginning to their end"
         )
-    difference = _differences(_on_a_grid(twin), _on_a_grid(measured))
-    spread = np.maximum(np.maximum(np.std(twin.position, axis=0), np.std(measured.position, axis=0)), _STILL)
-    worst = int(np.argmax(difference / spread))
-    if difference[worst] > _MOTIONS * spread[worst]:
+    difference = _rms_differences(_resampled(twin), _resampled(measured))
+    motion = np.maximum(np.maximum(np.std(twin.position, axis=0), np.std(measured.position, axis=0)), _STILL)
+    worst = int(np.argmax(difference / motion))
+    if difference[worst] > _MOTIONS * motion[worst]:
         raise InputError(
             f"{simulated}: joint '{session.robot.joint_names[worst]}' moves otherwise than in {recorded}, by "
-            f"{difference[worst]:.2g} on average where it moves by {spread[worst]:.2g}. Record the simulator under the "
+            f"{difference[worst]:.2g} on average where it moves by {motion[worst]:.2g}. Record the simulator under the "
             "same commands, from the same pose"
         )
 
 
-def _on_a_grid(samples: Samples) -> FloatArray:
+def _resampled(samples: Samples) -> FloatArray:
     """Positions ``(N, joints)`` every ``_STEP`` from the first sample on."""
     times = (samples.stamps - samples.stamps[0]) * 1e-9
     grid = np.arange(0.0, times[-1] + 1e-9, _STEP)
     return np.stack([np.interp(grid, times, np.unwrap(column)) for column in samples.position.T], axis=1)
 
 
-def _differences(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Root mean square difference of positions ``(joints,)`` at the shift at which all are most alike."""
-    most = round(_LONGEST_SHIFT / _STEP)
-    shifts = [shift for shift in range(-most, most + 1) if abs(shift) < min(len(a), len(b))]
-    found = [_rms(a[max(shift, 0) :], b[max(-shift, 0) :]) for shift in shifts]
-    return found[int(np.argmin([np.sum(rms**2) for rms in found]))]
+def _rms_differences(a: FloatArray, b: FloatArray) -> FloatArray:
+    """RMS difference of positions ``(joints,)`` at the time shift that minimises the total difference."""
+    longest = round(_LONGEST_SHIFT / _STEP)
+    shifts = [shift for shift in range(-longest, longest + 1) if abs(shift) < min(len(a), len(b))]
+    differences = [_rms(a[max(shift, 0) :], b[max(-shift, 0) :]) for shift in shifts]
+    return differences[int(np.argmin([np.sum(rms**2) for rms in differences]))]
 
 
 def _rms(a: FloatArray, b: FloatArray) -> FloatArray:

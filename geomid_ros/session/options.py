@@ -1,4 +1,4 @@
-"""What users may say of robots, recordings and motions: keywords of the functions and options of the commands."""
+"""Options for robots, recordings and motions: keywords of the functions and options of the commands."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ Packages: TypeAlias = Mapping[str, Path] | None
 Config: TypeAlias = "PathLike | Mapping[str, Any] | Configuration"
 """A parameter file (YAML), or parameters by their full names, as in ``{"filter.cutoff": 8.0}``."""
 Gains: TypeAlias = float | str | Sequence[float | str] | Mapping[str, float]
-"""A factor of all joints' efforts, ``[JOINT=]FACTOR`` as on the command line, several of them, or factors by joint."""
+"""Factor of all joints' efforts, ``[JOINT=]FACTOR`` as on the command line, several of these, or by joint."""
 
 
 def paths(given: Paths) -> list[Path]:
-    """One path or several, as a list."""
+    """Return one path or several as a list."""
     return [Path(path) for path in ([given] if isinstance(given, str | Path) else given)]
 
 
 def texts(given: Texts) -> list[str]:
-    """One text or several, as a list."""
+    """Return one text or several as a list."""
     return [given] if isinstance(given, str) else list(given)
 
 

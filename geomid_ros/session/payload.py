@@ -1,4 +1,4 @@
-"""What a robot carries, from a recording with it, and a recording or an earlier estimate without it."""
+"""Payload identification, from a recording with the payload, and a recording or an earlier estimate without it."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ class WeighedPayload(UncertainInertia):
 
     Attributes:
         link: the moving link.
-        std: standard deviations ``(10,)``, with the uncertain gain of the efforts in them.
-        moment, moment_std: mass times centre of mass ``(3,)`` [kg m], and their standard deviations: what gravity tells
-            of a body whose mass is not told.
-        gain: the standard deviation of the gain that was taken.
-        identified_moments: the axes along which the first moment is.
-        rms: what remains on both recordings by channel [N m, N].
-        warnings: what makes the result doubtful.
-        notes: what is worth knowing beside.
-        findings: what seems to be wrong with the recordings as a whole.
-        verdict: whether the result can be used.
+        std: standard deviations ``(10,)``, including the uncertain gain of the efforts.
+        moment, moment_std: mass times centre of mass ``(3,)`` [kg m], and standard deviations: identified by gravity
+            even if the mass is not.
+        gain: standard deviation of the gain that was assumed.
+        identified_moments: axes along which the first moment is identified.
+        rms: RMS residual on both recordings by channel [N m, N].
+        warnings: reasons to suspect the result.
+        notes: further remarks.
+        findings: suspected faults of the recordings as a whole.
+        verdict: verdict on the result.
     """
 
     link: str
@@ -63,12 +63,12 @@ class WeighedPayload(UncertainInertia):
 
     @property
     def tells_moment_alone(self) -> bool:
-        """Whether the motions tell mass times centre of mass, but not the mass."""
+        """True if the motions identify mass times centre of mass, but not the mass."""
         return bool(self.identified_moments) and "mass" in self.cannot_tell
 
 
 def payload_session(urdf: str, configuration: Configuration, source: str) -> Session:
-    """A session without what imitates a payload: springs, and friction in proportion to the load, are not looked for.
+    """Create a session without springs and load-dependent friction as candidates, as these imitate a payload.
 
     Raises:
         InputError: the description and the configuration do not fit together.
@@ -77,7 +77,7 @@ def payload_session(urdf: str, configuration: Configuration, source: str) -> Ses
 
 
 def payload_watch(session: Session, channels: Sequence[Channel], surprise: float) -> PayloadWatch | None:
-    """A watch for a payload at the flange, in rows of these ``channels``; None if nothing is known to carry one.
+    """Create a watch for a payload at the flange, in rows of these ``channels``; None if no link is known to carry one.
 
     ``surprise``: see :class:`PayloadWatch`.
     """
@@ -87,14 +87,14 @@ def payload_watch(session: Session, channels: Sequence[Channel], surprise: float
     if session.robot.floating_base or link not in model.body_names:
         return None
     index = model.body_names.index(link)
-    usual = usual_payload(model.nominal_inertias.reshape(-1, SIZE), index)
+    typical = usual_payload(model.nominal_inertias.reshape(-1, SIZE), index)
     columns = slice(SIZE * index, SIZE * (index + 1))
     return PayloadWatch(
         channels,
         link,
         columns,
         len(model.nominal_inertias),
-        usual=usual,
+        usual=typical,
         spread=SPREAD_OF_PAYLOADS,
         gain=configuration["payload.gain"],
         surprise=surprise,
@@ -104,14 +104,14 @@ def payload_watch(session: Session, channels: Sequence[Channel], surprise: float
 def weigh(
     session: Session, empty: Sequence[Samples] | Posterior, loaded: Sequence[Samples], link: str, gain: float = GAIN
 ) -> WeighedPayload:
-    """Fit the links and effects of the robot, and one body more in the recording with the payload.
+    """Fit the links and effects of the robot, and one additional body in the recording with the payload.
 
     Args:
         session: the robot.
-        empty: samples without the payload, or what an earlier estimate knows of the robot without it.
-        loaded: samples with it.
+        empty: samples without the payload, or the posterior of an earlier estimate of the robot without it.
+        loaded: samples with the payload.
         link: the moving link that carries it.
-        gain: standard deviation of the efforts' gain, relative, of each joint or of all together.
+        gain: relative standard deviation of the gain of the efforts, of each joint or of all together.
 
     Raises:
         InputError: the link is not identified, or nothing was measured.
@@ -133,58 +133,58 @@ def weigh(
         order, (rows, targets) = places_in(empty, carrying), empty.evidence
         prior = np.where(order >= 0, empty.prior[order], prior)
         known = WeighedRows(np.where(order >= 0, rows[:, order], 0.0), targets)
-    spreads = np.append(np.full(len(model.identified), USUAL_SPREAD), SPREAD_OF_PAYLOADS)
+    prior_stds = np.append(np.full(len(model.identified), USUAL_SPREAD), SPREAD_OF_PAYLOADS)
     summary = identifier.snapshot()
-    solve = partial(estimate, carrying, settings=settings, prior=prior, spreads=spreads, known=known)
-    found = solve(summary)
-    shifted = [
-        solve(more, warm=WarmStart(found.parameters, spreads=found.spreads))
-        for more in _with_more(summary, found, gain, slice(first, first + 10))
+    solve = partial(estimate, carrying, settings=settings, prior=prior, spreads=prior_stds, known=known)
+    fit = solve(summary)
+    with_gains = [
+        solve(rescaled, warm=WarmStart(fit.parameters, spreads=fit.spreads))
+        for rescaled in _with_gain(summary, fit, gain, slice(first, first + 10))
     ]
-    return _payload(link, found, gain, shifted, session)
+    return _payload(link, fit, gain, with_gains, session)
 
 
-def _with_more(rows: RowSummary, found: Estimate, gain: float, columns: slice) -> Iterator[RowSummary]:
-    """The rows, as if the gain of a channel after the other were one standard deviation larger: what the payload, the
-    parameters ``columns``, adds to its efforts then looks larger. What the gain does to the robot's own efforts is in
-    its links already, with and without the payload."""
-    more = np.zeros(len(found.parameters))
-    more[columns] = gain * found.parameters[columns]
-    return (rows.with_more(channel, more) for channel in range(len(rows.channels)) if gain > 0.0)
+def _with_gain(rows: RowSummary, fit: Estimate, gain: float, columns: slice) -> Iterator[RowSummary]:
+    """Yield the rows as if the gain of one channel after the other were one standard deviation larger, which enlarges
+    the efforts due to the payload, the parameters ``columns``. The gain of the robot's other efforts is in its links
+    already, with and without the payload."""
+    change = np.zeros(len(fit.parameters))
+    change[columns] = gain * fit.parameters[columns]
+    return (rows.with_more(channel, change) for channel in range(len(rows.channels)) if gain > 0.0)
 
 
-def _payload(link: str, found: Estimate, gain: float, shifted: Sequence[Estimate], session: Session) -> WeighedPayload:
-    """``shifted``: the estimates with the uncertain gain of each channel."""
-    body, posterior = found.links[-1], found.posterior
-    moments = posterior.manifold.link(len(found.links) - 1).start + np.arange(1, 4)
+def _payload(link: str, fit: Estimate, gain: float, shifted: Sequence[Estimate], session: Session) -> WeighedPayload:
+    """Make the result. ``shifted``: the estimates with the uncertain gain of each channel."""
+    body, posterior = fit.links[-1], fit.posterior
+    moments = posterior.manifold.link(len(fit.links) - 1).start + np.arange(1, 4)
     moment_std = np.sqrt(np.diag(posterior.parameter_covariance)[moments])
-    said, bodies = numbers(body.parameters), [numbers(other.links[-1].parameters) for other in shifted]
-    further = _of_shifts(np.array(bodies).reshape(-1, len(said)) - said)
-    if link == session.robot.tree.root:  # elsewhere its moments tell a payload from the whole robot's mass
-        robot = sum(other.mass for other in found.links[:-1])
+    values, bodies = numbers(body.parameters), [numbers(other.links[-1].parameters) for other in shifted]
+    systematic = _gain_std(np.array(bodies).reshape(-1, len(values)) - values)
+    if link == session.robot.tree.root:  # elsewhere its moments distinguish a payload from the whole robot's mass
+        robot = sum(other.mass for other in fit.links[:-1])
         heavier = body.parameters + np.append(session.share_of_mass * robot, np.zeros(9))
-        further = np.hypot(further, numbers(heavier) - said)
-    deviations = np.hypot(np.append(body.std, moment_std), further)
-    known = identified(body.parameters, np.hypot(body.std_doubted, further), body.std_prior)
+        systematic = np.hypot(systematic, numbers(heavier) - values)
+    deviations = np.hypot(np.append(body.std, moment_std), systematic)
+    is_identified = identified(body.parameters, np.hypot(body.std_doubted, systematic), body.std_prior)
     return WeighedPayload(
         link=link,
         parameters=body.parameters,
         std=deviations[:10],
-        moment=said[10:],
+        moment=values[10:],
         moment_std=deviations[10:],
         gain=gain,
-        cannot_tell=tuple(compress(QUANTITIES, ~known[:10])),
-        identified_moments=tuple(compress("xyz", known[10:])),
-        rms=dict(zip(found.channels, found.rms.tolist(), strict=True)),
+        cannot_tell=tuple(compress(QUANTITIES, ~is_identified[:10])),
+        identified_moments=tuple(compress("xyz", is_identified[10:])),
+        rms=dict(zip(fit.channels, fit.rms.tolist(), strict=True)),
         warnings=tuple(session.review.warnings()),
         notes=tuple(session.notes),
         findings=session.review.findings,
-        verdict=recording_verdict(session.review.findings, "" if found.converged else found.reason),
+        verdict=recording_verdict(session.review.findings, "" if fit.converged else fit.reason),
     )
 
 
-def _of_shifts(shifts: FloatArray) -> FloatArray:
-    """Standard deviations ``(n,)`` by the ``shifts (channels, n)`` of the channels' gains, each apart or all alike: the
-    larger."""
-    apart, together = np.sqrt(np.sum(shifts**2, axis=0)), np.abs(np.sum(shifts, axis=0))
-    return np.asarray(np.maximum(apart, together))
+def _gain_std(shifts: FloatArray) -> FloatArray:
+    """Standard deviations ``(n,)`` due to ``shifts (channels, n)`` by the channels' gains: the larger one of
+    independent and of common gains."""
+    independent, common = np.sqrt(np.sum(shifts**2, axis=0)), np.abs(np.sum(shifts, axis=0))
+    return np.asarray(np.maximum(independent, common))

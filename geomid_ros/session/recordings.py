@@ -1,4 +1,4 @@
-"""Samples from bags: what is fitted, and what is held out to judge on."""
+"""Samples from bags, divided into data to fit and held-out data."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.unitree import KINDS
 
 HELD_OUT = 0.3
-"""Share of a recording's time, at the end, that is judged on unless the user says otherwise."""
+"""Default fraction of a recording's time, at the end, that is held out."""
 
 _DESCRIPTION, _TEXT = "robot_description", "std_msgs/msg/String"
 _WRENCH_OPTION = "--wrench, or wrench.*.topic in a parameter file,"
 
 
 class NoSamplesError(InputError):
-    """No samples can be made of a recording; with the joints ``lockable`` locked there may be some."""
+    """No samples can be made of a recording; locking the joints ``lockable`` may help."""
 
     def __init__(self, message: str, lockable: tuple[str, ...]) -> None:
         super().__init__(message)
@@ -41,7 +41,7 @@ class NoSamplesError(InputError):
 
 @dataclass(frozen=True)
 class Topics:
-    """Topics that a recording is read from; ``joint_option`` is the option that names the joints'."""
+    """Topics that a recording is read from; ``joint_option`` is the command-line option for the joints' topic."""
 
     joint_states: str
     odom: str
@@ -52,12 +52,12 @@ class Topics:
 
 @dataclass(frozen=True, kw_only=True)
 class Bags:
-    """Which bags to read, and how.
+    """Bags to read, and how to read them.
 
     Args:
         fitted: bags to fit.
-        validate: bags to judge on.
-        hold_out: share of each fitted bag's time, at the end, to judge on as well, 0 to 0.9; None for
+        validate: bags to evaluate on.
+        hold_out: fraction of each fitted bag's time, at the end, to evaluate on as well, 0 to 0.9; None for
             :data:`HELD_OUT`, or for nothing if there are bags to validate on.
         topics: topics of the joint states and of the base's pose or IMU.
 
@@ -73,77 +73,77 @@ class Bags:
     def __post_init__(self) -> None:
         if not self.fitted:
             raise InputError("no bag is given")
-        every = Counter(path.resolve() for path in (*self.fitted, *self.validate))
-        twice = next((path for path in (*self.fitted, *self.validate) if every[path.resolve()] > 1), None)
-        if twice is not None:
+        counts = Counter(path.resolve() for path in (*self.fitted, *self.validate))
+        duplicate = next((path for path in (*self.fitted, *self.validate) if counts[path.resolve()] > 1), None)
+        if duplicate is not None:
             raise InputError(
-                f"{twice}: given twice. Fit and test need different data; without --validate the end of each bag "
+                f"{duplicate}: given twice. Fit and test need different data; without --validate the end of each bag "
                 "is held out"
             )
 
     @property
     def share(self) -> float:
-        """Share of each fitted bag's time that is held out."""
+        """Fraction of each fitted bag's time that is held out."""
         return self.hold_out if self.hold_out is not None else (0.0 if self.validate else HELD_OUT)
 
     @property
     def holds_out(self) -> bool:
-        """Whether some data are not fitted, but judged on."""
+        """True if some data are not fitted, but held out."""
         return bool(self.validate) or self.share > 0.0
 
     @property
     def shares(self) -> list[tuple[Path, float]]:
-        """Every bag with the share of it that is held out."""
+        """Every bag with the fraction of it that is held out."""
         return [*((path, self.share) for path in self.fitted), *((path, 1.0) for path in self.validate)]
 
 
 def recorded_description(bags: Sequence[Path]) -> tuple[str, str]:
-    """The robot description that was recorded beside the data.
+    """Find the robot description that was recorded with the data.
 
     Returns:
-        Its text, and where it is from: the topic and the bag.
+        Its text, and its origin: the topic and the bag.
 
     Raises:
         InputError: there is none, or there are several.
     """
-    found: dict[str, str] = {}
+    sources: dict[str, str] = {}
     for path in bags:
         with Bag(path) as bag:
             topics = [topic for topic, kind in bag.topics.items() if kind == _TEXT and topic.endswith(_DESCRIPTION)]
-            own = [topic for topic in topics if topic.lstrip("/") == _DESCRIPTION] or topics
-            for topic, _, message in bag.messages(own):
-                found.setdefault(message.data, f"{topic} in {path}")
-    if len(found) == 1:
-        ((text, source),) = found.items()
+            chosen = [topic for topic in topics if topic.lstrip("/") == _DESCRIPTION] or topics
+            for topic, _, message in bag.messages(chosen):
+                sources.setdefault(message.data, f"{topic} in {path}")
+    if len(sources) == 1:
+        ((text, source),) = sources.items()
         return text, source
-    named = ", ".join(map(str, bags))
-    if found:
-        raise InputError(f"{named}: several robot descriptions ({', '.join(found.values())}); choose one with --urdf")
-    raise InputError(f"{named}: no robot description is recorded ({_DESCRIPTION}, {_TEXT}); name a file with --urdf")
+    names = ", ".join(map(str, bags))
+    if sources:
+        raise InputError(f"{names}: several robot descriptions ({', '.join(sources.values())}); choose one with --urdf")
+    raise InputError(f"{names}: no robot description is recorded ({_DESCRIPTION}, {_TEXT}); name a file with --urdf")
 
 
 def divided(batches: Sequence[Samples], share: float) -> list[tuple[Samples, Samples]]:
-    """Divide one recording into what is fitted and what is held out.
+    """Divide one recording into data to fit and held-out data.
 
     Args:
         batches: its samples in the order of time, in one piece or in several.
-        share: how much of its time, at the end, is held out, 0 to 1.
+        share: fraction of its time, at the end, that is held out, 0 to 1.
 
     Returns:
-        Of each piece the samples before and after the boundary; either may be empty.
+        For each piece, the samples before and after the boundary; either may be empty.
     """
     boundary = _boundary(batches[0], batches[-1], share)
     return [_divided(samples, boundary) for samples in batches]
 
 
 def _boundary(first: Samples, last: Samples, share: float) -> int:
-    """The stamp [ns] before which samples of a recording are fitted. As it goes on this moves on."""
+    """Stamp [ns] before which samples of a recording are fitted. It moves on as the recording proceeds."""
     end = int(last.stamps[-1]) + 1
     return end - round(share * (end - int(first.stamps[0])))
 
 
 def _divided(samples: Samples, boundary: int) -> tuple[Samples, Samples]:
-    """Both parts, without a copy where the clock was not set back meanwhile."""
+    """Samples before and after the boundary, without a copy unless the clock was set back."""
     early = samples.stamps < boundary
     count = int(np.count_nonzero(early))
     if np.all(early[:count]):
@@ -157,17 +157,17 @@ def read_bags(
     """Read all bags with the session's settings.
 
     Args:
-        session: takes note of what was read.
-        bags: which, and how.
-        fit: called with the samples to fit, in batches and in the order of time, as soon as that is sure: an hour of
-            them does not have to be remembered.
-        progress: told of it.
+        session: records what was read.
+        bags: the bags, and how to read them.
+        fit: called with samples to fit, in batches and in the order of time, as soon as they are certain to be fitted:
+            an hour of samples need not be kept in memory.
+        progress: called with the progress.
 
     Returns:
-        The samples to judge on, in batches as they became ready.
+        The held-out samples, in batches as they became ready.
 
     Raises:
-        InputError: a bag cannot be used, or nothing is left to fit.
+        InputError: a bag cannot be used, or no data to fit remain.
     """
     fitted = TrainingData(session, fit)
     held_out: list[Samples] = []
@@ -210,7 +210,7 @@ def _opened(
 
 
 def read_fitted(session: Session, bags: Bags, progress: Progress = silent) -> list[Samples]:
-    """As :func:`read_bags`, but the samples to fit, in batches; those to judge on are passed over."""
+    """Like :func:`read_bags`, but return the samples to fit, in batches; the held-out ones are discarded."""
     samples: list[Samples] = []
     read_bags(session, bags, samples.append, progress)
     return samples
@@ -219,7 +219,7 @@ def read_fitted(session: Session, bags: Bags, progress: Progress = silent) -> li
 def read_samples(
     bag: Bag, session: Session, pipeline: SignalPipeline, topics: Topics, progress: Progress = silent
 ) -> Iterator[Samples]:
-    """The samples of a recording, as they become ready. Raises InputError when there are none."""
+    """Yield the samples of a recording as they become ready. Raises InputError if there are none."""
     names = _resolved_topics(bag, session, topics)
     session.review.begin_recording(bag)
     total = bag.count(list(names))
@@ -229,12 +229,12 @@ def read_samples(
     unitree = session.unitree()
     for batch in bag.batches(list(names)):
 
-        def refuse(place: int, why: str) -> None:
+        def refuse(place: int, reason: str) -> None:
             topic, time, kind, _ = batch[place]  # noqa: B023 called at once
-            raise bag.not_valid(topic, time, kind, why, done + place)  # noqa: B023
+            raise bag.not_valid(topic, time, kind, reason, done + place)  # noqa: B023
 
         origins, messages = unitree.read(batch, names, refuse)
-        pipeline.push(decoder.blocks(messages, lambda place, why: refuse(origins[place], why)))  # noqa: B023
+        pipeline.push(decoder.blocks(messages, lambda place, reason: refuse(origins[place], reason)))  # noqa: B023
         done += len(batch)
         progress(f"reading {bag.path.name}", done / max(total, 1))
         samples = pipeline.collect()
@@ -253,7 +253,7 @@ def read_samples(
 def samples_of_messages(
     pipeline: SignalPipeline, messages: Sequence[Accepted], stage: str, progress: Progress
 ) -> Samples | None:
-    """The samples of messages that another pipeline has accepted; None if they are too few."""
+    """Samples of messages accepted by another pipeline; None if they are too few."""
     for index, message in enumerate(messages):
         progress(stage, index / len(messages))
         pipeline.push_accepted(message)
@@ -261,18 +261,18 @@ def samples_of_messages(
 
 
 def _resolved_topics(bag: Bag, session: Session, topics: Topics) -> dict[str, list[str]]:
-    """The topics of the bag that are needed, and how the pipeline calls what is on each."""
-    asked = {JOINT_STATES: (topics.joint_states, topics.joint_option)}
+    """Topics of the bag that are needed, with the pipeline's names for each."""
+    requested = {JOINT_STATES: (topics.joint_states, topics.joint_option)}
     if session.robot.floating_base:
         imu = session.base_topic == IMU
-        asked[session.base_topic] = (topics.imu, "--imu") if imu else (topics.odom, "--odom-topic")
+        requested[session.base_topic] = (topics.imu, "--imu") if imu else (topics.odom, "--odom-topic")
     if COMMANDS in session.topics:
-        asked[COMMANDS] = (topics.commands, "--command")
-    asked |= {sensor.topic: (sensor.topic, _WRENCH_OPTION) for sensor in session.model.sensors}
-    found: dict[str, list[str]] = {}
-    for own, (name, option) in asked.items():
-        found.setdefault(bag.find_topic(name, message_type(own), option, KINDS.get(own, "")), []).append(own)
-    return found
+        requested[COMMANDS] = (topics.commands, "--command")
+    requested |= {sensor.topic: (sensor.topic, _WRENCH_OPTION) for sensor in session.model.sensors}
+    resolved: dict[str, list[str]] = {}
+    for role, (name, option) in requested.items():
+        resolved.setdefault(bag.find_topic(name, message_type(role), option, KINDS.get(role, "")), []).append(role)
+    return resolved
 
 
 def _why_no_samples(bag: Bag, session: Session, pipeline: SignalPipeline) -> str:
@@ -286,53 +286,53 @@ def _why_no_samples(bag: Bag, session: Session, pipeline: SignalPipeline) -> str
     if not reasons:
         short = f"it is shorter than the filter's window ({2 * pipeline.lag:.1f} s)"
         reasons = [f"{short} or its topics do not overlap; record half a minute of motion"]
-    if any(meaning_of(why) == "frame" for account in pipeline.ledger.topics.values() for why in account.rejected):
+    if any(meaning_of(text) == "frame" for account in pipeline.ledger.topics.values() for text in account.rejected):
         reasons.append("--wrench sets the frame of a wrench, wrench.*.frame_id the frame_id of its messages")
-    why = f"{bag.path}: no usable samples. " + "; ".join(reasons)
+    text = f"{bag.path}: no usable samples. " + "; ".join(reasons)
     missing = not pipeline.joints_heard.issuperset(session.robot.joint_names)
     joints = f"The URDF's moving joints: {', '.join(session.robot.joint_names)}"
-    end = "" if why.endswith("?") else "."
-    return f"{why}{end} Or the recording is of another robot. {joints}" if missing else why
+    end = "" if text.endswith("?") else "."
+    return f"{text}{end} Or the recording is of another robot. {joints}" if missing else text
 
 
 T = TypeVar("T")
 
 
 def with_locked(configuration: Configuration, joints: Collection[str]) -> Configuration:
-    """The configuration with these joints locked beside its own."""
+    """Return the configuration with these joints locked in addition to its own."""
     return configuration.with_values({"locked_joints": [*configuration["locked_joints"], *joints]})
 
 
 def locked_note(joints: Iterable[str]) -> str:
-    """The sentence on joints that were locked as they are in no message."""
-    named = ", ".join(map(repr, joints))
-    return f"no message names {named}: locked at zero, as with locked_joints (--lock)"
+    """Sentence on joints that were locked because no message contains them."""
+    listing = ", ".join(map(repr, joints))
+    return f"no message names {listing}: locked at zero, as with locked_joints (--lock)"
 
 
 def read_with_locked(
     make: Callable[[Configuration], Session], configuration: Configuration, read: Callable[[Session], T]
 ) -> tuple[Session, T]:
-    """Read recordings; if they lack joints that may be locked, once more with these locked.
+    """Read recordings. If they lack joints that may be locked, lock these and read again.
 
     Args:
         make: makes the session of a configuration.
-        configuration: to begin with.
+        configuration: the initial configuration.
         read: reads the recordings for a session.
 
     Returns:
-        The session, and what was read for it.
+        The session, and the result of ``read`` for it.
 
     Raises:
         InputError: the recordings cannot be used.
     """
     session = make(configuration)
     try:
-        found = read(session)
+        result = read(session)
     except NoSamplesError as error:
         if not error.lockable:
             raise
         session = make(with_locked(configuration, error.lockable))
-        found = read(session)
+        result = read(session)
     locked = [joint for joint in session.locked_joints if joint not in configuration["locked_joints"]]
     if heard := session.joints_heard.intersection(locked):
         raise InputError(
@@ -341,4 +341,4 @@ def read_with_locked(
         )
     if locked:
         session.review.settled.append(locked_note(locked))
-    return session, found
+    return session, result

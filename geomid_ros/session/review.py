@@ -1,6 +1,5 @@
-"""What is known of the recordings that a session read, and whether an estimate of them can be used; links among it that
-no solid of their shapes can be, where the URDF has shapes.
-"""
+"""Review of the recordings that a session read, and the verdict on its estimate. Links that are impossible for their
+shapes in the URDF are reported."""
 
 from __future__ import annotations
 
@@ -35,16 +34,16 @@ from geomid_ros.types import FloatArray
 
 @dataclass(frozen=True, kw_only=True)
 class Recorded:
-    """What is known of recordings beside their samples.
+    """Facts about recordings in addition to their samples.
 
     Attributes:
-        accounts: what became of the messages, by topic.
-        findings: what seems to be wrong.
-        remarks: what to know although nothing is wrong, in sentences.
+        accounts: message counts, by topic.
+        findings: suspected faults.
+        remarks: remarks that are no faults, in sentences.
         unmeasured: joints whose efforts are missing.
-        incomplete: what of the recordings is missing, in sentences.
+        incomplete: missing parts of the recordings, in sentences.
         unchecked: names of recordings without checksums.
-        settled: what was settled for the user, in sentences.
+        settled: choices made for the user, in sentences.
     """
 
     accounts: Mapping[str, Account] = field(default_factory=dict)
@@ -57,14 +56,14 @@ class Recorded:
 
     @staticmethod
     def together(several: Sequence[Recorded]) -> Recorded:
-        """What is known of several: each sentence once, and the joints that are unmeasured in all of them."""
+        """Combine several: each sentence once, and the joints that are unmeasured in all of them."""
         ledger = Ledger()
-        for each in several:
-            ledger.add(each.accounts)
-        findings = {finding.sentence: finding for each in several for finding in each.findings}
-        common = set.intersection(*(set(each.unmeasured) for each in several)) if several else set()
+        for recorded in several:
+            ledger.add(recorded.accounts)
+        findings = {finding.sentence: finding for recorded in several for finding in recorded.findings}
+        common = set.intersection(*(set(recorded.unmeasured) for recorded in several)) if several else set()
         once = {
-            name: tuple(dict.fromkeys(chain.from_iterable(getattr(each, name) for each in several)))
+            name: tuple(dict.fromkeys(chain.from_iterable(getattr(recorded, name) for recorded in several)))
             for name in ("remarks", "unmeasured", "incomplete", "unchecked", "settled")
         }
         once["unmeasured"] = tuple(joint for joint in once["unmeasured"] if joint in common)
@@ -75,57 +74,57 @@ _OFTEN = "; does the driver publish more often than it measures? What repeats is
 
 
 def faulty_streams(accounts: Mapping[str, Account], before: Mapping[str, Account]) -> list[Finding]:
-    """The faults of drivers that make all of their messages doubtful.
+    """Driver faults that make all messages of a topic doubtful.
 
     Args:
         accounts: by topic.
-        before: the same at an earlier time; what was counted by then does not matter.
+        before: the accounts at an earlier time; faults counted until then are ignored.
     """
-    found = []
+    findings = []
     for topic, account in accounts.items():
         noted = account.noted - before.get(topic, Account()).noted
-        found += [
+        findings += [
             Finding(cause=Cause(kind="stream", sentence=f"{topic}: {remark.sentence}", places=(topic,)))
             for remark in noted
             if isinstance(remark, Reason) and remark.meaning == "driver error"
         ]
-    return found
+    return findings
 
 
 def is_whole(accounts: Mapping[str, Account]) -> bool:
-    """Whether no positions leap, by the accounts of all topics."""
+    """True if no positions jump, by the accounts of all topics."""
     return not any(LEAP in account.noted for account in accounts.values())
 
 
 def peculiarities(accounts: Mapping[str, Account]) -> list[str]:
-    """What to know of messages although the others can be used."""
-    found = []
+    """Remarks on refused or peculiar messages, although the others can be used."""
+    remarks = []
     for topic, account in accounts.items():
         if +account.rejected:
-            ((reason, most),) = account.rejected.most_common(1)
-            refused = f"{account.rejected.total()} of {account.received} messages are refused"
-            which = "all" if most == account.rejected.total() else f"{most}"
-            found.append(
-                f"{topic}: {refused}, {which} of them: {reason}{_OFTEN if meaning_of(reason) == 'repeated' else ''}"
+            ((reason, count),) = account.rejected.most_common(1)
+            summary = f"{account.rejected.total()} of {account.received} messages are refused"
+            fraction = "all" if count == account.rejected.total() else f"{count}"
+            remarks.append(
+                f"{topic}: {summary}, {fraction} of them: {reason}{_OFTEN if meaning_of(reason) == 'repeated' else ''}"
             )
-        found += [f"{topic}: {remark}" for remark in account.noted if meaning_of(remark) == "told"]
-    return found
+        remarks += [f"{topic}: {remark}" for remark in account.noted if meaning_of(remark) == "told"]
+    return remarks
 
 
 _DENSEST = 22_590.0
-"""[kg/m^3] osmium; no material has more."""
+"""Density of osmium [kg/m^3]; no material is denser."""
 
 
 def impossible_links(urdf: str, source: str, links: Iterable[LinkEstimate]) -> Iterator[str]:
-    """A sentence for each link that its shape cannot hold: denser than any material, or with mass outside of it.
+    """Yield a sentence for each link that is denser than any material, or has mass outside of its shape.
 
-    Links without a shape that can be read, and links that others are counted in with, pass; so do those whose mass in
-    the URDF is outside of their shape, too, which is not that of their mass then.
+    Links without a readable shape, and links with merged ones, pass. So do links whose URDF mass is outside, too: then
+    the shape does not describe it.
 
     Args:
         urdf: text of the robot description.
-        source: where it is from; meshes are looked for from there.
-        links: to judge.
+        source: its origin, from which meshes are searched.
+        links: the links to check.
     """
     for link in links:
         solid = None if link.merged else _solid(urdf, source, link.name)
@@ -138,13 +137,13 @@ def impossible_links(urdf: str, source: str, links: Iterable[LinkEstimate]) -> I
                 f"material has more than {_DENSEST:.0f}"
             )
             continue
-        own = inertial_parameters(_element(urdf, source, link.name), source)
-        if _is_outside(link.parameters, solid) and not _is_outside(own, solid):
+        nominal = inertial_parameters(_element(urdf, source, link.name), source)
+        if _is_outside(link.parameters, solid) and not _is_outside(nominal, solid):
             yield f"link '{link.name}' has mass outside of its shape of the URDF"
 
 
 def _is_outside(parameters: FloatArray | None, solid: Solid) -> bool:
-    """Whether a body ``(10,)`` has mass outside of a solid."""
+    """True if a body ``(10,)`` has mass outside of a solid."""
     if parameters is None:
         return False
     return (
@@ -157,8 +156,8 @@ def _element(urdf: str, source: str, name: str) -> Element:
 
 
 def _solid(urdf: str, source: str, name: str) -> Solid | None:
-    """The solid that a link's shapes fill; None if none can be read."""
-    # Of few results alone: what reads meshes takes a third of a second to import.
+    """Solid that a link's shapes fill; None if none can be read."""
+    # Few results need it, and importing the mesh reader takes a third of a second.
     from geomid_ros.files.shapes import ShapeReader  # noqa: PLC0415
 
     element = _element(urdf, source, name)
@@ -169,44 +168,44 @@ def _solid(urdf: str, source: str, name: str) -> Solid | None:
 
 
 class Review:
-    """Checks of a robot's recordings as a whole, and what they found."""
+    """Checks of a robot's recordings as a whole, and their findings."""
 
     def __init__(self, setup: Setup, ledger: Ledger) -> None:
-        """Know nothing yet of recordings of this ``setup``, whose messages the ``ledger`` counts."""
+        """Begin without recordings of this ``setup``, whose messages the ``ledger`` counts."""
         self._setup, self._model, self._robot, self._ledger = setup, setup.model, setup.robot, ledger
         configuration, joints = setup.configuration, setup.robot.joint_names
-        named = {s.topic: name for name, s in zip(configuration["wrenches"], configuration.sensors, strict=True)}
+        names = {s.topic: name for name, s in zip(configuration["wrenches"], configuration.sensors, strict=True)}
         gains = configuration.signals(joints).effort_gains(joints)
-        # Judged in another thread than rows are made in: pinocchio's buffers are not shared.
-        own = setup.model.with_gravity(setup.robot.gravity)
-        self.new_check = partial(RecordingCheck, JudgementTask(own, gains, named, setup.controller))
-        """Makes a check of other recordings of this robot."""
+        # A separate model: checks run in another thread than rows, and pinocchio's buffers must not be shared.
+        model = setup.model.with_gravity(setup.robot.gravity)
+        self.new_check = partial(RecordingCheck, JudgementTask(model, gains, names, setup.controller))
+        """Creates a check of other recordings of this robot."""
         self.check = self.new_check()
-        """Told of all samples, it judges them as a whole."""
+        """Collects all samples, and checks them as a whole."""
         self.findings: tuple[Finding, ...] = ()
-        """What seems to be wrong with the recording as a whole."""
+        """Suspected faults of the recording as a whole."""
         self.settled: list[str] = []
-        """What was settled for the user, in sentences."""
-        self._kept: tuple[Finding, ...] = ()  # of recordings that are judged apart
-        self._validated: tuple[str, ...] = ()  # sentences on recordings that are only judged on
-        self._forgotten: dict[str, Account] = {}  # what the ledger had counted when findings were forgotten
-        self._incomplete: list[str] = []  # sentences on the recordings that were read
-        self._unchecked: list[str] = []  # their names
-        self._imus: list[str] = []  # topics in the recordings
-        self._elsewhere = Recorded()  # of recordings that were read elsewhere
+        """Choices made for the user, in sentences."""
+        self._kept: tuple[Finding, ...] = ()  # findings on recordings that are checked separately
+        self._validated: tuple[str, ...] = ()  # sentences on recordings that are only evaluated on
+        self._forgotten: dict[str, Account] = {}  # the ledger's counts when findings were forgotten
+        self._incomplete: list[str] = []  # sentences on missing parts of the recordings that were read
+        self._unchecked: list[str] = []  # names of those without checksums
+        self._imus: list[str] = []  # IMU topics in the recordings
+        self._elsewhere = Recorded()  # facts about recordings read by another session
 
     def judge(self) -> None:
-        """Judge the recording as a whole, by the samples that :attr:`check` was told of so far."""
+        """Check the recording as a whole, by the samples that :attr:`check` has collected so far."""
         check = self.check
         topics = self._ledger.topics
-        found = check.findings(whole=is_whole(topics))
+        findings = check.findings(whole=is_whole(topics))
         if check is self.check:  # nothing was forgotten meanwhile
-            found = (*self._kept, *found, *faulty_streams(topics, self._forgotten))
-            found = (*(self._moving_base() if found else ()), *found)
-            self.findings = tuple({finding.sentence: finding for finding in found}.values())
+            findings = (*self._kept, *findings, *faulty_streams(topics, self._forgotten))
+            findings = (*(self._moving_base() if findings else ()), *findings)
+            self.findings = tuple({finding.sentence: finding for finding in findings}.values())
 
     def _moving_base(self) -> tuple[Finding, ...]:
-        """That the base may move, if it counts as fixed and an IMU was recorded."""
+        """One finding that the base may move, if it counts as fixed and an IMU was recorded; else none."""
         if self._robot.floating_base or not self._imus:
             return ()
         imu = self._imus[0]
@@ -217,40 +216,40 @@ class Review:
         return (Finding(cause=Cause(kind="base", sentence=sentence, places=(imu,))),)
 
     def use(self, judge: Judge) -> None:
-        """Judge by ``judge`` instead of :meth:`JudgementTask.judge`, in another process for example, before there are
+        """Use ``judge``, for example in another process, instead of :meth:`JudgementTask.judge`. Call before
         samples."""
         self.new_check = partial(self.new_check, judge=judge)
         self.check = self.new_check()
 
     def judge_validation(self, name: str, check: RecordingCheck, accounts: Mapping[str, Account]) -> None:
-        """Remark on a recording that is not fitted: what is wrong with it is no fault of the others.
+        """Remark on a recording that is not fitted; its faults are not those of the other recordings.
 
         Args:
-            name: of the recording.
-            check: that was told of its samples.
-            accounts: of its messages, by topic.
+            name: name of the recording.
+            check: the check that has collected its samples.
+            accounts: counts of its messages, by topic.
         """
-        found = (*check.findings(whole=is_whole(accounts)), *faulty_streams(accounts, {}))
-        self._validated += tuple(f"{name}, which is judged on: {finding.sentence}" for finding in found)
+        findings = (*check.findings(whole=is_whole(accounts)), *faulty_streams(accounts, {}))
+        self._validated += tuple(f"{name}, which is judged on: {finding.sentence}" for finding in findings)
 
     def forget(self) -> None:
-        """Judge by the samples to come alone."""
+        """Check only the samples to come."""
         self.check, self.findings, self._kept = self.new_check(), (), ()
         self._forgotten = self._ledger.topics
 
     def check_description(self) -> None:
-        """Refuse a URDF that can be no robot's: what is solved for from there says nothing, and may take for ever.
+        """Refuse a URDF that cannot be a robot's: an estimate from it is meaningless, and may take for ever.
 
         Raises:
-            InputError: the recordings so far have shown that.
+            InputError: the recordings so far show that.
         """
         for finding in self.findings:
             if finding.cause.kind == "description":
                 raise InputError(f"{self._setup.source or self._robot.name}: {finding.cause.sentence}")
 
     def judge_apart(self) -> None:
-        """Keep the findings so far, and judge the samples to come by themselves: what was changed on purpose between
-        two recordings is no fault of theirs."""
+        """Keep the findings so far; check later samples separately: an intended change between recordings is no
+        fault."""
         kept = self.findings
         self.forget()
         self.findings = self._kept = kept
@@ -258,12 +257,12 @@ class Review:
     def verdict(
         self, estimate: Estimate, judged: Sequence[Samples] | RowSummary = (), held_out: FloatArray | None = None
     ) -> Verdict:
-        """Whether an estimate can be used.
+        """Verdict on an estimate.
 
         Args:
-            estimate: what was found.
+            estimate: the estimate.
             judged: samples, or their rows, on which it is compared with the URDF; none to compare on its own rows.
-            held_out: RMS ``(channels,)`` of what it leaves on held-out data; None if nothing was held out.
+            held_out: RMS residual ``(channels,)`` on held-out data; None if nothing was held out.
         """
         if isinstance(judged, RowSummary):
             worse = worse_in_folds(self._model, judged, estimate.parameters)
@@ -271,17 +270,17 @@ class Review:
             worse = worse_channels(self._model, judged, estimate.parameters) if judged else worse_on_rows(estimate)
         recorded = self.recorded
         samples = () if isinstance(judged, RowSummary) else judged
-        named = any(finding.cause.kind != "unexplained" for finding in self.findings)
-        findings = self.findings if named else self._unexplained(estimate, samples) or self.findings
-        peculiar = [*peculiarities(recorded.accounts), *self.remarks]
+        is_explained = any(finding.cause.kind != "unexplained" for finding in self.findings)
+        findings = self.findings if is_explained else self._unexplained(estimate, samples) or self.findings
+        remarks = [*peculiarities(recorded.accounts), *self.remarks]
         if self._setup.base_topic == IMU:
-            peculiar += turned_imu(self._model, estimate)
+            remarks += turned_imu(self._model, estimate)
             findings = findings or displaced_imu(self._model, samples, estimate.parameters)
         if (controller := self._setup.controller) is not None:
-            peculiar += encoder_zeros(controller, estimate.effects, self._robot.joint_names)
-        peculiar += unexplained_base(self._model, samples, estimate.parameters)
-        peculiar += never_lifted(self._model, estimate)
-        peculiar += [] if held_out is None else unlike(estimate, held_out)
+            remarks += encoder_zeros(controller, estimate.effects, self._robot.joint_names)
+        remarks += unexplained_base(self._model, samples, estimate.parameters)
+        remarks += never_lifted(self._model, estimate)
+        remarks += [] if held_out is None else unlike(estimate, held_out)
         impossible = tuple(impossible_links(self._setup.urdf, self._setup.source, self._suspects(estimate)))
         return verdict(
             estimate,
@@ -289,47 +288,46 @@ class Review:
             self._model,
             worse=worse,
             unmeasured=recorded.unmeasured,
-            peculiar=peculiar,
+            peculiar=remarks,
             impossible=impossible,
         )
 
     def _suspects(self, estimate: Estimate) -> Iterator[LinkEstimate]:
-        """The links whose masses are far from the URDF's, but for those at the ends, which may carry what is not in
-        it."""
+        """Links whose masses are far from the URDF's, except for end links, which may carry a payload."""
         masses = self._model.nominal_inertias[::10]
         for link, nominal in zip(estimate.links, masses, strict=True):
             far = link.outlier or not nominal / HEAVIER <= link.mass <= nominal * HEAVIER
             if far and len(self._robot.subtree(link.name)) > 1:
                 yield link
 
-    def _unexplained(self, estimate: Estimate, judged: Sequence[Samples]) -> tuple[Finding, ...]:
-        """That an estimate does not explain what some joints do, if so."""
+    def _unexplained(self, estimate: Estimate, samples: Sequence[Samples]) -> tuple[Finding, ...]:
+        """Findings on joints whose efforts an estimate does not explain; empty if there are none."""
         if not efforts_alone(self._model):
             return ()
-        return unexplained(self._model, judged, estimate.parameters, self.check.recorded)
+        return unexplained(self._model, samples, estimate.parameters, self.check.recorded)
 
     def warnings(self, estimate: Estimate | None = None, verdict: Verdict | None = None) -> list[str]:
-        """What makes results doubtful, in sentences: of the model it began with, of an estimate and its verdict."""
-        judged = verdict.warnings if verdict is not None else ()
-        found = [
+        """Sentences on what makes results doubtful: the initial model, the estimate and its verdict."""
+        reasons = verdict.warnings if verdict is not None else ()
+        sentences = [
             self._setup.loaded.doubt,
-            *judged,
+            *reasons,
             *self._incomplete,
             *self._robot.repaired.values(),
             *([_massless(self._robot.massless)] if self._robot.massless else []),
             self._setup.loaded.not_predicted if estimate is not None else "",
         ]
-        return [*filter(None, found), *(estimate.warnings if estimate is not None else ())]
+        return [*filter(None, sentences), *(estimate.warnings if estimate is not None else ())]
 
     @property
     def notes(self) -> list[str]:
-        """What is worth knowing, in sentences, and casts no doubt on results."""
+        """Remarks in sentences that do not make results doubtful."""
         names = ", ".join(dict.fromkeys(self._unchecked))
         unchecked = [f"{names}: no CRCs; corruption cannot be detected"] if names else []
         return [*self.settled, *unchecked]
 
     def begin_recording(self, bag: Bag) -> None:
-        """Note that the samples to come are of another recording, and what is missing of it."""
+        """Note that the samples to come are from another recording, and which parts of it are missing."""
         self.check.begin_recording()
         self._imus += [topic for topic, kind in bag.topics.items() if kind == message_type(IMU)]
         self._incomplete += [warning for warning in bag.warnings if warning not in self._incomplete]
@@ -337,12 +335,12 @@ class Review:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What to know of the recordings although nothing is wrong, in sentences."""
+        """Remarks on the recordings that are no faults, in sentences."""
         return (*self._elsewhere.remarks, *self.check.remarks, *self._validated)
 
     @property
     def recorded(self) -> Recorded:
-        """What is known of all recordings beside their samples."""
+        """Facts about all recordings in addition to their samples."""
         elsewhere = self._elsewhere
         return Recorded(
             accounts=self._ledger.topics,
@@ -355,7 +353,7 @@ class Review:
         )
 
     def read_elsewhere(self, recorded: Recorded) -> None:
-        """Take note of recordings that another session read, whose rows the identifier is given."""
+        """Add recordings that another session read, whose rows the identifier receives."""
         self._elsewhere = recorded
         self._ledger.add(recorded.accounts)
         self.findings = self._kept = recorded.findings
@@ -365,8 +363,8 @@ class Review:
 
 
 def _massless(links: Sequence[str]) -> str:
-    named = f"'{links[0]}'" + (f" (and {len(links) - 1} other links)" if len(links) > 1 else "")
+    listing = f"'{links[0]}'" + (f" (and {len(links) - 1} other links)" if len(links) > 1 else "")
     return (
-        f"{named} moves without a mass in the URDF: it is not identified, and what it weighs is put down to other "
+        f"{listing} moves without a mass in the URDF: it is not identified, and what it weighs is put down to other "
         "links; give it an <inertial> ('geomid prior' computes it from shapes)"
     )

@@ -1,6 +1,5 @@
-"""A robot under identification: its rows, what is known of its recordings, and where the next solve begins; and its
-results as files: ``estimate.json``, the robot description, the posterior.
-"""
+"""A robot under identification: its rows, the review of its recordings, and the start of the next solve; and its
+results as files: ``estimate.json``, the robot description, the posterior."""
 
 from __future__ import annotations
 
@@ -41,7 +40,7 @@ from geomid_ros.types import FloatArray
 class Session(Setup):
     """A robot under identification: its model, its signal pipeline and its identifier.
 
-    The node, the command line and notebooks all identify by means of it.
+    The node, the command line and notebooks all use it to identify.
     """
 
     def __init__(
@@ -54,12 +53,12 @@ class Session(Setup):
         *,
         loaded: LoadedModel | None = None,
     ) -> None:
-        """Begin with no rows.
+        """Begin without rows.
 
         Args:
-            urdf, configuration, source, loaded: as of :class:`Setup`.
-            ledger: told what becomes of every message.
-            readers: who will read the files of results, of :data:`~geomid_ros.files.models.effects_file.ELEMENTS`.
+            urdf, configuration, source, loaded: as for :class:`Setup`.
+            ledger: counts what becomes of each message.
+            readers: programs that will read the results, of :data:`~geomid_ros.files.models.readers.ELEMENTS`.
 
         Raises:
             InputError: these do not fit together.
@@ -69,15 +68,14 @@ class Session(Setup):
         self._settings = self._estimator_settings(configuration)
         self.identifier = Identifier(self.model, self._settings, configuration.buffer, self._identified_prior)
         self.warm: WarmStart | None = None
-        """Where the next solve may begin: the last estimate."""
+        """Start of the next solve: the last estimate."""
         self.recent = Recent(configuration["gap.memory"])
         self.pipeline = self.new_pipeline(on_accepted=self.recent, ledger=ledger)
         self.review = Review(self, self.pipeline.ledger)
 
     @property
     def _identified_prior(self) -> FloatArray | None:
-        """The same without coefficients that an identification no longer finds: files of before have an excess of
-        Stribeck friction that is negative."""
+        """Prior without invalid coefficients: older files may have a negative excess of Stribeck friction."""
         if (prior := self.prior) is None:
             return None
         positive = np.array([c.positive for c in self.model.coefficients], dtype=bool)
@@ -85,14 +83,13 @@ class Session(Setup):
         return np.append(prior[:first], np.where(positive & (prior[first:] <= 0.0), np.nan, prior[first:]))
 
     def use(self, configuration: Configuration) -> None:
-        """Solve by another configuration of the same rows from now on. Raises InputError, and changes nothing, if it
-        does not fit."""
+        """Solve with another configuration of the same rows. If it does not fit, raises InputError without changes."""
         settings = self._estimator_settings(configuration)
         self.identifier.use(settings)
         self.configuration, self._settings = configuration, settings
 
     def _estimator_settings(self, configuration: Configuration) -> EstimatorSettings:
-        """With the population that is the prior. Raises InputError where several priors are given, or none fits."""
+        """Estimator settings with the population prior. Raises InputError if several priors are given, or none fits."""
         settings = configuration.estimator([channel.name for channel in self.model.channels])
         files = {reader: ELEMENTS[reader] for reader in self._readers}
         settings = replace(settings, files=files, alike=self._alike(configuration))
@@ -104,26 +101,26 @@ class Session(Setup):
         return replace(settings, population=read_population(Path(path)))
 
     def _alike(self, configuration: Configuration) -> tuple[AlikeParts, ...]:
-        known = self.loaded.source or configuration["prior"] or configuration["gamma"]
-        if configuration["alike"] == "urdf" and not known:
+        other_prior = self.loaded.source or configuration["prior"] or configuration["gamma"]
+        if configuration["alike"] == "urdf" and not other_prior:
             return alike_parts(self.model.robot, self.model.identified)
         return ()
 
     @property
     def alike(self) -> tuple[AlikeParts, ...]:
-        """Links that are alike, if the prior is that of the URDF."""
+        """Links that are alike, if the prior is the URDF."""
         return self._settings.alike
 
     @property
     def notes(self) -> list[str]:
-        """What is worth knowing, in sentences, and casts no doubt on results."""
+        """Remarks in sentences that do not make results doubtful."""
         return [*self.review.notes, *said_alike(self.alike)]
 
     def rms(
         self, batches: Iterable[Samples], parameters: FloatArray, added: Callable[[Samples], FloatArray] | None = None
     ) -> FloatArray:
         """RMS residual of each channel over samples at parameters ``(D,)``, ``(channels,)``, or at several ``(D, K)``,
-        ``(channels, K)``; NaN where nothing was measured. Efforts ``(N, joints, K)`` of N samples may be ``added``."""
+        ``(channels, K)``; NaN where nothing was measured. ``added`` returns further efforts ``(N, joints, K)``."""
         several = parameters.reshape(len(parameters), -1)
         squares = np.zeros((len(self.model.channels), several.shape[1]))
         counts = np.zeros((len(self.model.channels), 1))
@@ -137,12 +134,11 @@ class Session(Setup):
         return np.sqrt(mean).reshape(len(squares), *parameters.shape[1:])
 
     def checkpoint(self) -> Checkpoint:
-        """All that is known so far, to be written to disk."""
+        """Make a checkpoint of everything that was learned so far."""
         return Checkpoint(self.meaning, self.identifier.memory(), self.pipeline.ledger.topics, self.warm, self._solving)
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Continue from the rows of a checkpoint of the same meaning, and from its estimate if it was solved for in the
-        same way.
+        """Resume from the rows of a checkpoint of the same meaning, and from its estimate if solved in the same way.
 
         Raises:
             InputError: they do not fit; nothing is changed then.
@@ -155,16 +151,16 @@ class Session(Setup):
 
     @property
     def _solving(self) -> str:
-        """A checksum of what a solve depends on beside the rows."""
+        """Checksum of everything but the rows that a solve depends on."""
         prior, population = self.prior, self._settings.population
         text = f"{replace(self._settings, population=None)} {prior.tolist() if prior is not None else None}"
-        if population is not None:  # whose arrays are printed shortened
+        if population is not None:  # its arrays would be abbreviated as text
             text += json.dumps(population_document(population))
         return hashlib.sha256(text.encode(errors="replace")).hexdigest()
 
 
 def installed_version() -> str:
-    """The version that is installed here."""
+    """Installed version of this package."""
     try:
         return version("geomid_ros")
     except PackageNotFoundError:
@@ -174,22 +170,22 @@ def installed_version() -> str:
 def document(
     session: Session, estimate: Estimate, held_out: FloatArray | None = None, verdict: Verdict | None = None
 ) -> dict[str, Any]:
-    """The document of ``estimate.json``.
+    """Make the document of ``estimate.json``.
 
     Args:
-        session: that found it.
-        estimate: what was found.
+        session: the session that found it.
+        estimate: the estimate.
         held_out: RMS residual of each channel on held-out data ``(channels,)``, if there are any.
-        verdict: whether it can be used; that of the session's review unless given.
+        verdict: its verdict; that of the session's review unless given.
     """
     review, effects = session.review, session.loaded.effects
     rejected = dict(session.identifier.rows_rejected)
-    judged = verdict or review.verdict(estimate)
+    final = verdict or review.verdict(estimate)
     merged = {link.name: link.merged for link in estimate.links}
     return estimate_document(estimate, rejected, held_out, effects) | {
         "robot": session.robot.name,
-        "verdict": verdict_entry(judged, review.findings),
-        "warnings": review.warnings(estimate, judged),
+        "verdict": verdict_entry(final, review.findings),
+        "warnings": review.warnings(estimate, final),
         "notes": session.notes,
         "messages": {topic: account_entry(account) for topic, account in session.pipeline.ledger.topics.items()},
         "gravity": session.configuration.gravity.tolist(),
@@ -201,14 +197,13 @@ def document(
 
 
 def identified_urdf(session: Session, estimate: Estimate) -> str:
-    """The robot description with the inertias and friction that were fitted for a URDF; every other character of it
-    is kept."""
+    """Robot description with the inertias and friction that were fitted for a URDF; every other character is kept."""
     written = written_model(session.model, estimate, URDF, session.loaded.effects)
     return with_effects(with_inertias_of(session, estimate, written), written.effects)
 
 
 def with_inertias_of(session: Session, estimate: Estimate, written: WrittenModel) -> str:
-    """The robot description with the inertias of a written model of an estimate, and its friction as it was."""
+    """Robot description with the inertias of an estimate's written model, and its original friction."""
     merged = [name for link in estimate.links for name in link.merged]
     return with_inertials(session.urdf, written.inertias, merged)
 

@@ -1,4 +1,4 @@
-"""What description and configuration say of a robot: its model, and how messages become samples of it."""
+"""Setup of a robot from description and configuration: its model, and the pipeline from messages to samples."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from geomid_ros.signals.unitree import UnitreeMessages
 from geomid_ros.types import FloatArray
 
 LIGHT = 0.1
-"""Share of a mass that does not matter."""
+"""Fraction of a mass that is negligible."""
 
 
 class Setup:
-    """A robot, its model and its signals, as description, configuration and an earlier model say."""
+    """A robot, its model and its signals, as defined by description, configuration and an earlier model."""
 
     def __init__(self, urdf: str, configuration: Configuration, source: str, loaded: LoadedModel | None = None) -> None:
         """Build the model.
@@ -37,7 +37,7 @@ class Setup:
         Args:
             urdf: text of the robot description.
             configuration: parameters.
-            source: where the description is from, for messages.
+            source: origin of the description, for messages.
             loaded: the model to start from; that of the configuration unless given.
 
         Raises:
@@ -49,12 +49,13 @@ class Setup:
         self.loaded = loaded or LoadedModel.read(configuration["model"])
         sensors = self.loaded.sensors(configuration.sensors)
         self._sensors = sensors
-        known = self.loaded.locked(parse(urdf, source)) if self.loaded.merged else ()
-        self.locked_joints = tuple(dict.fromkeys([*configuration["locked_joints"], *known]))
-        """The joints at zero: those of the configuration, and those that were when the model was identified."""
+        locked = self.loaded.locked(parse(urdf, source)) if self.loaded.merged else ()
+        self.locked_joints = tuple(dict.fromkeys([*configuration["locked_joints"], *locked]))
+        """Joints fixed at zero: those of the configuration, and those that were locked when the model was
+        identified."""
         self.robot = self.read_robot(urdf, source)
         self.controller = self._read_controller()
-        """That efforts are computed with; None if they are measured."""
+        """Controller from which efforts are computed; None if they are measured."""
         effects = configuration.effects
         model = MeasurementModel(
             self.robot,
@@ -69,24 +70,23 @@ class Setup:
         )
         self.model = model.with_known_loads(self.loaded.parameters(model))
         self.joints_heard: set[str] = set()
-        """The names of joints in all messages."""
+        """Names of joints in all messages so far."""
 
     def _read_controller(self) -> Controller | None:
-        """The gains that efforts are computed with; None if they are measured. Raises InputError."""
+        """Controller with the gains from which efforts are computed; None if they are measured. Raises InputError."""
         try:
             return Controller.of(self.configuration.gains, self.robot.joint_names, self.configuration["command.delay"])
         except InputError as error:
             raise InputError(f"{self.configuration.source}: command.gains: {error}") from error
 
     def unitree(self) -> UnitreeMessages:
-        """What makes other messages of those of a Unitree robot. Raises InputError naming what is wrong with its
-        ``motors`` once there are such messages."""
+        """Create a converter of a Unitree robot's messages. It raises InputError naming the fault of its ``motors``
+        once there are such messages."""
         configuration = self.configuration
         return UnitreeMessages(configuration["motors"], self.robot.joint_names, self.controller, configuration.source)
 
     def read_robot(self, urdf: str, source: str) -> Robot:
-        """The robot of a description with the same links and joints as this one's. Raises InputError naming the
-        ``source``."""
+        """Read a description with the same links and joints as this one's. Raises InputError naming the ``source``."""
         configuration = self.configuration
         return Robot(
             urdf,
@@ -99,30 +99,30 @@ class Setup:
 
     @property
     def prior(self) -> FloatArray | None:
-        """The parameters ``(D,)`` of an earlier estimate to start from, NaN where it has none; None without one."""
+        """Parameters ``(D,)`` of an earlier estimate to start from, NaN where it has none; None without one."""
         return self.loaded.parameters(self.model)
 
     @property
     def known_parameters(self) -> FloatArray:
-        """The parameters ``(D,)`` of the model to start from: of an earlier estimate, the URDF's where it has none."""
+        """Parameters ``(D,)`` of the model to start from: an earlier estimate's, or the URDF's where it has none."""
         nominal, prior = self.model.nominal_parameters, self.prior
         return nominal if prior is None else np.where(np.isnan(prior), nominal, prior)
 
     @property
     def lockable(self) -> tuple[str, ...]:
-        """The joints that none of the messages so far names, if they may count as fixed at zero."""
+        """Joints that are in no message so far, if they may count as fixed at zero."""
         return _lockable(self.robot, frozenset(self.joints_heard), [sensor.frame for sensor in self.model.sensors])
 
     @property
     def topics(self) -> tuple[str, ...]:
-        """The topics that data are expected on, as the pipeline calls them."""
+        """Topics on which data are expected, by the pipeline's names."""
         base = (self.base_topic,) if self.robot.floating_base else ()
         commands = () if self.controller is None else (COMMANDS,)
         return (JOINT_STATES, *commands, *base, *(sensor.topic for sensor in self.model.sensors))
 
     @property
     def meaning(self) -> dict[str, Any]:
-        """What the rows depend on, by name, as JSON: rows of two sessions may be added up if they agree in it."""
+        """Everything that the rows depend on, by name, as JSON. Rows of two sessions may be added up if these agree."""
         loaded, joints = self.loaded, self.robot.joint_names
         signals = loaded.signals(SignalSettings(), joints)
         corrections = {
@@ -133,17 +133,17 @@ class Setup:
             "effects": [[c.effect.name, c.place_name, vars(c.effect)] for c in self.model.coefficients],
         }
         urdf = hashlib.sha256(self.urdf.encode(errors="replace")).hexdigest()
-        own = {**self.configuration.of_rows, "locked_joints": [*self.locked_joints]}
-        return {"robot_description": urdf, **own, "model": corrections}
+        parameters = {**self.configuration.of_rows, "locked_joints": [*self.locked_joints]}
+        return {"robot_description": urdf, **parameters, "model": corrections}
 
     @property
     def effort_gains(self) -> FloatArray:
-        """Factors ``(joints,)`` from the messages' efforts to N m (or N), with what is known of the sensors."""
+        """Factors ``(joints,)`` from the messages' efforts to N m (or N), including known sensor gains."""
         return self.signals.effort_gains(self.robot.joint_names)
 
     @property
     def signals(self) -> SignalSettings:
-        """The configuration's, with what is known of the sensors."""
+        """The configuration's settings, including what is known of the sensors."""
         joints = self.robot.joint_names
         return self.loaded.signals(self.configuration.signals(joints), joints)
 
@@ -154,13 +154,13 @@ class Setup:
         on_accepted: Callable[[Accepted], None] = ignore,
         ledger: Ledger | None = None,
     ) -> SignalPipeline:
-        """A fresh pipeline, for another recording of the same robot.
+        """Create a pipeline for another recording of the same robot.
 
         Args:
             settings: the configuration's, unless given.
             effect_columns: the columns to compute; those of the model's effects, unless given.
-            on_accepted: called with every message that is accepted.
-            ledger: told what becomes of every message.
+            on_accepted: called with every accepted message.
+            ledger: counts what becomes of each message.
         """
         joints = self.robot.joint_names
         return SignalPipeline(
@@ -182,19 +182,19 @@ class Setup:
 
     @property
     def base_topic(self) -> str:
-        """On which a floating base's motion comes, as the pipeline calls it."""
+        """Topic of a floating base's motion, by the pipeline's name."""
         return IMU if self.configuration["imu.frame"] else ODOM
 
     @property
     def share_of_mass(self) -> float:
-        """By which the total mass differs between two recordings, a standard deviation: what accelerometers show
-        otherwise along gravity is taken for it. Zero without one."""
+        """Standard deviation of the relative difference in total mass between two recordings, as the bias of an
+        accelerometer along gravity is mistaken for it. Zero without an IMU."""
         gravity = float(np.linalg.norm(self.robot.gravity))
         return np.sqrt(2.0) * ACCELEROMETER_BIAS / gravity if self.base_topic == IMU else 0.0
 
     @property
     def _imu_mount(self) -> ImuMount | None:
-        """Where the IMU is. Raises InputError if it is not on the base."""
+        """Placement of the IMU. Raises InputError if it is not on the base."""
         frame = self.configuration["imu.frame"]
         if not frame:
             return None
@@ -206,30 +206,30 @@ class Setup:
 
 
 def _lockable(robot: Robot, heard: Collection[str], frames: Iterable[str]) -> tuple[str, ...]:
-    """The robot's joints that no message names, as of grippers, if all of them may count as fixed at zero.
+    """Joints of the robot that are in no message, as those of grippers, if all of them may count as fixed at zero.
 
-    They may if nothing that is measured depends on where they stand: they carry no joint that messages name and no
-    wrench sensor, and of the mass that moves at most a tenth. A name that is none of the robot's may be that of a joint
-    which seems to be missing: then nothing is locked.
+    They may if nothing measured depends on their positions: distal to them are no joints in messages, no wrench
+    sensors, and at most a tenth of the moving mass. An unknown name in a message may be that of a joint that seems to
+    be missing: then nothing is locked.
 
     Args:
-        robot: none of these joints is locked in it.
+        robot: the robot, without these joints locked.
         heard: names of joints in messages.
-        frames: of wrench sensors.
+        frames: frames of wrench sensors.
     """
     absent = [joint for joint in robot.joint_names if joint not in heard]
-    strange = set(heard).difference(joint.name for joint in robot.tree.joints)
-    if len(absent) == len(robot.joint_names) or strange:
+    unknown = set(heard).difference(joint.name for joint in robot.tree.joints)
+    if len(absent) == len(robot.joint_names) or unknown:
         return ()
     follow = {f.joint.name: robot.joint_names[f.master] for f in robot.followers}
     child = {joint.name: joint.child for joint in robot.tree.joints}
     locked = [joint for joint in (*robot.joint_names, *follow) if follow.get(joint, joint) in absent]
-    moved_by = [joint for joint in (*robot.joint_names, *follow) if joint not in locked]
-    behind = {link for joint in locked for link in robot.tree.subtree(child[joint])}
-    if behind & {*frames, *(child[joint] for joint in moved_by)}:
+    measured = [joint for joint in (*robot.joint_names, *follow) if joint not in locked]
+    distal = {link for joint in locked for link in robot.tree.subtree(child[joint])}
+    if distal & {*frames, *(child[joint] for joint in measured)}:
         return ()
-    moving = {link for joint in moved_by for link in robot.tree.subtree(child[joint])}
+    moving = {link for joint in measured for link in robot.tree.subtree(child[joint])}
     moving = set(robot.tree.links) if robot.floating_base else moving
     masses = {link: float(parameters[0]) for link, parameters in robot.tree.inertials.items() if link in moving}
-    light = sum(masses[link] for link in behind & masses.keys()) <= LIGHT * sum(masses.values())
+    light = sum(masses[link] for link in distal & masses.keys()) <= LIGHT * sum(masses.values())
     return tuple(absent) if light else ()

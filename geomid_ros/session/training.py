@@ -1,4 +1,4 @@
-"""What is fitted: passed on to the identifier, and checked to be something; wrench sensors by their first rows."""
+"""Training data on their way to the identifier, and their checks; wrench sensors are checked by their first rows."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from geomid_ros.signals.settings import MOST_WAITING_BYTES
 
 
 class Training:
-    """Gives samples to a session's identifier, without the rows of wrench sensors that are not as declared."""
+    """Gives samples to a session's identifier, and leaves out the rows of wrench sensors that are not as declared."""
 
     def __init__(self, session: Session) -> None:
         """Begin with the session's next samples."""
@@ -26,23 +26,23 @@ class Training:
         self._guard = WrenchGuard(session)
 
     def add(self, samples: Samples) -> None:
-        """Give it samples."""
+        """Add samples."""
         for piece in samples.in_pieces():
             _, rows, _ = self._session.identifier.add(piece)
             self._guard.take(rows)
 
     def end(self) -> None:
-        """Let the session's findings name the sensors that are not as declared."""
-        named = {place for finding in self._session.review.findings for place in finding.cause.places}
+        """Add findings on the sensors that are not as declared to the session's review."""
+        reported = {place for finding in self._session.review.findings for place in finding.cause.places}
         self._session.review.findings += tuple(
             Finding(cause=Cause(kind="wrench", sentence=sentence, places=(topic,)))
             for topic, sentence in self._guard.sentences.items()
-            if topic not in named
+            if topic not in reported
         )
 
 
 def check_measured(session: Session, train: Iterable[Samples], bags: Sequence[Path]) -> None:
-    """Refuse data that are none, or in which nothing that the model predicts was measured.
+    """Refuse data without samples, or without a measurement that the model predicts.
 
     Raises:
         InputError: it names the ``bags`` that the data are from.
@@ -54,18 +54,18 @@ def check_measured(session: Session, train: Iterable[Samples], bags: Sequence[Pa
 
 
 class TrainingData:
-    """Passes on what is fitted, and sees whether it can be."""
+    """Passes on the samples to fit, and checks that they can be fitted."""
 
     def __init__(self, session: Session, fit: Callable[[Samples], object] = lambda _: None) -> None:
         """
         Args:
-            session: in which it is fitted.
-            fit: called with it.
+            session: the session that fits them.
+            fit: called with the samples.
         """
         self._session = session
         self._fit = fit
         self._any = self._measured = self._stands = False
-        self._low, self._high = np.inf, -np.inf  # positions, of each joint
+        self._low, self._high = np.inf, -np.inf  # range of positions, by joint
 
     def add(self, samples: Samples) -> None:
         """Pass on samples, if there are any."""
@@ -82,44 +82,44 @@ class TrainingData:
         return not np.all(np.isnan(self._session.model.rows(samples).targets))
 
     def check(self, bags: Sequence[Path]) -> None:
-        """As :func:`check_measured`."""
-        named = ", ".join(map(str, bags))
+        """Refuse the data like :func:`check_measured`."""
+        files = ", ".join(map(str, bags))
         if not self._any:
-            raise InputError(f"{named}: too short, no data left to identify from")
+            raise InputError(f"{files}: too short, no data left to identify from")
         legs = self._session.model.legs
         if legs is not None and not self._stands:
             feet = ", ".join(contact.frame for contact in legs.contacts)
             raise InputError(
-                f"{named}: by their legs' efforts none of the feet {feet} ever stands. If the robot stands, check that "
+                f"{files}: by their legs' efforts none of the feet {feet} ever stands. If the robot stands, check that "
                 "efforts are in N m (--gain); if it hangs or lies on a stand, leave out --imu and --contacts"
             )
         if legs is not None and not self._measured:
             raise InputError(
-                f"{named}: at no instant the efforts tell the forces of the ground: not all joints of a leg have "
+                f"{files}: at no instant the efforts tell the forces of the ground: not all joints of a leg have "
                 "efforts, or legs are always stretched. Let the driver publish the efforts of all joints"
             )
         if not self._measured:
             channels = ", ".join(channel.name for channel in self._session.model.channels)
             raise InputError(
-                f"{named}: no effort is measured (empty, NaN or zero throughout), and no wrench is declared with "
+                f"{files}: no effort is measured (empty, NaN or zero throughout), and no wrench is declared with "
                 f"--wrench. At least one of these channels is needed: {channels}. Let the driver publish efforts, or "
                 "record a wrench sensor"
             )
 
     def standing(self) -> tuple[Finding, ...]:
-        """That the robot does not move in what is fitted, if so."""
-        most = float(np.max(self._high - self._low, initial=0.0))
-        if self._session.robot.floating_base or most >= self._session.configuration["still_distance"]:
+        """One finding if the robot does not move in the data to fit, else none."""
+        largest = float(np.max(self._high - self._low, initial=0.0))
+        if self._session.robot.floating_base or largest >= self._session.configuration["still_distance"]:
             return ()
         sentence = (
-            f"the robot stands still: no joint moves by more than {most:.2g} (rad, m), which contains almost no "
+            f"the robot stands still: no joint moves by more than {largest:.2g} (rad, m), which contains almost no "
             "information"
         )
         return (Finding(cause=Cause(kind="still", sentence=f"{sentence}; record a motion of all joints")),)
 
 
 class WrenchGuard:
-    """Judges the mounted sensors of a session once, by the rows that its identifier took first."""
+    """Checks the mounted sensors of a session once, by the first rows that its identifier took."""
 
     def __init__(self, session: Session) -> None:
         """Begin with the next rows."""
@@ -130,14 +130,14 @@ class WrenchGuard:
 
     @property
     def sentences(self) -> dict[str, str]:
-        """What is wrong with each sensor that is not as declared, by its topic."""
+        """Fault of each sensor that is not as declared, by its topic."""
         return {topic: f"{topic}: {problem} Its rows are left out" for topic, problem in self._check.problems.items()}
 
     def take(self, rows: Rows) -> bool:
-        """Check the sensors by rows that were taken, and leave out those of sensors that are wrong.
+        """Check the sensors by rows that were taken, and leave out the rows of faulty sensors.
 
         Returns:
-            Whether any were.
+            True if any were left out.
         """
         if self._check.ended:
             return False
@@ -148,7 +148,7 @@ class WrenchGuard:
         return bool(self._check.problems)
 
     def without_doubtful(self, rows: Rows) -> Rows:
-        """Rows without those of sensors that are wrong."""
+        """Rows without those of faulty sensors."""
         doubtful = [place for topic in self._check.problems for place in self._sensors[topic]]
         if not doubtful:
             return rows
@@ -157,9 +157,9 @@ class WrenchGuard:
         return Rows(rows.coefficients, targets)
 
     def _keep_revocable(self) -> None:
-        """Keep rows revocable while they may still be found to be bad."""
+        """Keep rows revocable while their sensors may still prove to be faulty."""
         model = self._session.model
         forgets = np.isfinite(self._session.configuration.buffer.forgetting_time)
-        instant = 8 * (model.dimension + 1) * len(model.channels)
-        doubted = model.mounted and not (forgets and self._check.ended)
-        self._session.identifier.hold(MOST_WAITING_BYTES // instant if doubted else 0)
+        bytes_per_sample = 8 * (model.dimension + 1) * len(model.channels)
+        revocable = model.mounted and not (forgets and self._check.ended)
+        self._session.identifier.hold(MOST_WAITING_BYTES // bytes_per_sample if revocable else 0)

@@ -1,4 +1,4 @@
-"""Written models simulated: that with what the gap workflow found, and any under recorded commands."""
+"""Simulations of written models: the model with the gap workflow's findings, and any model under recorded commands."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ _NO_MUJOCO = "MuJoCo is not installed (pip install mujoco)"
 
 
 def write_found(folder: Path, session: Session, result: GapResult, reader: str = URDF) -> list[Path]:
-    """Write the session's model with what was found into ``folder``; the sidecar is that of one ``reader``.
+    """Write the session's model with the findings into ``folder``; the sidecar is that of one ``reader``.
 
     Returns:
         The files: estimate.json, identified.urdf, identified.xml (MJCF) and effects.yaml.
     """
-    known = session.loaded.refitted(session.model, result.coefficients, result.beside)
+    refitted = session.loaded.refitted(session.model, result.coefficients, result.beside)
     noise = {"floor": by_channel(result.channels, result.corrected_floor), "cutoff": result.cutoff}
-    effects = [*known.beside_inertias, *result.ordinary, *result.sure]
+    effects = [*refitted.beside_inertias, *result.ordinary, *result.sure]
     before = dict(zip(session.model.body_names, nominal_inertias(session), strict=True))
     after = dict(zip(session.model.body_names, result.inertias, strict=True))
-    fitted = {name: _changed(own, before, after, result) for name, own in session.loaded.fitted.items()}
+    fitted = {name: _changed(model, before, after, result) for name, model in session.loaded.fitted.items()}
     files = {"folded": result.folded, "fitted": fitted, "reader": reader}
     return _write(folder, session, result.inertias, effects, noise=noise, **files)
 
@@ -54,32 +54,31 @@ def write_found(folder: Path, session: Session, result: GapResult, reader: str =
 def _changed(
     file: WrittenModel, before: Mapping[str, FloatArray], after: Mapping[str, FloatArray], result: GapResult
 ) -> WrittenModel:
-    """The model of a file with what has changed in the whole one.
+    """Apply the changes of the full model to the model of a ``file``.
 
-    A link that cannot be lighter by as much as was found, as the file has a part of it elsewhere, is as it was found.
+    A link that cannot be lighter by the difference, as the file has a part of it elsewhere, gets the full inertia.
     """
     inertias = {}
-    for name, found in after.items():
-        changed = file.inertias.get(name, before[name]) + (found - before[name])
-        inertias[name] = changed if pseudo_inertia.is_body(changed) else found
+    for name, inertia in after.items():
+        changed = file.inertias.get(name, before[name]) + (inertia - before[name])
+        inertias[name] = changed if pseudo_inertia.is_body(changed) else inertia
     effects = {(effect.effect, effect.joint): effect for effect in file.effects}
-    named = []
+    findings = []
     for finding in result.sure:
-        own = effects.pop((finding.effect, finding.joint), None) if finding.was else None
-        said = own.parameters if own else {}
-        shared = said.keys() & finding.was.keys()
-        named.append(moved(finding, {name: said[name].value - finding.was[name] for name in shared}))
-    return WrittenModel(inertias, tuple(combined([*effects.values(), *named])), result.newly_folded)
+        previous = effects.pop((finding.effect, finding.joint), None) if finding.was else None
+        parameters = previous.parameters if previous else {}
+        shared = parameters.keys() & finding.was.keys()
+        findings.append(moved(finding, {name: parameters[name].value - finding.was[name] for name in shared}))
+    return WrittenModel(inertias, tuple(combined([*effects.values(), *findings])), result.newly_folded)
 
 
 def nominal_inertias(session: Session) -> FloatArray:
-    """Inertias of the identified bodies before ``(bodies, 10)``: the earlier estimate's, or the URDF's where it has
-    none."""
+    """Inertias of the identified bodies before ``(bodies, 10)``: the earlier estimate's, or else the URDF's."""
     return session.known_parameters[: len(session.model.nominal_inertias)].reshape(-1, 10)
 
 
 def without_findings(session: Session, result: GapResult, held_out: Sequence[Samples]) -> FloatArray:
-    """What the final model predicts at the instants of the result's trace without any finding, ``(N, channels)``."""
+    """Prediction ``(N, channels)`` of the final model without any finding, at the samples of the result's trace."""
     samples = Samples.concatenate(list(held_out))
     order = np.argsort(samples.stamps, kind="stable")
     chosen = samples.select(order[np.searchsorted(samples.stamps, result.trace.stamps, sorter=order)])
@@ -92,55 +91,55 @@ def simulate_again(
 ) -> tuple[list[Resimulated], str]:
     """Simulate held-out recordings from the written models, before and after the findings.
 
-    What was known of the sensors before is corrected in the samples, and so it is not in these models.
+    Known errors of the sensors are corrected in the samples, so they are not in these models.
 
     Args:
         session: the model before.
-        result: what was found.
+        result: the findings.
         sharp: held-out samples with a high cutoff, one element per recording.
         commands: the joints' set-points in them, to simulate in closed loop as well; or nothing.
         cutoff: low-pass [Hz] of the samples that the result is from.
 
     Returns:
-        The simulations that could be done, in short windows first, and why there is none, or not both.
+        The simulations that were possible, short windows first, and the reasons why others are missing.
     """
     if find_spec("mujoco") is None:
         return [], _NO_MUJOCO
-    known = session.loaded
-    fitted = known.refitted(session.model, result.coefficients, result.beside)
+    loaded = session.loaded
+    fitted = loaded.refitted(session.model, result.coefficients, result.beside)
     with TemporaryDirectory() as folder:
         before, after = Path(folder) / "before", Path(folder) / "after"
-        _write(before, session, nominal_inertias(session), known.in_samples)
+        _write(before, session, nominal_inertias(session), loaded.in_samples)
         _write(after, session, result.inertias, [*fitted.in_samples, *result.ordinary, *result.sure])
         robots, noise = (session.model, ModelFiles.of(before), ModelFiles.of(after)), Noise.of(result)
         simulations = [("", partial(resimulate, *robots, sharp, noise))]
         if commands:
             loop = partial(closed_loop, *robots, sharp, commands, noise=noise, cutoff=cutoff)
             simulations.append(("in closed loop, ", loop))
-        found, reasons = list[Resimulated](), list[str]()
-        for where, simulate in simulations:
+        simulated, reasons = list[Resimulated](), list[str]()
+        for prefix, simulate in simulations:
             try:
-                found.append(simulate())
+                simulated.append(simulate())
             except NotSimulatedError as reason:
-                reasons.append(f"{where}{reason}")
-            except InputError as error:  # what was found is worth more than its simulation
+                reasons.append(f"{prefix}{reason}")
+            except InputError as error:  # the findings are worth more than their simulation
                 return [], str(error)
-    return found, "; ".join(reasons)
+    return simulated, "; ".join(reasons)
 
 
 def _write(
-    folder: Path, session: Session, inertias: FloatArray, effects: Sequence[KnownEffect], **judged: Any
+    folder: Path, session: Session, inertias: FloatArray, effects: Sequence[KnownEffect], **further: Any
 ) -> list[Path]:
     by_name = dict(zip(session.model.body_names, inertias, strict=True))
     gravity, findings = session.configuration.gravity, session.review.findings
-    return write_model(folder, session.model, session.urdf, by_name, effects, gravity, findings=findings, **judged)
+    return write_model(folder, session.model, session.urdf, by_name, effects, gravity, findings=findings, **further)
 
 
 _OPTION = "--command"
 
 
 def tracking_of(session: Session, written: WrittenModel, bags: Bags, topic: str) -> Tracking:
-    """Simulate what is judged on in MuJoCo, from a written model and the commands on a ``topic``.
+    """Simulate held-out data in MuJoCo, from a written model and the commands on a ``topic``.
 
     Raises:
         InputError: MuJoCo is not installed, nothing is held out, or the topic cannot be read.
@@ -157,30 +156,30 @@ def tracking_of(session: Session, written: WrittenModel, bags: Bags, topic: str)
         files = ModelFiles(folder / "written.xml", folder / "effects.yaml")
         write_text(files.mjcf, mjcf(session.robot, written.inertias, written.effects, gravity=gravity))
         write_sidecar(folder / "effects.yaml", session.robot.name, written.effects)
-        return tracking(session.model, files, *(list(each) for each in zip(*pairs, strict=True)))
+        return tracking(session.model, files, *(list(column) for column in zip(*pairs, strict=True)))
 
 
 def _commanded(session: Session, path: Path, topic: str, samples: Samples) -> tuple[Samples, Samples]:
-    """Samples of a recording, and the set-points that held then: a command holds until the next one comes."""
+    """Samples of a recording, and the set-points in force at them: a command holds until the next one."""
     stamps, setpoints = _setpoints(session.robot.joint_names, path, topic)
-    held = np.searchsorted(stamps, samples.stamps, side="right") - 1
-    known = samples.select(np.flatnonzero(held >= 0))
-    position, velocity, effort = setpoints[held[held >= 0]].swapaxes(0, 1)
-    return known, replace(known, position=position, velocity=velocity, effort=effort)
+    last = np.searchsorted(stamps, samples.stamps, side="right") - 1
+    commanded = samples.select(np.flatnonzero(last >= 0))
+    position, velocity, effort = setpoints[last[last >= 0]].swapaxes(0, 1)
+    return commanded, replace(commanded, position=position, velocity=velocity, effort=effort)
 
 
 def _setpoints(joints: Sequence[str], path: Path, topic: str) -> tuple[IntArray, FloatArray]:
     """Stamps ``(N,)`` [ns] of the commands on a topic, and the joints' set-points ``(N, 3, J)`` of position, velocity
-    and effort, zero where a command says none."""
+    and effort, zero where a command has none."""
     stamps, setpoints = list[int](), list[FloatArray]()
     with Bag(path) as bag:
-        found = bag.find_topic(topic, message_type(JOINT_STATES), _OPTION)
-        for _, _, message in bag.messages([found]):
+        name = bag.find_topic(topic, message_type(JOINT_STATES), _OPTION)
+        for _, _, message in bag.messages([name]):
             names = list(message.name)
             if missing := [joint for joint in joints if joint not in names]:
-                raise InputError(f"{path}: {found} commands no joint '{missing[0]}'; it has {', '.join(names)}")
-            order, none = [names.index(joint) for joint in joints], np.zeros(len(names))
-            said = (message.position, message.velocity, message.effort)
-            setpoints.append(np.array([own if len(own) == len(names) else none for own in said])[:, order])
+                raise InputError(f"{path}: {name} commands no joint '{missing[0]}'; it has {', '.join(names)}")
+            order, zeros = [names.index(joint) for joint in joints], np.zeros(len(names))
+            fields = (message.position, message.velocity, message.effort)
+            setpoints.append(np.array([values if len(values) == len(names) else zeros for values in fields])[:, order])
             stamps.append(message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec)
     return np.array(stamps, dtype=np.int64), np.array(setpoints).reshape(-1, 3, len(joints))

@@ -1,6 +1,6 @@
-"""Reading rosbags, with only the built-in message definitions: type definitions in a bag are never executed.
+"""Reading rosbags with the built-in message definitions only: type definitions in a bag are never executed.
 
-Files that are cut off are read as far as they are whole, and :attr:`Bag.warnings` says so.
+Truncated files are read as far as they are intact, and :attr:`Bag.warnings` reports them.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from geomid_ros.files.parameter_file import read_yaml
 from geomid_ros.signals.decoding import message_types
 
 _FORMATS: dict[str, Callable[[Path], Storage]] = {".mcap": McapFile, ".db3": Database}
-_SUFFIXES = {"mcap": ".mcap", "sqlite3": ".db3"}  # by rosbag2's name of the format
+_SUFFIXES = {"mcap": ".mcap", "sqlite3": ".db3"}  # by rosbag2's storage identifier
 _TO_JAZZY = ("--dst-typestore", "ros2_jazzy")
 _METADATA = "metadata.yaml"
-_MOST_MESSAGES = 4096  # of a batch: streams wait for each other, and no more of one than is kept meanwhile
-_MOST_BYTES = 8_000_000  # of a batch, and of a message whose fields are read; a robot description has up to 5 MB
+_MOST_MESSAGES = 4096  # per batch: streams wait for each other, so a batch must not exceed the messages kept meanwhile
+_MOST_BYTES = 8_000_000  # per batch, and per message whose fields are read; a robot description has up to 5 MB
 
 
 class Bag:
     """An open rosbag2 folder, or a single ``.mcap`` or ``.db3`` file, for a ``with`` statement.
 
-    All of it is checked when it is opened. Raises InputError naming the file if it cannot be read; for a damaged file
-    it says where the damage is and how much can be read.
+    The whole recording is checked when it is opened. Raises InputError naming the file if it cannot be read; for a
+    damaged file it states where the damage is and how much can be read.
 
-    ``warnings`` are sentences on what of the recording is missing; ``checked``: whether all of it has checksums.
+    ``warnings`` are sentences on missing parts of the recording; ``checked`` is True if all of it has checksums.
     """
 
     def __init__(self, path: Path) -> None:
@@ -53,13 +53,13 @@ class Bag:
             except OSError as error:
                 raise InputError(f"{path}: cannot be read as a rosbag2 recording ({error})") from error
             self._packed = files.packed
-            self._storages.sort(key=lambda storage: storage.start or 0)  # by time, in whatever order they are listed
+            self._storages.sort(key=lambda storage: storage.start or 0)  # by time, as they may be listed in any order
             self.warnings = self._warnings(files)
             self.checked = all(storage.checked for storage in self._storages)
             self._stack = stack.pop_all()
 
     def _warnings(self, files: _BagFiles) -> tuple[str, ...]:
-        """What is missing. Raises InputError if nothing is left."""
+        """Sentences on missing parts. Raises InputError if no message is left."""
         cut = [storage.cut for storage in self._storages if storage.cut]
         count = sum(sum(storage.counts.values()) for storage in self._storages)
         if cut and not count:
@@ -74,21 +74,20 @@ class Bag:
 
     @property
     def topics(self) -> dict[str, str | None]:
-        """Message type of each topic; None where there are several."""
-        found = dict.fromkeys(topic_and_kind for storage in self._storages for topic_and_kind in storage.counts)
-        kinds = Counter(topic for topic, _ in found)
-        return {topic: kind if kinds[topic] == 1 else None for topic, kind in found}
+        """Message type of each topic; None for a topic with several types."""
+        pairs = dict.fromkeys(topic_and_kind for storage in self._storages for topic_and_kind in storage.counts)
+        kinds = Counter(topic for topic, _ in pairs)
+        return {topic: kind if kinds[topic] == 1 else None for topic, kind in pairs}
 
     @property
     def start(self) -> int:
-        """When the first message was recorded [ns]; zero if there is none."""
+        """Recording time of the first message [ns]; zero if there is none."""
         return min((storage.start for storage in self._storages if storage.start is not None), default=0)
 
     def find_topic(self, name: str, message_type: str, option: str, instead: str = "") -> str:
-        """The topic called ``name``, with or without a leading slash, checked to carry ``message_type``, or another one
-        ``instead``.
+        """Return the topic ``name``, with or without leading slash. Its type must be ``message_type`` or ``instead``.
 
-        ``option`` tells the user where the name can be changed.
+        Raises InputError otherwise, in which ``option`` tells the user where the name can be changed.
         """
         wanted = "/" + name.lstrip("/")
         topics = {("/" + topic.lstrip("/")): (topic, kind) for topic, kind in self.topics.items()}
@@ -101,12 +100,12 @@ class Bag:
         return topic
 
     def count(self, topics: Collection[str]) -> int:
-        """How many messages the topics have."""
+        """Number of messages on the topics."""
         counts = (item for storage in self._storages for item in storage.counts.items())
         return sum(count for (topic, _), count in counts if topic in topics)
 
     def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
-        """Topic, time of recording [ns] and message of everything on ``topics``, in the order of recording."""
+        """Yield topic, recording time [ns] and message of everything on ``topics``, in the order of recording."""
         types = message_types()
         for count, (topic, time, kind, data) in enumerate(self._raw_messages(topics)):
             if kind not in types.types:
@@ -114,7 +113,7 @@ class Bag:
             self._check_size(topic, time, data)
             try:
                 yield topic, time, types.deserialize_cdr(data, kind)
-            except Exception as error:  # whatever bytes of another form make the code for this type raise
+            except Exception as error:  # malformed bytes make the code for this type raise any error
                 reason = (str(error).splitlines() or [type(error).__name__])[0]
                 raise self.not_valid(topic, time, kind, reason, count) from error
 
@@ -128,11 +127,11 @@ class Bag:
             )
 
     def not_valid(self, topic: str, time: int, kind: str, reason: str, count: int) -> InputError:
-        """The error for a message whose bytes are not of its type, after ``count`` others."""
+        """Make the error for a message whose bytes do not match its type, after ``count`` others."""
         return InputError(f"{self._where(topic, time)} is not a valid {kind} ({reason}); {count} before it are")
 
     def batches(self, topics: Collection[str]) -> Iterator[list[RawMessage]]:
-        """Everything on ``topics``, many messages at once.
+        """Yield everything on ``topics``, many messages at once.
 
         Raises:
             InputError: a message is too large.
@@ -150,7 +149,7 @@ class Bag:
             yield batch
 
     def raw_messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
-        """Topic, time of recording [ns] and serialised message of everything on ``topics``."""
+        """Topic, recording time [ns] and serialised message of everything on ``topics``."""
         return ((topic, time, data) for topic, time, _, data in self._raw_messages(topics))
 
     def _raw_messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
@@ -166,9 +165,9 @@ class Bag:
 
 
 def bags_in(path: Path) -> list[Path]:
-    """The recordings in a folder that is none itself, by name, as far as they may be read; else the path alone.
+    """Readable recordings in a folder that is not itself one, sorted by name; otherwise the path alone.
 
-    Raises InputError if the path cannot be looked at.
+    Raises InputError if the path cannot be accessed.
     """
     try:
         if not path.is_dir() or _is_bag(path):
@@ -189,8 +188,7 @@ def _files_in(folder: Path) -> list[Path]:
 
 @dataclass(frozen=True)
 class _BagFiles:
-    """The files of a recording, their ``suffix``, the method by which each message is compressed by itself, and
-    sentences on what is missing."""
+    """Files of a recording, their ``suffix``, the per-message compression method, and sentences on missing parts."""
 
     paths: tuple[Path, ...]
     suffix: str
@@ -199,7 +197,7 @@ class _BagFiles:
 
 
 def _bag_files(path: Path, scratch: Callable[[], Path]) -> _BagFiles:
-    """The files of a recording. Those compressed as a whole are unpacked into the folder that ``scratch`` makes.
+    """Find the files of a recording. Files compressed as a whole are unpacked into the folder that ``scratch`` makes.
 
     Raises InputError naming the file.
     """
@@ -226,8 +224,8 @@ def _in_folder(path: Path, scratch: Callable[[], Path]) -> _BagFiles:
         suffix = _SUFFIXES[information["storage_identifier"]]
         mode, method = (information.get("compression_mode") or "none").lower(), information.get("compression_format")
     except (KeyError, TypeError, AttributeError) as error:
-        what = f"no valid {error}" if isinstance(error, KeyError) else str(error)
-        raise InputError(f"{metadata}: cannot be read, {what}; 'ros2 bag reindex' rewrites it") from error
+        problem = f"no valid {error}" if isinstance(error, KeyError) else str(error)
+        raise InputError(f"{metadata}: cannot be read, {problem}; 'ros2 bag reindex' rewrites it") from error
     if mode == "none":
         return _BagFiles(tuple(paths), suffix)
     if mode not in ("file", "message") or method not in METHODS:
@@ -243,7 +241,7 @@ def _in_folder(path: Path, scratch: Callable[[], Path]) -> _BagFiles:
 
 
 def _without_metadata(path: Path) -> _BagFiles:
-    """A recorder that is killed writes no description of its files."""
+    """Files of a folder without metadata, as a recorder leaves it that is killed."""
     files = _files_in(path)
     if len({file.suffix for file in files}) == 1:
         names = ", ".join(file.name for file in files)
@@ -255,7 +253,7 @@ def _without_metadata(path: Path) -> _BagFiles:
 
 
 def _checked(path: Path) -> Path:
-    """The path of a regular file; opening a pipe would wait for ever."""
+    """Return the path of a regular file; opening a pipe would block forever."""
     if not path.is_file():
         raise InputError(f"{path}: cannot be read as a part of a rosbag2 recording, the file is missing")
     return path

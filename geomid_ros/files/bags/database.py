@@ -1,14 +1,14 @@
 """SQLite files of rosbag2 (``.db3``).
 
-They have no checksums. Their pages are checked for consistency, and only databases of the plain form that rosbag2
-writes are read: views, generated columns and the like are programs of the file's writer, which would run here.
+They have no checksums. Their pages are checked for consistency. Only databases of the plain form that rosbag2 writes
+are read: views, generated columns and the like are programs of the file's author, which would run here.
 
-Of a file that is cut off the rows are read that stand before the first missing page. What a recorder that was killed
-left in a write-ahead log is read, too, from a copy, as SQLite writes into its folder. A rollback journal is not: it may
-name other files, which SQLite would delete.
+Of a truncated file, the rows before the first missing page are read. A write-ahead log that a killed recorder left
+behind is read, too; a copy is used, as SQLite writes into its folder. A rollback journal is not read: it may name other
+files, which SQLite would delete.
 
-The reader of the library rosbags does not serve: of a file that is cut off it reads nothing ("database disk image is
-malformed"), where 3,464 of 5,000 messages are whole in 70 % of a file, and it runs what a crafted schema says.
+The reader of the rosbags library is not used: it reads nothing of a truncated file ("database disk image is
+malformed"), though 3,464 of 5,000 messages are intact in 70 % of a file. It also executes a crafted schema.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ _COLUMN = r"\s*\w+(?: (?:INTEGER|TEXT|BLOB|PRIMARY|KEY|AUTOINCREMENT|NOT|NULL))*
 _PLAIN = re.compile(
     rf"CREATE TABLE \w+ ?\((?:{_COLUMN},)*{_COLUMN}\)|CREATE INDEX \w+ ON \w+ ?\( ?\w+(?: ASC| DESC)? ?\)"
 )
-_STEPS = 100_000  # of SQLite's machine, between two looks at how many there were
-# What rosbag2 has had from its first version on.
+_STEPS = 100_000  # of SQLite's virtual machine between two calls of the progress handler
+# Columns since the first version of rosbag2.
 _NEEDED = {"topics": {"id", "name", "type", "serialization_format"}, "messages": {"topic_id", "timestamp", "data"}}
 
 
@@ -45,7 +45,7 @@ class Database(Storage):
 
     def __init__(self, path: Path) -> None:
         self._topics: dict[int, tuple[str, str]] = {}
-        self._end: int | None = None  # the last row to be read, of a file that is cut off
+        self._end: int | None = None  # the last intact row of a truncated file
         self._steps = 0
         self._stack = contextlib.ExitStack()
         super().__init__(path)
@@ -73,7 +73,7 @@ class Database(Storage):
             self.cut = self._truncated(TornError("it was not closed"), sum(self.counts.values()), last)
 
     def _address(self) -> str:
-        """Where SQLite finds the database: a copy, if a write-ahead log belongs to it."""
+        """URI of the database for SQLite: a copy, if it has a write-ahead log."""
         log = self._beside("-wal")
         if log is None:
             # Immutable: SQLite neither locks the file nor looks for a journal beside it.
@@ -84,13 +84,13 @@ class Database(Storage):
         return f"file:{quote(str(scratch / self._path.name))}?mode=ro"
 
     def _beside(self, ending: str) -> Path | None:
-        """A file of SQLite's beside this one, if it has anything in it."""
+        """Companion file of SQLite with this ending; None if it is missing or empty."""
         journal = self._path.with_name(self._path.name + ending)
         return journal if journal.is_file() and journal.stat().st_size else None
 
     def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
-        """Everything on ``topics`` in the order of recording; of a file that is cut off in that of writing, as an index
-        or the room to sort may be missing."""
+        """Yield everything on ``topics`` in the order of recording. A truncated file is read in the order of writing,
+        as an index, or the memory for sorting, may be missing."""
         wanted = [identity for identity, (topic, _) in self._topics.items() if topic in topics]
         if not wanted:
             return
@@ -111,18 +111,18 @@ class Database(Storage):
             raise self._damaged(fault, count, last) from fault
 
     def _query(self, text: str, *values: int) -> Generator[Any, None, None]:
-        """The rows of a query, which may take as many steps as the file's size is worth. Raises FaultError."""
-        self._steps = 10 + 10 * self._size // _STEPS  # ten steps for a byte
+        """Yield the rows of a query; its steps are limited in proportion to the file's size. Raises FaultError."""
+        self._steps = 10 + 10 * self._size // _STEPS  # ten steps per byte
         try:
-            for row in self._database.execute(text, values):  # noqa: UP028 that closes what is closed already
+            for row in self._database.execute(text, values):  # noqa: UP028 yield from would close it twice
                 yield row
-        except (sqlite3.Error, UnicodeError) as error:  # its messages quote what may be no text
+        except (sqlite3.Error, UnicodeError) as error:  # its messages may quote bytes that are not text
             raise FaultError(str(error)) from error
         except MemoryError as error:
             raise FaultError("it has a row that would need more memory than is allowed") from error
 
     def _too_long(self) -> bool:
-        """Whether SQLite must stop: crafted pages can make it loop."""
+        """True if SQLite must stop: crafted pages can make it loop."""
         self._steps -= 1
         return self._steps < 0
 
@@ -134,13 +134,13 @@ class Database(Storage):
         return header
 
     def _check_size(self, header: bytes) -> None:
-        """Check the file's size against the header's page count, unless an old program changed the file."""
+        """Compare the file's size with the header's page count, unless an old program changed the file."""
         if len(header) < _HEADER.size:
             raise TornError("the file is empty" if not header else "the file ends in its first bytes", 0)
         page_size, changes, pages, changes_then = _HEADER.unpack(header)
-        whole = pages * (page_size if page_size > 1 else 1 << 16)
-        if changes == changes_then and whole > self._size:
-            raise TornError(f"of {whole} bytes, {self._size} are there", self._size)
+        expected = pages * (page_size if page_size > 1 else 1 << 16)
+        if changes == changes_then and expected > self._size:
+            raise TornError(f"of {expected} bytes, {self._size} are there", self._size)
 
     def _check_schema(self) -> None:
         for name, text in self._query("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL"):
@@ -148,8 +148,8 @@ class Database(Storage):
             if not _PLAIN.fullmatch(plain):
                 raise FaultError(f"{str(name)[:50]!r} is not a plain table or index as written by rosbag2")
         for table, needed in _NEEDED.items():
-            found = {row[1] for row in self._query(f"PRAGMA table_info({table})")}
-            if not needed <= found:
+            columns = {row[1] for row in self._query(f"PRAGMA table_info({table})")}
+            if not needed <= columns:
                 raise FaultError(f"not a rosbag2 database: it has no table '{table}' with {', '.join(sorted(needed))}")
 
     def _check_pages(self) -> None:
@@ -172,7 +172,7 @@ class Database(Storage):
         self.counts = dict.fromkeys(self._topics.values(), 0)
 
     def _count_messages(self) -> int:
-        """Count them by topic, and find when the first was recorded. Returns when the last was [ns]."""
+        """Count the messages by topic, and find the first recording time. Returns the last one [ns]."""
         end = 0
         query = "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY 1"
         for identity, count, first, last in self._query(query):
@@ -184,14 +184,14 @@ class Database(Storage):
         return end
 
     def _whole(self) -> tuple[int, int]:
-        """Find and count the messages that can be read in the order of writing, while row numbers rise: damaged pages
-        may lead back to others. Returns how many they are, and the time of the last [ns]."""
+        """Count the readable messages in the order of writing, while row numbers rise, as damaged pages may lead back
+        to others. Returns their number and the last recording time [ns]."""
         last = self._end = 0
         if not self._steps:  # it was not opened
             return 0, 0
         rows = self._query("SELECT rowid, topic_id, timestamp, data FROM messages NOT INDEXED")
         with contextlib.suppress(FaultError), contextlib.closing(rows):
-            # Else SQLite reads nothing at all of a file that is shorter than it should be.
+            # Otherwise SQLite reads nothing of a file that is too short.
             list(self._query("PRAGMA writable_schema = ON"))
             self._check_schema()
             self._read_topics()

@@ -1,8 +1,8 @@
-"""Mcap files (https://mcap.dev/spec): walked through once when opened, and then read part by part.
+"""MCAP files (https://mcap.dev/spec): scanned once when opened, and then read part by part.
 
 The index at the end is not used, as it may be wrong or missing. Every checksum that is present is checked: of chunks,
-of the data section and of the summary; and the number of messages against the summary's. Of a file that is cut off all
-messages are read that are whole, also those of a last chunk that is not.
+of the data section and of the summary. The number of messages is compared with the summary's. Of a truncated file all
+intact messages are read, even those of an incomplete last chunk.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _TOO_MUCH = "its chunks are too large, or overlap too much in time; 'mcap sort' 
 
 
 class _Kind(IntEnum):
-    """Kinds of records; that of other programs' records has the bit PRIVATE."""
+    """Kinds of records; records of other programs have the bit PRIVATE."""
 
     HEADER = 1
     FOOTER = 2
@@ -45,8 +45,8 @@ class _Kind(IntEnum):
 
 
 class _RecordSpan(NamedTuple):
-    """A chunk's record, or messages' records one behind the other: where they begin and end, the first time of
-    recording among them, and their channels."""
+    """The record of a chunk, or consecutive records of messages: their beginning and end, earliest recording time, and
+    channels."""
 
     begin: int
     end: int
@@ -56,7 +56,7 @@ class _RecordSpan(NamedTuple):
 
 
 class _Fields:
-    """Reads the fields of a record one after the other. Raises ValueError or struct.error where it ends too early."""
+    """Reads the fields of a record in sequence. Raises ValueError or struct.error if it ends too early."""
 
     def __init__(self, record: memoryview) -> None:
         self._record = record
@@ -76,7 +76,7 @@ class _Fields:
 
     @property
     def rest(self) -> memoryview:
-        """All that is left."""
+        """The remaining bytes."""
         return self._record[self._place :]
 
     def text(self) -> str:
@@ -84,7 +84,7 @@ class _Fields:
 
 
 class McapFile(Storage):
-    """An open mcap file; one that is only cut off is read."""
+    """An open MCAP file; a file that is only truncated is read."""
 
     rescue = "'mcap recover' may save it"
 
@@ -93,8 +93,8 @@ class McapFile(Storage):
         self._channels: dict[int, tuple[str, str]] = {}
         self._counted: Counter[int] = Counter()
         self._last = 0
-        self._stretches: list[_RecordSpan] = []
-        self._known_sets: dict[frozenset[int], frozenset[int]] = {}
+        self._spans: list[_RecordSpan] = []
+        self._channel_sets: dict[frozenset[int], frozenset[int]] = {}
         self._file = path.open("rb")
         super().__init__(path)
 
@@ -106,22 +106,22 @@ class McapFile(Storage):
         return self._counted.total(), self._last
 
     def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
-        """Everything on ``topics`` in the order of recording."""
-        wanted = {channel: named for channel, named in self._channels.items() if named[0] in topics}
+        """Yield everything on ``topics`` in the order of recording."""
+        wanted = {channel: pair for channel, pair in self._channels.items() if pair[0] in topics}
         pending: list[tuple[int, int, int, bytes]] = []
-        held = serial = 0
-        for stretch in sorted(self._stretches, key=lambda stretch: stretch.first):
-            if wanted.keys().isdisjoint(stretch.channels):
+        memory = serial = 0
+        for span in sorted(self._spans, key=lambda span: span.first):
+            if wanted.keys().isdisjoint(span.channels):
                 continue
-            while pending and pending[0][0] < stretch.first:
-                held -= _memory(pending[0])
+            while pending and pending[0][0] < span.first:
+                memory -= _memory(pending[0])
                 yield self._raw_message(heapq.heappop(pending))
-            for channel, time, data in self._read(stretch):
+            for channel, time, data in self._read(span):
                 if channel in wanted:
                     heapq.heappush(pending, entry := (time, serial, channel, bytes(data)))
-                    held += _memory(entry)
+                    memory += _memory(entry)
                     serial += 1
-                if held > MOST_BYTES:
+                if memory > MOST_BYTES:
                     raise InputError(f"{self._path}: {_TOO_MUCH}")
         while pending:
             yield self._raw_message(heapq.heappop(pending))
@@ -130,10 +130,10 @@ class McapFile(Storage):
         time, _, channel, data = entry
         return RawMessage(self._channels[channel][0], time, self._channels[channel][1], data)
 
-    def _read(self, stretch: _RecordSpan) -> Iterator[tuple[int, int, memoryview]]:
-        """Channel, time and bytes of each message in a stretch that was looked at before."""
+    def _read(self, span: _RecordSpan) -> Iterator[tuple[int, int, memoryview]]:
+        """Yield channel, time and bytes of each message in a span that was examined before."""
         try:
-            for kind, record in self._contents(stretch.begin, stretch.end, stretch.chunk):
+            for kind, record in self._contents(span.begin, span.end, span.chunk):
                 if kind == _Kind.MESSAGE:
                     channel, _, time, _ = _MESSAGE_HEAD.unpack_from(record)
                     yield channel, time, record[_MESSAGE_HEAD.size :]
@@ -147,7 +147,7 @@ class McapFile(Storage):
             self.counts = dict.fromkeys(self._channels.values(), 0)
             for channel, count in self._counted.items():
                 self.counts[self._channels[channel]] += count
-            first = min((stretch.first for stretch in self._stretches), default=math.inf)
+            first = min((span.first for span in self._spans), default=math.inf)
             self.start = int(first) if math.isfinite(first) else None
 
     def _scan(self) -> None:
@@ -175,11 +175,11 @@ class McapFile(Storage):
         self._check_sum(data_end, last - 4, self._number(last - 4, 4), "summary")
 
     def _walk(self) -> Iterator[tuple[int, int, int]]:
-        """Kind, offset and end of each record, up to the footer."""
+        """Yield kind, offset and end of each record, up to the footer."""
         kind, begin = 0, len(_MAGIC)
         while kind != _Kind.FOOTER:
             head = self._bytes(begin, begin + _RECORD.size)
-            if len(head) < _RECORD.size or not any(head):  # zeros are what a disk may have that lost its power
+            if len(head) < _RECORD.size or not any(head):  # a power failure may leave zeros
                 raise TornError("the file ends before its footer", begin)
             kind, length = _RECORD.unpack(head)
             if not _Kind.HEADER <= kind <= _Kind.DATA_END and not kind & _Kind.PRIVATE:
@@ -189,9 +189,9 @@ class McapFile(Storage):
                 if kind & _Kind.PRIVATE or length > MOST_BYTES:
                     raise FaultError(f"a record of {length} bytes, more than there are", begin)
                 if kind == _Kind.CHUNK:
-                    self._add_torn(begin)
-                there = self._size - begin - _RECORD.size
-                raise TornError(f"a record of {length} bytes, of which {there} are there", begin)
+                    self._add_truncated(begin)
+                available = self._size - begin - _RECORD.size
+                raise TornError(f"a record of {length} bytes, of which {available} are there", begin)
             yield kind, begin, end
             begin = end
 
@@ -200,7 +200,7 @@ class McapFile(Storage):
         return self._file.read(end - begin)
 
     def _contents(self, begin: int, end: int, chunk: bool) -> Iterator[tuple[int, memoryview]]:
-        """The records of a stretch; of a chunk that the file's end cuts off, those that are whole.
+        """Records of a span; of a truncated chunk, the intact ones.
 
         Raises FaultError, ValueError and struct.error.
         """
@@ -208,14 +208,14 @@ class McapFile(Storage):
             raise FaultError(f"a record of {end - begin} bytes, more than {MOST_BYTES}", begin)
         data = memoryview(self._bytes(begin, end))
         if not chunk:
-            self.checked = False  # until the checksum of all data is
+            self.checked = False  # until the checksum of the data section is verified
             return _records(data)
-        inside, checked, torn = _chunk_data(_Fields(data[_RECORD.size :]), end == self._size)
+        content, checked, truncated = _chunk_data(_Fields(data[_RECORD.size :]), end == self._size)
         self.checked &= checked
-        return _records(memoryview(inside), torn)
+        return _records(memoryview(content), truncated)
 
-    def _add_torn(self, begin: int) -> None:
-        """Append the last chunk of a file that is cut off there, as far as it can be read."""
+    def _add_truncated(self, begin: int) -> None:
+        """Append the last chunk of a file that is truncated there, as far as it can be read."""
         with contextlib.suppress(FaultError):
             self._add(self._examined(begin, self._size, True))
 
@@ -238,19 +238,19 @@ class McapFile(Storage):
         self._last = last
         self._counted += counted
         shared = frozenset(counted)
-        return _RecordSpan(begin, end, chunk, first, self._known_sets.setdefault(shared, shared))
+        return _RecordSpan(begin, end, chunk, first, self._channel_sets.setdefault(shared, shared))
 
-    def _add(self, new: _RecordSpan) -> None:
-        """Append a stretch; records outside chunks become one with those before them."""
-        old = self._stretches[-1] if self._stretches else None
-        if old and not old.chunk and not new.chunk and old.end == new.begin and new.end - old.begin < PIECE:
-            channels = old.channels | new.channels
-            channels = self._known_sets.setdefault(channels, channels)
-            self._stretches[-1] = _RecordSpan(old.begin, new.end, False, min(old.first, new.first), channels)
-        elif len(self._stretches) * _memory(new) > MOST_BYTES:
-            raise FaultError(f"more than {len(self._stretches)} chunks", new.begin)
+    def _add(self, span: _RecordSpan) -> None:
+        """Append a span; consecutive records outside chunks become one span."""
+        last = self._spans[-1] if self._spans else None
+        if last and not last.chunk and not span.chunk and last.end == span.begin and span.end - last.begin < PIECE:
+            channels = last.channels | span.channels
+            channels = self._channel_sets.setdefault(channels, channels)
+            self._spans[-1] = _RecordSpan(last.begin, span.end, False, min(last.first, span.first), channels)
+        elif len(self._spans) * _memory(span) > MOST_BYTES:
+            raise FaultError(f"more than {len(self._spans)} chunks", span.begin)
         else:
-            self._stretches.append(new)
+            self._spans.append(span)
 
     def _take_schema(self, fields: _Fields) -> None:
         (schema,) = fields.numbers("<H")
@@ -271,7 +271,7 @@ class McapFile(Storage):
             raise FaultError(f"its profile is {profile[:20]!r}, expected 'ros2'", begin)
 
     def _number(self, begin: int, size: int) -> int:
-        """The number of ``size`` bytes at an offset."""
+        """Unsigned integer of ``size`` bytes at an offset."""
         return int.from_bytes(self._bytes(begin, begin + size), "little")
 
     def _check_count(self, begin: int) -> None:
@@ -279,27 +279,27 @@ class McapFile(Storage):
         if recorded != self._counted.total():
             raise FaultError(f"its statistics count {recorded} messages, it has {self._counted.total()}", begin)
 
-    def _check_sum(self, begin: int, end: int, recorded: int, what: str) -> None:
-        """Compare the checksum of a part of the file with the recorded one; zero stands for none."""
-        found = 0
+    def _check_sum(self, begin: int, end: int, recorded: int, part: str) -> None:
+        """Compare the checksum of a part of the file with the recorded one; zero means that none was recorded."""
+        computed = 0
         for place in range(begin, end, PIECE) if recorded else ():
-            found = crc32(self._bytes(place, min(end, place + PIECE)), found)
-        if found != recorded:
-            raise FaultError(f"the checksum of its {what} is wrong", begin)
+            computed = crc32(self._bytes(place, min(end, place + PIECE)), computed)
+        if computed != recorded:
+            raise FaultError(f"the checksum of its {part} is wrong", begin)
 
 
 def _memory(message: tuple[object, ...]) -> int:
-    """Bytes that a message takes while it is held."""
+    """Memory of a pending message [bytes]."""
     return sys.getsizeof(message) + sum(map(sys.getsizeof, message))
 
 
-def _set_once(table: dict[int, T], key: int, value: T, what: str) -> None:
+def _set_once(table: dict[int, T], key: int, value: T, kind: str) -> None:
     if table.setdefault(key, value) != value:
-        raise ValueError(f"{what} {key} is declared twice, with different content")
+        raise ValueError(f"{kind} {key} is declared twice, with different content")
 
 
 def _chunk_data(fields: _Fields, last: bool) -> tuple[bytes | memoryview, bool, bool]:
-    """What a chunk holds, whether its checksum was verified, and whether it is cut off, as only the ``last`` may be.
+    """Data of a chunk; True if its checksum was verified; True if it is truncated, as only the ``last`` chunk may be.
 
     Raises ValueError or struct.error.
     """
@@ -314,19 +314,19 @@ def _chunk_data(fields: _Fields, last: bool) -> tuple[bytes | memoryview, bool, 
     return data, recorded != 0, False
 
 
-def _records(data: memoryview, torn: bool = False) -> Iterator[tuple[int, memoryview]]:
-    """Kind and content of each record; of ``torn`` data, of those that are whole.
+def _records(data: memoryview, truncated: bool = False) -> Iterator[tuple[int, memoryview]]:
+    """Yield kind and content of each record; of ``truncated`` data, of the intact ones.
 
-    Raises ValueError or struct.error where they are cut off.
+    Raises ValueError or struct.error if other data end too early.
     """
     begin = 0
     while begin < len(data):
-        if torn and len(data) - begin < _RECORD.size:
+        if truncated and len(data) - begin < _RECORD.size:
             return
         kind, length = _RECORD.unpack_from(data, begin)
         begin += _RECORD.size
         if length > len(data) - begin:
-            if torn:
+            if truncated:
                 return
             raise ValueError("a record is longer than its container")
         yield kind, data[begin : begin + length]

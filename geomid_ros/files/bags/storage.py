@@ -1,6 +1,6 @@
-"""What the formats of recordings have in common, and decompression into memory that is bounded.
+"""Base class of recording formats, and decompression into bounded memory.
 
-A few kilobytes can be made to unpack to gigabytes.
+A few kilobytes can be crafted to unpack to gigabytes.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from geomid_ros.files.disk import MOST_BYTES
 
 
 class RawMessage(NamedTuple):
-    """A serialised message: its topic, time of recording [ns], type and bytes."""
+    """A serialised message: its topic, recording time [ns], type and bytes."""
 
     topic: str
     time: int
@@ -27,7 +27,7 @@ class RawMessage(NamedTuple):
 
 
 class FaultError(Exception):
-    """A fault in a file, with the ``offset`` of its byte if that is known."""
+    """A fault in a file, with the ``offset`` of its byte if known."""
 
     def __init__(self, why: str, offset: int | None = None) -> None:
         super().__init__(why)
@@ -35,21 +35,21 @@ class FaultError(Exception):
 
 
 class TornError(FaultError):
-    """The file ends too early: its recorder was killed, or it was not copied to its end. What it has is whole."""
+    """The file ends too early: its recorder was killed, or its copy is incomplete. The existing part is intact."""
 
 
 class Storage(ABC):
-    """An open file of a recording, all of which was examined.
+    """An open file of a recording, which was examined completely.
 
-    ``counts``: how many messages there are, by topic and type; ``start``: when the first was recorded [ns]. ``cut``
-    says where the file is cut off and how much of it is whole, empty if all is; ``checked``: whether it has checksums,
-    by which damage to its numbers is seen.
+    ``counts``: number of messages by topic and type; ``start``: recording time of the first one [ns]. ``cut`` states
+    where the file is truncated and how much of it is intact; empty if it is complete. ``checked`` is True if it has
+    checksums, which reveal damaged numbers.
 
-    Raises InputError naming the file, the place of damage if that is known, and how much can be read.
+    Raises InputError naming the file, the place of damage if known, and how much can be read.
     """
 
     rescue = ""
-    """How to recover a part of a damaged file."""
+    """Advice on recovering a part of a damaged file."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._size = path, path.stat().st_size
@@ -67,7 +67,7 @@ class Storage(ABC):
 
     @abstractmethod
     def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
-        """Everything on ``topics`` in the order of recording. Raises InputError naming the file."""
+        """Yield everything on ``topics`` in the order of recording. Raises InputError naming the file."""
 
     @abstractmethod
     def close(self) -> None:
@@ -75,11 +75,11 @@ class Storage(ABC):
 
     @abstractmethod
     def _examine(self) -> None:
-        """Open the file, and look at all of it. Raises FaultError."""
+        """Open and examine the whole file. Raises FaultError."""
 
     @abstractmethod
     def _whole(self) -> tuple[int, int]:
-        """How many messages can be read of a file with a fault, and the time of the last [ns]."""
+        """Number of readable messages in a file with a fault, and the recording time of the last one [ns]."""
 
     def _damaged(self, fault: FaultError, count: int, time: int) -> InputError:
         part = f"Only a part is readable: {count} messages, up to {time * 1e-9:.3f} s. {self.rescue}"
@@ -87,22 +87,22 @@ class Storage(ABC):
         return InputError(f"{self._path}: cannot be read as a rosbag2 recording: damaged{fault.sentence}. {readable}")
 
     def _truncated(self, fault: FaultError, count: int, time: int) -> str:
-        whole = f"its {count} intact messages are read, up to {time * 1e-9:.3f} s"
-        return f"{self._path}: truncated{fault.sentence}; {whole if count else 'it has no intact message'}"
+        intact = f"its {count} intact messages are read, up to {time * 1e-9:.3f} s"
+        return f"{self._path}: truncated{fault.sentence}; {intact if count else 'it has no intact message'}"
 
 
 METHODS = ("zstd", "lz4")
-"""Of compression."""
+"""Supported compression methods."""
 
-_MOST_RATIO = 300  # of a whole file; no recording of times and noise comes near
-_LEFT_FREE = 500_000_000  # bytes of a disk that others may need
+_MOST_RATIO = 300  # maximum compression ratio of a file; no recording of times and noise comes near it
+_LEFT_FREE = 500_000_000  # bytes that stay free on a disk, as others may need them
 PIECE = 1 << 16
-"""Bytes of a file that are read at once; of a torn one that was packed, less than that is lost."""
+"""Bytes of a file that are read at once. Of a truncated compressed file, less than that is lost."""
 
 
 @cache
 def _library(method: str) -> Any:
-    """What unpacks ``method``, imported for the first recording: a node beside a robot has none."""
+    """Module that unpacks ``method``. It is imported for the first recording only: a node on a robot reads none."""
     if method == "lz4":
         import lz4.frame  # type: ignore[import-untyped] # noqa: PLC0415
 
@@ -115,21 +115,21 @@ def _library(method: str) -> Any:
 
 
 def unpacked(data: bytes | memoryview, method: str, size: int) -> bytes | memoryview:
-    """What was compressed with ``method`` (zstd, lz4 or empty for none), to exactly ``size`` bytes.
+    """Unpack data compressed with ``method`` (zstd, lz4 or empty for none) to exactly ``size`` bytes.
 
-    Raises ValueError if it cannot be, or is too large.
+    Raises ValueError if they cannot be unpacked, or are too large.
     """
     if size > MOST_BYTES:
         raise ValueError(f"{size} bytes unpacked from {len(data)}, more than the maximum of {MOST_BYTES}")
     result = data if not method else _unpacked(data, method, size + 1)
     if len(result) != size:
-        found = "more" if len(result) > size else len(result)
-        raise ValueError(f"expected {size} unpacked bytes, found {found}")
+        length = "more" if len(result) > size else len(result)
+        raise ValueError(f"expected {size} unpacked bytes, found {length}")
     return result
 
 
 def unpacked_part(data: bytes | memoryview, method: str, size: int) -> bytes | memoryview:
-    """The beginning of what was compressed to ``data``, the end of which is missing. Raises ValueError."""
+    """Unpack the beginning of compressed ``data`` whose end is missing. Raises ValueError."""
     most = min(size, MOST_BYTES)
     if not method:
         return data[:most]
@@ -137,7 +137,7 @@ def unpacked_part(data: bytes | memoryview, method: str, size: int) -> bytes | m
 
 
 def unpacked_message(data: bytes, method: str) -> bytes:
-    """A message that was compressed by itself. Raises ValueError if it cannot be unpacked, or is too large."""
+    """Unpack a message that was compressed by itself. Raises ValueError if it cannot be unpacked, or is too large."""
     result = _unpacked(data, method, MOST_BYTES + 1)
     if len(result) > MOST_BYTES:
         raise ValueError(f"a message unpacks to more than {MOST_BYTES} bytes")
@@ -168,7 +168,7 @@ def _unpacker(method: str) -> Any:
 
 
 def unpack_file(path: Path, target: Path, method: str) -> None:
-    """Unpack a file, up to where it is cut off, unless the disk would be full.
+    """Unpack a file, up to where it is truncated, unless this would fill the disk.
 
     Raises ValueError if it cannot be unpacked, or is too large.
     """
@@ -186,12 +186,12 @@ def unpack_file(path: Path, target: Path, method: str) -> None:
 
 
 def _pieces(path: Path, method: str) -> Iterator[bytes]:
-    """What a file unpacks to, up to where it is cut off. Raises ValueError."""
+    """Yield the unpacked pieces of a file, up to where it is truncated. Raises ValueError."""
     try:
         with _library(method).open(path, "rb") as packed:
             while piece := packed.read(PIECE):
                 yield piece
     except EOFError:
-        return  # what was unpacked has no end, either, and its reader says so
+        return  # the unpacked file is truncated, too, and its reader reports that
     except (_library("zstd").ZstdError, RuntimeError) as error:
         raise ValueError(f"its {method} data are damaged ({error})") from error

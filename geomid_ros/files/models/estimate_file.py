@@ -1,4 +1,4 @@
-"""``estimate.json``: its schema, an estimate as people and programs read it, and what it says as a starting point."""
+"""``estimate.json``: its schema, an estimate for people and programs, and its use as a starting point."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ from geomid_ros.model.robot import GRAVITY
 from geomid_ros.signals.ledger import Account
 from geomid_ros.types import FloatArray
 
-_MOST_LINKS_TOGETHER = 100  # of more, what is known of all together would be most of the file
-_PACKED = "<f4"  # seven digits do, and nobody reads so many
+_MOST_LINKS_TOGETHER = 100  # for more links, their joint information would be most of the file
+_PACKED = "<f4"  # seven digits suffice, and nobody reads so many numbers
 OF_PAGE = (
     *("robot", "rms", "sigma", "channels", "seconds", "steps", "gamma", "rows", "known", "urdf_masses"),
     *("warnings", "notes", "telling", "messages", "origin"),
 )
-"""Keys without which there is no page."""
+"""Keys that a page requires."""
 ByChannel: TypeAlias = Mapping[str, float]
 _WITHOUT_INFORMATION = "identify again, or delete 'information', without which less is known of payloads"
 
@@ -71,7 +71,7 @@ class InertiaEntry:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LinkEntry(InertiaEntry):
-    """A link; what an estimate says beside its inertia, the written model of a gap does not."""
+    """A link. The written model of a gap has only its inertia, an estimate has the other fields, too."""
 
     name: str
     merged: tuple[str, ...] | None = None
@@ -86,7 +86,7 @@ class LinkEntry(InertiaEntry):
 
 @dataclass(frozen=True, kw_only=True)
 class AddedEffect(KnownEffect):
-    """An effect of any other form, with the share of its uncertainty that data removed if that is known."""
+    """An effect of any other form, with the fraction of its uncertainty that the data removed, if known."""
 
     from_data: float = math.nan
 
@@ -104,7 +104,7 @@ class CoefficientEntry:
 
 @dataclass(frozen=True, kw_only=True)
 class VerdictEntry:
-    """A verdict and why."""
+    """A verdict and its reasons."""
 
     result: str
     reasons: tuple[str, ...] = ()
@@ -112,7 +112,7 @@ class VerdictEntry:
 
 @dataclass(frozen=True, kw_only=True)
 class InformationEntry:
-    """What is known of all ``links`` together: an upper triangle and residuals, float32 in base64."""
+    """Joint information on all ``links``: an upper triangle and residuals, float32 in base64."""
 
     links: tuple[str, ...]
     rows: str
@@ -121,7 +121,7 @@ class InformationEntry:
 
 @dataclass(frozen=True, kw_only=True)
 class HandoverEntry:
-    """The model that was fitted for a reader of descriptions, and the name of its file."""
+    """The model that was fitted for a reader of descriptions, and its file name."""
 
     links: tuple[LinkEntry, ...]
     effects: tuple[KnownEffect, ...]
@@ -139,7 +139,7 @@ class ErrorsEntry:
 
 @dataclass(frozen=True, kw_only=True)
 class RowsEntry:
-    """What became of the rows."""
+    """Counts of accepted, set aside and rejected rows."""
 
     accepted: int = 0
     set_aside: int = 0
@@ -148,8 +148,8 @@ class RowsEntry:
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelEntry:
-    """How well a channel fits: RMS residuals of the URDF, of the estimate, and of the written description, alone and
-    with the offsets of sensors beside it."""
+    """Fit of a channel: RMS residuals of the URDF, of the estimate, and of the written description, without and with
+    sensor offsets."""
 
     channel: str
     unit: str = ""
@@ -160,16 +160,16 @@ class ChannelEntry:
 
     @property
     def ratio(self) -> float:
-        """RMS of the estimate over that of the URDF: below 1 is better; NaN where it is undefined."""
+        """RMS of the estimate divided by that of the URDF: below 1 is better; NaN if undefined."""
         return self.identified / self.urdf if self.urdf > 0.0 else math.nan
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class EstimateFile:
-    """A file that ``geomid identify`` or ``geomid gap`` has written, or a person with as much as they know.
+    """A file written by ``geomid identify`` or ``geomid gap``, or by a person, with as much as is known.
 
-    ``source`` names it in messages; ``document`` is all that it says. Properties raise InputError for what cannot be.
-    Only what ``geomid identify`` has written has all that a page shows (:data:`OF_PAGE`).
+    ``source`` names it in messages; ``document`` is its full content. Properties raise InputError for invalid content.
+    Only files of ``geomid identify`` have everything that a page shows (:data:`OF_PAGE`).
     """
 
     source: str
@@ -209,31 +209,31 @@ class EstimateFile:
 
     @staticmethod
     def of(document: Mapping[str, Any], source: str) -> EstimateFile:
-        """The file with this content. Raises InputError naming the ``source``."""
+        """Read the content of a file. Raises InputError naming the ``source``."""
         return structured(EstimateFile, {**document, "source": source, "document": document}, f"{source}:")
 
     @cached_property
     def inertias(self) -> dict[str, FloatArray]:
-        """Parameters ``(10,)`` in pinocchio's order of the links, by name."""
+        """Parameters ``(10,)`` of the links in pinocchio's order, by name."""
         return inertias_of(self.links, self.source)
 
     @property
     def merged(self) -> dict[str, frozenset[str]]:
-        """The fixed links that are merged into each link of which the file says so."""
+        """Fixed links that are merged into each link, as far as the file states them."""
         return {link.name: frozenset(link.merged) for link in self.links if link.merged is not None}
 
     @property
     def known_effects(self) -> list[KnownEffect]:
         """All effects."""
         single = [
-            _known(each, own, f"{self.source}:")
-            for each, own in zip(self.effects, self.document["effects"], strict=True)
+            _known_effect(coefficient, raw, f"{self.source}:")
+            for coefficient, raw in zip(self.effects, self.document["effects"], strict=True)
         ]
         return combined([*single, *self.added])
 
     @property
     def judgement(self) -> Verdict:
-        """The verdict; a file without any is usable if its solver converged."""
+        """The verdict; a file without one is usable if its solver converged."""
         if "verdict" not in self.document:
             word = USABLE if self.converged else NOT_CONVERGED
             return Verdict(word=word, reasons=() if self.converged else (self.reason,))
@@ -243,17 +243,17 @@ class EstimateFile:
 
     @property
     def judged_on(self) -> str:
-        """The data that errors by channel are of."""
+        """Name of the data on which the errors by channel are computed."""
         return "the fitted data" if self.rms.held_out is None else "held-out data"
 
     @property
     def description(self) -> str:
-        """Name of the description that was written beside it."""
+        """File name of the description that was written with it."""
         return next((entry.file for entry in self.handover.values() if entry.file), "identified.urdf")
 
     @property
     def doubt(self) -> str:
-        """Why the estimate should not be used, in a sentence; empty if nothing speaks against it."""
+        """Sentence on why the estimate should not be used; empty if it is usable."""
         verdict = self.judgement
         if verdict.word == USABLE:
             return ""
@@ -262,7 +262,7 @@ class EstimateFile:
 
     @property
     def bodies(self) -> dict[str, UncertainInertia]:
-        """The links with what the file says of their uncertainty, by name."""
+        """Links with their uncertainty, by name."""
         return {
             link.name: UncertainInertia(
                 parameters=self.inertias[link.name],
@@ -276,12 +276,12 @@ class EstimateFile:
 
     @property
     def values(self) -> RobotValues:
-        """What it says, to be compared with another."""
+        """Values to compare with those of another estimate."""
         return RobotValues(links=self.bodies, effects=tuple(self.known_effects), information=self.known_information)
 
     @property
     def known_information(self) -> LinksInformation | None:
-        """What is known of the links together, in their order; None if nothing is."""
+        """Joint information on the links, in their order; None if there is none."""
         if self.information is None:
             return None
         size = 10 * len(self.links)
@@ -289,65 +289,65 @@ class EstimateFile:
             rows = unpacked_triangle(self.information.rows, _PACKED, size)
             residuals = unpacked(self.information.residuals, _PACKED, size)
         except ValueError as error:
-            raise self._useless(f"on {len(self.links)} links cannot be read ({error})") from error
+            raise self._information_error(f"on {len(self.links)} links cannot be read ({error})") from error
         if list(self.information.links) != list(self.inertias):
-            raise self._useless("is on other links than those listed, or in another order")
+            raise self._information_error("is on other links than those listed, or in another order")
         if not _can_be_measured(rows, self.inertias) or not np.all(np.isfinite(residuals)):
-            raise self._useless("on the links is more than any measurement can tell")
+            raise self._information_error("on the links is more than any measurement can tell")
         return LinksInformation(rows, residuals)
 
-    def _useless(self, why: str) -> InputError:
+    def _information_error(self, why: str) -> InputError:
         return InputError(f"{self.source}: the information {why}; {_WITHOUT_INFORMATION}")
 
     @property
     def link_estimates(self) -> list[LinkEstimate]:
-        """The links as they were found. Raises InputError for one of which the file does not say enough."""
+        """Estimates of the links. Raises InputError for a link with missing entries."""
         return [_link_estimate(link, self.inertias[link.name], self.source) for link in self.links]
 
     @property
     def effect_estimates(self) -> list[EffectEstimate]:
-        """The effects that the data say something of."""
-        shares = {(each.name, each.joint): each.from_data for each in self.effects}
-        shares |= {(each.effect, each.joint): each.from_data for each in self.added}
+        """Effects for which the file states how informative the data were."""
+        shares = {(entry.name, entry.joint): entry.from_data for entry in self.effects}
+        shares |= {(entry.effect, entry.joint): entry.from_data for entry in self.added}
         return [
-            EffectEstimate(name=known.effect, joint=known.joint, parameters=known.parameters, from_data=share)
-            for known in self.known_effects
-            if math.isfinite(share := shares[known.effect, known.joint])
+            EffectEstimate(name=effect.effect, joint=effect.joint, parameters=effect.parameters, from_data=share)
+            for effect in self.known_effects
+            if math.isfinite(share := shares[effect.effect, effect.joint])
         ]
 
 
 def inertias_of(links: Sequence[LinkEntry], source: str) -> dict[str, FloatArray]:
-    """Parameters ``(10,)`` in pinocchio's order of links, by name. Raises InputError for what is no body."""
-    known: dict[str, FloatArray] = {}
+    """Parameters ``(10,)`` of links in pinocchio's order, by name. Raises InputError for an inconsistent one."""
+    inertias: dict[str, FloatArray] = {}
     for link in links:
-        if link.name in known:
+        if link.name in inertias:
             raise InputError(f"{source}: there are two links '{link.name}', expected each once")
-        known[link.name] = pseudo_inertia.assemble(np.array(link.mass), link.com, link.inertia)
-        matrix = pseudo_inertia.from_parameters(known[link.name])
+        inertias[link.name] = pseudo_inertia.assemble(np.array(link.mass), link.com, link.inertia)
+        matrix = pseudo_inertia.from_parameters(inertias[link.name])
         if not np.all(np.isfinite(matrix)) or not np.linalg.eigvalsh(matrix)[0] > 0.0:
             raise InputError(f"{source}: the inertia of link '{link.name}' belongs to no body that can exist")
-    return known
+    return inertias
 
 
-def _known(given: CoefficientEntry, own: Mapping[str, Any], source: str) -> KnownEffect:
-    """An effect of one coefficient, whose constant stands beside it under its name where it is not as usual."""
-    if given.name not in identifiable():
-        raise InputError(f"{source} {unknown_name('effect', given.name, identifiable())}")
-    cls = effect_class(given.name)
+def _known_effect(entry: CoefficientEntry, raw: Mapping[str, Any], source: str) -> KnownEffect:
+    """Effect of one coefficient. A constant other than the default is in the ``raw`` entry under its name."""
+    if entry.name not in identifiable():
+        raise InputError(f"{source} {unknown_name('effect', entry.name, identifiable())}")
+    cls = effect_class(entry.name)
     if not cls.is_one_number():
-        raise InputError(f"{source} effect '{given.name}' has several parameters, expected it under 'added'")
-    if not math.isfinite(given.value):
-        raise InputError(f"{source} {given.name} at '{given.joint}' has no value, expected a finite number")
+        raise InputError(f"{source} effect '{entry.name}' has several parameters, expected it under 'added'")
+    if not math.isfinite(entry.value):
+        raise InputError(f"{source} {entry.name} at '{entry.joint}' has no value, expected a finite number")
     constant = None
-    if cls.usual_constant in own:
+    if cls.usual_constant in raw:
         (form,) = (form for form in cls.parameters if form.name == cls.usual_constant)
-        value = own[form.name]
+        value = raw[form.name]
         if type(value) not in (int, float) or not form.above < value < form.below:
-            where = f"{source} {form.name} of {cls.name} at '{given.joint}'"
+            where = f"{source} {form.name} of {cls.name} at '{entry.joint}'"
             raise InputError(f"{where} is {value!r:.80}, expected a number above {form.above:g} {form.units[0]}")
         constant = Quantity(float(value), 0.0, form.units[0])
-    quantity = Quantity(given.value, given.std or math.nan, cls.parameters[0].units[0])
-    return coefficient(given.name, given.joint, quantity, constant)
+    quantity = Quantity(entry.value, entry.std or math.nan, cls.parameters[0].units[0])
+    return coefficient(entry.name, entry.joint, quantity, constant)
 
 
 def _link_estimate(link: LinkEntry, parameters: FloatArray, source: str) -> LinkEstimate:
@@ -370,11 +370,11 @@ def _link_estimate(link: LinkEntry, parameters: FloatArray, source: str) -> Link
 
 
 def _can_be_measured(rows: FloatArray, inertias: Mapping[str, FloatArray]) -> bool:
-    """Whether rows ``(n, 10 links)`` determine no inertia more finely than it is believed."""
+    """True if rows ``(n, 10 links)`` determine no inertia more precisely than is credible."""
     manifold = ParameterManifold(len(inertias), 0, np.zeros(0))
     if not np.all(np.isfinite(rows)):
         return False
-    with np.errstate(all="ignore"):  # of bodies beyond all measure; what is no number is refused
+    with np.errstate(all="ignore"):  # for extreme bodies; results that are not numbers are refused
         whitened = manifold.whiten(manifold.point(np.concatenate([*inertias.values()])), rows)
     return bool(np.all(np.abs(whitened) < 2.0 * FINEST))  # rounded to seven digits
 
@@ -385,12 +385,12 @@ def estimate_document(
     held_out: FloatArray | None = None,
     known: Sequence[KnownEffect] = (),
 ) -> dict[str, Any]:
-    """The document of an estimate.
+    """Make the document of an estimate.
 
     Args:
-        estimate: what was found.
-        rows_rejected: how many rows were not used, by reason.
-        held_out: RMS residuals ``(channels,)`` on data that were not used, if any were held out.
+        estimate: the estimate.
+        rows_rejected: numbers of rows that were not used, by reason.
+        held_out: RMS residuals ``(channels,)`` on data that were not fitted, if any were held out.
         known: the effects of the model that the estimation began with.
     """
     shares = shares_from_data(estimate)
@@ -398,7 +398,7 @@ def estimate_document(
     rms = {"nominal": estimate.rms_nominal, "train": estimate.rms, "held_out": held_out}
     rejected = {reason: count for reason, count in sorted(rows_rejected.items()) if count}
     rows = estimate.information.rows
-    together = InformationEntry(
+    information = InformationEntry(
         links=tuple(link.name for link in estimate.links),
         rows=packed(rows[np.triu_indices(len(rows))], _PACKED),
         residuals=packed(estimate.information.residuals, _PACKED),
@@ -420,51 +420,51 @@ def estimate_document(
         "added": [
             plain(e) | ({} if share is None else {"from_data": share}) for e, share in effects if not is_coefficient(e)
         ],
-        "known": [entry(own, "name", "mass", "std", "given", "given_std") for own in estimate.known],
+        "known": [entry(mass, "name", "mass", "std", "given", "given_std") for mass in estimate.known],
         "rms": {
             kind: None if values is None else by_channel(estimate.channels, values) for kind, values in rms.items()
         },
         "sigma": by_channel(estimate.channels, estimate.sigmas),
-        "information": plain(together) if len(estimate.links) <= _MOST_LINKS_TOGETHER else None,
+        "information": plain(information) if len(estimate.links) <= _MOST_LINKS_TOGETHER else None,
     }
 
 
 def shares_from_data(estimate: Estimate) -> dict[tuple[str, str], float]:
-    """Share of an effect's uncertainty that the data removed, by its name and place: the mean over its coefficients."""
-    found: dict[tuple[str, str], list[float]] = {}
+    """Fraction of an effect's uncertainty that the data removed, by name and place: the mean over its coefficients."""
+    fractions: dict[tuple[str, str], list[float]] = {}
     for effect in estimate.effects:
-        found.setdefault((effect.name, effect.joint), []).append(effect.from_data)
-    return {key: float(np.mean(shares)) for key, shares in found.items()}
+        fractions.setdefault((effect.name, effect.joint), []).append(effect.from_data)
+    return {key: float(np.mean(values)) for key, values in fractions.items()}
 
 
 def model_effects(estimate: Estimate, known: Sequence[KnownEffect]) -> list[KnownEffect]:
-    """All effects of the model with an estimate that began with the ``known`` ones, as files have them."""
-    found = combined(KnownEffect(effect.name, effect.joint, "", effect.parameters) for effect in estimate.effects)
-    return continued(found, known)
+    """All effects, as in files, of the model of an estimate that began with the ``known`` ones."""
+    estimated = combined(KnownEffect(effect.name, effect.joint, "", effect.parameters) for effect in estimate.effects)
+    return continued(estimated, known)
 
 
 def link_entry(name: str, merged: Sequence[str], parameters: FloatArray) -> dict[str, Any]:
-    """A link with parameters ``(10,)`` and the fixed links that are merged into it."""
+    """Entry of a link with parameters ``(10,)`` and the fixed links merged into it."""
     com, inertia = pseudo_inertia.centre_of_mass(parameters), pseudo_inertia.central_inertia(parameters)
     return {"name": name, "merged": [*merged], **plain(InertiaEntry(mass=parameters[0], com=com, inertia=inertia))}
 
 
 def by_channel(channels: Sequence[str], values: FloatArray) -> dict[str, float | None]:
-    """Values by the names of their channels; what is no number is null."""
+    """Values by channel name; NaN and infinity become null."""
     return dict(zip(channels, plain(values), strict=True))
 
 
 def verdict_entry(verdict: Verdict, findings: Sequence[Finding]) -> dict[str, Any]:
-    """Whether the result can be used, why not, and what the recording seems to be."""
+    """Verdict on the result, its reasons, and the suspected causes in the recording."""
     return {"result": verdict.word, "reasons": [*verdict.reasons], "causes": causes_entry(findings)}
 
 
 def causes_entry(findings: Sequence[Finding]) -> list[dict[str, Any]]:
-    """What a recording seems to be, with the parameters that mend it."""
-    return [plain(own.cause) | {"sure": own.sure, "rivals": plain(own.rivals)} for own in findings]
+    """Causes found in a recording, with the parameters that fix them."""
+    return [plain(finding.cause) | {"sure": finding.sure, "rivals": plain(finding.rivals)} for finding in findings]
 
 
 def account_entry(account: Account) -> dict[str, Any]:
-    """What became of a topic's messages."""
+    """Counts of a topic's messages."""
     kinds = {kind: dict(sorted((+getattr(account, kind)).items())) for kind in ("rejected", "dropped", "noted")}
     return {"received": account.received, "accepted": account.accepted, **kinds, "lost": account.lost}

@@ -1,8 +1,8 @@
-"""``gap.json``: what the gap workflow found, for programs; :class:`GapFile` is its schema.
+"""``gap.json``: the result of the gap workflow for programs; :class:`GapFile` is its schema.
 
-Its ``format`` is 1. Effects are as in the sidecar; of a finding and of a link ``confidence`` says the probability in a
-word: ``confident`` above .95, ``tentative`` from .5, ``ambiguous``. Numbers that do not exist (a channel without
-measurements, say) are null.
+Its ``format`` is 1. Effects are as in the sidecar. ``confidence`` of a finding or a link is its probability as a word:
+``confident`` above .95, ``tentative`` from .5, ``ambiguous``. Missing numbers (a channel without measurements, say) are
+null.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _AS_FOUND = (
     *("verdict", "findings", "links", "unexplained", "unjudged", "ordinary"),
     *("located", "ranking", "cutoff", "seconds"),
 )
-"""What the file has as the result has it."""
+"""Fields that are the same in the file and in the result."""
 _KINDS = ("before", "inertias_only", "after", "expected")
 Errors: TypeAlias = Mapping[str, Mapping[str, float]]
 Parameters: TypeAlias = Annotated[FloatArray, (10,)]
@@ -46,7 +46,7 @@ Parameters: TypeAlias = Annotated[FloatArray, (10,)]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BodyEntry:
-    """A body, and its parameters ``(10,)`` before and after."""
+    """A body with its parameters ``(10,)`` before and after the search."""
 
     name: str
     before: Parameters
@@ -55,38 +55,38 @@ class BodyEntry:
 
 @dataclass(frozen=True, kw_only=True)
 class CauseEntry(Cause):
-    """What makes a recording doubtful, with its rivals."""
+    """A cause that makes a recording doubtful, with its rivals."""
 
     sure: bool
     rivals: tuple[Cause, ...]
 
     @property
     def doubt(self) -> str:
-        """All of it in a sentence."""
+        """The cause and its rivals in one sentence."""
         return Doubt(cause=self, sure=self.sure, rivals=self.rivals).sentence
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GapFile:
-    """All that the page of a gap needs.
+    """Everything that the page of a gap needs.
 
     Attributes:
         source: names it in messages.
         verdict, findings, links, unexplained, unjudged, ordinary, located, ranking: see
-            :class:`~geomid_ros.gap.result.GapResult`, the surest first.
-        gap: ``before``, ``inertias_only``, ``after`` (the written model, in which are the findings that are confident),
-            ``expected`` and ``moving``, each the residual of held-out samples in units of the floor by channel.
-        floor: the noise's standard deviation by channel [N m, N], of efforts without the gains that were found.
-        resimulated: ``before`` and ``after``, each the error of held-out data that are simulated again in short windows
-            by joint or wrench channel, in units of what noise makes of it; None where that could not be.
-        closed_loop: the same of efforts in closed loop under the recorded commands.
+            :class:`~geomid_ros.gap.result.GapResult`, the most certain first.
+        gap: residuals of held-out samples by channel, in units of the noise floor: ``before``, ``inertias_only``,
+            ``after`` (the written model, which contains the confident findings), ``expected`` and ``moving``.
+        floor: standard deviation of the noise by channel [N m, N], with efforts corrected by the gains that were found.
+        resimulated: errors ``before`` and ``after`` of held-out data simulated in short windows, by joint or wrench
+            channel, in units of the error due to noise; None if they were not simulated.
+        closed_loop: the same for efforts in closed loop under the recorded commands.
         units: by channel.
-        bodies, cutoff, seconds: bodies before and after; of the low-pass [Hz]; that the search took.
+        bodies, cutoff, seconds: bodies before and after; cutoff of the low-pass [Hz]; duration of the search.
         robot, recordings: names.
-        known: effects that the model had.
-        judged_seconds, not_simulated: of held-out data; why nothing was simulated, or empty.
-        causes, warnings, notes: what makes the recording doubtful, with the ``settings`` that mend it; what else to
-            know of it and of the model that it was compared with; what was settled for the user.
+        known: effects of the model before.
+        judged_seconds, not_simulated: duration of held-out data; why nothing was simulated, or empty.
+        causes, warnings, notes: causes that make the recording doubtful, with the ``settings`` that fix it; remarks on
+            it and on the model that it was compared with; choices made for the user.
     """
 
     source: str
@@ -117,28 +117,28 @@ class GapFile:
 
     @staticmethod
     def of(document: Mapping[str, Any], source: str) -> GapFile:
-        """The content of a document. Raises InputError naming the ``source`` and what is wrong in it."""
+        """Read the content of a document. Raises InputError naming the ``source`` and the fault."""
         return structured(GapFile, {**document, "source": source}, f"{source}:")
 
     @property
     def nominal(self) -> FloatArray:
-        """The bodies' parameters before ``(bodies, 10)``."""
-        return np.array([own.before for own in self.bodies]).reshape(-1, 10)
+        """Parameters of the bodies before ``(bodies, 10)``."""
+        return np.array([body.before for body in self.bodies]).reshape(-1, 10)
 
     @property
     def doubts(self) -> list[str]:
-        """What makes the recording doubtful, in sentences."""
-        return [own.doubt for own in self.causes]
+        """Sentences on what makes the recording doubtful."""
+        return [cause.doubt for cause in self.causes]
 
     @property
     def result(self) -> GapResult:
-        """The result without samples. Raises InputError naming the source for what cannot be."""
+        """The result without samples. Raises InputError naming the source if it is inconsistent."""
         channels, floor = tuple(self.floor), np.array([*self.floor.values()])
         if missing := [key for key in (*_KINDS, "moving") if self.gap.get(key, {}).keys() != {*channels}]:
             raise InputError(f"{self.source}: gap.{missing[0]} does not say a number for each channel of the floor")
         if {*channels} - self.units.keys():
             raise InputError(f"{self.source}: units does not say one for each channel of the floor")
-        errors = {key: np.array([*own.values()]) for key, own in self.gap.items()}
+        errors = {key: np.array([*item.values()]) for key, item in self.gap.items()}
         return GapResult(
             **{name: getattr(self, name) for name in _AS_FOUND},
             channels=channels,
@@ -147,8 +147,8 @@ class GapFile:
             gap=GapErrors(*(errors[kind] for kind in _KINDS)),
             moving=errors["moving"],
             trace=_no_trace(len(channels)),
-            bodies=tuple(own.name for own in self.bodies),
-            inertias=np.array([own.after for own in self.bodies]).reshape(-1, 10),
+            bodies=tuple(item.name for item in self.bodies),
+            inertias=np.array([item.after for item in self.bodies]).reshape(-1, 10),
             coefficients=np.zeros(0),
             beside=(),
             folded={},
@@ -157,9 +157,9 @@ class GapFile:
 
 
 def _no_trace(channels: int) -> Trace:
-    """No samples."""
-    nothing, motion = np.zeros((0, channels)), np.zeros((0, 0))
-    predicted = dict.fromkeys(("load", "measured", "before", "inertias_only", "after"), nothing)
+    """Trace without samples."""
+    empty, motion = np.zeros((0, channels)), np.zeros((0, 0))
+    predicted = dict.fromkeys(("load", "measured", "before", "inertias_only", "after"), empty)
     return Trace(stamps=np.zeros(0, dtype=np.int64), position=motion, velocity=motion, **predicted)
 
 
@@ -172,7 +172,7 @@ def read_gap(path: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class OpenFinding(KnownEffect):
-    """A finding, and its ``rivals``."""
+    """A finding and its ``rivals``."""
 
     rivals: tuple[Rival, ...] = ()
 
@@ -184,32 +184,32 @@ class _Findings:
 
 
 def read_open_findings(path: Path) -> tuple[list[OpenFinding], dict[str, float]]:
-    """The findings with rivals in a ``gap.json``, and the noise floor of its channels [N m, N].
+    """Read the findings of a ``gap.json`` that have rivals, and the noise floor of its channels [N m, N].
 
-    Raises InputError naming the file and what is wrong in it, or that nothing is open.
+    Raises InputError naming the file and the fault, or that no finding is open.
     """
     document = structured(_Findings, read_gap(path), f"{path}:")
-    left = [finding for finding in document.findings if finding.rivals]
-    for rival in (rival for finding in left for rival in finding.rivals):
+    findings = [finding for finding in document.findings if finding.rivals]
+    for rival in (rival for finding in findings for rival in finding.rivals):
         effect_class(rival.effect)
-    if not left:
+    if not findings:
         raise InputError(f"{path}: no finding has a rival, so that there is nothing to settle")
-    return left, {name: value for name, value in (document.floor or {}).items() if np.isfinite(value)}
+    return findings, {name: value for name, value in (document.floor or {}).items() if np.isfinite(value)}
 
 
 def is_open(result: GapResult) -> bool:
-    """Whether a finding is not sure and has rivals, so that a motion may decide."""
+    """True if an uncertain finding has rivals, so that a motion may discriminate between them."""
     return any(finding.rivals and finding.settled_by for finding in result.findings)
 
 
 def gap_document(result: GapResult, simulations: Mapping[str, Errors]) -> dict[str, Any]:
-    """The document of a result; ``simulations`` has the errors {before, after} of ``windows`` and ``closed_loop``."""
+    """Document of a result. ``simulations`` has the errors {before, after} of ``windows`` and ``closed_loop``."""
     channels, gap = result.channels, result.gap
     return {
         "format": FORMAT,
         **entry(result, "verdict", "unexplained", "unjudged", "ordinary"),
-        "findings": [plain(own) | entry(own, "confidence") for own in result.findings],
-        "links": [plain(own) | entry(own, "confidence", "sentence") for own in result.links],
+        "findings": [plain(item) | entry(item, "confidence") for item in result.findings],
+        "links": [plain(item) | entry(item, "confidence", "sentence") for item in result.links],
         "gap": {kind: by_channel(channels, getattr(gap, kind)) for kind in _KINDS}
         | {"moving": by_channel(channels, result.moving)},
         "floor": by_channel(channels, result.corrected_floor),
@@ -219,10 +219,10 @@ def gap_document(result: GapResult, simulations: Mapping[str, Errors]) -> dict[s
 
 
 def page_entries(result: GapResult, nominal: FloatArray) -> dict[str, Any]:
-    """Further entries of a ``gap.json``: units, where the gap lives, candidates, and the bodies before and after.
+    """Further entries of a ``gap.json``: units, location of the gap, candidates, and the bodies before and after.
 
     Args:
-        result: what was found.
+        result: the result of the search.
         nominal: parameters of the result's bodies before ``(bodies, 10)``.
     """
     bodies = zip(result.bodies, nominal, result.inertias, strict=True)

@@ -1,7 +1,7 @@
-"""A model that was found before, as :class:`~geomid_ros.session.session.Session` starts from it.
+"""An earlier model, as the starting point of a :class:`~geomid_ros.session.session.Session`.
 
-Inertias and the effects' coefficients are where the estimation begins. What was found of the sensors and of gravity
-holds: efforts are divided by their gain and freed of their delay, wrenches of their offset, gravity is turned.
+The estimation begins with its inertias and effect coefficients. Its findings on sensors and gravity are applied:
+efforts are divided by their gain and their delay is removed, offsets are subtracted from wrenches, gravity is tilted.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ from geomid_ros.types import BoolArray, FloatArray
 
 @dataclass(frozen=True)
 class LoadedModel:
-    """The ``inertias (10,)`` of bodies by name, without payloads, and the ``effects`` that the file ``source`` says;
-    ``known`` of these bodies together, in their order; the fixed links that are ``merged`` into them, where the file
-    says so; the ``doubt`` that its verdict casts on all of it, in a sentence; the models ``fitted`` for descriptions,
-    by their readers; and the ``posterior``, of one that was identified here and now."""
+    """A model from the file ``source``: ``inertias (10,)`` of bodies by name, without payloads, and ``effects``.
+    ``known`` is the joint information on these bodies, in their order. ``merged`` has the fixed links merged into them,
+    if stated. ``doubt`` is a sentence if its verdict makes the model doubtful. ``fitted`` has the models fitted for
+    descriptions, by reader; ``posterior`` is set for a model identified in this process."""
 
     source: str = ""
     inertias: Mapping[str, FloatArray] | None = None
@@ -62,21 +62,20 @@ class LoadedModel:
 
     @staticmethod
     def read(path: str) -> LoadedModel:
-        """Read an ``estimate.json``; nothing is known if there is no ``path``. Raises InputError naming the file and
-        what is wrong in it."""
+        """Read an ``estimate.json``; without ``path``, nothing is known. Raises InputError naming file and fault."""
         return LoadedModel.of(EstimateFile.read(Path(path))) if path else LoadedModel()
 
     @staticmethod
     def of(file: EstimateFile) -> LoadedModel:
-        """What such a file says. Raises InputError naming what is wrong in it."""
-        known = file.known_information
+        """Convert the content of such a file. Raises InputError naming its fault."""
+        information = file.known_information
         models = {reader: written_for(file, reader) for reader in file.handover}
-        fitted = {reader: own.with_payloads_in_links for reader, own in models.items() if own}
+        fitted = {reader: written.with_payloads_in_links for reader, written in models.items() if written}
         return LoadedModel(
             source=file.source,
             inertias=file.inertias,
             effects=tuple(file.known_effects),
-            known=known,
+            known=information,
             merged=file.merged,
             doubt=file.doubt,
             fitted=fitted,
@@ -85,13 +84,13 @@ class LoadedModel:
     def refitted(
         self, model: MeasurementModel, coefficients: FloatArray, beside: Sequence[KnownEffect] = ()
     ) -> LoadedModel:
-        """The same with other coefficients, whose standard deviations stay, and without payloads, which are in the
-        links' inertias by then.
+        """Return the effects with other coefficients, which keep their standard deviations; the result has no inertias.
+        Payloads are dropped, as the links' inertias include them by then.
 
         Args:
             model: a measurement model.
-            coefficients: those of its effects; effects are left out that are NaN or not as positive as they must be.
-            beside: of :attr:`beside_coefficients` those that are left.
+            coefficients: coefficients of its effects; NaN or an invalid sign drops the effect.
+            beside: the remaining ones of :attr:`beside_coefficients`.
         """
         stds = self.deviations(model)[len(model.nominal_inertias) :].tolist()
         entries = [
@@ -101,93 +100,95 @@ class LoadedModel:
         ]
         fitted = {(entry.effect, entry.joint) for entry in entries}
         gone = {(effect.name, place) for effect, place, _ in self._coefficients} - fitted
-        kept = [known for known in self.effects if not _is_beside(known) and (known.effect, known.joint) not in gone]
+        kept = [
+            known for known in self.effects if not _is_situational(known) and (known.effect, known.joint) not in gone
+        ]
         return LoadedModel(self.source, None, tuple(continued(combined(entries), [*kept, *beside])))
 
     @property
     def beside_coefficients(self) -> list[KnownEffect]:
-        """The effects that no measurement model has, as samples show them: they depend on what a model says."""
-        return [known for known in self.in_samples if _is_beside(known)]
+        """Effects in samples that no measurement model has as coefficients, as they depend on its state."""
+        return [effect for effect in self.in_samples if _is_situational(effect)]
 
     @property
     def not_predicted(self) -> str:
-        """What is known and cannot be predicted, in a sentence; empty for nothing."""
-        names = [f"{known.effect} of {known.joint}" for known in self.effects if _is_beside(known)]
+        """Sentence on known effects that cannot be predicted; empty if there are none."""
+        names = [f"{effect.effect} of {effect.joint}" for effect in self.effects if _is_situational(effect)]
         return f"{self.source}: {', '.join(names)}: not predicted, only simulated with the MJCF" if names else ""
 
     @property
     def beside_inertias(self) -> list[KnownEffect]:
-        """The effects without payloads, which are in the inertias of :meth:`parameters`."""
-        return [known for known in self.effects if not is_body(known)]
+        """Effects without payloads, which are in the inertias of :meth:`parameters`."""
+        return [effect for effect in self.effects if not is_body(effect)]
 
     @property
     def in_samples(self) -> list[KnownEffect]:
-        """The same, as samples show them that are corrected as :meth:`signals` and :meth:`sensors` say."""
-        return [known for known in self.beside_inertias if not effect_class(known.effect).corrected_in_samples]
+        """Effects without payloads that remain in samples corrected by :meth:`signals` and :meth:`sensors`."""
+        return [effect for effect in self.beside_inertias if not effect_class(effect.effect).corrected_in_samples]
 
     def gravity(self, gravity: FloatArray) -> FloatArray:
-        """Gravity ``(3,)`` in the base frame, of what it would be if the base stood straight."""
+        """Gravity ``(3,)`` in the base frame, from that of an upright base."""
         return turned_gravity(gravity, self.effects)
 
     def locked(self, tree: UrdfTree) -> list[str]:
-        """The joints of a description that moved nothing when the model was identified: the links at both ends were one
-        body. Those that follow another joint are locked with it."""
+        """Names of a description's joints that were locked when the model was identified: the links at both ends were
+        one body. Joints that mimic another one are locked with it."""
         bodies = [{name, *merged} for name, merged in self.merged.items()]
         moving = [joint for joint in tree.joints if joint.type != "fixed" and joint.mimic is None]
         return [joint.name for joint in moving if any({joint.parent, joint.child} <= links for links in bodies)]
 
     def sensors(self, sensors: Sequence[WrenchSensor]) -> list[WrenchSensor]:
-        """The sensors with what is known of their offsets."""
+        """Apply the known offsets to the sensors."""
         shifts: dict[str, FloatArray] = {}
-        for known in self.effects:
-            shift = effect_class(known.effect).wrench_shift(values_of(known))
+        for effect in self.effects:
+            shift = effect_class(effect.effect).wrench_shift(values_of(effect))
             if shift:
-                own = np.array([shift.get(axis, 0.0) for axis in AXES])
-                shifts[known.joint] = shifts.get(known.joint, np.zeros(len(AXES))) + own
+                offset = np.array([shift.get(axis, 0.0) for axis in AXES])
+                shifts[effect.joint] = shifts.get(effect.joint, np.zeros(len(AXES))) + offset
         return [
             replace(sensor, offset=tuple(shifts[sensor.topic].tolist())) if sensor.topic in shifts else sensor
             for sensor in sensors
         ]
 
     def signals(self, settings: SignalSettings, joints: Sequence[str]) -> SignalSettings:
-        """The settings with what is known of the effort sensors."""
+        """Apply the known gains and delays of the effort sensors to the settings."""
         given = settings.effort_gain
         by_joint = given if isinstance(given, dict) else dict.fromkeys(joints, given)
         gains = {joint: by_joint.get(joint, 1.0) / self._gains.get(joint, 1.0) for joint in joints}
-        delay = sum(effect_class(known.effect).effort_lag(values_of(known)) for known in self.effects)
+        delay = sum(effect_class(effect.effect).effort_lag(values_of(effect)) for effect in self.effects)
         return replace(settings, effort_gain=gains if self._gains else given, effort_delay=delay)
 
     @cached_property
     def _gains(self) -> dict[str, float]:
-        """Factors from true efforts to measured ones by joint, where they are not 1."""
+        """Factors from true to measured efforts by joint, where they are not 1."""
         scales = [(known.joint, effect_class(known.effect).effort_scale(values_of(known))) for known in self.effects]
         return {joint: scale for joint, scale in scales if scale != 1.0}
 
     @cached_property
     def _coefficients(self) -> dict[tuple[IdentifiedEffect, str, str], float]:
-        """Coefficients of the effects that a measurement model can have, at efforts without error of scale, by the
-        effect, its place and the parameter that they are."""
-        found: dict[tuple[IdentifiedEffect, str, str], float] = {}
-        for known in self.in_samples:
-            for part, own in effect_class(known.effect).coefficients(values_of(known)).items():
+        """Coefficients of effects that a measurement model can have, without gain error, by effect, place and
+        parameter."""
+        coefficients: dict[tuple[IdentifiedEffect, str, str], float] = {}
+        for effect in self.in_samples:
+            for part, values in effect_class(effect.effect).coefficients(values_of(effect)).items():
                 if isinstance(part, IdentifiedEffect):
-                    for form, value in zip(part.own, own, strict=True):
-                        key = part, known.joint, form.name
-                        found[key] = found.get(key, 0.0) + value
-        return found
+                    for form, value in zip(part.own, values, strict=True):
+                        key = part, effect.joint, form.name
+                        coefficients[key] = coefficients.get(key, 0.0) + value
+        return coefficients
 
     def local_effects(self, common: Collection[Effect]) -> dict[str, list[IdentifiedEffect]]:
-        """The effects that are known at single places, by the place's name, beside those that every place has."""
-        found: dict[str, list[IdentifiedEffect]] = {}
+        """Effects known at single places, by the place's name, in addition to the ``common`` ones of all places."""
+        effects: dict[str, list[IdentifiedEffect]] = {}
         for effect, place in dict.fromkeys((effect, place) for effect, place, _ in self._coefficients):
             if effect not in common:
-                found.setdefault(place, []).append(effect)
-        return found
+                effects.setdefault(place, []).append(effect)
+        return effects
 
     def parameters(self, model: MeasurementModel) -> FloatArray | None:
-        """The parameters ``(D,)`` of ``model``, NaN where nothing is known; None if nothing is.
+        """Parameters ``(D,)`` of ``model``, NaN where nothing is known; None if nothing is known at all.
 
-        Raises InputError when the model is of another robot, or when no measurement can have these values.
+        Raises InputError if the model is of another robot, or if the values are invalid.
         """
         if self.inertias is None:
             return None
@@ -198,52 +199,51 @@ class LoadedModel:
         inertias = [
             self.inertias.get(name, np.full(10, np.nan)) + self._payload(name, model) for name in model.body_names
         ]
-        known = self._coefficients
-        found = np.array([known.get((c.effect, c.place_name, c.parameter), np.nan) for c in model.coefficients])
+        stored = self._coefficients
+        coefficients = np.array([stored.get((c.effect, c.place_name, c.parameter), np.nan) for c in model.coefficients])
         positive = np.array([c.effect.own[c.index].above == 0.0 for c in model.coefficients], dtype=bool)
-        if np.any(found[positive] <= 0.0) or np.any(np.isinf(found)):
+        if np.any(coefficients[positive] <= 0.0) or np.any(np.isinf(coefficients)):
             raise InputError(f"{self.source}: an effect that must be positive and finite is not")
-        return np.concatenate([*inertias, found])
+        return np.concatenate([*inertias, coefficients])
 
     def in_its_shape(self, model: MeasurementModel) -> BoolArray:
-        """Which coefficients ``(coefficients,)`` of ``model`` are not another shape of one that is known."""
-        known = [(c.effect, c.place_name, c.parameter) in self._coefficients for c in model.coefficients]
-        mechanisms = {c.mechanism for c, is_there in zip(model.coefficients, known, strict=True) if is_there}
-        pairs = zip(model.coefficients, known, strict=True)
-        return np.array([is_there or c.mechanism not in mechanisms for c, is_there in pairs], dtype=bool)
+        """Boolean mask ``(coefficients,)`` of ``model``: False for another shape of a mechanism that is known."""
+        is_known = [(c.effect, c.place_name, c.parameter) in self._coefficients for c in model.coefficients]
+        mechanisms = {c.mechanism for c, known in zip(model.coefficients, is_known, strict=True) if known}
+        pairs = zip(model.coefficients, is_known, strict=True)
+        return np.array([known or c.mechanism not in mechanisms for c, known in pairs], dtype=bool)
 
     def _check_merged(self, model: MeasurementModel) -> None:
-        """Raises InputError if a body consists of other links than the one of its name in the file. Links that weigh
-        nothing here are of no body, and a payload that the file says may be a link here."""
+        """Raise InputError if a body consists of other links than the body of this name in the file. Links without a
+        mass in this description belong to no body, and a payload in the file may be a link here."""
         moving = {link for body in model.robot.bodies for link in (body.name, *body.merged)}
         for body in (model.robot.bodies[place] for place in model.identified):
-            here = {*body.merged} - {link for link in body.merged if self._is_payload(link, body.name)}
-            there = self.merged.get(body.name, here)
-            if there & moving != here:
-                then, now = (", ".join(sorted(links)) or "no other link" for links in (there, here))
+            current = {*body.merged} - {link for link in body.merged if self._is_payload(link, body.name)}
+            recorded = self.merged.get(body.name, current)
+            if recorded & moving != current:
+                then, now = (", ".join(sorted(links)) or "no other link" for links in (recorded, current))
                 raise InputError(
                     f"{self.source}: link '{body.name}' was identified together with {then}, here it moves with {now}: "
                     "declare the same mounted wrench sensors and locked joints as then"
                 )
 
     def _is_payload(self, link: str, carrier: str) -> bool:
-        """Whether a link is the payload of another one in a description that was written of this model."""
-        said = any(is_body(known) and known.link == carrier for known in self.effects)
-        return said and link.rstrip("_") == payload_name(carrier)
+        """True if a link is the payload of another one in a description that was written from this model."""
+        has_payload = any(is_body(effect) and effect.link == carrier for effect in self.effects)
+        return has_payload and link.rstrip("_") == payload_name(carrier)
 
     def deviations(self, model: MeasurementModel) -> FloatArray:
-        """Standard deviations ``(D,)`` of the effects' coefficients in the motion that they are from, NaN where the
-        file says none."""
-        said = by_parameter(self.effects)
+        """Standard deviations ``(D,)`` of the effects' coefficients within their motion, NaN if unknown."""
+        sizes = by_parameter(self.effects)
         places = [(c.effect, (c.effect.name, c.place_name, c.parameter)) for c in model.coefficients]
-        found = [effect.within_motion(said[place]) if place in said else math.nan for effect, place in places]
-        return np.concatenate([np.full(len(model.nominal_inertias), np.nan), found])
+        stds = [effect.within_motion(sizes[place]) if place in sizes else math.nan for effect, place in places]
+        return np.concatenate([np.full(len(model.nominal_inertias), np.nan), stds])
 
     def information(self, model: MeasurementModel) -> LinksInformation | None:
-        """How much is known of all identified bodies of ``model`` together, in their order; None if nothing is, or if
-        some of them were not identified.
+        """Joint information on all identified bodies of ``model``, in their order; None if there is none, or if some of
+        the bodies were not identified.
 
-        Links that are not identified here are as they were found.
+        Links that are not identified here are fixed at their estimates.
         """
         if self.known is None or self.inertias is None or not {*model.body_names} <= self.inertias.keys():
             return None
@@ -252,17 +252,17 @@ class LoadedModel:
         return LinksInformation(rows, self.known.residuals)
 
     def _payload(self, body: str, model: MeasurementModel) -> FloatArray:
-        """Parameters ``(10,)`` of what a body carries."""
+        """Parameters ``(10,)`` of a body's payload."""
         total = np.zeros(10)
-        for known in self.effects:
-            if is_body(known) and known.link not in model.body_names:
-                raise InputError(f"{self.source}: {unknown_name('link with a payload', known.link, model.body_names)}")
-            if is_body(known) and known.link == body:
-                total += payload_parameters(values_of(known))
+        for effect in self.effects:
+            if is_body(effect) and effect.link not in model.body_names:
+                raise InputError(f"{self.source}: {unknown_name('link with a payload', effect.link, model.body_names)}")
+            if is_body(effect) and effect.link == body:
+                total += payload_parameters(values_of(effect))
         return total
 
 
-def _is_beside(known: KnownEffect) -> bool:
-    cls = effect_class(known.effect)
+def _is_situational(effect: KnownEffect) -> bool:
+    cls = effect_class(effect.effect)
     identified = issubclass(cls, LoadEffect) or cls.corrected_in_samples or cls.absorbed
     return issubclass(cls, SituationEffect) and not identified

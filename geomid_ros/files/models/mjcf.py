@@ -1,9 +1,9 @@
-"""MJCF of an identified robot with its effects, as far as MJCF can say them; or their numbers in an MJCF of a user.
+"""MJCF of an identified robot with its effects, as far as MJCF can represent them; or their values in an existing MJCF.
 
-Kinematics are the URDF's. Gravity, damping, dry friction, armature and springs are MuJoCo's own elements; a payload
-is a body fixed to its link. A joint that gives, by elasticity or backlash, has a further hinge (or
-slide) named ``JOINT/elasticity`` or ``JOINT/backlash`` on the same axis behind its own, which is the motor's: the one
-that is measured and driven.
+The kinematics are the URDF's. Gravity, damping, dry friction, armature and springs are MuJoCo's own elements; a payload
+is a body fixed to its link. A joint with elasticity or backlash has a second hinge (or slide) named
+``JOINT/elasticity`` or ``JOINT/backlash`` on the same axis, distal to its own. The first is the motor's, measured and
+driven.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from geomid_ros.model.urdf_tree import origin_of, read_numbers, read_xml
 from geomid_ros.types import FloatArray
 
 _READ_BY_MUJOCO = (".stl", ".obj", ".msh")
-# Shapes to be seen touch nothing. Those to touch do not touch one another: a URDF does not say which ones may.
+# Visual shapes collide with nothing. Collision shapes ignore one another: a URDF does not state which pairs may touch.
 _KINDS = {
     "visual": {"contype": "0", "conaffinity": "0", "group": "2"},
     "collision": {"contype": "1", "conaffinity": "0", "group": "3"},
@@ -40,7 +40,7 @@ _KINDS = {
 
 @dataclass(frozen=True, eq=False)
 class Shapes:
-    """The ``geoms`` of links by name, the ``assets`` that these need, and sentences on what is ``missing``."""
+    """The ``geoms`` of links by name, the ``assets`` that they need, and sentences on ``missing`` ones."""
 
     geoms: dict[str, list[Element]] = field(default_factory=dict)
     assets: list[Element] = field(default_factory=list)
@@ -48,14 +48,14 @@ class Shapes:
 
 
 def mjcf_shapes(urdf: str, source: str, find: Callable[[str, str], Path]) -> Shapes:
-    """The shapes of a URDF's links.
+    """Convert the shapes of a URDF's links.
 
     Args:
-        urdf: its text.
+        urdf: text of the URDF.
         source: names it in messages.
-        find: the file of a mesh's URI, or an InputError that begins with its second argument.
+        find: returns the file of a mesh's URI, or raises an InputError that begins with its second argument.
     """
-    found = Shapes()
+    shapes = Shapes()
     meshes: dict[tuple[str, str], str] = {}
     for link in read_xml(urdf, source).findall("link"):
         name = link.get("name", "")
@@ -66,12 +66,12 @@ def mjcf_shapes(urdf: str, source: str, find: Callable[[str, str], Path]) -> Sha
                     geom = Element("geom", attributes | _placement(element, where) | _shape(element, where))
                     mesh = element.find("geometry/mesh")
                     if mesh is not None:
-                        geom.set("mesh", _asset(found, meshes, mesh, where, find))
+                        geom.set("mesh", _asset(shapes, meshes, mesh, where, find))
                 except InputError as error:
-                    found.missing.append(str(error))
+                    shapes.missing.append(str(error))
                 else:
-                    found.geoms.setdefault(name, []).append(geom)
-    return found
+                    shapes.geoms.setdefault(name, []).append(geom)
+    return shapes
 
 
 def _placement(element: Element, where: str) -> dict[str, str]:
@@ -99,33 +99,33 @@ def _shape(element: Element, where: str) -> dict[str, str]:
 
 
 def _asset(
-    found: Shapes, meshes: dict[tuple[str, str], str], mesh: Element, where: str, find: Callable[[str, str], Path]
+    shapes: Shapes, meshes: dict[tuple[str, str], str], mesh: Element, where: str, find: Callable[[str, str], Path]
 ) -> str:
-    """The name of a mesh among the assets, to which it is added once."""
+    """Name of a mesh among the assets, to which it is added once."""
     path, scale = find(mesh.get("filename", ""), where), mesh.get("scale", "1 1 1")
     if path.suffix.lower() not in _READ_BY_MUJOCO:
         raise InputError(f"{where}: MuJoCo reads no {path.suffix} ({path.name})")
     key = str(path.resolve()), scale
     if key not in meshes:
         meshes[key] = f"{path.stem}_{len(meshes)}"
-        found.assets.append(Element("mesh", name=meshes[key], file=key[0], scale=scale))
+        shapes.assets.append(Element("mesh", name=meshes[key], file=key[0], scale=scale))
     return meshes[key]
 
 
 def words(numbers: FloatArray | Sequence[float] | float) -> str:
-    """Numbers to the last bit."""
+    """Numbers as text, to the last bit."""
     return " ".join(repr(float(number)) for number in np.ravel(numbers))
 
 
-LONGEST_STEP = 1e-3  # [s]
-_STEPS_PER_RADIAN = 4.0  # of the fastest oscillation of an elastic joint
-# MuJoCo's dry friction, and the ends of a backlash, are constraints that act within this many steps, the fewest that
-# it allows: until a joint almost stands still, friction is then what it should be. Harder ones make a light rotor
-# rattle in its backlash.
+LONGEST_STEP = 1e-3  # [s] upper bound of the time step
+_STEPS_PER_RADIAN = 4.0  # time steps per radian of an elastic joint's fastest oscillation
+# Time constant, in time steps, of the constraints for dry friction and backlash limits: the smallest that MuJoCo
+# allows. Friction is then correct until a joint is almost at rest. Stiffer constraints make a light rotor rattle in its
+# backlash.
 _CONSTRAINT_STEPS = 2.0
-# Where a second hinge needs an inertia before it and none is known: a share of the inertia behind it.
+# If a second hinge needs a rotor inertia and none is known: fraction of the distal inertia.
 _SMALL_ROTOR = 0.01
-_MASSLESS = 1e-12  # [kg, kg m^2] MuJoCo wants everything that moves to have a mass
+_MASSLESS = 1e-12  # [kg, kg m^2] MuJoCo requires a mass of every moving body
 
 
 def mjcf(
@@ -136,15 +136,15 @@ def mjcf(
     gravity: FloatArray | None = None,
     shapes: Shapes | None = None,
 ) -> str:
-    """The MJCF of ``robot``, its moving bodies with ``inertias (10,)`` by name, or the URDF's where none is given.
+    """MJCF of ``robot``. Its moving bodies have ``inertias (10,)`` by name, or the URDF's if none is given.
 
-    Dry friction and damping in the URDF count for nothing: friction is among the ``effects`` or
-    there is none. ``gravity (3,)`` [m/s^2] is that of a base which stands straight, the robot's unless given. Mounted
-    ``sensors`` become a force and a torque sensor named ``TOPIC/force`` and ``TOPIC/torque``, of what the part before
-    applies to the part behind, in the sensor's frame. Without ``shapes`` there are none.
+    Dry friction and damping in the URDF are ignored; friction is among the ``effects`` or absent. ``gravity (3,)``
+    [m/s^2] is that of an upright base, the robot's unless given. Mounted ``sensors`` become a force and a torque sensor
+    named ``TOPIC/force`` and ``TOPIC/torque``. They measure, in the sensor's frame, the wrench from the proximal on the
+    distal part. Without ``shapes`` the MJCF has none.
     """
-    straight = robot.gravity if gravity is None else gravity
-    root = _Writer(robot, inertias, effects, straight).document(
+    upright_gravity = robot.gravity if gravity is None else gravity
+    root = _Writer(robot, inertias, effects, upright_gravity).document(
         [sensor for sensor in sensors if sensor.role == "mounted"], shapes or Shapes()
     )
     indent(root)
@@ -154,7 +154,7 @@ def mjcf(
 
 
 class _Writer:
-    """One robot on its way into an MJCF."""
+    """Builds the MJCF of one robot."""
 
     def __init__(
         self, robot: Robot, inertias: Mapping[str, FloatArray], effects: Iterable[KnownEffect], gravity: FloatArray
@@ -165,10 +165,10 @@ class _Writer:
         self._driven = set(robot.joint_names)
         self._moving = self._driven.union(follower.joint.name for follower in robot.followers)
         effects = list(effects)
-        self._said_of = joint_attributes(effects, "joint")
-        # One for each: two of a pair may turn it in different ratios.
-        said = (joint_attributes([effect], "tendon") for effect in effects)
-        self._said_of_pairs = [(name, numbers) for own in said for name, numbers in own.items()]
+        self._joint_attributes = joint_attributes(effects, "joint")
+        # One entry per effect: two effects of a pair may have different ratios.
+        tendons = (joint_attributes([effect], "tendon") for effect in effects)
+        self._tendon_attributes = [(name, numbers) for pairs in tendons for name, numbers in pairs.items()]
         self._effects = {(effect.effect, effect.joint): values_of(effect) for effect in effects}
         self._payloads = {effect.link: values_of(effect) for effect in effects if is_body(effect)}
         self._gravity = turned_gravity(gravity, effects)
@@ -220,42 +220,42 @@ class _Writer:
         return [joint for joint in self._joints if joint.parent == link]
 
     def _add_joints(self, body: Element, joint: JointFrame) -> None:
-        """The joint itself, and the hinges behind it."""
+        """Add the joint itself, and its second hinges."""
         kind = {"type": "slide" if joint.slides else "hinge", "axis": words(joint.axis)}
-        own = SubElement(body, "joint", {"name": joint.name, **kind, **self._dynamics(joint)})
+        element = SubElement(body, "joint", {"name": joint.name, **kind, **self._dynamics(joint)})
         if joint.lower < joint.upper and math.isfinite(joint.lower + joint.upper):
-            own.attrib |= {"limited": "true", "range": words([joint.lower, joint.upper])}
+            element.attrib |= {"limited": "true", "range": words([joint.lower, joint.upper])}
         hinges = self._hinges(joint)
         for hinge in hinges:
             attributes = _attributes(hinge)
             if hinge is not hinges[-1]:
-                attributes["armature"] = words(_SMALL_ROTOR * self._carried(joint))
+                attributes["armature"] = words(_SMALL_ROTOR * self._distal_inertia(joint))
             SubElement(body, "joint", {"name": f"{joint.name}/{hinge.name}", **kind, **attributes})
 
     def _dynamics(self, joint: JointFrame) -> dict[str, str]:
-        numbers = self._said(joint) | {"armature": self._rotor(joint)}
+        numbers = self._attributes_at(joint) | {"armature": self._rotor(joint)}
         return {name: words(number) for name, number in sorted(numbers.items()) if number != 0.0}
 
-    def _said(self, joint: JointFrame) -> dict[str, float]:
-        """What the effects say of a joint's own attributes, added up."""
-        return self._said_of.get(joint.name, {})
+    def _attributes_at(self, joint: JointFrame) -> dict[str, float]:
+        """Attributes of a joint according to the effects, added up."""
+        return self._joint_attributes.get(joint.name, {})
 
     def _hinges(self, joint: JointFrame) -> list[Hinge]:
-        """The hinges behind a joint's own."""
-        own = [
+        """Additional hinges distal to a joint's own."""
+        effects = [
             (effect, self._effects[name, joint.name])
             for name, effect in EFFECTS.items()
             if (name, joint.name) in self._effects
         ]
-        hinges = [effect.hinge(known, self._carried(joint)) for effect, known in own]
+        hinges = [effect.hinge(values, self._distal_inertia(joint)) for effect, values in effects]
         return [hinge for hinge in hinges if hinge is not None]
 
     def _rotor(self, joint: JointFrame) -> float:
-        known = self._said(joint).get("armature", 0.0)
-        return max(known, _SMALL_ROTOR * self._carried(joint)) if self._hinges(joint) else known
+        armature = self._attributes_at(joint).get("armature", 0.0)
+        return max(armature, _SMALL_ROTOR * self._distal_inertia(joint)) if self._hinges(joint) else armature
 
     def _step(self) -> float:
-        """A time step that resolves the oscillation of every rotor on its elastic gear."""
+        """Time step [s] that resolves the oscillation of every rotor on its elastic gear."""
         periods = [
             math.sqrt(self._rotor(joint) / hinge.stiffness)
             for joint in self._joints
@@ -264,15 +264,15 @@ class _Writer:
         ]
         return min([LONGEST_STEP, *(period / _STEPS_PER_RADIAN for period in periods)])
 
-    def _carried(self, joint: JointFrame) -> float:
-        """Inertia [kg m^2, kg] that a joint carries, about its axis, all joints at zero."""
+    def _distal_inertia(self, joint: JointFrame) -> float:
+        """Inertia [kg m^2, kg] about a joint's axis of everything distal to it, all joints at zero."""
         parameters = pseudo_inertia.to_parameters(self._composite(joint.child))
         if joint.slides:
             return float(parameters[0])
         return float(joint.axis @ pseudo_inertia.rotational_inertia(parameters) @ joint.axis)
 
     def _composite(self, link: str) -> FloatArray:
-        """Pseudo-inertia ``(4, 4)`` of a link and all that comes after it, all joints at zero."""
+        """Pseudo-inertia ``(4, 4)`` of a link and its subtree, all joints at zero."""
         total = pseudo_inertia.from_parameters(self._bodies.get(link, np.zeros(10)))
         if link in self._payloads:
             total = total + pseudo_inertia.from_parameters(payload_parameters(self._payloads[link]))
@@ -287,15 +287,15 @@ class _Writer:
             motor.attrib |= {"ctrllimited": "true", "ctrlrange": words([-joint.effort, joint.effort])}
 
     def _followers(self) -> Iterator[Element]:
-        """Ties of the joints that mimic others to these."""
+        """Yield equality constraints of joints that mimic others."""
         for follower in self._robot.followers:
             polynomial = words([follower.offset, follower.factor, 0.0, 0.0, 0.0])
             master = self._robot.joint_names[follower.master]
             yield Element("joint", joint1=follower.joint.name, joint2=master, polycoef=polynomial)
 
     def _tendons(self) -> Iterator[Element]:
-        """What acts on two joints together, along a fixed tendon of their weighted sum."""
-        for name, numbers in self._said_of_pairs:
+        """Yield effects on two joints together, as fixed tendons along their weighted sum."""
+        for name, numbers in self._tendon_attributes:
             place, coefficient = place_named("joints", name, self._robot.joint_names), numbers.pop("coef")
             joints = [self._robot.joint_names[joint] for joint in (joints_of(place) if place else ())]
             tendon = Element("fixed", {key: words(number) for key, number in sorted(numbers.items())})
@@ -304,28 +304,28 @@ class _Writer:
             yield tendon
 
     def _add_sensors(self, root: Element, sensors: Sequence[WrenchSensor]) -> None:
-        """Sites in the sensors' frames, and what is sensed there."""
-        sensed = SubElement(root, "sensor")
+        """Add sites in the sensors' frames, and the sensors there."""
+        section = SubElement(root, "sensor")
         bodies = {body.get("name"): body for body in root.iter("body")}
         for sensor in sensors:
             bodies[_body_name(sensor.frame)].append(Element("site", name=sensor.topic))
             for kind in ("force", "torque"):
-                SubElement(sensed, kind, name=f"{sensor.topic}/{kind}", site=sensor.topic)
+                SubElement(section, kind, name=f"{sensor.topic}/{kind}", site=sensor.topic)
 
 
 def _add_all(root: Element, name: str, elements: Iterable[Element]) -> None:
-    """Add elements below one of this name, if there are any."""
+    """Add elements below a new element of this name, if there are any."""
     if inner := list(elements):
         SubElement(root, name).extend(inner)
 
 
 def _body_name(link: str) -> str:
-    """MuJoCo keeps the name of the world to itself."""
+    """Rename a link called world, as MuJoCo reserves this name."""
     return "world_link" if link == "world" else link
 
 
 def _attributes(hinge: Hinge) -> dict[str, str]:
-    """Of a hinge behind a joint's own."""
+    """Attributes of an additional hinge."""
     attributes = {}
     if hinge.stiffness > 0.0:
         attributes["stiffness"] = words(hinge.stiffness)
@@ -339,7 +339,7 @@ def _add_inertial(body: Element, parameters: FloatArray) -> None:
 
 
 def inertial_attributes(parameters: FloatArray) -> dict[str, str]:
-    """The attributes of the <inertial> of a body with ``parameters (10,)``."""
+    """Attributes of the <inertial> of a body with ``parameters (10,)``."""
     inertia = pseudo_inertia.central_inertia(parameters)
     return {
         "pos": words(pseudo_inertia.centre_of_mass(parameters)),
@@ -359,13 +359,13 @@ def with_identified(
     joints: Mapping[str, Mapping[str, float]],
     emptied: Collection[str] = (),
 ) -> str:
-    """An MJCF with what was identified.
+    """Insert identified values into an MJCF.
 
     Args:
-        mjcf: the text.
+        mjcf: text of the MJCF.
         bodies: inertial parameters ``(10,)`` of bodies by name, in their own frames.
         joints: attributes of joints by name, angles in radians.
-        emptied: bodies that weigh nothing of their own, as others count them in.
+        emptied: bodies that become massless, as the inertias of others include them.
     """
     data = mjcf.encode()
     places, tags = descendants_of(data, _WORLD, "body", "inertial"), descendants_of(data, _WORLD, "joint")

@@ -1,11 +1,11 @@
-"""``population.json``: what robots of a type have in common, written by ``geomid fleet`` and read as a prior.
+"""``population.json``: the distribution of robots of one type, written by ``geomid fleet`` and read as a prior.
 
-``links`` have ``name``, ``mass``, ``com`` and ``inertia`` as in ``estimate.json``; ``effects`` ``name``, ``place``,
-``parameter``, ``unit``, ``positive``, ``value`` and, if not positive, ``scale``. ``covariance`` is the upper triangle,
-row by row, of the covariance of a robot's tangent coordinates at these: little-endian float64 in base64. Of a link they
-are those of the symmetric matrix X in ``P^1/2 exp(X) P^1/2``, where P is its pseudo-inertia ``[[S, h], [h, m]]`` about
-the link's origin: X11, X22, X33, X44, and sqrt(2) times X12, X13, X14, X23, X24, X34. A positive coefficient c is
-``c exp(x)``, another r with its scale s is ``r + s x``.
+``links`` have ``name``, ``mass``, ``com`` and ``inertia`` as in ``estimate.json``. ``effects`` have ``name``,
+``place``, ``parameter``, ``unit``, ``positive``, ``value`` and, if not positive, ``scale``. ``covariance`` is the upper
+triangle, row by row, of the covariance of a robot's tangent coordinates at these values: little-endian float64 in
+base64. The coordinates of a link belong to the symmetric matrix X in ``P^1/2 exp(X) P^1/2``, where P is its
+pseudo-inertia ``[[S, h], [h, m]]`` about the link's origin: X11, X22, X33, X44, and sqrt(2) times X12, X13, X14, X23,
+X24, X34. A positive coefficient c becomes ``c exp(x)``, another coefficient r with scale s ``r + s x``.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def write_population(path: Path, population: Population) -> None:
 
 
 def population_document(population: Population) -> dict[str, Any]:
-    """The document of ``population.json``."""
+    """Make the document of ``population.json``."""
     first = 10 * len(population.links)
     bodies = population.parameters[:first].reshape(-1, 10)
     scales = iter(population.scales.tolist())
@@ -45,7 +45,7 @@ def population_document(population: Population) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "robots": population.robots,
-        "links": [link_entry(name, (), own) for name, own in zip(population.links, bodies, strict=True)],
+        "links": [link_entry(name, (), parameters) for name, parameters in zip(population.links, bodies, strict=True)],
         "effects": [
             plain(effect) | {"value": value} | ({} if effect.positive else {"scale": next(scales)})
             for effect, value in zip(population.effects, values, strict=True)
@@ -69,20 +69,20 @@ class _PopulationDocument:
 
 
 def read_population(path: Path) -> Population:
-    """Read a population. Raises InputError naming the file and what is wrong in it."""
+    """Read a population. Raises InputError naming the file and its fault."""
     document = read_document(path, "population", ("robots", "links", "effects", "covariance"))
-    found = structured(_PopulationDocument, document, f"{path}:")
-    inertias, effects = inertias_of(found.links, str(path)), found.effects
+    content = structured(_PopulationDocument, document, f"{path}:")
+    inertias, effects = inertias_of(content.links, str(path)), content.effects
     try:
-        triangle = unpacked_triangle(found.covariance, _NUMBER, 10 * len(inertias) + len(effects))
+        triangle = unpacked_triangle(content.covariance, _NUMBER, 10 * len(inertias) + len(effects))
     except ValueError as error:
         raise InputError(
             f"{path}: covariance is not of its links and effects ({error!r:.200}); run geomid fleet again"
         ) from error
     covariance = triangle + np.triu(triangle, 1).T
-    values = np.array([each.value for each in effects])
-    scales = np.array([each.scale for each in effects if not each.positive])
-    coordinates = tuple(EffectCoordinate(**{key: getattr(each, key) for key in _OF_EFFECT}) for each in effects)
+    values = np.array([effect.value for effect in effects])
+    scales = np.array([effect.scale for effect in effects if not effect.positive])
+    coordinates = tuple(EffectCoordinate(**{key: getattr(effect, key) for key in _OF_EFFECT}) for effect in effects)
     _check(path, coordinates, values, scales, covariance)
     return Population(
         links=tuple(inertias),
@@ -90,23 +90,23 @@ def read_population(path: Path) -> Population:
         parameters=frozen(np.concatenate([*inertias.values(), values])),
         covariance=frozen(covariance),
         scales=frozen(scales),
-        robots=found.robots,
+        robots=content.robots,
     )
 
 
 def _check(
     path: Path, effects: Sequence[EffectCoordinate], values: FloatArray, scales: FloatArray, covariance: FloatArray
 ) -> None:
-    """Raise InputError for what no population can be."""
+    """Raise InputError for an invalid population."""
     positive = np.array([effect.positive for effect in effects], dtype=bool)
-    possible = (
+    valid = (
         len({(effect.name, effect.place, effect.parameter, effect.unit) for effect in effects}) == len(effects)
         and bool(np.all(np.diff(positive.astype(int)) <= 0))  # the positive ones come first
         and bool(np.all(np.isfinite(values)) and np.all(values[positive] > 0.0) and np.all(scales > 0.0))
         and bool(np.all(np.isfinite(covariance)) and np.all(np.diag(covariance) > 0.0))
     )
-    if possible:
+    if valid:
         deviations = np.sqrt(np.diag(covariance))
-        possible = bool(np.linalg.eigvalsh(covariance / np.outer(deviations, deviations))[0] > 0.0)
-    if not possible:
+        valid = bool(np.linalg.eigvalsh(covariance / np.outer(deviations, deviations))[0] > 0.0)
+    if not valid:
         raise InputError(f"{path}: its effects or its covariance are none that robots can have; run geomid fleet again")

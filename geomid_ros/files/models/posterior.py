@@ -1,13 +1,13 @@
-"""``posterior.npz``: the joint posterior of links and effects on disk, beside ``estimate.json``, and what they lack.
+"""``posterior.npz``: the joint posterior of links and effects, and the model's remainder, next to ``estimate.json``.
 
 A NumPy archive without pickled objects. ``posterior`` is a JSON text: ``format``, ``links`` (``name``, ``merged``) and
-``effects`` (``name``, ``place``, ``parameter``, ``unit``, ``positive``). The arrays of float64 are the fields of
-:class:`~geomid_ros.estimation.posterior.Posterior` of the same names, where their coordinates are described.
+``effects`` (``name``, ``place``, ``parameter``, ``unit``, ``positive``). The arrays of float64 are the fields of the
+same names of :class:`~geomid_ros.estimation.posterior.Posterior`, which describes their coordinates.
 
 From format 2 on, ``remainder`` in that text may hold ``joints`` and ``channels`` of a
-:class:`~geomid_ros.gap.evidence.features.StandingRemainder`. Then ``knots`` are those of its basis, and each channel
-has its ``scales_N`` and ``mean_N``, which is empty where nothing is known, and ``triangle_N``: the upper triangle, row
-by row, in float32.
+:class:`~geomid_ros.gap.evidence.features.StandingRemainder`. Then ``knots`` are those of its basis. Each channel has
+``scales_N``, ``mean_N``, which is empty if nothing is known, and ``triangle_N``: the upper triangle, row by row, in
+float32.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ from geomid_ros.types import AnyArray, FloatArray, IntArray, frozen
 POSTERIOR = "posterior.npz"
 FORMAT = 2
 SAME = 1e-6
-"""Relative difference of one number in two files of fewer digits."""
+"""Relative tolerance between the same number in two files, of which one has fewer digits."""
 _HEADER = "posterior"
 _VECTORS = ("parameters", "prior", "prior_spreads")
 _MOST_PARAMETERS = 2000
 T = TypeVar("T")
 
-# What NumPy, zipfile and json raise; RuntimeError for encrypted files, MemoryError for an array that is not there.
+# Errors of NumPy, zipfile and json; RuntimeError for encrypted files, MemoryError for an array that is not there.
 _UNREADABLE = (zipfile.BadZipFile, LookupError, TypeError, ValueError, RuntimeError, EOFError, MemoryError)
 _Arrays: TypeAlias = Mapping[str, AnyArray]
 
 
 def write_posterior(path: Path, posterior: Posterior, remainder: StandingRemainder | None = None) -> list[Path]:
-    """Write a posterior, and what the model lacks if that is known, possible and no larger than a posterior may be; of
-    a robot with more than 2000 parameters, none. Returns the files.
+    """Write a posterior, and the model's remainder if it is known, valid and not larger than the largest posterior.
+    Nothing is written for a robot with more than 2000 parameters. Returns the files.
 
     Raises GeomidError naming the file.
     """
@@ -71,7 +71,7 @@ def write_posterior(path: Path, posterior: Posterior, remainder: StandingRemaind
 
 
 def beside(estimate: Path) -> Path:
-    """The posterior that was written with an ``estimate.json``. Raises InputError if there is none."""
+    """Path of the posterior that was written with an ``estimate.json``. Raises InputError if there is none."""
     path = estimate.with_name(POSTERIOR)
     if estimate.is_file() and not path.is_file():
         raise InputError(
@@ -87,27 +87,27 @@ def read_posterior(path: Path) -> Posterior:
 
 
 def check_of(posterior: Posterior, file: Path, inertias: Mapping[str, FloatArray], source: str) -> None:
-    """Raise InputError unless a posterior, read from a ``file``, is that of the estimate ``source``, which has these
+    """Raise InputError unless a posterior, read from a ``file``, belongs to the estimate ``source``, which has these
     ``inertias (10,)`` by link."""
     if posterior.links != tuple(inertias):
         raise InputError(f"{file}: of the links {', '.join(posterior.links)}, and {source} of {', '.join(inertias)}")
     links = posterior.parameters[posterior.manifold.inertial].reshape(-1, 10)
-    for own, there in zip(links, inertias.values(), strict=True):
-        if not np.allclose(own, there, rtol=SAME, atol=SAME * np.max(np.abs(there))):
+    for link, inertia in zip(links, inertias.values(), strict=True):
+        if not np.allclose(link, inertia, rtol=SAME, atol=SAME * np.max(np.abs(inertia))):
             raise InputError(f"{file}: not of the estimate beside it, {source}; keep together what one run wrote")
 
 
 def places_in(posterior: Posterior, model: MeasurementModel) -> IntArray:
-    """Where in a posterior each parameter of a model is ``(D,)``; -1 where it has none."""
+    """Index ``(D,)`` in a posterior of each parameter of a model; -1 where it has none."""
     bodies = {name: 10 * place for place, name in enumerate(posterior.links)}
     effects = {(e.name, e.place, e.parameter): place for place, e in enumerate(posterior.effects, 10 * len(bodies))}
     links = [bodies[name] + np.arange(10) if name in bodies else np.full(10, -1) for name in model.body_names]
-    own = [effects.get((c.effect.name, c.place_name, c.parameter), -1) for c in model.coefficients]
-    return np.concatenate([*links, np.array(own, dtype=np.int64)])
+    coefficients = [effects.get((c.effect.name, c.place_name, c.parameter), -1) for c in model.coefficients]
+    return np.concatenate([*links, np.array(coefficients, dtype=np.int64)])
 
 
 def read_remainder(path: Path) -> StandingRemainder | None:
-    """Read what the model lacks; None if the file does not say. Raises InputError naming the file."""
+    """Read the model's remainder; None if the file has none. Raises InputError naming the file."""
     return _read(path, _remainder)
 
 
@@ -125,7 +125,7 @@ class _OfRemainder:
 
 @dataclass(frozen=True, kw_only=True)
 class _Header:
-    """What the text says."""
+    """Schema of the JSON text."""
 
     links: tuple[_Link, ...]
     effects: tuple[EffectCoordinate, ...]
@@ -145,9 +145,9 @@ def _read(path: Path, read: Callable[[_Arrays, _Header], T]) -> T:
 
 
 def _unpacked(content: bytes) -> _Arrays:
-    """All arrays; of those that are compressed, which may be larger than any memory, none."""
+    """All arrays. Refuses compressed ones, as they may be larger than any memory."""
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        if any(own.compress_type != zipfile.ZIP_STORED for own in archive.infolist()):
+        if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
             raise InputError("its arrays are compressed")
     with np.load(io.BytesIO(content), allow_pickle=False) as members:
         arrays = dict(members)
@@ -164,18 +164,18 @@ def _header(arrays: _Arrays) -> _Header:
 
 
 def _size_of(remainder: StandingRemainder) -> int:
-    """Bytes, at most."""
+    """Upper bound of its size [bytes]."""
     return sum(4 * len(mean) * (len(mean) + 5) for mean in remainder.means)
 
 
 def _objection(remainder: StandingRemainder) -> str:
-    """Why no model can lack this; empty if one can."""
+    """Reason why a remainder is invalid; empty if it is valid."""
     knots, scales = remainder.basis.knots, remainder.basis.scales
     if not np.all(knots[:, :, 0] <= knots[:, :, 1]):
         return "holds a remainder whose ranges cannot be"
-    if not all(np.all((own > 0.0) & (own <= LARGEST_SCALE)) for own in scales):
+    if not all(np.all((array > 0.0) & (array <= LARGEST_SCALE)) for array in scales):
         return "holds a remainder whose scales cannot be"
-    if not all(np.all(np.isfinite(own)) for own in (knots, *remainder.means, *remainder.triangles)):
+    if not all(np.all(np.isfinite(array)) for array in (knots, *remainder.means, *remainder.triangles)):
         return "holds a remainder that is not finite"
     return ""
 
@@ -232,7 +232,7 @@ def _posterior(arrays: _Arrays, header: _Header) -> Posterior:
 
 
 def _check(posterior: Posterior) -> None:
-    """Raise InputError for what no estimate can be."""
+    """Raise InputError for an invalid posterior."""
     manifold = posterior.manifold
     for parameters in (posterior.parameters, posterior.prior):
         point = manifold.point(parameters)

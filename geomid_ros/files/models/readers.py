@@ -1,4 +1,4 @@
-"""Who reads descriptions of robots, and which of their elements each takes."""
+"""Programs that read robot descriptions, and the elements that each of them supports."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ ELEMENTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "mjcf_joints": ("mjcf/joint", "mjcf/body"),
     }
 )
-"""By the name of who reads a description of the whole robot, the elements that it takes; see
-:meth:`~geomid_ros.model.effects.ParameterForm.said_by`. Isaac's armature stands in a file beside its URDF; an MJCF of
-the user's own takes what its bodies and joints say (:data:`INTO`)."""
+"""Elements of a whole robot's description that each reader supports, by the reader's name; see
+:meth:`~geomid_ros.model.effects.ParameterForm.said_by`. Isaac's armature is in a file next to its URDF. An existing
+MJCF of the user (:data:`INTO`) supports the entries of its bodies and joints."""
 
 READERS = tuple(reader for reader in ELEMENTS if reader != "moveit")
-"""Those whose files differ."""
+"""Readers with different files."""
 DESCRIBED_FOR = tuple(reader for reader in ELEMENTS if reader != INTO)
-"""Those that a description of a whole robot is written for."""
+"""Readers for which a description of the whole robot is written."""

@@ -1,4 +1,4 @@
-"""Tables of a result as CSV, for spreadsheets and data frames: made from its document alone."""
+"""Tables of a result as CSV, for spreadsheets and data frames, made from its document alone."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from geomid_ros.files.schema import structured
 from geomid_ros.model.effects import effect_class
 
 Rows: TypeAlias = list[dict[str, Any]]
-"""A table: each row has its cells by column."""
+"""A table: a list of rows, each with its cells by column."""
 
 _BETWEEN = ";"
 _FINDING = ("probability", "confidence", "share", "separability", "loss", "sentence")
 
 
 def write_tables(folder: Path, found: Mapping[str, Rows]) -> list[Path]:
-    """Write tables into a folder, each as a file with its name.
+    """Write tables into a folder, one file with its name each.
 
     Returns:
         The files.
@@ -38,8 +38,8 @@ def write_tables(folder: Path, found: Mapping[str, Rows]) -> list[Path]:
 
 
 def tables(document: Mapping[str, Any]) -> dict[str, Rows]:
-    """The tables by their names: links, effects and channels of an ``estimate.json``'s document, findings of a
-    ``gap.json``'s. Raises AttributeError, KeyError, TypeError or ValueError for a document that lacks something."""
+    """Make the tables of a document, by name: links, effects and channels of an ``estimate.json``, findings of a
+    ``gap.json``. Raises AttributeError, KeyError, TypeError or ValueError if the document is incomplete."""
     if "findings" in document:
         return {"findings": list(_findings(document))}
     return {
@@ -50,7 +50,7 @@ def tables(document: Mapping[str, Any]) -> dict[str, Rows]:
 
 
 def csv_text(rows: Rows) -> str:
-    """Rows as CSV below the names of their columns; what is not known is empty."""
+    """Rows as CSV with a header line; unknown values are empty."""
     text = io.StringIO()
     columns = list(dict.fromkeys(column for row in rows for column in row))
     writer = csv.DictWriter(text, columns, lineterminator="\n")
@@ -60,24 +60,24 @@ def csv_text(rows: Rows) -> str:
 
 
 def _link(link: Mapping[str, Any], urdf_masses: Mapping[str, float]) -> dict[str, Any]:
-    """Quantities and standard deviations of a link, with what the file says of how they are known."""
+    """Quantities and standard deviations of a link, and how well they are identified."""
     names = [name.replace(" ", "_") for name in QUANTITIES]
-    given = {"": link, "std_": link["std"]} if "std" in link else {"": link}
-    known = {
-        prefix: structured(InertiaEntry, entry, f"link {link['name']}:").quantities for prefix, entry in given.items()
+    entries = {"": link, "std_": link["std"]} if "std" in link else {"": link}
+    sizes = {
+        prefix: structured(InertiaEntry, entry, f"link {link['name']}:").quantities for prefix, entry in entries.items()
     }
     return {
         "link": link["name"],
         "merged": _BETWEEN.join(link.get("merged", ())),
         "urdf_mass": urdf_masses.get(link["name"]),
-        **{f"{p}{name}": own for p, values in known.items() for name, own in zip(names, values.tolist(), strict=True)},
+        **{f"{p}{name}": x for p, values in sizes.items() for name, x in zip(names, values.tolist(), strict=True)},
         **{key: link[key] for key in ("distance_from_prior", "from_data") if key in link},
         "not_identifiable": _BETWEEN.join(link.get("cannot_tell", ())),
     }
 
 
 def _effects(document: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """A row for every parameter of every effect."""
+    """Yield a row for each parameter of each effect."""
     for entry in document["effects"]:
         parameter, *constants = effect_class(entry["name"]).parameters
         yield _row(entry["name"], entry, parameter.name, entry) | {"from_data": entry.get("from_data")}
@@ -92,7 +92,7 @@ def _effects(document: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def _findings(document: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """A row for every parameter of every finding."""
+    """Yield a row for each parameter of each finding."""
     for entry in document["findings"]:
         for name, quantity in entry["parameters"].items():
             yield _row(entry["effect"], entry, name, quantity) | {key: entry.get(key) for key in _FINDING}

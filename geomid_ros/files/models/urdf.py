@@ -1,6 +1,5 @@
-"""Robot descriptions: read, made of xacro files, and with identified inertias and effects in place of their own and no
-other change; and where their joints sit, what they turn about and how far.
-"""
+"""Robot descriptions: reading, conversion from xacro, insertion of identified inertias and effects without any other
+change; and the frames, axes and limits of joints."""
 
 from __future__ import annotations
 
@@ -30,30 +29,30 @@ from geomid_ros.signals.settings import LONGEST_REASON
 from geomid_ros.types import FloatArray
 
 SUFFIX = ".xacro"
-_SECONDS = 30  # in which a xacro file becomes a URDF
-_MEMORY = 2_000_000_000  # bytes that this may take
+_SECONDS = 30  # time limit of xacro [s]
+_MEMORY = 2_000_000_000  # memory limit of xacro [bytes]
 
 
 def read_urdf(path: Path) -> str:
-    """The text of a URDF file, with the line ends it has. Raises InputError naming it."""
+    """Read the text of a URDF file, with its line ends. Raises InputError naming it."""
     return read_text(path, "robot description", MOST_BYTES)
 
 
 def urdf_of_xacro(path: Path, arguments: Sequence[str] = ()) -> str:
-    """The URDF that a xacro file becomes.
+    """Convert a xacro file to URDF.
 
-    A xacro file is a program: it computes by Python expressions, and includes any file that the user may read.
+    A xacro file is a program: it evaluates Python expressions, and includes any file that the user may read.
 
     Args:
         path: the file.
-        arguments: for it, as ``NAME:=VALUE``.
+        arguments: its arguments, as ``NAME:=VALUE``.
 
     Raises:
-        InputError: naming the file, and the command that makes the URDF where the package is not installed.
+        InputError: it names the file, and the command that makes the URDF if xacro is not installed.
     """
-    wrong = next((argument for argument in arguments if ":=" not in argument), None)
-    if wrong is not None:
-        raise InputError(f"xacro's argument '{wrong}' is not of the form NAME:=VALUE")
+    invalid = next((argument for argument in arguments if ":=" not in argument), None)
+    if invalid is not None:
+        raise InputError(f"xacro's argument '{invalid}' is not of the form NAME:=VALUE")
     if not path.is_file():
         raise InputError(f"{path}: no regular file, as a robot description is")
     if find_spec("xacro") is None:
@@ -68,7 +67,7 @@ def urdf_of_xacro(path: Path, arguments: Sequence[str] = ()) -> str:
 def _run_xacro(command: Sequence[str], path: Path) -> str:
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as errors:
         try:
-            status = subprocess.run(  # noqa: S603 what the user gave to run
+            status = subprocess.run(  # noqa: S603 the user's own file
                 command,
                 stdin=subprocess.DEVNULL,
                 stdout=out,
@@ -80,25 +79,25 @@ def _run_xacro(command: Sequence[str], path: Path) -> str:
         except subprocess.TimeoutExpired as error:
             raise InputError(f"{path}: xacro takes longer than {_SECONDS} s") from error
         out.seek(0), errors.seek(0)
-        text, said = out.read(MOST_BYTES + 1), errors.read(MOST_BYTES)
+        text, output = out.read(MOST_BYTES + 1), errors.read(MOST_BYTES)
     if status != 0:
-        last = " ".join(said.decode(errors="replace").split())[-LONGEST_REASON:]
+        last = " ".join(output.decode(errors="replace").split())[-LONGEST_REASON:]
         raise InputError(f"{path}: xacro cannot make a URDF of it ({last or status}); is an --xacro-arg missing?")
     return text.decode(errors="replace")
 
 
 def _bounds() -> None:
-    """Limit what the process may take and write."""
+    """Limit memory and file size of the process."""
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
     resource.setrlimit(resource.RLIMIT_FSIZE, (MOST_BYTES + 1, MOST_BYTES + 1))
 
 
 def with_inertials(urdf: str, inertias: Mapping[str, FloatArray], removed: Sequence[str] = ()) -> str:
-    """``urdf`` with the inertials of bodies with these parameters ``(10,)``, by the link's name, and without those of
-    the links ``removed``, which are fixed to others and counted in there; every other character of it is kept."""
+    """Replace the inertials of ``urdf`` by bodies with these parameters ``(10,)``, by link, and delete those of the
+    links ``removed``, which are fixed to others and included there; every other character is kept."""
     data = urdf.encode()
     links = children_of(data, "robot", "link", "inertial")
-    edits = [insertion(data, links[name], _inertial(own)) for name, own in inertias.items()]
+    edits = [insertion(data, links[name], _inertial(parameters)) for name, parameters in inertias.items()]
     edits += [(*inertial, b"") for name in removed if (inertial := links[name].child)]
     return edited(data, edits).decode()
 
@@ -115,15 +114,15 @@ def _inertial(parameters: FloatArray) -> bytes:
 
 
 def with_effects(urdf: str, effects: Iterable[KnownEffect]) -> str:
-    """``urdf`` with the effects that a URDF can say; every other character of it is kept.
+    """Insert the effects that a URDF can represent into ``urdf``; every other character is kept.
 
-    What effects say of a joint's ``<dynamics>`` is added up there; a payload becomes a link that is fixed to the
-    one which carries it.
+    Values for the same attribute of a joint's ``<dynamics>`` are added up. A payload becomes a link fixed to the link
+    that carries it.
     """
     data = urdf.encode()
     effects = list(effects)
     joints, links = children_of(data, "robot", "joint", "dynamics"), children_of(data, "robot", "link", "inertial")
-    edits = [_dynamics(data, joints[name], own) for name, own in joint_attributes(effects, "dynamics").items()]
+    edits = [_dynamics(data, joints[name], numbers) for name, numbers in joint_attributes(effects, "dynamics").items()]
     end = data.rindex(b"</robot")
     payloads = [_payload(effect, links, joints) for effect in effects if is_body(effect)]
     edits.append((end, end, b"".join(payloads)))
@@ -131,7 +130,7 @@ def with_effects(urdf: str, effects: Iterable[KnownEffect]) -> str:
 
 
 def _dynamics(data: bytes, joint: Span, numbers: Mapping[str, float]) -> Edit:
-    """The edit that gives a joint's <dynamics> these attributes; others that it has stay."""
+    """Edit that sets these attributes of a joint's <dynamics>; its other attributes remain."""
     element = data[slice(*joint.child)] if joint.child else b"<dynamics/>"
     return insertion(data, joint, with_attributes(element, {name: f"{value:.9g}" for name, value in numbers.items()}))
 
@@ -152,8 +151,8 @@ _OF_DRAKE = re.compile(rb"\s*<drake:(?:rotor_inertia|gear_ratio)\b[^>]*/>")
 
 
 def for_drake(urdf: str, effects: Iterable[KnownEffect], source: str) -> str:
-    """``urdf`` with the inertia of rotors, as it is behind the gear, at the actuators of its transmissions; a joint
-    without one gets one. Drake: ``multibody/parsing/parsing_doxygen.h``, tag_drake_rotor_inertia."""
+    """Add reflected rotor inertias to ``urdf`` at the actuators of its transmissions; a joint without a transmission
+    gets one. Drake: ``multibody/parsing/parsing_doxygen.h``, tag_drake_rotor_inertia."""
     data = urdf.encode()
     transmissions = {
         joint.get("name"): transmission.get("name")
@@ -162,20 +161,20 @@ def for_drake(urdf: str, effects: Iterable[KnownEffect], source: str) -> str:
     }
     spans = children_of(data, "robot", "transmission", "actuator")
     end, edits, added = data.rindex(b"</robot"), [], b""
-    for joint, said in joint_attributes(effects, "actuator").items():
-        inside = _rotor(said["drake:rotor_inertia"])
+    for joint, attributes in joint_attributes(effects, "actuator").items():
+        inside = _rotor(attributes["drake:rotor_inertia"])
         span = spans.get(transmissions.get(joint) or "")
         if span and span.child:
-            own = _OF_DRAKE.sub(b"", data[slice(*span.child)])
-            actuator = Span("actuator", (0, end_of_tag(own, 0)))
-            edits.append((*span.child, edited(own, [insertion(own, actuator, inside)])))
+            actuator = _OF_DRAKE.sub(b"", data[slice(*span.child)])
+            start = Span("actuator", (0, end_of_tag(actuator, 0)))
+            edits.append((*span.child, edited(actuator, [insertion(actuator, start, inside)])))
         else:
             added += _transmission(joint, inside)
     return edited(data, [*edits, *_massless(urdf, source), (end, end, added)]).decode()
 
 
 def _massless(urdf: str, source: str) -> list[Edit]:
-    """Edits that take off inertials without a mass: Drake reads such a link as one of 1 kg."""
+    """Edits that delete inertials without a mass, as Drake reads such a link as one of 1 kg."""
     weightless = [
         link.get("name")
         for link in read_xml(urdf, source).findall("link")
@@ -192,29 +191,29 @@ def _rotor(inertia: float) -> bytes:
 
 
 def _transmission(joint: str, inside: bytes) -> bytes:
-    named = _quoted(joint)
+    name = _quoted(joint)
     return (
         f"  <transmission name={_quoted(joint + '_transmission')}>\n"
-        f"    <type>transmission_interface/SimpleTransmission</type>\n    <joint name={named}/>\n"
-        f"    <actuator name={named}>\n      {inside.decode()}\n    </actuator>\n  </transmission>\n"
+        f"    <type>transmission_interface/SimpleTransmission</type>\n    <joint name={name}/>\n"
+        f"    <actuator name={name}>\n      {inside.decode()}\n    </actuator>\n  </transmission>\n"
     ).encode()
 
 
 def _quoted(text: str) -> str:
-    """A text as the value of an attribute."""
-    from xml.sax.saxutils import quoteattr  # noqa: PLC0415 which loads what opens URLs
+    """Quote a text as the value of an attribute."""
+    from xml.sax.saxutils import quoteattr  # noqa: PLC0415 it imports code that opens URLs
 
     return quoteattr(text)
 
 
 def for_gazebo(urdf: str, effects: Iterable[KnownEffect]) -> str:
-    """``urdf`` with springs as elements ``<gazebo>`` of joints (SDFormat's extensions to URDF)."""
+    """Add springs to ``urdf`` as elements ``<gazebo>`` of joints (SDFormat's extensions to URDF)."""
     data = urdf.encode()
     added = "".join(
         f"  <gazebo reference={_quoted(joint)}>\n"
-        + "".join(f"    <{name}>{value:.9g}</{name}>\n" for name, value in said.items())
+        + "".join(f"    <{name}>{value:.9g}</{name}>\n" for name, value in attributes.items())
         + "  </gazebo>\n"
-        for joint, said in joint_attributes(effects, "gazebo").items()
+        for joint, attributes in joint_attributes(effects, "gazebo").items()
     )
     end = data.rindex(b"</robot")
     return edited(data, [(end, end, added.encode())]).decode()
@@ -223,7 +222,7 @@ def for_gazebo(urdf: str, effects: Iterable[KnownEffect]) -> str:
 @dataclass(frozen=True, eq=False)
 class JointFrame:
     """A joint at zero: ``position (3,)`` [m] and ``rotation (3, 3)`` of its child link in the parent's frame, its unit
-    ``axis (3,)`` in the child's, its range [rad or m] and its effort limit [N m or N], infinite where there is none."""
+    ``axis (3,)`` in the child's, its range [rad or m] and its effort limit [N m or N], infinite if there is none."""
 
     name: str
     slides: bool
@@ -238,7 +237,7 @@ class JointFrame:
 
 
 def joint_frames(urdf: str, source: str) -> tuple[JointFrame, ...]:
-    """The joints of a URDF in its order. Raises InputError naming ``source``."""
+    """Joints of a URDF in its order. Raises InputError naming ``source``."""
     return tuple(_joint_frame(element, source) for element in read_xml(urdf, source).findall("joint"))
 
 

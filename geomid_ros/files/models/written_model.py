@@ -1,8 +1,8 @@
-"""The model with what the gap workflow found, as files: ``estimate.json``, URDF, MJCF and the sidecar of effects.
+"""Files of the model with the gap workflow's findings: ``estimate.json``, URDF, MJCF and the sidecar of effects.
 
-``estimate.json`` is an :class:`~geomid_ros.files.models.estimate_file.EstimateFile` like any other, with less in it (no
-standard deviations of links); and the ``floor``, the standard deviation of each channel's noise [N m, N] below the
-``cutoff`` [Hz], in which ``geomid verify`` judges it.
+``estimate.json`` is an ordinary :class:`~geomid_ros.files.models.estimate_file.EstimateFile` without the standard
+deviations of links. It also has the ``floor``: the standard deviation of each channel's noise [N m, N] below the
+``cutoff`` [Hz], in which ``geomid verify`` expresses the errors.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class ModelFiles:
 
     @staticmethod
     def of(folder: Path) -> ModelFiles:
-        """Those of :func:`write_model` in a folder."""
+        """Paths of the files that :func:`write_model` writes into a folder."""
         return ModelFiles(folder / MJCF, folder / EFFECTS_FILE)
 
 
@@ -68,24 +68,24 @@ def write_model(
     reader: str = URDF,
 ) -> list[Path]:
     """Write the model with ``inertias (10,)`` of identified bodies by name and all of its ``effects`` into ``folder``;
-    returns the files. ``fitted`` are the models that descriptions hold instead, by their readers; the sidecar is that
-    of one ``reader``.
+    returns the files. ``fitted`` are the models that descriptions contain instead, by reader. The sidecar is that of
+    one ``reader``.
 
-    ``gravity (3,)`` is that of a base which stands straight; ``findings`` are what seems to be wrong with the recording
-    that the model is from, ``noise`` its floor by channel and its cutoff, if known; ``folded`` is the model's, see
-    :class:`WrittenModel`. Of effects that are there twice, see :func:`~geomid_ros.files.models.effects_file.combined`.
+    ``gravity (3,)`` is that of an upright base. ``findings`` are the suspected faults of the model's recording,
+    ``noise`` its floor by channel and its cutoff, if known. ``folded`` is the model's, see :class:`WrittenModel`.
+    Duplicate effects are merged, see :func:`~geomid_ros.files.models.effects_file.combined`.
     """
     effects = combined(effects)
-    whole = WrittenModel(inertias, tuple(effects), folded)
-    held = {name: fitted.get(name, whole) for name in READERS}
-    alone = {name: replace(own, effects=tuple(_with_folded(own.effects, own.folded))) for name, own in held.items()}
+    full = WrittenModel(inertias, tuple(effects), folded)
+    models = {name: fitted.get(name, full) for name in READERS}
+    alone = {name: replace(m, effects=tuple(_with_folded(m.effects, m.folded))) for name, m in models.items()}
     merged = {body.name: body.merged for body in model.robot.bodies if body.name in inertias}
     removed = [name for names in merged.values() for name in names]
     document = {
         "format": FORMAT,
-        "links": [link_entry(name, merged[name], own) for name, own in inertias.items()],
+        "links": [link_entry(name, merged[name], m) for name, m in inertias.items()],
         **effects_entries(effects),
-        "handover": {name: handover_entry(own.said_by(ELEMENTS[name]), merged) for name, own in alone.items()},
+        "handover": {name: handover_entry(m.said_by(ELEMENTS[name]), merged) for name, m in alone.items()},
         "robot": model.robot.name,
         "gravity": gravity.tolist(),
         "verdict": verdict_entry(recording_verdict(findings), findings),
@@ -94,27 +94,27 @@ def write_model(
     of_urdf, of_mjcf = alone[URDF], alone["mujoco"]
     write_text(folder / IDENTIFIED, with_effects(with_inertials(urdf, of_urdf.inertias, removed), of_urdf.effects))
     write_text(folder / MJCF, mjcf(model.robot, of_mjcf.inertias, of_mjcf.effects, model.sensors, gravity))
-    of_sidecar = reader if reader in held else URDF
-    write_sidecar(folder / EFFECTS_FILE, model.robot.name, held[of_sidecar].effects, alone[of_sidecar].effects)
+    of_sidecar = reader if reader in models else URDF
+    write_sidecar(folder / EFFECTS_FILE, model.robot.name, models[of_sidecar].effects, alone[of_sidecar].effects)
     return [folder / name for name in (ESTIMATE, IDENTIFIED, MJCF, EFFECTS_FILE)]
 
 
 def _with_folded(effects: Sequence[KnownEffect], folded: Mapping[tuple[str, str], float]) -> list[KnownEffect]:
-    """Effects as the files have them: of those that say an attribute the first has its change."""
-    left = dict(folded)
-    found = []
+    """Add the folded changes of joint attributes, each to the first effect that has the attribute."""
+    remaining = dict(folded)
+    shifted = []
     for effect in effects:
         changes = {
-            form.name: left.pop((effect.joint, form.urdf))
+            form.name: remaining.pop((effect.joint, form.urdf))
             for form in effect_class(effect.effect).parameters
-            if (effect.joint, form.urdf) in left and form.name in effect.parameters
+            if (effect.joint, form.urdf) in remaining and form.name in effect.parameters
         }
-        found.append(moved(effect, changes))
-    return found
+        shifted.append(moved(effect, changes))
+    return shifted
 
 
 def moved(effect: KnownEffect, changes: Mapping[str, float]) -> KnownEffect:
-    """An effect with parameters changed by so much, but to none that cannot be."""
+    """Change parameters of an effect by these amounts, limited to valid values."""
     forms = {form.name: form for form in effect_class(effect.effect).parameters}
     values = {
         name: min(max(q.value + changes.get(name, 0.0), forms[name].above), forms[name].below)
@@ -123,18 +123,18 @@ def moved(effect: KnownEffect, changes: Mapping[str, float]) -> KnownEffect:
     return replace(effect, parameters={name: replace(q, value=values[name]) for name, q in effect.parameters.items()})
 
 
-_There: TypeAlias = dict[tuple[Place, Effect, int], tuple[Coefficient, float]]
+_Values: TypeAlias = dict[tuple[Place, Effect, int], tuple[Coefficient, float]]
 
 
 @dataclass(frozen=True, eq=False)
 class WrittenModel:
-    """The model that a file holds.
+    """The model that a file contains.
 
     Attributes:
         inertias: parameters ``(10,)`` in pinocchio's order, by link.
-        effects: what the file says, and errors of sensors, which stand beside it.
-        folded: by how much attributes of joints differ from these effects in a URDF and an MJCF, which cannot say all
-            friction; by joint and attribute.
+        effects: effects in the file, and the sensor errors, which are in the sidecar.
+        folded: differences of joint attributes in a URDF and an MJCF from these effects, as these formats cannot
+            represent all friction; by joint and attribute.
     """
 
     inertias: Mapping[str, FloatArray]
@@ -143,7 +143,7 @@ class WrittenModel:
 
     @property
     def with_payloads_in_links(self) -> WrittenModel:
-        """The same with payloads in the inertias of the links that carry them."""
+        """The model, without ``folded``, with payloads added to the inertias of their links."""
         inertias = dict(self.inertias)
         for effect in self.effects:
             if is_body(effect):
@@ -151,26 +151,25 @@ class WrittenModel:
         return WrittenModel(inertias, tuple(effect for effect in self.effects if not is_body(effect)))
 
     def said_by(self, elements: Collection[str]) -> WrittenModel:
-        """The same without the effects of which a file with these ``elements`` says nothing, or only that they are
-        nothing."""
-        return replace(self, effects=tuple(effect for effect in self.effects if _is_said(effect, elements)))
+        """Return the model without effects that are zero, or that a file with these ``elements`` cannot represent."""
+        return replace(self, effects=tuple(effect for effect in self.effects if _is_representable(effect, elements)))
 
 
-def _is_said(effect: KnownEffect, elements: Collection[str]) -> bool:
+def _is_representable(effect: KnownEffect, elements: Collection[str]) -> bool:
     cls = effect_class(effect.effect)
     forms = [form for form in cls.parameters if form.name in effect.parameters]
-    there = all(form.above < effect.parameters[form.name].value for form in forms)
-    return there and (cls.of_sensor or any(form.said_by(elements) for form in forms))
+    nonzero = all(form.above < effect.parameters[form.name].value for form in forms)
+    return nonzero and (cls.of_sensor or any(form.said_by(elements) for form in forms))
 
 
 def written_model(
     model: MeasurementModel, estimate: Estimate, reader: str, known: Sequence[KnownEffect] = ()
 ) -> WrittenModel:
-    """The model that is written for a ``reader``.
+    """Make the model that is written for a ``reader``.
 
     Args:
-        model: that was identified.
-        estimate: what was found; where nothing was fitted for this reader, that is taken as it is.
+        model: the model that was identified.
+        estimate: the estimate; it is used unchanged if nothing was fitted for this reader.
         reader: one of :data:`ELEMENTS`.
         known: the effects of the model that the estimation began with.
     """
@@ -178,40 +177,40 @@ def written_model(
     first = len(model.nominal_inertias)
     inertias = dict(zip(model.body_names, parameters[:first].reshape(-1, 10), strict=True))
     pairs = zip(model.coefficients, parameters[first:].tolist(), strict=True)
-    there: _There = {(c.place, c.effect, c.index): (c, value) for c, value in pairs if value}
-    wholes = [whole for key in list(there) if (whole := _whole(there, key, ELEMENTS[reader])) is not None]
+    values: _Values = {(c.place, c.effect, c.index): (c, value) for c, value in pairs if value}
+    composites = [joined for key in list(values) if (joined := _whole(values, key, ELEMENTS[reader])) is not None]
     stds = {(effect.name, effect.joint, effect.parameter): effect.std for effect in estimate.effects}
-    found = []
-    for c, value in there.values():
+    effects = []
+    for c, value in values.values():
         std = stds.get((c.effect.name, c.place_name, c.parameter), math.nan)
-        found.append(KnownEffect(c.effect.name, c.place_name, "", c.parameters(value, std)))
-    return WrittenModel(inertias, tuple(continued(combined([*found, *wholes]), known)))
+        effects.append(KnownEffect(c.effect.name, c.place_name, "", c.parameters(value, std)))
+    return WrittenModel(inertias, tuple(continued(combined([*effects, *composites]), known)))
 
 
-def _whole(there: _There, key: tuple[Place, Effect, int], elements: Collection[str]) -> KnownEffect | None:
-    """The effect of several parts, all of which are there, whose parameters a file says: a spring's offset is in its
-    rest. Its parts are there no longer. None for others."""
+def _whole(values: _Values, key: tuple[Place, Effect, int], elements: Collection[str]) -> KnownEffect | None:
+    """Merge the parts of a composite effect, if all are present and the file can represent its parameters: a spring's
+    offset becomes its rest position. The parts are removed. None for other effects."""
     place, effect, _ = key
     parts = [(place, part, 0) for part in effect.parts]
-    said = all(form.said_by(elements) for form in effect.parameters[: len(parts)])
-    if len(parts) < 2 or not said or not all(part in there for part in parts):
+    representable = all(form.said_by(elements) for form in effect.parameters[: len(parts)])
+    if len(parts) < 2 or not representable or not all(part in values for part in parts):
         return None
-    name = there[key][0].place_name
-    values = np.array([there.pop(part)[1] for part in parts])
-    quantities = effect.quantities(values, np.full((len(parts), len(parts)), math.nan))
+    name = values[key][0].place_name
+    coefficients = np.array([values.pop(part)[1] for part in parts])
+    quantities = effect.quantities(coefficients, np.full((len(parts), len(parts)), math.nan))
     return KnownEffect(effect.name, name, "", quantities)
 
 
 def handover_entry(model: WrittenModel, merged: Mapping[str, Sequence[str]]) -> dict[str, Any]:
-    """What ``estimate.json`` says of the model that a file holds."""
-    links = [link_entry(name, merged[name], own) for name, own in model.inertias.items()]
+    """Entry of ``estimate.json`` for the model that a file contains."""
+    links = [link_entry(name, merged[name], parameters) for name, parameters in model.inertias.items()]
     return {"links": links, "effects": plain(model.effects)}
 
 
 def written_for(file: EstimateFile, reader: str) -> WrittenModel | None:
-    """The model that was fitted for a ``reader``; None if the file has none. Raises InputError for what cannot be."""
-    alike = (name for name, elements in ELEMENTS.items() if elements == ELEMENTS.get(reader))
-    found = next((file.handover[name] for name in alike if name in file.handover), None)
-    if found is None:
+    """Model that was fitted for a ``reader``; None if the file has none. Raises InputError if it is invalid."""
+    names = (name for name, elements in ELEMENTS.items() if elements == ELEMENTS.get(reader))
+    handover = next((file.handover[name] for name in names if name in file.handover), None)
+    if handover is None:
         return None
-    return WrittenModel(inertias_of(found.links, f"{file.source}: handover for {reader}"), found.effects)
+    return WrittenModel(inertias_of(handover.links, f"{file.source}: handover for {reader}"), handover.effects)

@@ -1,4 +1,4 @@
-"""Edits of XML texts that leave every other character as it is."""
+"""Edits of XML texts that leave every other character unchanged."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import TypeAlias
 from xml.parsers import expat
 
 Edit: TypeAlias = tuple[int, int, bytes]
-"""Offsets of the first byte to be replaced and behind the last, and what comes in their place."""
+"""Offset of the first byte to replace, offset after the last one, and the replacement."""
 
 
 @dataclass
 class Span:
-    """Where the first tag of an element ``kind`` and its first child of the kind that was asked for stand: offsets of
-    the first byte and behind the last."""
+    """Location of an element of this ``kind``: byte offsets of the start and end of its first ``tag``, and of its first
+    ``child`` element of the requested kind."""
 
     kind: str
     tag: tuple[int, int]
@@ -23,27 +23,26 @@ class Span:
 
 
 def children_of(data: bytes, root: str, kind: str, child: str) -> dict[str, Span]:
-    """Spans of the elements ``kind`` directly below the ``root`` of the text, by name, and of their ``child``
-    elements."""
+    """Spans by name of the elements ``kind`` directly below the ``root``, and of their ``child`` elements."""
     return _spans(data, [root], kind, child, deeper=False)
 
 
 def descendants_of(data: bytes, above: list[str], kind: str, child: str = "") -> dict[str, Span]:
-    """The same of those anywhere below the elements ``above``, from the root on."""
+    """Spans by name of the elements ``kind`` anywhere below the path ``above``, which begins at the root."""
     return _spans(data, above, kind, child, deeper=True)
 
 
 def _spans(data: bytes, above: list[str], kind: str, child: str, *, deeper: bool) -> dict[str, Span]:
-    found: dict[str, Span] = {}
+    spans: dict[str, Span] = {}
     path: list[tuple[str, Span | None]] = []
-    parser = expat.ParserCreate("utf-8")  # whatever the XML declaration says: the text was decoded before
+    parser = expat.ParserCreate("utf-8")  # the XML declaration is ignored, as the text was decoded before
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         names, begin = [name for name, _ in path], parser.CurrentByteIndex
         inside = names[: len(above)] == above and (deeper or len(names) == len(above))
         span = None
         if tag == kind and inside and "name" in attributes:
-            span = found[attributes["name"]] = Span(kind, (begin, end_of_tag(data, begin)))
+            span = spans[attributes["name"]] = Span(kind, (begin, end_of_tag(data, begin)))
         elif tag == child and path and (parent := path[-1][1]) and parent.child is None:
             closed = end_of_tag(data, begin)
             parent.child = (begin, closed if data[:closed].endswith(b"/>") else begin)
@@ -57,18 +56,18 @@ def _spans(data: bytes, above: list[str], kind: str, child: str, *, deeper: bool
     parser.StartElementHandler = start
     parser.EndElementHandler = end
     parser.Parse(data, True)
-    return found
+    return spans
 
 
 def edited(data: bytes, edits: Iterable[Edit]) -> bytes:
-    """``data`` after edits that do not overlap."""
+    """Apply edits that do not overlap to ``data``."""
     for start, end, text in sorted(edits, reverse=True):
         data = data[:start] + text + data[end:]
     return data
 
 
 def insertion(data: bytes, span: Span, child: bytes) -> Edit:
-    """The edit that puts ``child`` in the place of the element's own, or at its beginning where it has none."""
+    """Edit that replaces the element's child by ``child``, or inserts it at the beginning if there is none."""
     if span.child:
         return (*span.child, child)
     start, end = span.tag
@@ -78,13 +77,13 @@ def insertion(data: bytes, span: Span, child: bytes) -> Edit:
 
 
 def with_attributes(tag: bytes, attributes: Mapping[str, str]) -> bytes:
-    """An element whose first tag has these attributes; others that it has stay."""
+    """Set these attributes in the first tag of an element; its other attributes remain."""
     for name, value in attributes.items():
-        said = f'{name}="{value}"'.encode()
+        attribute = f'{name}="{value}"'.encode()
         pattern = rb"(?<=\s)" + name.encode() + rb"""\s*=\s*("[^"]*"|'[^']*')"""
-        tag, found = re.subn(pattern, said, tag, count=1)
-        if not found:
-            tag = re.sub(rb"<[^\s/>]+", lambda start, said=said: start[0] + b" " + said, tag, count=1)  # type: ignore[misc]
+        tag, count = re.subn(pattern, attribute, tag, count=1)
+        if not count:
+            tag = re.sub(rb"<[^\s/>]+", lambda start, attribute=attribute: start[0] + b" " + attribute, tag, count=1)  # type: ignore[misc]
     return tag
 
 
@@ -92,7 +91,7 @@ _QUOTED = re.compile(rb"""[^>"']+|"[^"]*"|'[^']*'""")
 
 
 def end_of_tag(data: bytes, start: int) -> int:
-    """Behind the tag that begins at ``start``; in quotes, a ``>`` ends nothing."""
+    """Offset after the tag that begins at ``start``; a ``>`` in quotes does not end it."""
     end = start
     while part := _QUOTED.match(data, end):
         end = part.end()
