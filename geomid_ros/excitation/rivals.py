@@ -42,12 +42,8 @@ class Name:
 
     def is_case_of(self, other: Name) -> bool:
         """True if it is a special case of the ``other``, which then explains it too and is only less simple."""
-        special, general = self.variants[0], other.variants[0]
-        return (
-            self.place == other.place
-            and special != general
-            and (general.contains == special.name or special in general.parts)
-        )
+        case, richer = self.variants[0], other.variants[0]
+        return self.place == other.place and case != richer and (richer.contains == case.name or case in richer.parts)
 
 
 @dataclass(frozen=True, eq=False)
