@@ -78,11 +78,11 @@ def way_to_rest(
     return Trajectory(joints, np.array([duration]), end[None], np.zeros((1, len(joints))), np.zeros((1, 0)))
 
 
-_INSTANTS = 50  # samples of a straight way at which the effort against gravity is checked
+_INSTANTS = 50  # samples of a straight path at which the effort against gravity is checked
 
 
 class Passage:
-    """Ways of some joints of a robot, straight in joint space, while the other joints are at rest."""
+    """Straight joint-space paths of some joints of a robot, while its other joints are at rest."""
 
     def __init__(
         self, robot: Robot, joints: Sequence[str], standing: FloatArray, collision: CollisionModel | None = None
@@ -139,7 +139,7 @@ class Passage:
         )
 
     def _obstacle(self, start: FloatArray, goal: FloatArray) -> str:
-        """Describe the obstacle on the straight way; empty if there is none."""
+        """Describe the obstacle on the straight path; empty if there is none."""
         fractions = np.linspace(0.0, 1.0, _INSTANTS)[:, None]
         return self._too_heavy(start + fractions * (goal - start)) or self._too_close(start, goal)
 
@@ -173,9 +173,9 @@ class Passage:
 
     def whole(self, positions: FloatArray) -> FloatArray:
         """Positions of all joints ``(N, all)``, from those of the moving ones ``(N, joints)``."""
-        whole = np.tile(self._standing, (len(positions), 1))
-        whole[:, self._places] = positions
-        return whole
+        all_positions = np.tile(self._standing, (len(positions), 1))
+        all_positions[:, self._places] = positions
+        return all_positions
 
 
 def _said(pair: Pair, distance: float, _time: float) -> str:

@@ -47,7 +47,7 @@ class Distances:
     """Distances at samples of a path, and their lower bounds between samples.
 
     The two bodies of a pair move no faster relative to each other than ``reach . |speeds|``. Between two samples the
-    distance is at least half the sum of the distances at both, less half of the way in between.
+    distance is at least half the sum of the distances at both, minus half of the travel in between.
     """
 
     def __init__(self, course: Course, duration: float, collision: CollisionModel, clearances: FloatArray) -> None:
@@ -57,7 +57,7 @@ class Distances:
         self._distances = collision.distances(course(self._times)[0])
 
     def settle(self) -> bool:
-        """Halve intervals until the clearances are certain (True), or violated or too close to call (False)."""
+        """Halve intervals until all clearances are certain. Return False if one is violated or stays uncertain."""
         while np.all(self._distances >= self._clearances):
             uncertain = np.flatnonzero(np.any(self._between() < self._clearances, axis=1))
             if not len(uncertain):
@@ -79,7 +79,7 @@ class Distances:
         return np.asarray(0.5 * (ends - self._ways() @ self._reach.T))
 
     def _ways(self) -> FloatArray:
-        """Upper bounds ``(N - 1, J)`` of the ways that joints go between samples."""
+        """Upper bounds ``(N - 1, J)`` of the joints' travel between samples."""
         states = self._course(self._times)
         steps = np.diff(self._times)[:, None]
         # The speed is at most that at the nearer end, plus the gain by the largest acceleration in half of the time.
@@ -189,7 +189,7 @@ class Feasibility:
 
     def made_feasible(self, motion: ExcitingMotion, halvings: int = HALVINGS) -> ExcitingMotion:
         """Shrink each joint of a motion into its limits, then the whole motion until efforts and distances keep theirs.
-        More ``halvings`` shrink it less in excess."""
+        With more ``halvings`` the result comes closer to the largest feasible size."""
         shrunk = self.within_limits(motion)
         if self.holds(shrunk):
             return shrunk

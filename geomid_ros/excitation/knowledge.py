@@ -23,7 +23,7 @@ from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, frozen
 
 NOISE = 2e-3
-"""Default standard deviation of a measured effort, as a fraction of the joint's effort limit."""
+"""Default standard deviation of the effort noise, as a fraction of the joint's effort limit."""
 ROWS_PER_SECOND = INDEPENDENT * SignalSettings().cutoff
 """Independent measurements of each joint per second, after the default low-pass filter."""
 _USUAL_SHARE = 0.02  # typical size of an effect, as a fraction of the joint's effort limit

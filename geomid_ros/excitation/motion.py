@@ -136,7 +136,7 @@ _SPEEDS = (1.0, 2.0, 4.0)  # relative speeds of the runs
 
 @dataclass(frozen=True, kw_only=True)
 class MotionForm:
-    """Durations and number of basis functions of an exciting motion.
+    """Timing of an exciting motion, which also determines its number of basis functions.
 
     Attributes:
         period: [s].
@@ -196,8 +196,8 @@ class MotionForm:
     @cached_property
     def _run_curves(self) -> list[tuple[float, float, tuple[PPoly, ...]]]:
         """Begin and end [s] of each run, and its position, velocity, acceleration and jerk."""
-        shares = 1.0 / np.array(_SPEEDS[: self.runs])
-        ends = self._fast + self.slow_share * self.period * np.cumsum([0.0, *(shares / np.sum(shares))])
+        fractions = 1.0 / np.array(_SPEEDS[: self.runs])
+        ends = self._fast + self.slow_share * self.period * np.cumsum([0.0, *(fractions / np.sum(fractions))])
         return [(begin, end, _to_and_fro(begin, end)) for begin, end in pairwise(ends.tolist())]
 
     def basis(self, times: FloatArray) -> FloatArray:

@@ -109,7 +109,7 @@ def _derivatives(values: FloatArray, period: float) -> Derivatives:
 
 
 def coefficients_of(effect: type[Effect], values: Values, parts: Sequence[Effect]) -> FloatArray:
-    """The coefficients ``(k,)`` of an effect with these parameters, in the order of its ``parts``."""
+    """Coefficients ``(k,)`` of an effect with these parameters, in the order of its ``parts``."""
     by_part = effect.coefficients(values)
     return np.concatenate([np.array(by_part.get(part, (0.0,) * part.count)) for part in parts])
 
@@ -123,7 +123,7 @@ class DiscriminationCriterion:
         """Variant and coefficients with which each rival imitates the finding, by dispute and rival."""
 
     def prepare(self, reference: ExcitingMotion) -> None:
-        """Fit each rival to its finding on a ``reference`` motion, and scale it to the same unexplained effort."""
+        """Fit each rival to its finding on a ``reference`` motion, and scale it to leave as much effort unexplained."""
         rows, columns = self._at(reference)
         for i, dispute in enumerate(self.disputes):
             target, nuisance = columns(dispute.found)[0] @ dispute.coefficients, self._nuisance(rows, columns, dispute)
@@ -135,7 +135,7 @@ class DiscriminationCriterion:
                 self.imitations[i, j] = best, size * fits[best][1]
 
     def differences(self, motion: ExcitingMotion) -> list[list[float]]:
-        """Smallest expected difference of -2 log p, for each dispute and rival, whichever of both is true.
+        """Smallest expected difference of -2 log p, for each dispute and rival, whichever of the two is true.
         An effect with more parameters has to make up for them (BIC)."""
         rows, columns = self._at(motion)
         penalty = float(np.log(ROWS_PER_SECOND * motion.form.duration * len(motion.start)))

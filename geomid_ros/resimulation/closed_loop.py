@@ -133,7 +133,7 @@ def tracking(
     errors = [_simulated_motion(part, controller, robot)[0] - part.stretch.samples.position for part in parts]
     rms = root_mean_square(errors)
     pairs = zip(model.robot.joint_names, rms.tolist(), controller.found, strict=True)
-    return Tracking({name: value for name, value, found in pairs if found})
+    return Tracking({name: value for name, value, explained in pairs if explained})
 
 
 def _prepared(
@@ -178,7 +178,7 @@ def fitted_controller(parts: Sequence[_Commanded], robot: WrittenRobot) -> Fitte
     """
     efforts = [robot.true_effort(_undelayed_efforts(part.stretch, robot)) for part in parts]
     joints = len(robot.joints)
-    gains, found = np.zeros((joints, 3)), np.zeros(joints, dtype=bool)
+    gains, explained = np.zeros((joints, 3)), np.zeros(joints, dtype=bool)
     for joint in np.flatnonzero(np.all([np.all(np.isfinite(effort), axis=0) for effort in efforts], axis=0)):
         columns = [_feedback_columns(part, int(joint)) for part in parts]
         feedback = [effort[:, joint] - part.feedforward[:, joint] for effort, part in zip(efforts, parts, strict=True)]
@@ -187,9 +187,9 @@ def fitted_controller(parts: Sequence[_Commanded], robot: WrittenRobot) -> Fitte
         predicted = z @ np.linalg.lstsq(z, x, rcond=None)[0]
         solution, *_ = np.linalg.lstsq(predicted, y, rcond=None)
         total = np.concatenate([effort[:, joint] for effort in efforts])
-        found[joint] = solution[0] > 0.0 and np.var(y - x @ solution) < (1.0 - _EXPLAINED) * np.var(total)
-        gains[joint] = solution if found[joint] else 0.0
-    return FittedController(gains[:, 0], np.maximum(gains[:, 1], 0.0), gains[:, 2], found)
+        explained[joint] = solution[0] > 0.0 and np.var(y - x @ solution) < (1.0 - _EXPLAINED) * np.var(total)
+        gains[joint] = solution if explained[joint] else 0.0
+    return FittedController(gains[:, 0], np.maximum(gains[:, 1], 0.0), gains[:, 2], explained)
 
 
 def _feedback_columns(part: _Commanded, joint: int) -> FloatArray:
@@ -257,8 +257,8 @@ def _driving(
     samples, times, middles = part.stretch.samples, part.stretch.times, simulation.instants
     setpoints = controller.stiffness * interpolated(times, part.position, middles - 0.5 * simulation.step)
     setpoints += controller.damping * interpolated(times, part.velocity, middles + 0.5 * simulation.step)
-    feedback_effort = _effort(part, controller, samples.position, samples.velocity)
-    effort, feedforward = (interpolated(times, values, middles) for values in (feedback_effort, part.feedforward))
+    commanded = _effort(part, controller, samples.position, samples.velocity)
+    effort, feedforward = (interpolated(times, values, middles) for values in (commanded, part.feedforward))
     motion = motion_at(part.stretch, middles)
     controlled = feedforward + controller.constant + setpoints - robot.unsaid_friction(effort, motion)
     return np.where(controller.found, controlled, robot.prescribed_effort(motion.acceleration))

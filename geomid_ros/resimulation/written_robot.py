@@ -44,7 +44,7 @@ class WrittenRobot:
         self.dofs: IntArray = np.array([names[joint] for joint in joints], dtype=np.int64)
         self.gears = {names[name]: name for name in names if name.rpartition("/")[0] in joints}
         self._read_effects(files)
-        # Friction of a joint at rest; what the motion changes of it is in unsaid_friction.
+        # Friction of a joint at rest; its change with motion is in unsaid_friction.
         self.model.dof_frictionloss[self.dofs] += self._rest_friction
         # Forces of the stops at a range's ends are not measured; the stops of a backlash stay.
         self.model.jnt_limited[self.dofs] = 0
@@ -87,7 +87,7 @@ class WrittenRobot:
 
     @property
     def step(self) -> float:
-        """The MJCF's time step [s]."""
+        """Time step of the MJCF [s]."""
         return float(self.model.opt.timestep)
 
     def prescribe(self, joints: BoolArray) -> None:
@@ -234,7 +234,7 @@ FLOATING = "the base floats, and its motion cannot be simulated without its cont
 
 
 def loaded_robots(files: Sequence[ModelFiles], joints: Sequence[str], measured: FloatArray) -> list[WrittenRobot]:
-    """Load the robots of ``files``, with friction for the load of ``measured`` efforts ``(N, J)``. Raises InputError."""
+    """Load robots from ``files``, with friction by the load of ``measured`` efforts ``(N, J)``. Raises InputError."""
     robots = [WrittenRobot(model_files, joints) for model_files in files]
     for robot in robots:
         robot.expect_load(robot.true_effort(measured))

@@ -1,4 +1,4 @@
-"""The simulated robot, compiled by MuJoCo: rigid bodies, joints and sensors."""
+"""Simulated robot, compiled by MuJoCo: rigid bodies, joints and sensors."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class Simulator(ABC):
 
     @abstractmethod
     def effort(self) -> FloatArray:
-        """The motors' efforts ``(n,)`` at the state last given to :meth:`acceleration`."""
+        """Efforts of the motors ``(n,)`` at the state last given to :meth:`acceleration`."""
 
     @abstractmethod
     def wrench(self) -> FloatArray:

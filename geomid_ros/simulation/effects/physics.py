@@ -29,7 +29,7 @@ def by_name(*functions: _Function) -> dict[str, _Function]:
 
 @dataclass(frozen=True)
 class TrueEffect:
-    """The effect called ``name`` at ``joint``, with the values of its ``parameters``.
+    """True effect ``name`` at ``joint``, with the values of its ``parameters``.
 
     ``joint`` is empty for the whole robot, and the topic for a wrench sensor. ``link`` is that of a payload; ``other``
     is the second joint of an effect that depends on two. ``choice.py`` describes the parameters and their units.
@@ -43,7 +43,7 @@ class TrueEffect:
 
     @property
     def document(self) -> dict[str, Any]:
-        """The effect, its places and its parameters, for files."""
+        """Entry of the effect in a file: name, places and parameters."""
         places = {"joint": self.joint, "link": self.link, "other": self.other}
         present = {key: name for key, name in places.items() if name or key == "joint"}
         return {"effect": self.name, **present, "parameters": dict(self.parameters)}
