@@ -251,8 +251,8 @@ class Learning:
         """Sentences that compare the designed motion with the others."""
         lines = [f"{self.before.error:.3g} before, {self.designed.error:.3g} after this motion"]
         gain = 1.0 - self.designed.error / self.random.error
-        nothing = "the design saves nothing here; its benefit is that the motion is checked"
-        saved = f"{gain:.0%} saved" if gain > _WORTH else nothing
+        no_gain = "the design saves nothing here; its benefit is that the motion is checked"
+        saved = f"{gain:.0%} saved" if gain > _WORTH else no_gain
         lines.append(f"a random feasible motion of the same length leaves {self.random.error:.3g}: {saved}")
         longer = self.random_twice.error / self.designed.error
         better = "recording longer helps more than the design" if longer < 1.0 else "the design is worth more than that"

@@ -58,7 +58,7 @@ class Ambiguity:
 def responses(
     model: MeasurementModel, states: FloatArray, period: float, effects: Sequence[tuple[Effect, Place]]
 ) -> list[FloatArray]:
-    """Efforts ``(N, J, k)`` per unit of each coefficient, for each effect, of the robot as its URDF describes it, at
+    """Efforts ``(N, J, k)`` per unit of each coefficient, for each effect. The robot is as its URDF describes it, at
     ``states (3, N, J)`` sampled every ``period`` [s]."""
     samples = samples_of(states, len(model.sensors))
     needs_situation = any(isinstance(part, SituationEffect) for effect, _ in effects for part in effect.parts)
@@ -120,7 +120,7 @@ class DiscriminationCriterion:
     def __init__(self, knowledge: Belief, disputes: Sequence[Ambiguity]) -> None:
         self._knowledge, self.disputes = knowledge, disputes
         self.imitations: dict[tuple[int, int], tuple[int, FloatArray]] = {}
-        """Variant and coefficients with which each rival imitates the finding, by dispute and rival."""
+        """The variant and the coefficients of each rival that look like what was found, by dispute and rival."""
 
     def prepare(self, reference: ExcitingMotion) -> None:
         """Fit each rival to its finding on a ``reference`` motion, and scale it to leave as much effort unexplained."""

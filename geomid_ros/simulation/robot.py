@@ -76,7 +76,7 @@ def tuned_controller(
 class ControlLoop:
     """A robot under control, integrated in steps of ``step`` [s] by the classical Runge-Kutta method of order 4.
 
-    The controller acts at every stage: an effort held over each step would lead the motion by half a step, and a
+    The controller acts at every stage: an effort held over each step would lead the motion by half a step. A
     set-point held over each sample would look like damping and rotor inertia. It receives the motors' states only.
     """
 
