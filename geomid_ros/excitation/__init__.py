@@ -1,1 +1,1 @@
-"""Motions from which much is learned: their form, what makes them feasible, what they tell, and the search for one."""
+"""Exciting trajectories: their form, feasibility and information, and the search for one."""

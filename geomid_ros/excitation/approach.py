@@ -1,4 +1,4 @@
-"""The slow way to the start of a motion and whether a robot can go it; the way from a motion to rest."""
+"""Slow approach to the start of a motion, with its checks, and the stop that brings a moving robot to rest."""
 
 from __future__ import annotations
 
@@ -16,61 +16,61 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import WIDEST
 from geomid_ros.types import FloatArray
 
-_SHARE, _FASTEST = 0.1, 0.25  # of the limit of speed, and [rad/s, m/s]
+_SHARE, _FASTEST = 0.1, 0.25  # largest speed: fraction of the speed limit, and [rad/s, m/s]
 _SHORTEST_WAY = 2.0  # [s]
-_SHORTEST_STOP, _LONGEST_STOP = 0.3, 0.5  # [s], the latter from the limit of speed
-_POINTS = 20.0  # a second
-_PEAK = 15.0 / 8.0  # of the speed of a quintic from rest to rest, as a multiple of its mean
+_SHORTEST_STOP, _LONGEST_STOP = 0.3, 0.5  # [s], the latter from the speed limit
+_POINTS = 20.0  # per second
+_PEAK = 15.0 / 8.0  # peak speed over mean speed, of a quintic from rest to rest
 
 
 def way_by(joints: tuple[str, ...], postures: Sequence[FloatArray], speed_limits: FloatArray) -> Trajectory:
-    """From rest to rest by a quintic, from each posture to the next, no joint faster than a tenth of its limit or
-    0.25 rad/s (m/s).
+    """Trajectory through postures, by a quintic from rest to rest between each two. No joint is faster than a tenth of
+    its limit or 0.25 rad/s (m/s).
 
     Args:
         joints: names.
         postures: two or more positions ``(joints,)``.
         speed_limits: ``(joints,)``, infinite where there is none.
     """
-    way, *others = (_way_to(joints, *ends, speed_limits) for ends in pairwise(postures))
-    for other in others:
-        way = way.followed_by(other)
-    return way
+    trajectory, *segments = (_way_to(joints, *ends, speed_limits) for ends in pairwise(postures))
+    for segment in segments:
+        trajectory = trajectory.followed_by(segment)
+    return trajectory
 
 
-def _way_to(joints: tuple[str, ...], here: FloatArray, there: FloatArray, speed_limits: FloatArray) -> Trajectory:
-    slow = np.minimum(_SHARE * speed_limits, _FASTEST)
-    duration = max(_SHORTEST_WAY, float(np.max(_PEAK * np.abs(there - here) / slow)))
+def _way_to(joints: tuple[str, ...], start: FloatArray, goal: FloatArray, speed_limits: FloatArray) -> Trajectory:
+    speeds = np.minimum(_SHARE * speed_limits, _FASTEST)
+    duration = max(_SHORTEST_WAY, float(np.max(_PEAK * np.abs(goal - start) / speeds)))
     times = np.linspace(0.0, duration, round(duration * _POINTS) + 1)
     rest = np.zeros((2, len(joints)))
-    ends = Trajectory(joints, times[[0, -1]], np.array([here, there]), rest, rest)
+    ends = Trajectory(joints, times[[0, -1]], np.array([start, goal]), rest, rest)
     return Trajectory(joints, times, *ends.states(times)[:3])
 
 
 def stopping_accelerations(motion: Trajectory, speed_limits: FloatArray) -> FloatArray:
-    """The accelerations by which joints are stopped ``(joints,)`` [rad/s^2, m/s^2]: the largest of the motion, or more
-    where a joint needs it to come from its limit of speed to rest in half a second.
+    """Decelerations for stopping each joint ``(joints,)`` [rad/s^2, m/s^2]: the largest acceleration of the motion, or
+    more where a joint needs it to stop from its speed limit in half a second.
 
     Args:
         motion: at full speed, where it is feasible.
         speed_limits: ``(joints,)``, infinite where there is none.
     """
-    enough = np.where(np.isfinite(speed_limits), speed_limits / _LONGEST_STOP, 0.0)
-    return np.asarray(np.maximum(np.max(np.abs(motion.accelerations), axis=0), enough))
+    needed = np.where(np.isfinite(speed_limits), speed_limits / _LONGEST_STOP, 0.0)
+    return np.asarray(np.maximum(np.max(np.abs(motion.accelerations), axis=0), needed))
 
 
 def way_to_rest(
     joints: tuple[str, ...], position: FloatArray, velocity: FloatArray, accelerations: FloatArray
 ) -> Trajectory:
-    """One point, at which all joints have come to rest.
+    """Trajectory of one point, at which all joints have come to rest.
 
-    A controller that leads there from where it is by a cubic, as it does where no accelerations are given, decelerates
-    uniformly: a joint at speed ``v`` that stands after ``T`` has gone ``v T / 2``.
+    Without accelerations, a controller interpolates from its present state by a cubic. It then decelerates uniformly: a
+    joint at speed ``v`` that is at rest after ``T`` has gone ``v T / 2``.
 
     Args:
         joints: names.
         position, velocity: ``(joints,)``.
-        accelerations: ``(joints,)``, with which the joints may be stopped; a joint with zero is taken to stand.
+        accelerations: ``(joints,)``, for stopping the joints; a joint with zero is assumed to be at rest.
     """
     moving = accelerations > 0.0
     duration = max(_SHORTEST_STOP, float(np.max(np.abs(velocity[moving]) / accelerations[moving], initial=0.0)))
@@ -78,21 +78,21 @@ def way_to_rest(
     return Trajectory(joints, np.array([duration]), end[None], np.zeros((1, len(joints))), np.zeros((1, 0)))
 
 
-_INSTANTS = 50  # of a straight way at which the effort against gravity is looked at
+_INSTANTS = 50  # samples of a straight path at which the effort against gravity is checked
 
 
 class Passage:
-    """Ways of some joints of a robot, straight in the joints' positions, while the others stand."""
+    """Straight joint-space paths of some joints of a robot, while its other joints are at rest."""
 
     def __init__(
         self, robot: Robot, joints: Sequence[str], standing: FloatArray, collision: CollisionModel | None = None
     ) -> None:
         """
         Args:
-            robot: the whole of it.
-            joints: that move, in the order of all arrays here.
-            standing: positions of all of the robot's joints.
-            collision: what must not touch; None if nobody looks.
+            robot: with all its joints.
+            joints: the moving joints, in the order of all arrays of this class.
+            standing: positions of all joints of the robot.
+            collision: bodies that must not touch; None if they are not checked.
         """
         self._robot, self._standing, self._collision = robot, standing, collision
         self._places = [robot.joint_names.index(name) for name in joints]
@@ -100,82 +100,82 @@ class Passage:
         self._clearances = np.zeros(0)
 
     def keep(self, ends: FloatArray, clearance: float) -> None:
-        """Keep a ``clearance`` [m] from now on, or half of what pairs have at ``ends (N, joints)``, where they may be
-        closer."""
+        """Require a ``clearance`` [m] from now on, or half of a pair's distance at ``ends (N, joints)`` where that is
+        less."""
         if self._collision is not None:
             self._clearances = clearances_from(self._collision, self.whole(ends), clearance)
 
     def overlap(self, position: FloatArray) -> str:
-        """Which pair overlaps at a position ``(joints,)``, in words; empty if none does."""
+        """Describe the pair that overlaps most at a position ``(joints,)``; empty if none does."""
         return "" if self._collision is None else overlap(self._collision, self.whole(position[None])[0])
 
     def check(self, motion: Trajectory, source: str) -> None:
-        """Refuse a motion that comes too close to something. Raises InputError naming ``source``."""
+        """Refuse a motion on which bodies come too close. Raises InputError naming ``source``."""
         if self._collision is None:
             return
 
         def path(times: FloatArray) -> FloatArray:
             return self._states(motion.states(times))
 
-        found = Distances(path, motion.duration, self._collision, self._clearances)
-        if not found.settle():
-            raise InputError(f"{source}: {_said(*found.worst)}, {found.worst[2]:.2f} s after the motion's start")
+        spacing = Distances(path, motion.duration, self._collision, self._clearances)
+        if not spacing.settle():
+            raise InputError(f"{source}: {_said(*spacing.worst)}, {spacing.worst[2]:.2f} s after the motion's start")
 
     def to(self, here: FloatArray, there: FloatArray) -> list[FloatArray]:
-        """Postures to go by from ``here`` to ``there (joints,)``, which is the last: straight, or by one other.
+        """Find postures to pass from ``here`` to ``there (joints,)``, which is the last: none or one in between.
 
-        Raises InputError naming what is in the way.
+        Raises InputError naming the obstacle.
         """
         if not (obstacle := self._obstacle(here, there)):
             return [there]
         low, high = np.maximum(self._low, -WIDEST), np.minimum(self._high, WIDEST)
-        tried = np.random.default_rng(0).uniform(low, high, (TRIED, len(low)))
-        tried = tried[np.argsort(np.max(np.abs(tried - here), axis=1) + np.max(np.abs(tried - there), axis=1))]
-        for posture in tried:
+        vias = np.random.default_rng(0).uniform(low, high, (TRIED, len(low)))
+        vias = vias[np.argsort(np.max(np.abs(vias - here), axis=1) + np.max(np.abs(vias - there), axis=1))]
+        for posture in vias:
             if not self._obstacle(here, posture) and not self._obstacle(posture, there):
                 return [posture, there]
         raise InputError(
             f"the approach to the start is not free: {obstacle}; move the robot closer to the start by hand"
         )
 
-    def _obstacle(self, here: FloatArray, there: FloatArray) -> str:
-        """What is in the straight way, in words; empty if nothing is."""
-        shares = np.linspace(0.0, 1.0, _INSTANTS)[:, None]
-        return self._too_heavy(here + shares * (there - here)) or self._too_close(here, there)
+    def _obstacle(self, start: FloatArray, goal: FloatArray) -> str:
+        """Describe the obstacle on the straight path; empty if there is none."""
+        fractions = np.linspace(0.0, 1.0, _INSTANTS)[:, None]
+        return self._too_heavy(start + fractions * (goal - start)) or self._too_close(start, goal)
 
     def _too_heavy(self, positions: FloatArray) -> str:
-        """Which joint cannot hold itself, with the URDF's inertias, at some positions ``(N, joints)``."""
-        robot, whole = self._robot, self.whole(positions)
-        efforts = robot.joint_efforts(*robot.moved(np.array([whole, 0.0 * whole, 0.0 * whole])))
-        shares = np.max(np.abs(efforts), axis=0) / robot.effort_limits
-        worst = int(np.argmax(shares))
+        """Describe a joint too weak for gravity at ``positions (N, joints)``, by the URDF's inertias; empty if none."""
+        robot, all_positions = self._robot, self.whole(positions)
+        efforts = robot.joint_efforts(*robot.moved(np.array([all_positions, 0.0 * all_positions, 0.0 * all_positions])))
+        loads = np.max(np.abs(efforts), axis=0) / robot.effort_limits
+        worst = int(np.argmax(loads))
         name = robot.joint_names[worst]
-        return f"gravity takes {shares[worst]:.0%} of the effort limit of joint '{name}'" if shares[worst] > 1.0 else ""
+        return f"gravity takes {loads[worst]:.0%} of the effort limit of joint '{name}'" if loads[worst] > 1.0 else ""
 
-    def _too_close(self, here: FloatArray, there: FloatArray) -> str:
+    def _too_close(self, start: FloatArray, goal: FloatArray) -> str:
         if self._collision is None:
             return ""
 
         def line(times: FloatArray) -> FloatArray:
-            states = np.zeros((4, len(times), len(here)))
-            states[0], states[1] = here + times[:, None] * (there - here), there - here
+            states = np.zeros((4, len(times), len(start)))
+            states[0], states[1] = start + times[:, None] * (goal - start), goal - start
             return self._states(states)
 
-        found = Distances(line, 1.0, self._collision, self._clearances)
-        return "" if found.settle() else _said(*found.worst)
+        distances = Distances(line, 1.0, self._collision, self._clearances)
+        return "" if distances.settle() else _said(*distances.worst)
 
-    def _states(self, states: FloatArray) -> FloatArray:
-        """Those of all joints ``(4, N, all)``."""
-        whole = np.zeros((*states.shape[:2], len(self._standing)))
-        whole[0] = self._standing
-        whole[..., self._places] = states
-        return whole
+    def _states(self, moving: FloatArray) -> FloatArray:
+        """States of all joints ``(4, N, all)``, from those of the moving ones ``(4, N, joints)``."""
+        all_states = np.zeros((*moving.shape[:2], len(self._standing)))
+        all_states[0] = self._standing
+        all_states[..., self._places] = moving
+        return all_states
 
     def whole(self, positions: FloatArray) -> FloatArray:
-        """Positions of all joints ``(N, all)``, of those that move ``(N, joints)``."""
-        whole = np.tile(self._standing, (len(positions), 1))
-        whole[:, self._places] = positions
-        return whole
+        """Positions of all joints ``(N, all)``, from those of the moving ones ``(N, joints)``."""
+        all_positions = np.tile(self._standing, (len(positions), 1))
+        all_positions[:, self._places] = positions
+        return all_positions
 
 
 def _said(pair: Pair, distance: float, _time: float) -> str:

@@ -1,5 +1,5 @@
-"""Whether a motion is feasible at every instant, with what margin, and how it is made so; how close bodies come to each
-other and to their surroundings on a path."""
+"""Feasibility of a motion at every time: the check, its margins, and shrinking a motion until it is feasible. Distances
+between bodies, and to their surroundings, along a path."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from geomid_ros.model.collision import CollisionModel, Pair
 from geomid_ros.types import FloatArray, IntArray
 
 Course: TypeAlias = Callable[[FloatArray], FloatArray]
-"""From times ``(N,)`` [s] to positions, speeds, accelerations and jerks ``(4, N, J)``."""
-_RATE = 50.0  # [Hz] at which efforts and, at first, distances are looked at
-_SHORTEST = 2e-4  # [s] between instants of which the distance is computed
-_SHARE_AT_ENDS = 0.5  # of the distance there, for pairs that begin or end closer than the clearance
-_FINE = 500.0  # [Hz] at which positions, speeds, accelerations, jerks are looked at
-_RESERVE = 1e-3  # of each limit, for what happens between two instants
-_EDGE = 0.01  # of a joint's range, at most so many rad or m
+"""Function from times ``(N,)`` [s] to positions, speeds, accelerations and jerks ``(4, N, J)``."""
+_RATE = 50.0  # [Hz] of samples for efforts and, at first, for distances
+_SHORTEST = 2e-4  # [s] between samples of the distance
+_SHARE_AT_ENDS = 0.5  # fraction of the distance at an end to keep, for pairs closer there than the clearance
+_FINE = 500.0  # [Hz] of samples for positions, speeds, accelerations, jerks
+_RESERVE = 1e-3  # fraction of each limit kept in reserve, for the time between two samples
+_EDGE = 0.01  # margin at the ends of a joint's range: fraction of the range, and at most so many rad or m
 HALVINGS = 12
-"""Of the interval in which the largest feasible size of a motion lies."""
+"""Number of halvings of the interval that contains the largest feasible size of a motion."""
 
 
 def overlap(collision: CollisionModel, position: FloatArray) -> str:
-    """Which pair overlaps most at a position ``(J,)``, in words; empty if none does."""
+    """Describe the pair that overlaps most at a position ``(J,)``; empty if none does."""
     distances = collision.distances(position[None])[0]
     if not np.any(distances <= 0.0):
         return ""
@@ -38,16 +38,16 @@ def overlap(collision: CollisionModel, position: FloatArray) -> str:
 
 
 def clearances_from(collision: CollisionModel, ends: FloatArray, clearance: float) -> FloatArray:
-    """The distances ``(pairs,)`` [m] to keep between ``ends (N, J)``: the ``clearance`` [m], or half of what a pair has
-    at an end where that is less."""
+    """Distances ``(pairs,)`` [m] to keep between postures ``ends (N, J)``: the ``clearance`` [m], or half of the
+    distance at an end where that is less."""
     return np.asarray(np.minimum(clearance, _SHARE_AT_ENDS * np.min(collision.distances(ends), axis=0)))
 
 
 class Distances:
-    """Distances at some instants of a path, and what they say of those between.
+    """Distances at samples of a path, and their lower bounds between samples.
 
-    No point of a pair's bodies moves faster relative to the other than ``reach . |speeds|``. Between two instants the
-    distance is at least half of what it is at both together, less half of the way in between.
+    The two bodies of a pair move no faster relative to each other than ``reach . |speeds|``. Between two samples the
+    distance is at least half the sum of the distances at both, minus half of the travel in between.
     """
 
     def __init__(self, course: Course, duration: float, collision: CollisionModel, clearances: FloatArray) -> None:
@@ -57,57 +57,57 @@ class Distances:
         self._distances = collision.distances(course(self._times)[0])
 
     def settle(self) -> bool:
-        """Halve intervals until the clearances are certain, or are found not to hold."""
+        """Halve intervals until all clearances are certain. Return False if one is violated or stays uncertain."""
         while np.all(self._distances >= self._clearances):
-            unsure = np.flatnonzero(np.any(self._between() < self._clearances, axis=1))
-            if not len(unsure):
+            uncertain = np.flatnonzero(np.any(self._between() < self._clearances, axis=1))
+            if not len(uncertain):
                 return True
-            if np.min(np.diff(self._times)[unsure]) < _SHORTEST:
+            if np.min(np.diff(self._times)[uncertain]) < _SHORTEST:
                 return False
-            self._refine(unsure)
+            self._refine(uncertain)
         return False
 
     @property
     def worst(self) -> tuple[Pair, float, float]:
-        """The pair that has the least to spare, its distance [m], and when [s]."""
-        instant, pair = np.unravel_index(np.argmin(self._distances - self._clearances), self._distances.shape)
-        return self._collision.pairs[pair], float(self._distances[instant, pair]), float(self._times[instant])
+        """Pair that is closest to its clearance, its distance [m], and the time [s]."""
+        sample, pair = np.unravel_index(np.argmin(self._distances - self._clearances), self._distances.shape)
+        return self._collision.pairs[pair], float(self._distances[sample, pair]), float(self._times[sample])
 
     def _between(self) -> FloatArray:
-        """Lower bounds ``(N - 1, pairs)`` of the distances between instants."""
+        """Lower bounds ``(N - 1, pairs)`` of the distances between samples."""
         ends = self._distances[:-1] + self._distances[1:]
         return np.asarray(0.5 * (ends - self._ways() @ self._reach.T))
 
     def _ways(self) -> FloatArray:
-        """At least the ways ``(N - 1, J)`` that joints go between instants."""
+        """Upper bounds ``(N - 1, J)`` of the joints' travel between samples."""
         states = self._course(self._times)
         steps = np.diff(self._times)[:, None]
-        # The speed is at most that at the nearer end, and what the largest acceleration adds in half of the time.
+        # The speed is at most that at the nearer end, plus the gain by the largest acceleration in half of the time.
         fastest = np.maximum(np.abs(states[1, :-1]), np.abs(states[1, 1:]))
         jerk = np.max(np.abs(states[3]), axis=0)
-        harder = np.max(np.abs(states[2]), axis=0) + 0.5 * np.max(steps) * jerk
-        return np.asarray(steps * (fastest + 0.5 * steps * harder))
+        hardest = np.max(np.abs(states[2]), axis=0) + 0.5 * np.max(steps) * jerk
+        return np.asarray(steps * (fastest + 0.5 * steps * hardest))
 
     def _refine(self, intervals: IntArray) -> None:
         middles = 0.5 * (self._times[intervals] + self._times[intervals + 1])
-        new = self._collision.distances(self._course(middles)[0])
+        distances = self._collision.distances(self._course(middles)[0])
         self._times = np.insert(self._times, intervals + 1, middles)
-        self._distances = np.insert(self._distances, intervals + 1, new, axis=0)
+        self._distances = np.insert(self._distances, intervals + 1, distances, axis=0)
 
     def bounds(self) -> FloatArray:
-        """Lower bounds of the distances ``(pairs,)`` at all instants."""
+        """Lower bounds of the distances ``(pairs,)`` [m] over the whole path."""
         return np.asarray(np.min(self._between(), axis=0))
 
 
 @dataclass(frozen=True, eq=False)
 class Margins:
-    """How far a motion stays from what it must not do.
+    """Margins of a motion from its limits.
 
     Attributes:
-        position: least distance of each joint from its limits ``(J,)`` [rad, m].
-        velocity, acceleration, jerk, effort: largest share of each joint's limit that is used ``(J,)``; that of the
-            effort includes :data:`STDS_OF_95` standard deviations.
-        distance: a lower bound of the distance of each pair ``(pairs,)`` [m].
+        position: smallest distance of each joint from its limits ``(J,)`` [rad, m].
+        velocity, acceleration, jerk, effort: largest used fraction of each joint's limit ``(J,)``; the effort includes
+            :data:`STDS_OF_95` standard deviations.
+        distance: lower bound of the distance of each pair ``(pairs,)`` [m].
     """
 
     position: FloatArray
@@ -119,7 +119,7 @@ class Margins:
 
 
 class Feasibility:
-    """All that a motion from ``start (J,)`` must hold."""
+    """All constraints on a motion from ``start (J,)``."""
 
     def __init__(
         self,
@@ -129,7 +129,7 @@ class Feasibility:
         collision: CollisionModel | None = None,
         clearance: float = 0.02,
     ) -> None:
-        """``clearance`` [m]: between all pairs that have it at the start; others keep half of what they have there.
+        """``clearance`` [m]: kept by all pairs that have it at the start; others keep half of their distance there.
 
         Raises InputError for a start that is not feasible itself.
         """
@@ -146,10 +146,10 @@ class Feasibility:
 
     def _check_start(self) -> None:
         low, high = self.limits.position.T
-        for name, own, lower, upper in zip(self.names, self.start, low, high, strict=True):
-            if not lower <= own <= upper:
+        for name, position, lower, upper in zip(self.names, self.start, low, high, strict=True):
+            if not lower <= position <= upper:
                 raise InputError(
-                    f"the start of joint '{name}' is {own:.4g}, outside its limits {lower:.4g} to {upper:.4g}; "
+                    f"the start of joint '{name}' is {position:.4g}, outside its limits {lower:.4g} to {upper:.4g}; "
                     "give another --start"
                 )
         still = np.stack([self.start, 0.0 * self.start, 0.0 * self.start])[:, None]
@@ -162,34 +162,34 @@ class Feasibility:
             )
 
     def _effort_shares(self, states: FloatArray) -> FloatArray:
-        """Shares of the effort limits ``(N, J)`` that are used at ``states (3, N, J)``."""
+        """Used fractions of the effort limits ``(N, J)`` at ``states (3, N, J)``, with their uncertainty."""
         rows = self.knowledge.rows_of_parameters(states)[:, : len(self.names)]
         efforts = rows @ self.knowledge.posterior.parameters
         deviations = self.knowledge.deviations_of(rows @ self.knowledge.posterior.jacobian)
         return np.asarray((np.abs(efforts) + STDS_OF_95 * deviations) / self.limits.effort)
 
     def largest_scale(self, motion: ExcitingMotion) -> FloatArray:
-        """The factors ``(J,)`` that bring each joint of a motion to the first of its limits of position, speed,
-        acceleration and jerk."""
+        """Factors ``(J,)`` that scale each joint of a motion until it reaches its first limit of position, speed,
+        acceleration or jerk."""
         states = motion.at(_times(motion, _FINE))
-        away = states[0] - self.start
+        displacement = states[0] - self.start
         low, high = self.limits.position.T
         room = np.stack([self.start - low - self.edge, high - self.edge - self.start])
         room = np.maximum(room, 0.0)
-        far = np.stack([-np.min(away, axis=0), np.max(away, axis=0)])
-        fast = np.max(np.abs(states[1:]), axis=1)
+        farthest = np.stack([-np.min(displacement, axis=0), np.max(displacement, axis=0)])
+        largest = np.max(np.abs(states[1:]), axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
-            shares = np.concatenate([far / room, fast / ((1.0 - _RESERVE) * self.limits.derivatives)])
-        worst = np.max(np.nan_to_num(shares, nan=0.0, posinf=np.inf), axis=0)
+            fractions = np.concatenate([farthest / room, largest / ((1.0 - _RESERVE) * self.limits.derivatives)])
+        worst = np.max(np.nan_to_num(fractions, nan=0.0, posinf=np.inf), axis=0)
         return np.where(worst > 0.0, 1.0 / np.where(worst > 0.0, worst, 1.0), 0.0)
 
     def within_limits(self, motion: ExcitingMotion) -> ExcitingMotion:
-        """The motion, each joint shrunk into its own limits."""
+        """Shrink each joint of a motion into its limits."""
         return motion.scaled(np.minimum(1.0, self.largest_scale(motion)))
 
     def made_feasible(self, motion: ExcitingMotion, halvings: int = HALVINGS) -> ExcitingMotion:
-        """The motion, each joint shrunk into its own limits, and all of it towards the start until efforts and
-        distances hold, too; with more ``halvings`` no more than it must."""
+        """Shrink each joint of a motion into its limits, then the whole motion until efforts and distances keep theirs.
+        With more ``halvings`` the result comes closer to the largest feasible size."""
         shrunk = self.within_limits(motion)
         if self.holds(shrunk):
             return shrunk
@@ -200,7 +200,7 @@ class Feasibility:
         return shrunk.scaled(low)
 
     def holds(self, motion: ExcitingMotion) -> bool:
-        """Whether a motion within its joints' limits holds those of efforts and distances, too."""
+        """True if a motion within its joints' limits keeps those of efforts and distances, too."""
         times = _times(motion, _RATE)
         if np.max(self._effort_shares(motion.at(times)[:3])) > 1.0 - _RESERVE:
             return False
@@ -209,16 +209,16 @@ class Feasibility:
         return Distances(motion.at, motion.form.period, self.collision, self.clearances).settle()
 
     def margins(self, motion: ExcitingMotion) -> Margins:
-        """How far a feasible motion stays from all limits."""
+        """Margins of a feasible motion from all limits."""
         states = motion.at(_times(motion, _FINE))
         low, high = self.limits.position.T
-        used = np.max(np.abs(states[1:]), axis=1) / self.limits.derivatives
+        fractions = np.max(np.abs(states[1:]), axis=1) / self.limits.derivatives
         efforts = np.max(self._effort_shares(motion.at(_times(motion, _RATE))[:3]), axis=0)
         return Margins(
             position=np.min(np.minimum(states[0] - low, high - states[0]), axis=0),
-            velocity=used[0],
-            acceleration=used[1],
-            jerk=used[2],
+            velocity=fractions[0],
+            acceleration=fractions[1],
+            jerk=fractions[2],
             effort=efforts,
             distance=self._least_distances(motion),
         )
@@ -226,11 +226,11 @@ class Feasibility:
     def _least_distances(self, motion: ExcitingMotion) -> FloatArray:
         if self.collision is None:
             return np.zeros(0)
-        found = Distances(motion.at, motion.form.period, self.collision, self.clearances)
-        found.settle()
-        return found.bounds()
+        distances = Distances(motion.at, motion.form.period, self.collision, self.clearances)
+        distances.settle()
+        return distances.bounds()
 
 
 def _times(motion: ExcitingMotion, rate: float) -> FloatArray:
-    """Instants of a period, at a ``rate`` [Hz]."""
+    """Sample times of a period [s], at least at a ``rate`` [Hz]."""
     return np.linspace(0.0, motion.form.period, int(np.ceil(rate * motion.form.period)) + 1)

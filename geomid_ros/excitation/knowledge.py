@@ -1,4 +1,4 @@
-"""What is known of a robot's parameters, and what a motion would add to it, by the criterion of its aim."""
+"""Knowledge of a robot's parameters, and how a motion would improve it, by the criterion of its aim."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, frozen
 
 NOISE = 2e-3
-"""Standard deviation of an effort of which nothing is known, as a share of the joint's limit."""
+"""Default standard deviation of the effort noise, as a fraction of the joint's effort limit."""
 ROWS_PER_SECOND = INDEPENDENT * SignalSettings().cutoff
-"""Independent measurements of each joint in a second behind the usual filter."""
-_USUAL_SHARE = 0.02  # of the joint's effort limit that an effect usually adds
+"""Independent measurements of each joint per second, after the default low-pass filter."""
+_USUAL_SHARE = 0.02  # typical size of an effect, as a fraction of the joint's effort limit
 _STATES = 200
 _OTHERS = (
     "{}: an estimate with other links or effects than this robot ({}); give the URDF and the options of that "
@@ -36,12 +36,12 @@ _OTHERS = (
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """What is known before a motion.
+    """Knowledge of the parameters before a motion.
 
     Attributes:
-        model: which parameters are unknown; its C channels begin with the joints' efforts.
-        posterior: of these parameters, in their order.
-        sigmas: standard deviations of what is measured ``(C,)``.
+        model: defines the unknown parameters; its C channels begin with the joints' efforts.
+        posterior: posterior of these parameters, in the model's order.
+        sigmas: standard deviations of the measurement noise per channel ``(C,)``.
     """
 
     model: MeasurementModel
@@ -50,59 +50,59 @@ class Belief:
 
     @cached_property
     def precision(self) -> FloatArray:
-        """The inverse of the covariance ``(D, D)``."""
+        """Pseudo-inverse of the posterior covariance ``(D, D)``."""
         deviations = np.sqrt(np.diag(self.posterior.covariance))
         scaled = self.posterior.covariance / np.outer(deviations, deviations)
         inverse = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True)
         return frozen(inverse / np.outer(deviations, deviations))
 
     def rows_of_parameters(self, states: FloatArray) -> FloatArray:
-        """Rows ``(N, C, D)`` by the parameters, of efforts in N m or N, at ``states (3, N, J)``."""
+        """Regressor ``(N, C, D)`` of the parameters, for efforts in N m or N, at ``states (3, N, J)``."""
         return self.model.rows(samples_of(states, len(self.model.sensors))).coefficients
 
     def rows(self, states: FloatArray) -> FloatArray:
-        """The same by the tangent coordinates."""
+        """Regressor ``(N, C, D)`` of the tangent coordinates at ``states (3, N, J)``."""
         return self.rows_of_parameters(states) @ self.posterior.jacobian
 
     def efforts(self, states: FloatArray) -> FloatArray:
-        """The efforts ``(N, J)`` to expect at ``states (3, N, J)``."""
+        """Expected efforts ``(N, J)`` at ``states (3, N, J)``."""
         return np.asarray((self.rows_of_parameters(states) @ self.posterior.parameters)[:, : states.shape[2]])
 
     def deviations_of(self, rows: FloatArray) -> FloatArray:
-        """Standard deviations ``(N, C)`` of what ``rows (N, C, D)`` by the tangent coordinates predict."""
+        """Standard deviations ``(N, C)`` of the predictions of ``rows (N, C, D)`` of the tangent coordinates."""
         variances = np.sum((rows @ self.posterior.covariance) * rows, axis=2)
         return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
 
     def information(self, motion: ExcitingMotion) -> FloatArray:
-        """What a motion tells of the tangent coordinates ``(D, D)``."""
+        """Fisher information ``(D, D)`` of a motion about the tangent coordinates."""
         count = int(np.ceil(ROWS_PER_SECOND * motion.form.period))
         times = (np.arange(count) + 0.5) * motion.form.period / count
         rows = self.rows(motion.at(times)[:3]) / self.sigmas[:, None]
         return self.information_of(rows, motion.form.duration)
 
     def information_of(self, rows: FloatArray, duration: float) -> FloatArray:
-        """The same, of rows ``(N, C, D)`` in units of the noise at instants spread over a ``duration`` [s]."""
+        """Fisher information ``(D, D)`` of ``rows (N, C, D)`` in units of the noise, sampled over ``duration`` [s]."""
         flat = rows.reshape(-1, rows.shape[-1])
         return np.asarray(ROWS_PER_SECOND * duration / len(rows) * (flat.T @ flat))
 
     def after(self, information: FloatArray) -> Belief:
-        """What is known when that ``information (D, D)`` is added; the estimate itself stays."""
+        """Return the belief after adding ``information (D, D)``; the estimate itself stays."""
         covariance = covariance_of(self.precision + information)
         return replace(self, posterior=replace(self.posterior, covariance=frozen(covariance)))
 
     def error(self, weight: FloatArray) -> float:
-        """The root of the trace of a ``weight (D, D)`` times the covariance."""
+        """Square root of the trace of ``weight (D, D)`` times the covariance."""
         return float(np.sqrt(np.sum(weight * self.posterior.covariance)))
 
     def deviations(self) -> tuple[FloatArray, FloatArray]:
-        """Standard deviations of the links' quantities ``(links, 10)``, as :data:`QUANTITIES` names them, and of the
+        """Standard deviations of the links' quantities ``(links, 10)``, in the order of :data:`QUANTITIES`, and of the
         effects' coefficients ``(effects,)``."""
         manifold, point = self.posterior.manifold, self.posterior.point
         covariance = self.posterior.covariance
         sensitivity = physical_sensitivity(point)
         links = [
-            np.sqrt(np.einsum("ij,jk,ik->i", own, covariance[block, block], own))
-            for own, block in zip(sensitivity, map(manifold.link, range(manifold.links)), strict=True)
+            np.sqrt(np.einsum("ij,jk,ik->i", jacobian, covariance[block, block], jacobian))
+            for jacobian, block in zip(sensitivity, map(manifold.link, range(manifold.links)), strict=True)
         ]
         _, diagonal = manifold.jacobian(point)
         effects = diagonal * np.sqrt(np.diag(covariance)[manifold.inertial.stop :])
@@ -110,102 +110,102 @@ class Belief:
 
 
 def covariance_of(precision: FloatArray) -> FloatArray:
-    """The inverse of a positive definite matrix."""
+    """Invert a positive definite matrix."""
     units = 1.0 / np.sqrt(np.diag(precision))
     return np.asarray(np.linalg.inv(precision * np.outer(units, units)) * np.outer(units, units))
 
 
 def prior_knowledge(model: MeasurementModel, limits: MotionLimits) -> Belief:
-    """What a URDF says: inertias as sure as CAD's, effects of any size about the usual, or about
-    what its <dynamics> say where that is more."""
-    fastest = np.minimum(ACCELERATION_PER_SPEED * limits.velocity, limits.acceleration)
-    states = random_states(np.random.default_rng(0), _STATES, limits.position, limits.velocity, fastest)
+    """Build the belief from the URDF alone: inertias with the default prior std (CAD), effects with a broad prior.
+    A positive coefficient is expected at the typical effect size, or at its <dynamics> value where that is larger."""
+    acceleration = np.minimum(ACCELERATION_PER_SPEED * limits.velocity, limits.acceleration)
+    states = random_states(np.random.default_rng(0), _STATES, limits.position, limits.velocity, acceleration)
     coefficients = model.rows(samples_of(states, len(model.sensors))).coefficients
-    first = len(model.nominal_inertias)
-    usual = _channel_sizes(model, limits, coefficients)
-    columns = np.sqrt(np.mean(coefficients[:, :, first:] ** 2, axis=0))  # (C, effects)
-    sizes = np.max(usual[:, None] / np.where(columns > 0.0, columns, np.inf), axis=0, initial=0.0)
+    first_effect = len(model.nominal_inertias)
+    channel_sizes = _channel_sizes(model, limits, coefficients)
+    columns = np.sqrt(np.mean(coefficients[:, :, first_effect:] ** 2, axis=0))  # (C, effects)
+    sizes = np.max(channel_sizes[:, None] / np.where(columns > 0.0, columns, np.inf), axis=0, initial=0.0)
     sizes = np.maximum(np.where(sizes > 0.0, sizes, 1.0), model.described_coefficients)
     positive = np.arange(len(sizes)) < model.positives
     parameters = np.concatenate([model.nominal_inertias, np.where(positive, sizes, 0.0)])
-    # A real coefficient is of any sign and about the size that a positive one has.
+    # A real coefficient may have either sign; its prior std is the size that a positive one would have.
     scales = sizes[~positive] / usual_spreads(model.manifold(np.ones(int(np.sum(~positive)))))[-1:]
-    spreads = usual_spreads(model.manifold(scales))
+    prior_stds = usual_spreads(model.manifold(scales))
     bodies = [model.robot.bodies[index] for index in model.identified]
     posterior = Posterior(
         links=model.body_names,
         merged=tuple(body.merged for body in bodies),
         effects=effect_coordinates(model),
         parameters=frozen(parameters),
-        covariance=frozen(np.diag(spreads**2)),
+        covariance=frozen(np.diag(prior_stds**2)),
         scales=frozen(scales),
         prior=frozen(parameters),
-        prior_spreads=frozen(spreads),
+        prior_spreads=frozen(prior_stds),
     )
-    return Belief(model, posterior, frozen(NOISE / _USUAL_SHARE * usual))
+    return Belief(model, posterior, frozen(NOISE / _USUAL_SHARE * channel_sizes))
 
 
 def known_before(model: MeasurementModel, posterior: Posterior, sigmas: Sequence[float], source: str) -> Belief:
-    """What an estimate knows, of a model with the same links and effects.
+    """Build the belief from the estimate of a model with the same links and effects.
 
-    The order of the effects may be another. Raises InputError naming the ``source`` if it is of another robot.
+    The effects may be in another order. Raises InputError naming the ``source`` if it is of another robot.
     """
     if posterior.links != model.body_names:
         raise InputError(_OTHERS.format(source, f"its links are {', '.join(posterior.links)}"))
     try:
-        known = posterior.with_effects(effect_coordinates(model))
+        reordered = posterior.with_effects(effect_coordinates(model))
     except ValueError as error:
         raise InputError(_OTHERS.format(source, error)) from error
-    return Belief(model, known, frozen(sigmas))
+    return Belief(model, reordered, frozen(sigmas))
 
 
 def _channel_sizes(model: MeasurementModel, limits: MotionLimits, coefficients: FloatArray) -> FloatArray:
-    """The usual size of an effect at each channel ``(C,)`` [N m, N]."""
-    weights = np.sqrt(np.mean((coefficients @ model.nominal_parameters) ** 2, axis=0))
-    limit = np.full(len(model.channels), np.inf)
-    limit[: len(limits.effort)] = limits.effort
-    return _USUAL_SHARE * np.where(np.isfinite(limit), limit, np.maximum(weights, 1e-6))
+    """Typical size of an effect at each channel ``(C,)`` [N m, N], by effort limit or else by nominal effort."""
+    nominal = np.sqrt(np.mean((coefficients @ model.nominal_parameters) ** 2, axis=0))
+    scale = np.full(len(model.channels), np.inf)
+    scale[: len(limits.effort)] = limits.effort
+    return _USUAL_SHARE * np.where(np.isfinite(scale), scale, np.maximum(nominal, 1e-6))
 
 
 PREDICTION, FRICTION, PAYLOAD, LINK = "prediction", "friction", "payload", "link:"
-_FRICTION = "dynamics/"  # attributes of a URDF that say friction
-_WORTH = 0.02  # a difference that is worth a word
+_FRICTION = "dynamics/"  # prefix of the URDF attributes that describe friction
+_WORTH = 0.02  # smallest relative gain that is reported
 
 
 def weight_of(aim: str, knowledge: Belief, others: Sequence[ExcitingMotion]) -> FloatArray:
-    """The weight ``(D, D)`` W of an aim: the criterion is the trace of W times the covariance of the estimate.
+    """Weight W ``(D, D)`` of an aim: the criterion is the trace of W times the covariance of the estimate.
 
-    - ``prediction`` (I-optimal): mean squared error of the efforts, in units of the noise, on ``others``;
-    - ``friction``: squared relative errors of the coefficients that a URDF's <dynamics> can say;
+    - ``prediction`` (I-optimal): mean squared error of the efforts on ``others``, in units of the noise;
+    - ``friction``: squared relative errors of the coefficients that a URDF's <dynamics> can hold;
     - ``link:NAME``: squared error of a link's inertia, as a geodesic distance;
-    - ``payload``: the same of the last link that moves.
+    - ``payload``: as ``link:NAME``, for the last link that moves.
 
     Raises InputError for another aim, or an unknown link.
     """
     size, manifold = knowledge.model.dimension, knowledge.posterior.manifold
     if aim == PREDICTION:
-        rows = ROWS_PER_SECOND * len(knowledge.sigmas)
-        found = [knowledge.information(motion) / (rows * motion.form.duration) for motion in others]
-        return np.asarray(np.mean(found, axis=0))
+        rows_per_second = ROWS_PER_SECOND * len(knowledge.sigmas)
+        information = [knowledge.information(motion) / (rows_per_second * motion.form.duration) for motion in others]
+        return np.asarray(np.mean(information, axis=0))
     weight = np.zeros((size, size))
     if aim == FRICTION:
-        places = [place for place, own in enumerate(_are_friction(knowledge), manifold.inertial.stop) if own]
-        if not places:
+        indices = [index for index, friction in enumerate(_are_friction(knowledge), manifold.inertial.stop) if friction]
+        if not indices:
             raise InputError("--for friction: none of the identified effects is friction; add one to 'effects'")
     elif aim == PAYLOAD or aim.startswith(LINK):
         links = knowledge.posterior.links
         name = links[-1] if aim == PAYLOAD else aim.removeprefix(LINK)
         if name not in links:
             raise unknown_name("link to identify", name, links)
-        places = [*range(size)[manifold.link(links.index(name))]]
+        indices = [*range(size)[manifold.link(links.index(name))]]
     else:
         raise unknown_name("aim", aim, (PREDICTION, FRICTION, PAYLOAD, f"{LINK}NAME"))
-    weight[places, places] = 1.0
+    weight[indices, indices] = 1.0
     return weight
 
 
 def meaning_of(aim: str) -> str:
-    """Of what the root of that criterion is the error."""
+    """Phrase for the error that the root of an aim's criterion measures."""
     if aim == PREDICTION:
         return "of efforts predicted for other motions, in units of the noise"
     if aim == FRICTION:
@@ -222,8 +222,8 @@ def _are_friction(knowledge: Belief) -> list[bool]:
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """What is known at some time: ``error``, the root of the criterion; standard deviations of the ``links``'
-    quantities ``(links, 10)`` and of the ``effects``' coefficients ``(effects,)``."""
+    """Expected uncertainty at one stage: ``error`` is the root of the criterion. ``links (links, 10)`` and
+    ``effects (effects,)`` are standard deviations of the links' quantities and of the effects' coefficients."""
 
     error: float
     links: FloatArray
@@ -232,8 +232,8 @@ class Expected:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Learning:
-    """What is known ``before``, after the ``designed`` motion, after a ``random`` feasible one that lasts as long, and
-    after the designed one ``twice``, or a random one twice as long, ``random_twice``."""
+    """Expected uncertainty ``before`` and after the ``designed`` motion. For comparison: after a ``random`` feasible
+    motion of equal duration, the designed one ``twice``, and a random one twice as long (``random_twice``)."""
 
     before: Expected
     designed: Expected
@@ -243,29 +243,29 @@ class Learning:
 
     @property
     def gain(self) -> float:
-        """By what share the designed motion lowers the expected error."""
+        """Fraction by which the designed motion lowers the expected error."""
         return 1.0 - self.designed.error / self.before.error
 
     @property
     def sentences(self) -> list[str]:
-        """The comparison in words."""
-        said = [f"{self.before.error:.3g} before, {self.designed.error:.3g} after this motion"]
+        """Sentences that compare the designed motion with the others."""
+        lines = [f"{self.before.error:.3g} before, {self.designed.error:.3g} after this motion"]
         gain = 1.0 - self.designed.error / self.random.error
-        nothing = "the design saves nothing here; its benefit is that the motion is checked"
-        saved = f"{gain:.0%} saved" if gain > _WORTH else nothing
-        said.append(f"a random feasible motion of the same length leaves {self.random.error:.3g}: {saved}")
+        no_gain = "the design saves nothing here; its benefit is that the motion is checked"
+        saved = f"{gain:.0%} saved" if gain > _WORTH else no_gain
+        lines.append(f"a random feasible motion of the same length leaves {self.random.error:.3g}: {saved}")
         longer = self.random_twice.error / self.designed.error
         better = "recording longer helps more than the design" if longer < 1.0 else "the design is worth more than that"
-        said.append(f"a random motion twice as long leaves {self.random_twice.error:.3g}: {better}")
-        said.append(f"this motion recorded twice leaves {self.twice.error:.3g}")
-        return said
+        lines.append(f"a random motion twice as long leaves {self.random_twice.error:.3g}: {better}")
+        lines.append(f"this motion recorded twice leaves {self.twice.error:.3g}")
+        return lines
 
 
 def expected_learning(
     knowledge: Belief, weight: FloatArray, motion: ExcitingMotion, randoms: Sequence[ExcitingMotion]
 ) -> Learning:
-    """Compare a designed ``motion`` with feasible ``randoms`` of its form, of which the middle one counts, by the
-    criterion of a ``weight (D, D)``."""
+    """Compare a designed ``motion`` with the median of feasible ``randoms`` of its form, by the criterion of a
+    ``weight (D, D)``."""
 
     def expected(belief: Belief) -> Expected:
         return Expected(belief.error(weight), *belief.deviations())
@@ -273,12 +273,12 @@ def expected_learning(
     def after(information: FloatArray) -> Expected:
         return expected(knowledge.after(information))
 
-    own, others = knowledge.information(motion), [knowledge.information(other) for other in randoms]
-    middle = sorted(others, key=lambda other: knowledge.after(other).error(weight))[len(others) // 2]
+    designed, others = knowledge.information(motion), [knowledge.information(other) for other in randoms]
+    median = sorted(others, key=lambda other: knowledge.after(other).error(weight))[len(others) // 2]
     return Learning(
         before=expected(knowledge),
-        designed=after(own),
-        random=after(middle),
-        twice=after(2.0 * own),
-        random_twice=after(2.0 * middle),
+        designed=after(designed),
+        random=after(median),
+        twice=after(2.0 * designed),
+        random_twice=after(2.0 * median),
     )

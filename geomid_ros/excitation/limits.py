@@ -1,4 +1,4 @@
-"""What a motion must not exceed."""
+"""Limits of an exciting motion: position, velocity, acceleration, jerk and effort."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from geomid_ros.model.samples import WIDEST
 from geomid_ros.types import FloatArray
 
 STEEPEST = 10.0
-"""[1/s] of acceleration to speed at most, and of jerk to acceleration, where no limits of these are given."""
+"""[1/s] Largest ratio of acceleration to speed, and of jerk to acceleration, where no such limits are given."""
 _POSTURES = 300
 TRIED = 100
-"""Postures, at most, to begin from or to go by."""
-_LEAST_SHARE = 0.1  # of the effort is left to accelerate with, wherever gravity takes more
+"""Maximum number of random postures tried as a start or as an intermediate posture."""
+_LEAST_SHARE = 0.1  # fraction of the effort limit left for acceleration, even where gravity needs more
 
 
 @dataclass(frozen=True)
 class JointLimits:
-    """One joint's limits as a file gives them; None where it says nothing. SI units."""
+    """Limits of one joint from a file, in SI units; None where it gives none."""
 
     lower: float | None = None
     upper: float | None = None
@@ -34,8 +34,8 @@ class JointLimits:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MotionLimits:
-    """Limits of J joints, each ``(J,)``: of ``position (J, 2)``, ``velocity``, ``acceleration``, ``jerk`` and
-    ``effort``; ``notes``: which of them follow from others, in sentences."""
+    """Limits of J joints: ``position (J, 2)``; ``velocity``, ``acceleration``, ``jerk`` and ``effort``, each ``(J,)``.
+    ``notes``: sentences on limits derived from others."""
 
     position: FloatArray
     velocity: FloatArray
@@ -46,31 +46,31 @@ class MotionLimits:
 
     @property
     def derivatives(self) -> FloatArray:
-        """Of velocity, acceleration and jerk ``(3, J)``."""
+        """Limits of velocity, acceleration and jerk ``(3, J)``."""
         return np.array([self.velocity, self.acceleration, self.jerk])
 
 
 def motion_limits(
     robot: Robot, given: dict[str, JointLimits], inertias: FloatArray, speed: float, source: str
 ) -> MotionLimits:
-    """All limits of a robot's joints.
+    """Collect all limits of a robot's joints.
 
     Args:
-        robot: whose URDF says limits of position, velocity and effort.
-        given: others by joint, which win.
+        robot: its URDF gives limits of position, velocity and effort.
+        given: limits by joint, which override those of the URDF.
         inertias: of all bodies ``(bodies, 10)``.
-        speed: share of the velocity limits that may be used.
+        speed: fraction of the velocity limits that may be used.
         source: names the URDF in messages.
 
     Raises:
         InputError: naming the joint whose limit is missing.
     """
-    own = [given.get(name, JointLimits()) for name in robot.joint_names]
-    position = _or_given(robot.position_limits, [(limit.lower, limit.upper) for limit in own])
-    velocity = _or_given(robot.speed_limits, [limit.velocity for limit in own])
-    effort = _or_given(robot.effort_limits, [limit.effort for limit in own])
-    acceleration = _or_given(np.full(len(own), np.inf), [limit.acceleration for limit in own])
-    jerk = _or_given(np.full(len(own), np.inf), [limit.jerk for limit in own])
+    joint_limits = [given.get(name, JointLimits()) for name in robot.joint_names]
+    position = _or_given(robot.position_limits, [(limit.lower, limit.upper) for limit in joint_limits])
+    velocity = _or_given(robot.speed_limits, [limit.velocity for limit in joint_limits])
+    effort = _or_given(robot.effort_limits, [limit.effort for limit in joint_limits])
+    acceleration = _or_given(np.full(len(joint_limits), np.inf), [limit.acceleration for limit in joint_limits])
+    jerk = _or_given(np.full(len(joint_limits), np.inf), [limit.jerk for limit in joint_limits])
     _require(robot, velocity, "velocity", source)
     derived = ~np.isfinite(acceleration)
     _require(robot, np.where(derived, effort, 0.0), "acceleration", source)
@@ -88,10 +88,10 @@ def motion_limits(
     )
 
 
-def _or_given(known: FloatArray, given: Sequence[object]) -> FloatArray:
-    """The known numbers, and those that are given in their place."""
+def _or_given(default: FloatArray, given: Sequence[object]) -> FloatArray:
+    """Numbers of the URDF, overridden by those that are given."""
     stated = np.array(given, dtype=np.float64)  # None is not a number
-    return np.where(np.isfinite(stated), stated, known)
+    return np.where(np.isfinite(stated), stated, default)
 
 
 def _require(robot: Robot, limits: FloatArray, kind: str, source: str) -> None:
@@ -105,8 +105,8 @@ def _require(robot: Robot, limits: FloatArray, kind: str, source: str) -> None:
 
 
 def _by_effort(robot: Robot, position: FloatArray, effort: FloatArray, inertias: FloatArray) -> FloatArray:
-    """The accelerations ``(J,)`` for which the efforts suffice beside gravity, each joint's by itself, in the worst of
-    some postures."""
+    """Accelerations ``(J,)`` that the efforts allow in addition to gravity, in the worst of random postures. Each joint
+    accelerates alone."""
     random = np.random.default_rng(0)
     low, high = np.clip(position, -WIDEST, WIDEST).T
     postures = random.uniform(low, high, (_POSTURES, len(effort)))
@@ -116,30 +116,30 @@ def _by_effort(robot: Robot, position: FloatArray, effort: FloatArray, inertias:
     for joint in range(len(effort)):
         states[2] = np.eye(len(effort))[joint]
         inertia[:, joint] = (robot.joint_efforts(*robot.moved(states), inertias) - gravity)[:, joint]
-    left = np.maximum(effort - np.abs(gravity), _LEAST_SHARE * effort)
-    return np.asarray(np.min(left / np.maximum(inertia, np.finfo(float).tiny), axis=0))
+    available = np.maximum(effort - np.abs(gravity), _LEAST_SHARE * effort)
+    return np.asarray(np.min(available / np.maximum(inertia, np.finfo(float).tiny), axis=0))
 
 
 def _notes(names: Sequence[str], derived: FloatArray, by_jerk: FloatArray, acceleration: FloatArray) -> list[str]:
     notes = []
     if np.any(derived):
-        said = ", ".join(f"{name} {a:.3g}" for name, a, own in zip(names, acceleration, derived, strict=True) if own)
+        text = ", ".join(f"{name} {a:.3g}" for name, a, mask in zip(names, acceleration, derived, strict=True) if mask)
         notes.append(
             "acceleration limits are derived from the effort limits, and are at most "
-            f"{STEEPEST:g} 1/s times the velocity limits [rad/s^2, m/s^2]: {said}"
+            f"{STEEPEST:g} 1/s times the velocity limits [rad/s^2, m/s^2]: {text}"
         )
     if np.any(by_jerk):
-        which = "all joints" if np.all(by_jerk) else ", ".join(np.array(names)[by_jerk])
-        notes.append(f"jerk limits are {STEEPEST:g} 1/s times the acceleration limits: {which}")
+        joints = "all joints" if np.all(by_jerk) else ", ".join(np.array(names)[by_jerk])
+        notes.append(f"jerk limits are {STEEPEST:g} 1/s times the acceleration limits: {joints}")
     return notes
 
 
 def starts(limits: MotionLimits) -> Iterator[FloatArray]:
-    """Postures ``(J,)`` to begin from, the most obvious first: zero where that is in the middle half of a range, the
-    middle of the ranges, and others at random in their middle halves."""
+    """Yield start postures ``(J,)``, the most obvious first: zero where it is in the middle half of a range (else the
+    middle), the middle of all ranges, and random ones in the middle halves."""
     low, high = limits.position.T
-    wide = np.clip(low, -WIDEST, None), np.clip(high, None, WIDEST)
-    middle, half = 0.5 * (wide[0] + wide[1]), 0.5 * (wide[1] - wide[0])
+    finite = np.clip(low, -WIDEST, None), np.clip(high, None, WIDEST)
+    middle, half = 0.5 * (finite[0] + finite[1]), 0.5 * (finite[1] - finite[0])
     inner = middle - 0.5 * half, middle + 0.5 * half
     yield np.where((inner[0] < 0.0) & (inner[1] > 0.0), 0.0, middle)
     yield middle

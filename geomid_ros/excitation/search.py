@@ -1,7 +1,7 @@
-"""The search for a motion: random ones, the best of them, and from there downhill.
+"""Search for an exciting motion: gradient descent from the best of random motions.
 
-The criterion and what it costs to come close to a limit are differentiated by positions, speeds and accelerations at
-some instants, and these by the coefficients, in which they are linear.
+The criterion and the penalties near limits are differentiated by positions, speeds and accelerations of samples. These
+are linear in the coefficients.
 """
 
 from __future__ import annotations
@@ -20,38 +20,38 @@ from geomid_ros.excitation.motion import ExcitingMotion, MotionForm
 from geomid_ros.model.dynamics import STEP
 from geomid_ros.types import FloatArray
 
-_RATE = 6.0  # [Hz] of instants
-_RANDOM = 12  # motions to begin with
-_STEPS = 70  # evaluations at most
+_RATE = 6.0  # [Hz] of samples
+_RANDOM = 12  # initial motions
+_STEPS = 70  # maximum number of evaluations
 BENDS = 50
-"""Evaluations at most of the search for a feasible motion."""
-_FEW = 5  # evaluations, and halvings, where a motion need not be more than typical
-_USED = 0.97  # of a limit, before it costs anything
-_COST = 300.0  # of exceeding a limit by all of it, squared, at every instant
-_NEAR = 2.0  # clearances within which distances cost something
+"""Maximum number of evaluations in the search for a feasible motion."""
+_FEW = 5  # evaluations, and halvings, where a typical motion suffices
+_USED = 0.97  # fraction of a limit above which a penalty begins
+_COST = 300.0  # penalty of exceeding a limit by 100 % at every sample; it grows with the square
+_NEAR = 2.0  # distances below so many clearances are penalised
 
 Criterion = Callable[[FloatArray], tuple[float, FloatArray]]
-"""Of rows ``(N, C, D)`` in units of the noise: the logarithm of what is to be small, and its derivatives by them."""
+"""From rows ``(N, C, D)`` in units of the noise to the logarithm of the error to minimise, and its gradient."""
 
 
 def random_motion(feasibility: Feasibility, form: MotionForm, random: np.random.Generator) -> ExcitingMotion:
-    """A random motion, each joint's as large as its own limits allow."""
+    """Draw a random motion, each joint as large as its limits allow."""
     motion = ExcitingMotion(form, feasibility.start, random.standard_normal((form.size, len(feasibility.start))))
     return motion.scaled(feasibility.largest_scale(motion))
 
 
 def expected_error(feasibility: Feasibility, weight: FloatArray, form: MotionForm) -> Criterion:
-    """The trace of a ``weight (D, D)`` times the covariance after a motion of that form."""
+    """Criterion: the trace of a ``weight (D, D)`` times the covariance after a motion of that form."""
     knowledge = feasibility.knowledge
     precision = knowledge.precision
 
     def criterion(rows: FloatArray) -> tuple[float, FloatArray]:
         information = knowledge.information_of(rows, form.duration)
         covariance = covariance_of(precision + information)
-        spread = covariance @ weight @ covariance
+        slope = covariance @ weight @ covariance
         value = float(np.sum(weight * covariance))
-        share = knowledge.information_of(np.eye(rows.shape[-1])[None], form.duration)[0, 0] / len(rows)
-        return np.log(value), -2.0 * share / value * (rows @ spread)
+        per_row = knowledge.information_of(np.eye(rows.shape[-1])[None], form.duration)[0, 0] / len(rows)
+        return np.log(value), -2.0 * per_row / value * (rows @ slope)
 
     return criterion
 
@@ -59,28 +59,28 @@ def expected_error(feasibility: Feasibility, weight: FloatArray, form: MotionFor
 def other_motions(
     feasibility: Feasibility, form: MotionForm, random: np.random.Generator, count: int
 ) -> list[ExcitingMotion]:
-    """So many random motions that the robot can make: in a tight place those within its limits are far larger, and an
-    error on them means nothing. They are bent a little before they are shrunk: those that are shrunk alone are far
-    smaller than what the robot can make, and a design for them tells little of others."""
+    """Draw ``count`` random motions that the robot can make. In a tight place, motions within joint limits alone are
+    far larger, and an error on them means nothing. The motions are bent a little before they are shrunk: motions only
+    shrunk are far smaller than the robot can make, and a design for them says little about others."""
     search = Search(feasibility, form, evaluations=_FEW, halvings=_FEW)
     return [search.improved(random_motion(feasibility, form, random)) for _ in range(count)]
 
 
 def random_feasible(feasibility: Feasibility, form: MotionForm, random: np.random.Generator) -> ExcitingMotion:
-    """A random motion, bent where it comes too close to something, and then made feasible."""
+    """Draw a random motion, bend it where it comes too close to a limit or a body, and make it feasible."""
     return Search(feasibility, form, evaluations=BENDS).improved(random_motion(feasibility, form, random))
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """The search for motions of a form; without a criterion, for feasible ones.
+    """Search for motions of a form; without a criterion, for feasible ones.
 
     Attributes:
-        feasibility: what they must hold.
-        form: theirs.
-        criterion: what they make small.
-        evaluations: at most.
-        halvings: of the interval in which the largest feasible size of a motion lies.
+        feasibility: the limits that they must keep.
+        form: of the motions.
+        criterion: to minimise.
+        evaluations: maximum number.
+        halvings: of the interval that contains the largest feasible size of a motion.
     """
 
     feasibility: Feasibility
@@ -90,16 +90,16 @@ class Search:
     halvings: int = HALVINGS
 
     def run(self, random: np.random.Generator, progress: Callable[[float], None] = lambda _: None) -> ExcitingMotion:
-        """A feasible motion that makes the criterion small."""
-        begun = [random_motion(self.feasibility, self.form, random) for _ in range(_RANDOM)]
-        costs = [self.cost(motion) for motion in begun]
-        return self.improved(begun[int(np.argmin(costs))], progress)
+        """Find a feasible motion with a small criterion."""
+        initial = [random_motion(self.feasibility, self.form, random) for _ in range(_RANDOM)]
+        costs = [self.cost(motion) for motion in initial]
+        return self.improved(initial[int(np.argmin(costs))], progress)
 
     def improved(self, motion: ExcitingMotion, progress: Callable[[float], None] = lambda _: None) -> ExcitingMotion:
-        """A feasible motion, downhill from another."""
+        """Descend from a motion, and make the result feasible."""
         units, done = self._units, 0
 
-        def at(vector: FloatArray) -> tuple[float, FloatArray]:
+        def objective(vector: FloatArray) -> tuple[float, FloatArray]:
             nonlocal done
             done += 1
             progress(min(done / self.evaluations, 1.0))
@@ -108,20 +108,20 @@ class Search:
             )
             return value, (units * slope).ravel()
 
-        begin = (motion.coefficients / np.where(units > 0.0, units, 1.0)).ravel()
+        initial = (motion.coefficients / np.where(units > 0.0, units, 1.0)).ravel()
         options = {"maxfun": self.evaluations, "maxcor": 20}
-        found = minimize(at, begin, jac=True, method="L-BFGS-B", options=options)
-        bent = ExcitingMotion(self.form, motion.start, units * found.x.reshape(units.shape))
+        optimum = minimize(objective, initial, jac=True, method="L-BFGS-B", options=options)
+        bent = ExcitingMotion(self.form, motion.start, units * optimum.x.reshape(units.shape))
         return self.feasibility.made_feasible(bent, self.halvings)
 
     @cached_property
     def _units(self) -> FloatArray:
-        """Of the coefficients ``(size, J)``: each by itself goes as far as the joint's limits allow."""
-        return np.array([self.feasibility.largest_scale(self._unit_motion(place)) for place in range(self.form.size)])
+        """Scales of the coefficients ``(size, J)``: each alone moves a joint as far as its limits allow."""
+        return np.array([self.feasibility.largest_scale(self._unit_motion(index)) for index in range(self.form.size)])
 
-    def _unit_motion(self, place: int) -> ExcitingMotion:
+    def _unit_motion(self, index: int) -> ExcitingMotion:
         coefficients = np.zeros((self.form.size, len(self.feasibility.start)))
-        coefficients[place] = 1.0
+        coefficients[index] = 1.0
         return ExcitingMotion(self.form, self.feasibility.start, coefficients)
 
     @cached_property
@@ -135,7 +135,7 @@ class Search:
         return states
 
     def cost(self, motion: ExcitingMotion) -> float:
-        """What a motion costs: the criterion, and what it comes too close to."""
+        """Criterion of a motion, plus its penalties near limits and bodies."""
         states = self._states(motion)
         value = self._of_limits(states)[0] + self._of_distances(states)[0]
         if self.criterion is not None:
@@ -144,16 +144,16 @@ class Search:
         return value
 
     def _value_and_slope(self, motion: ExcitingMotion) -> tuple[float, FloatArray]:
-        """The same, and its derivatives ``(size, J)`` by the coefficients."""
+        """Cost of a motion, and its gradient ``(size, J)`` by the coefficients."""
         states = self._states(motion)
         value, slopes = 0.0, np.zeros_like(states)
-        for more, by_states in (self._of_limits(states), self._of_distances(states), self._of_rows(states)):
-            value += more
+        for term, by_states in (self._of_limits(states), self._of_distances(states), self._of_rows(states)):
+            value += term
             slopes[: len(by_states)] += by_states
         return value, np.einsum("onm,onj->mj", self._basis, slopes)
 
     def _of_rows(self, states: FloatArray) -> tuple[float, FloatArray]:
-        """The criterion and what efforts cost, and the derivatives ``(3, N, J)``."""
+        """Criterion plus the penalty of efforts, and the gradient ``(3, N, J)`` by the states."""
         if self.criterion is None:
             return 0.0, np.zeros_like(states[:3])
         knowledge, (count, joints) = self.feasibility.knowledge, states.shape[1:]
@@ -161,21 +161,21 @@ class Search:
         rows = nearby[0] @ knowledge.posterior.jacobian
         value, by_rows = self.criterion(rows / knowledge.sigmas[:, None])
         cost, by_efforts = self._of_efforts(rows)
-        pull = by_rows / knowledge.sigmas[:, None]
-        pull[:, :joints] += by_efforts[..., None] * self._whitened_parameters
-        along = np.einsum("ancd,ncd->an", nearby, pull @ knowledge.posterior.jacobian.T)
-        slopes = (along[1:] - along[0]) / STEP
+        row_gradient = by_rows / knowledge.sigmas[:, None]
+        row_gradient[:, :joints] += by_efforts[..., None] * self._whitened_parameters
+        directional = np.einsum("ancd,ncd->an", nearby, row_gradient @ knowledge.posterior.jacobian.T)
+        slopes = (directional[1:] - directional[0]) / STEP
         return value + cost, slopes.reshape(3, joints, count).swapaxes(1, 2)
 
     @cached_property
     def _whitened_parameters(self) -> FloatArray:
-        """Tangent coordinates ``(D,)`` by which rows make efforts."""
+        """Parameters in tangent coordinates ``(D,)``: tangent rows times these are efforts."""
         posterior = self.feasibility.knowledge.posterior
         return np.asarray(np.linalg.solve(posterior.jacobian, posterior.parameters))
 
     def _rows_nearby(self, states: FloatArray) -> FloatArray:
-        """Rows ``(1 + 3 J, N, C, D)`` by the parameters: there, and a step of each joint's position, speed and
-        acceleration away."""
+        """Regressors ``(1 + 3 J, N, C, D)`` of the parameters at ``states``, and one step of each joint's position,
+        speed and acceleration away."""
         count, joints = states.shape[1:]
         steps = STEP * np.eye(3 * joints).reshape(3 * joints, 3, 1, joints)
         near = np.concatenate([states[None, :3], states[None, :3] + steps]).swapaxes(0, 1).reshape(3, -1, joints)
@@ -183,7 +183,7 @@ class Search:
         return rows.reshape(3 * joints + 1, count, *rows.shape[1:])
 
     def _of_limits(self, states: FloatArray) -> tuple[float, FloatArray]:
-        """What positions, speeds, accelerations and jerks cost, and the derivatives ``(4, N, J)``."""
+        """Penalty of positions, speeds, accelerations and jerks near limits, and its gradient ``(4, N, J)``."""
         limits, feasibility = self.feasibility.limits, self.feasibility
         low, high = limits.position.T
         half = np.where(np.isfinite(high - low), 0.5 * (high - low), np.pi)
@@ -194,31 +194,31 @@ class Search:
         return _hinge(away / scales[:, None], 1.0 / scales[:, None])
 
     def _of_efforts(self, rows: FloatArray) -> tuple[float, FloatArray]:
-        """What efforts cost, and the derivatives ``(N, J)`` by them; their uncertainty counts as it is."""
+        """Penalty of efforts near limits, and its gradient ``(N, J)``; their uncertainty is taken as constant."""
         knowledge, limit = self.feasibility.knowledge, self.feasibility.limits.effort
         rows = rows[:, : len(limit)]
-        left = np.maximum(limit - STDS_OF_95 * knowledge.deviations_of(rows), 0.05 * limit)
-        return _hinge(rows @ self._whitened_parameters / left, 1.0 / left)
+        available = np.maximum(limit - STDS_OF_95 * knowledge.deviations_of(rows), 0.05 * limit)
+        return _hinge(rows @ self._whitened_parameters / available, 1.0 / available)
 
     def _of_distances(self, states: FloatArray) -> tuple[float, FloatArray]:
-        """What pairs cost that come close, and the derivatives ``(4, N, J)``."""
+        """Penalty of pairs of bodies that come close, and its gradient ``(4, N, J)``."""
         slopes, cost, collision = np.zeros_like(states), 0.0, self.feasibility.collision
         if collision is None:
             return cost, slopes
-        wanted = _NEAR * self.feasibility.clearances
-        close = collision.distances(states[0]) < wanted
-        for instant in np.flatnonzero(np.any(close, axis=1)):
-            pairs = np.flatnonzero(close[instant])
-            values, by_position = collision.gradients(states[0, instant], pairs)
-            lack = np.maximum(1.0 - values / wanted[pairs], 0.0)
-            cost += _COST / states.shape[1] * float(np.sum(lack**2))
-            slopes[0, instant] -= 2.0 * _COST / states.shape[1] * ((lack / wanted[pairs]) @ by_position)
+        threshold = _NEAR * self.feasibility.clearances
+        close = collision.distances(states[0]) < threshold
+        for sample in np.flatnonzero(np.any(close, axis=1)):
+            pairs = np.flatnonzero(close[sample])
+            values, by_position = collision.gradients(states[0, sample], pairs)
+            shortfall = np.maximum(1.0 - values / threshold[pairs], 0.0)
+            cost += _COST / states.shape[1] * float(np.sum(shortfall**2))
+            slopes[0, sample] -= 2.0 * _COST / states.shape[1] * ((shortfall / threshold[pairs]) @ by_position)
         return cost, slopes
 
 
-def _hinge(shares: FloatArray, per_unit: FloatArray) -> tuple[float, FloatArray]:
-    """The cost of shares of limits ``(..., N, J)`` that are used, and its derivatives by what is ``per_unit`` of a
-    share."""
-    over = np.maximum(np.abs(shares) - _USED, 0.0)
-    cost = _COST / shares.shape[-2]
-    return cost * float(np.sum(over**2)), 2.0 * cost * over * np.sign(shares) * per_unit
+def _hinge(fractions: FloatArray, per_unit: FloatArray) -> tuple[float, FloatArray]:
+    """Penalty of used fractions of limits ``(..., N, J)``, and its gradient by the quantity of which a unit uses the
+    fraction ``per_unit``."""
+    over = np.maximum(np.abs(fractions) - _USED, 0.0)
+    cost = _COST / fractions.shape[-2]
+    return cost * float(np.sum(over**2)), 2.0 * cost * over * np.sign(fractions) * per_unit

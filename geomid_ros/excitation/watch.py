@@ -1,4 +1,4 @@
-"""What a robot may do, by its description; whether a motion keeps to it, before it begins and while it is under way."""
+"""Limits of a robot by its URDF, and checks that a motion keeps them, before it begins and while it runs."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.signals.messages import Message
 from geomid_ros.types import FloatArray
 
-_LONGEST_LOOK = 0.01  # [s]: a longer pause was one of this process, not of the robot
-_WINDOW, _STEP = 0.3, 0.01  # [s] in which a joint must have moved, and between instants that are remembered
-_INSTANTS = 6  # the last, whose positions say how fast a joint is that does not say so itself
-_SEEN, _STILL = 0.02, 0.05  # [rad, m] that a joint should have moved; as a share of it, what counts as not at all
-_SLACK = 1e-6  # of rounding, in numbers that were written to a file
+_LONGEST_LOOK = 0.01  # [s]: a longer pause is attributed to this process, not to the robot
+_WINDOW, _STEP = 0.3, 0.01  # [s] window in which a joint must move, and the interval of remembered states
+_INSTANTS = 6  # last states, whose positions give the speed of a joint that publishes none
+_SEEN, _STILL = 0.02, 0.05  # [rad, m] commanded motion to check a joint; fraction of it below which it does not follow
+_SLACK = 1e-6  # rounding of numbers in a file
 _AT_REST = 1e-3  # [rad/s, m/s]
-_OUTSIDE = 0.005  # [rad, m] of a range, as a joint may rest at its end
+_OUTSIDE = 0.005  # [rad, m] allowed outside a range, as a joint may rest at its end
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class RobotLimits:
 
     @staticmethod
     def of(robot: Robot, joints: tuple[str, ...], source: str) -> RobotLimits:
-        """Those of a robot's URDF. Raises InputError naming the ``source`` of the joints if it has none of a name."""
+        """Limits in a robot's URDF. Raises InputError naming the ``source`` of the joints if it lacks one of them."""
         for name in joints:
             if name not in robot.joint_names:
                 unknown = unknown_name(f"joint of {robot.source}", name, robot.joint_names)
@@ -49,7 +49,7 @@ class RobotLimits:
         return RobotLimits(joints, lower, upper, robot.speed_limits[places], robot.effort_limits[places])
 
     def out_of_range(self, position: FloatArray) -> str:
-        """Which joint is out of its range at a position ``(joints,)``, in a sentence, if one is."""
+        """Describe the first joint that is out of its range at a position ``(joints,)``; empty if none is."""
         for index in np.flatnonzero((position < self.lower - _OUTSIDE) | (position > self.upper + _OUTSIDE)):
             limits = f"{self.lower[index]:g} to {self.upper[index]:g}"
             return f"joint '{self.joints[index]}' is at {position[index]:.3f}, outside its range {limits}"
@@ -57,7 +57,7 @@ class RobotLimits:
 
 
 def check_motion(motion: Trajectory, limits: RobotLimits, source: str) -> None:
-    """Refuse a motion that a robot cannot make, or that neither begins nor ends at rest.
+    """Refuse a motion that exceeds a robot's limits, or that does not begin and end at rest.
 
     Raises:
         InputError: naming ``source`` and the joint.
@@ -65,11 +65,11 @@ def check_motion(motion: Trajectory, limits: RobotLimits, source: str) -> None:
     if not motion.accelerations.shape[1]:
         raise InputError(f"{source}: no point has accelerations; expected a motion as 'geomid excite' writes it")
     for index, when in ((0, "begins"), (-1, "ends")):
-        fast = int(np.argmax(np.abs(motion.velocities[index])))
-        if abs(motion.velocities[index, fast]) > _AT_REST:
+        fastest = int(np.argmax(np.abs(motion.velocities[index])))
+        if abs(motion.velocities[index, fastest]) > _AT_REST:
             raise InputError(
-                f"{source}: the motion {when} at {motion.velocities[index, fast]:.3g} rad/s (m/s) of joint "
-                f"'{motion.joints[fast]}'; it must begin and end at rest"
+                f"{source}: the motion {when} at {motion.velocities[index, fastest]:.3g} rad/s (m/s) of joint "
+                f"'{motion.joints[fastest]}'; it must begin and end at rest"
             )
     lowest, highest = motion.positions.min(axis=0), motion.positions.max(axis=0)
     for index, joint in enumerate(motion.joints):
@@ -87,7 +87,7 @@ def check_motion(motion: Trajectory, limits: RobotLimits, source: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class JointState:
-    """Position, velocity and effort of the joints ``(joints,)`` at a ``stamp`` [ns]; NaN what is not measured."""
+    """Position, velocity and effort of the joints ``(joints,)`` at a ``stamp`` [ns]; NaN if not measured."""
 
     stamp: int
     position: FloatArray
@@ -96,7 +96,7 @@ class JointState:
 
     @staticmethod
     def of(message: Message, joints: tuple[str, ...]) -> JointState | None:
-        """That of these joints in a message, if it has all their positions."""
+        """State of these joints in a message; None if it lacks one of their positions."""
         if not set(joints).issubset(message.names):
             return None
         places = [message.names.index(name) for name in joints]
@@ -108,10 +108,9 @@ class JointState:
 
 
 class Watch:
-    """Says when a motion must be stopped, and when it is over.
+    """Monitor of a running motion: reports why it must be stopped.
 
-    Time is that of the messages' stamps since the one at which the motion began: a simulation may be slower than the
-    world.
+    Time is that of the messages' stamps since the motion's start, because a simulation may be slower than real time.
     """
 
     def __init__(
@@ -119,10 +118,10 @@ class Watch:
     ) -> None:
         """
         Args:
-            motion: that the controller was given.
+            motion: the trajectory that the controller was given.
             limits: of the same joints.
-            tolerance: how far a joint may be from where it should be [rad, m].
-            silence: how long messages may stay away [s].
+            tolerance: largest tracking error of a joint [rad, m].
+            silence: longest time without a message [s].
             begin: stamp of the motion's start [ns].
         """
         self._motion = motion
@@ -132,7 +131,7 @@ class Watch:
         self._begin = self._last = begin
         self._silent = 0.0
         self._state: JointState
-        self._lately: deque[tuple[float, FloatArray, FloatArray]] = deque()  # time, position, where it should be
+        self._lately: deque[tuple[float, FloatArray, FloatArray]] = deque()  # time, position, commanded position
 
     @property
     def elapsed(self) -> float:
@@ -141,7 +140,7 @@ class Watch:
 
     @property
     def whereabouts(self) -> tuple[FloatArray, FloatArray]:
-        """Position and velocity ``(joints,)`` now: as measured, or as they should be where nothing has come lately."""
+        """Present position and velocity ``(joints,)``: as measured, or as commanded after too long a silence."""
         if not self._lately or self._silent > self._silence:
             return self._motion.at(self.elapsed + self._silent)
         (first, start, _), (last, end, _) = self._lately[-min(_INSTANTS, len(self._lately))], self._lately[-1]
@@ -149,32 +148,32 @@ class Watch:
         return self._state.position, np.where(np.isfinite(self._state.velocity), self._state.velocity, slope)
 
     def look(self, states: Sequence[JointState], seconds: float) -> str:
-        """Look at what has come within the last ``seconds``. A message that is not newer than the last one is none.
+        """Check the states received within the last ``seconds``. States not newer than the last one are ignored.
 
         Returns:
-            Why the robot must be stopped, or nothing.
+            Reason to stop the robot, or an empty string.
         """
-        new = [state for state in states if state.stamp > self._last]
-        if not new:
+        newer = [state for state in states if state.stamp > self._last]
+        if not newer:
             self._silent += min(seconds, _LONGEST_LOOK)
             return f"no joint states for {1e3 * self._silent:.0f} ms" if self._silent > self._silence else ""
         self._silent = 0.0
-        return next(filter(None, map(self._take, new)), "")
+        return next(filter(None, map(self._take, newer)), "")
 
     def _take(self, state: JointState) -> str:
         self._last, self._state = state.stamp, state
-        wanted, _ = self._motion.at(self.elapsed)
-        self._remember(state.position, wanted)
+        commanded, _ = self._motion.at(self.elapsed)
+        self._remember(state.position, commanded)
         return (
             self._limits.out_of_range(state.position)
             or self._too_strong(state.effort)
             or self._not_followed()
-            or self._astray(state.position, wanted)
+            or self._astray(state.position, commanded)
         )
 
-    def _remember(self, position: FloatArray, wanted: FloatArray) -> None:
+    def _remember(self, position: FloatArray, commanded: FloatArray) -> None:
         if not self._lately or self.elapsed - self._lately[-1][0] >= _STEP:
-            self._lately.append((self.elapsed, position, wanted))
+            self._lately.append((self.elapsed, position, commanded))
         while self.elapsed - self._lately[0][0] > _WINDOW:
             self._lately.popleft()
 
@@ -184,26 +183,26 @@ class Watch:
             return f"the effort of joint '{self._name(index)}' is {effort[index]:.4g}, its limit {limit:g}"
         return ""
 
-    def _astray(self, position: FloatArray, wanted: FloatArray) -> str:
-        error = np.abs(position - wanted)
+    def _astray(self, position: FloatArray, commanded: FloatArray) -> str:
+        error = np.abs(position - commanded)
         worst = int(np.argmax(error))
         if error[worst] <= self._tolerance:
             return ""
         return (
             f"joint '{self._name(worst)}' is {error[worst]:.3f} rad (m) off its trajectory, at "
-            f"{position[worst]:.3f} instead of {wanted[worst]:.3f}; {self._tolerance:g} are allowed (--tolerance)"
+            f"{position[worst]:.3f} instead of {commanded[worst]:.3f}; {self._tolerance:g} are allowed (--tolerance)"
         )
 
     def _not_followed(self) -> str:
-        """Whether no joint that should have moved has."""
-        _, positions, wishes = zip(*self._lately, strict=True)
-        asked, moved = np.ptp(wishes, axis=0), np.ptp(positions, axis=0)
-        should = asked > _SEEN
-        if not should.any() or np.any(moved[should] > _STILL * asked[should]):
+        """Reason to stop if no joint follows its commanded motion in the window; else empty."""
+        _, positions, commands = zip(*self._lately, strict=True)
+        span, moved = np.ptp(commands, axis=0), np.ptp(positions, axis=0)
+        should = span > _SEEN
+        if not should.any() or np.any(moved[should] > _STILL * span[should]):
             return ""
-        most = int(np.argmax(asked))
+        worst = int(np.argmax(span))
         return (
-            f"the controller does not follow: joint '{self._name(most)}' should have moved by {asked[most]:.3f} rad "
+            f"the controller does not follow: joint '{self._name(worst)}' should have moved by {span[worst]:.3f} rad "
             f"(m) in the last {_WINDOW:g} s but stands still. Check that the controller is active and the robot is "
             f"enabled"
         )

@@ -1,1 +1,1 @@
-"""Floor 4: simulating what was recorded once more, in MuJoCo, from the model files that were written."""
+"""Resimulation of recordings in MuJoCo, from the written model files."""

@@ -1,4 +1,4 @@
-"""A whole recording simulated from its commands: the controller is fitted, the robot is the written one."""
+"""Simulation of whole recordings from their commands, with a fitted controller and the written robot."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ from geomid_ros.resimulation.written_robot import FLOATING, WrittenRobot, loaded
 from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import BoolArray, FloatArray
 
-_SEPARATIONS = (0.03, 0.05, 0.08)  # [s] at which the noise of filtered samples is another, and the motion the same
-_EXPLAINED = 0.9  # share of an effort's variance that a controller has to explain
+_SEPARATIONS = (0.03, 0.05, 0.08)  # [s] lags at which filtered noise is independent, and the motion nearly the same
+_EXPLAINED = 0.9  # fraction of an effort's variance that a controller must explain
 
 
 @dataclass(frozen=True, eq=False)
 class Tracking:
-    """How far a simulated robot is from the measured one under the recorded commands.
+    """Position errors of a simulated robot against the measured one, under the recorded commands.
 
     Attributes:
-        rms: Root mean square of the difference of positions, by joint [rad, m]; without the joints whose efforts do not
-            follow from the commands.
-        skipped: Why there is nothing, else empty.
+        rms: RMS of the position difference by joint [rad, m]; without the joints whose efforts do not follow from the
+            commands.
+        skipped: Reason why there is no result, else empty.
     """
 
     rms: Mapping[str, float]
@@ -47,14 +47,14 @@ class Tracking:
 
     @property
     def total(self) -> float:
-        """Root mean square over the joints [rad, m]."""
+        """RMS over the joints [rad, m]."""
         return float(np.sqrt(np.mean(np.square([*self.rms.values()]))))
 
 
 @dataclass(frozen=True, eq=False)
 class FittedController:
-    """Each joint's proportional gain, derivative gain and constant effort ``(J,)``, and whether these explain its
-    measured efforts."""
+    """Proportional gain, derivative gain and constant effort of each joint ``(J,)``. ``found`` is True if these explain
+    its measured efforts."""
 
     stiffness: FloatArray
     damping: FloatArray
@@ -64,7 +64,7 @@ class FittedController:
 
 @dataclass(frozen=True, eq=False)
 class _Commanded:
-    """A stretch with its set-points and feed-forward efforts, each ``(N, J)``."""
+    """Stretch with its set-points and feed-forward efforts, each ``(N, J)``."""
 
     stretch: Stretch
     position: FloatArray
@@ -85,20 +85,19 @@ def closed_loop(
     """Simulate recordings under their commands.
 
     The controller is the one that explains the measured efforts best, ``u = feed-forward + k (q_d - q) + d (v_d - v) +
-    constant`` at every joint; where none does, the joint follows its measured motion.
+    constant`` at every joint. A joint whose efforts no such controller explains follows its measured motion.
 
     Args:
-        model: Of the robot.
-        before, after: The model files before and after the findings.
+        model: Model of the robot.
+        before, after: Model files before and after the findings.
         recordings: Measured samples.
-        commands: Set-points, and as efforts the feed-forward, on the same grid of stamps, from a pipeline of the same
-            settings.
-        noise: An example of the sensors' noise.
-        cutoff: Errors are judged below it [Hz]; that of ``noise``.
+        commands: Set-points, with the feed-forward as efforts, on the same grid of stamps, from a pipeline with the
+            same settings.
+        noise: Example of the sensors' noise.
+        cutoff: Errors are evaluated below this frequency [Hz]; the cutoff of ``noise``.
 
     Returns:
-        Errors of the efforts that the controller needs, without the joints whose efforts do not follow from the
-        commands.
+        Errors of the controller's efforts, without the joints whose efforts do not follow from the commands.
 
     Raises:
         NotSimulatedError: This robot or recording cannot be simulated so.
@@ -107,12 +106,12 @@ def closed_loop(
     joints = model.robot.joint_names
     traces = [_simulated(part, controller, *robots) for part in parts]
     floor = np.sqrt(np.mean(noise.only(joints).values ** 2, axis=0))
-    known = controller.found & (floor > 0.0)
+    evaluated = controller.found & (floor > 0.0)
 
     def ratios(kind: str) -> dict[str, float]:
         errors = [trace.measured - getattr(trace, kind) for trace in traces]
-        low = [filtered(e, cutoff, p.stretch.period)[0] for e, p in zip(errors, parts, strict=True)]
-        return in_units(floor, joints, known, low)
+        filtered_errors = [filtered(e, cutoff, p.stretch.period)[0] for e, p in zip(errors, parts, strict=True)]
+        return in_units(floor, joints, evaluated, filtered_errors)
 
     return Resimulated(kind="closed_loop", before=ratios("before"), after=ratios("after"), efforts=traces)
 
@@ -123,9 +122,9 @@ def tracking(
     """Simulate recordings under their commands, with the controller that explains the measured efforts best.
 
     Args:
-        model: Of the robot.
-        files: Of the written model.
-        recordings, commands: As of :func:`closed_loop`.
+        model: Model of the robot.
+        files: Files of the written model.
+        recordings, commands: As for :func:`closed_loop`.
     """
     try:
         parts, (robot,), controller = _prepared(model, (files,), recordings, commands)
@@ -134,13 +133,13 @@ def tracking(
     errors = [_simulated_motion(part, controller, robot)[0] - part.stretch.samples.position for part in parts]
     rms = root_mean_square(errors)
     pairs = zip(model.robot.joint_names, rms.tolist(), controller.found, strict=True)
-    return Tracking({name: value for name, value, found in pairs if found})
+    return Tracking({name: value for name, value, explained in pairs if explained})
 
 
 def _prepared(
     model: MeasurementModel, files: Sequence[ModelFiles], recordings: Sequence[Samples], commands: Sequence[Samples]
 ) -> tuple[list[_Commanded], list[WrittenRobot], FittedController]:
-    """The stretches with their commands, the robots of ``files``, and the controller as the last of them explains it.
+    """Stretches with their commands, the robots of ``files``, and the controller, fitted with the last robot.
 
     Raises NotSimulatedError.
     """
@@ -160,77 +159,77 @@ def _prepared(
 
 
 def _commanded(recording: Samples, commands: Samples) -> list[_Commanded]:
-    _, ours, theirs = np.intersect1d(recording.stamps, commands.stamps, return_indices=True)
-    measured, wanted = recording.select(ours), commands.select(theirs)
-    found = []
+    _, in_recording, in_commands = np.intersect1d(recording.stamps, commands.stamps, return_indices=True)
+    measured, commanded = recording.select(in_recording), commands.select(in_commands)
+    result = []
     for stretch in stretches([measured]):
-        first = int(np.searchsorted(wanted.stamps, stretch.samples.stamps[0]))
-        part = wanted.select(slice(first, first + len(stretch.times)))
-        found.append(_Commanded(stretch, part.position, part.velocity, np.nan_to_num(part.effort)))
-    return found
+        first = int(np.searchsorted(commanded.stamps, stretch.samples.stamps[0]))
+        part = commanded.select(slice(first, first + len(stretch.times)))
+        result.append(_Commanded(stretch, part.position, part.velocity, np.nan_to_num(part.effort)))
+    return result
 
 
 def fitted_controller(parts: Sequence[_Commanded], robot: WrittenRobot) -> FittedController:
-    """The gains that explain the true efforts: the measured ones as the sidecar of ``robot`` corrects them.
+    """Fit the gains that explain the true efforts: the measured ones, corrected by the sidecar of ``robot``.
 
-    A good controller's errors are hardly larger than the noise of their measurement, and least squares would take the
-    gains for smaller than they are. So the errors shortly before and after, whose noise is another, serve as
-    instruments: two-stage least squares.
+    A good controller's errors are hardly larger than their measurement noise, so least squares would underestimate the
+    gains. Therefore the errors shortly before and after, whose noise is independent, serve as instruments: two-stage
+    least squares.
     """
-    efforts = [robot.true_effort(_true_time(part.stretch, robot)) for part in parts]
+    efforts = [robot.true_effort(_undelayed_efforts(part.stretch, robot)) for part in parts]
     joints = len(robot.joints)
-    gains, found = np.zeros((joints, 3)), np.zeros(joints, dtype=bool)
+    gains, explained = np.zeros((joints, 3)), np.zeros(joints, dtype=bool)
     for joint in np.flatnonzero(np.all([np.all(np.isfinite(effort), axis=0) for effort in efforts], axis=0)):
         columns = [_feedback_columns(part, int(joint)) for part in parts]
-        needed = [effort[:, joint] - part.feedforward[:, joint] for effort, part in zip(efforts, parts, strict=True)]
+        feedback = [effort[:, joint] - part.feedforward[:, joint] for effort, part in zip(efforts, parts, strict=True)]
         instruments = [_neighbours(c, p.stretch.period) for c, p in zip(columns, parts, strict=True)]
-        z, x, y = (np.concatenate(lists) for lists in (instruments, columns, needed))
-        without_noise = z @ np.linalg.lstsq(z, x, rcond=None)[0]
-        solution, *_ = np.linalg.lstsq(without_noise, y, rcond=None)
+        z, x, y = (np.concatenate(lists) for lists in (instruments, columns, feedback))
+        predicted = z @ np.linalg.lstsq(z, x, rcond=None)[0]
+        solution, *_ = np.linalg.lstsq(predicted, y, rcond=None)
         total = np.concatenate([effort[:, joint] for effort in efforts])
-        found[joint] = solution[0] > 0.0 and np.var(y - x @ solution) < (1.0 - _EXPLAINED) * np.var(total)
-        gains[joint] = solution if found[joint] else 0.0
-    return FittedController(gains[:, 0], np.maximum(gains[:, 1], 0.0), gains[:, 2], found)
+        explained[joint] = solution[0] > 0.0 and np.var(y - x @ solution) < (1.0 - _EXPLAINED) * np.var(total)
+        gains[joint] = solution if explained[joint] else 0.0
+    return FittedController(gains[:, 0], np.maximum(gains[:, 1], 0.0), gains[:, 2], explained)
 
 
 def _feedback_columns(part: _Commanded, joint: int) -> FloatArray:
-    """Errors of position and velocity, and a constant ``(N, 3)``."""
+    """Errors of position and velocity, and a constant column ``(N, 3)``."""
     samples = part.stretch.samples
     errors = part.position - samples.position, part.velocity - samples.velocity
     return np.stack([*(error[:, joint] for error in errors), np.ones(len(samples))], axis=1)
 
 
 def _neighbours(columns: FloatArray, period: float) -> FloatArray:
-    """``columns (N, K)`` shortly before and after, side by side; at the ends, the ends."""
+    """``columns (N, K)`` shifted before and after by the lags, side by side ``(N, 6 K)``; the ends are repeated."""
     shifts = [round(sign * separation / period) for separation in _SEPARATIONS for sign in (-1, 1)]
-    places = np.arange(len(columns))[:, None] + np.array(shifts)
-    return np.asarray(columns[np.clip(places, 0, len(columns) - 1)].reshape(len(columns), -1))
+    indices = np.arange(len(columns))[:, None] + np.array(shifts)
+    return np.asarray(columns[np.clip(indices, 0, len(columns) - 1)].reshape(len(columns), -1))
 
 
-def _true_time(stretch: Stretch, robot: WrittenRobot) -> FloatArray:
-    """Efforts as they will be measured when the delay is over ``(N, J)``."""
+def _undelayed_efforts(stretch: Stretch, robot: WrittenRobot) -> FloatArray:
+    """Measured efforts without their delay ``(N, J)``."""
     effort = stretch.samples.effort
     shifted = interpolated(stretch.times, effort, stretch.times + robot.delay)
     return np.where(np.all(np.isfinite(effort), axis=0), shifted, np.nan)
 
 
 def _simulated(part: _Commanded, controller: FittedController, *robots: WrittenRobot) -> SimulatedEfforts:
-    """The efforts of a stretch, of the robots before and after."""
+    """Efforts of a stretch, measured and simulated with the robots before and after the findings."""
     efforts = (_simulated_effort(part, controller, robot) for robot in robots)
     return SimulatedEfforts(part.stretch.times, part.stretch.samples.effort, *efforts)
 
 
 def _simulated_effort(part: _Commanded, controller: FittedController, robot: WrittenRobot) -> FloatArray:
-    """Efforts ``(N, J)`` as the sensors would show them."""
+    """Simulated efforts ``(N, J)`` as the sensors would show them."""
     times = part.stretch.times
-    true = _effort(part, controller, *_simulated_motion(part, controller, robot))
-    return robot.measured_effort(interpolated(times, true, np.maximum(times - robot.delay, 0.0)))
+    true_effort = _effort(part, controller, *_simulated_motion(part, controller, robot))
+    return robot.measured_effort(interpolated(times, true_effort, np.maximum(times - robot.delay, 0.0)))
 
 
 def _simulated_motion(
     part: _Commanded, controller: FittedController, robot: WrittenRobot
 ) -> tuple[FloatArray, FloatArray]:
-    """Positions and velocities ``(N, J)`` under the commands, from the measured state at the beginning."""
+    """Simulate positions and velocities ``(N, J)`` under the commands, from the measured initial state."""
     samples = part.stretch.samples
     simulation = WindowSimulation(robot, Windows.whole(part.stretch))
     driving = _driving(part, controller, robot, simulation)
@@ -241,7 +240,7 @@ def _simulated_motion(
 
 
 def _effort(part: _Commanded, controller: FittedController, position: FloatArray, velocity: FloatArray) -> FloatArray:
-    """The controller's efforts at the samples ``(N, J)``."""
+    """Efforts of the controller at the samples ``(N, J)``."""
     proportional = controller.stiffness * (part.position - position)
     damping = controller.damping * (part.velocity - velocity)
     return part.feedforward + controller.constant + proportional + damping
@@ -250,16 +249,16 @@ def _effort(part: _Commanded, controller: FittedController, position: FloatArray
 def _driving(
     part: _Commanded, controller: FittedController, robot: WrittenRobot, simulation: WindowSimulation
 ) -> FloatArray:
-    """What drives the joints beside the controller's springs and dampers ``(1, steps, J)``.
+    """Efforts ``(1, steps, J)`` that drive the joints in addition to the controller's springs and dampers.
 
-    MuJoCo's springs pull as at the beginning of a step and its dampers as at the end: so do the set-points here, else a
-    joint would lag behind by half a step.
+    MuJoCo's springs act by the beginning of a step and its dampers by the end. So do the set-points here, otherwise a
+    joint would lag by half a step.
     """
     samples, times, middles = part.stretch.samples, part.stretch.times, simulation.instants
     setpoints = controller.stiffness * interpolated(times, part.position, middles - 0.5 * simulation.step)
     setpoints += controller.damping * interpolated(times, part.velocity, middles + 0.5 * simulation.step)
-    needed = _effort(part, controller, samples.position, samples.velocity)
-    effort, feedforward = (interpolated(times, values, middles) for values in (needed, part.feedforward))
-    moving = motion_at(part.stretch, middles)
-    free = feedforward + controller.constant + setpoints - robot.unsaid_friction(effort, moving)
-    return np.where(controller.found, free, robot.prescribed_effort(moving.acceleration))
+    commanded = _effort(part, controller, samples.position, samples.velocity)
+    effort, feedforward = (interpolated(times, values, middles) for values in (commanded, part.feedforward))
+    motion = motion_at(part.stretch, middles)
+    controlled = feedforward + controller.constant + setpoints - robot.unsaid_friction(effort, motion)
+    return np.where(controller.found, controlled, robot.prescribed_effort(motion.acceleration))

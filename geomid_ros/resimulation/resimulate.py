@@ -1,4 +1,4 @@
-"""What was recorded, simulated again in short windows from the written files: before the findings and after."""
+"""Resimulation of recordings in short windows, from the written files before the findings and after."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from geomid_ros.resimulation.written_robot import FLOATING, WrittenRobot, loaded
 from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
-# Long enough for the noise of efforts to average out, short enough for errors not to grow by themselves: an arm that
-# falls like a pendulum of half a metre makes 1.1 of an error of 1 in this time.
+# Long enough for the noise of efforts to average out, short enough for errors not to grow by themselves: in this time
+# an error of 1 grows to 1.1 in an arm that falls like a pendulum of half a metre.
 HORIZON = 0.1  # [s]
-_MOST_STEPS = 30_000  # of all windows of a stretch together; of more, evenly spaced ones are simulated
+_MOST_STEPS = 30_000  # of all windows of a stretch together; beyond, only evenly spaced windows are simulated
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class Windows:
 
     @staticmethod
     def of(stretch: Stretch, step: float) -> Windows:
-        """The windows to be simulated in steps of ``step`` [s]."""
+        """Choose the windows to simulate in steps of ``step`` [s]."""
         intervals = max(1, round(HORIZON / stretch.period))
         starts = np.arange(0, len(stretch.times) - intervals, intervals)
         affordable = max(1, int(_MOST_STEPS * step / (intervals * stretch.period)))
@@ -44,19 +44,19 @@ class Windows:
 
     @staticmethod
     def whole(stretch: Stretch) -> Windows:
-        """All of a stretch as one window."""
+        """Return a whole stretch as one window."""
         return Windows(stretch, np.zeros(1, dtype=np.int64), len(stretch.times) - 1)
 
     @property
     def samples(self) -> IntArray:
-        """Indices of each window's samples behind its start ``(W, intervals)``."""
+        """Indices of each window's samples after its start ``(W, intervals)``."""
         return self.starts[:, None] + 1 + np.arange(self.intervals)
 
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
-    """What the windows led to: the joints' ``position, velocity (W, intervals, J)`` at their samples, and the mean over
-    each window of what the sensors would show, ``sensed (W, values)``."""
+    """Result of simulated windows: the joints' ``position, velocity (W, intervals, J)`` at the samples, and the mean
+    sensor readings over each window, ``sensed (W, values)``."""
 
     position: FloatArray
     velocity: FloatArray
@@ -64,13 +64,13 @@ class Simulated:
 
 
 class WindowSimulation:
-    """Windows on one robot; :meth:`run` may be called with disturbed efforts."""
+    """Simulation of windows on one robot; :meth:`run` accepts a disturbance of the efforts."""
 
     def __init__(self, robot: WrittenRobot, windows: Windows) -> None:
         self._robot = robot
         self.windows = windows
         period, times = windows.stretch.period, windows.stretch.times
-        # From one sample to the next, none longer than the robot's step.
+        # Integration steps between two samples, none longer than the robot's step.
         self._substeps = max(1, int(np.ceil(period / robot.step - 1e-9)))
         self.step = period / self._substeps
         middles = period * (np.arange(windows.intervals * self._substeps) + 0.5) / self._substeps
@@ -79,10 +79,10 @@ class WindowSimulation:
 
     @cached_property
     def driving(self) -> FloatArray:
-        """Measured efforts as they drive the joints in MuJoCo, in the middle of each step ``(W, steps, J)``."""
+        """Measured efforts, converted to drive the joints in MuJoCo, in the middle of each step ``(W, steps, J)``."""
         robot, samples, times = self._robot, self.windows.stretch.samples, self.windows.stretch.times
-        true = robot.true_effort(interpolated(times, samples.effort, self.instants + robot.delay))
-        return robot.driving_effort(true, motion_at(self.windows.stretch, self.instants))
+        true_effort = robot.true_effort(interpolated(times, samples.effort, self.instants + robot.delay))
+        return robot.driving_effort(true_effort, motion_at(self.windows.stretch, self.instants))
 
     @cached_property
     def _states(self) -> tuple[FloatArray, FloatArray]:
@@ -98,7 +98,7 @@ class WindowSimulation:
         return position, velocity
 
     def run(self, disturbance: FloatArray | float = 0.0, driving: FloatArray | None = None) -> Simulated:
-        """Simulate under the measured efforts, or those ``driving (W, steps, J)``, and a disturbance of that shape."""
+        """Simulate under the measured efforts, or ``driving (W, steps, J)``, plus a disturbance of that shape."""
         efforts = (self.driving if driving is None else driving) + disturbance
         position, velocity, sensed = self._robot.rollout(*self._states, efforts, self.step)
         at_samples = slice(self._substeps - 1, None, self._substeps)
@@ -107,7 +107,7 @@ class WindowSimulation:
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Samples at equal distances of ``period`` [s]; ``times (N,)`` [s] from the first sample of all."""
+    """Samples at equal distances of ``period`` [s]; ``times (N,)`` [s] count from the first of them."""
 
     samples: Samples
     times: FloatArray
@@ -115,20 +115,20 @@ class Stretch:
 
 
 def stretches(recordings: Iterable[Samples]) -> list[Stretch]:
-    """The parts of recordings without a pause that are as long as two windows."""
-    found: list[Stretch] = []
+    """Parts of recordings without a pause that are at least as long as two windows."""
+    result: list[Stretch] = []
     for samples in recordings:
         period = 1e-9 * float(np.median(np.diff(samples.stamps))) if len(samples) > 1 else 0.0
-        found += [
+        result += [
             Stretch(part, 1e-9 * (part.stamps - part.stamps[0]), period)
             for part in samples.stretches()
             if len(part) * period >= 2.0 * HORIZON
         ]
-    return found
+    return result
 
 
 def interpolated(times: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
-    """Cubic interpolation of ``values (N, K)`` at ``times (N,)`` to the instants ``at (...)``, ``(..., K)``.
+    """Interpolate ``values (N, K)`` at ``times (N,)`` to the times ``at (...)`` by cubic splines, ``(..., K)``.
 
     Columns that are not measured throughout are zero.
     """
@@ -139,17 +139,17 @@ def interpolated(times: FloatArray, values: FloatArray, at: FloatArray) -> Float
 
 
 def motion_at(stretch: Stretch, instants: FloatArray) -> Motion:
-    """The measured motion at ``instants (...)`` [s], ``(..., J)`` each."""
+    """Measured motion at ``instants (...)`` [s], ``(..., J)`` each."""
     samples = stretch.samples
     parts = (samples.position, samples.velocity, samples.acceleration)
     return Motion(np.array([interpolated(stretch.times, part, instants) for part in parts]))
 
 
-_DRAWS = 4  # of noise for each window
+_DRAWS = 4  # noise realisations per window
 
 
 class Errors:
-    """Errors of windows by quantity: the joints' velocities at the windows' ends, then the wrench channels' means.
+    """Errors of windows: the joints' velocities at the windows' ends, then the means of the wrench channels.
 
     ``names`` are the channels of ``model``; arrays ``(W, channels)`` follow them.
     """
@@ -162,7 +162,7 @@ class Errors:
         self._noise = noise.only(self.names)
 
     def measured_wrenches(self, parts: Sequence[Stretch]) -> BoolArray:
-        """Whether each wrench channel is measured throughout."""
+        """True for each wrench channel that is measured throughout."""
         columns = [
             np.all([np.all(np.isfinite(self._measured(part, sensor)), axis=0) for part in parts], axis=0)
             for sensor in self._sensors
@@ -174,7 +174,7 @@ class Errors:
         return np.asarray(sensor.sign * measured)
 
     def of(self, windows: Windows, instants: FloatArray, robot: WrittenRobot, simulated: Simulated) -> FloatArray:
-        """Measured minus simulated."""
+        """Measured minus simulated quantities ``(W, channels)``."""
         velocity = windows.stretch.samples.velocity[windows.samples[:, -1]] - simulated.velocity[:, -1]
         motion = Motion(motion_at(windows.stretch, instants).states.mean(axis=2))
         wrenches = [
@@ -186,7 +186,7 @@ class Errors:
         return np.hstack([velocity, *wrenches])
 
     def of_noise(self, simulation: WindowSimulation, robot: WrittenRobot, undisturbed: Simulated) -> FloatArray:
-        """What noise in the efforts and wrenches changes, ``(draws W, channels)``."""
+        """Changes due to noise in the efforts and wrenches ``(draws W, channels)``."""
         random = np.random.default_rng(0)
         changes: list[FloatArray] = []
         for _ in range(_DRAWS):
@@ -201,14 +201,14 @@ class Errors:
 
 
 def root_mean_square(parts: Sequence[FloatArray]) -> FloatArray:
-    """Of parts ``(N, K)``, each column ``(K,)``; infinite where a simulation diverged."""
+    """RMS of each column ``(K,)`` of all parts ``(N, K)``; infinite where a simulation diverged."""
     values = np.concatenate(parts)
     return np.asarray(np.sqrt(np.mean(np.where(np.isfinite(values), values, np.inf) ** 2, axis=0)))
 
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """An example of the noise in every channel: ``values (M, channels)`` [N m, N] every ``period`` [s], NaN where a
+    """Example of the noise in every channel: ``values (M, channels)`` [N m, N] every ``period`` [s], NaN where a
     channel is not measured."""
 
     channels: tuple[str, ...]
@@ -217,8 +217,8 @@ class Noise:
 
     @staticmethod
     def of(result: GapResult) -> Noise:
-        """What the final model leaves of the held-out data, scaled to the noise floor: its size is the floor's, its
-        colour and what channels have in common are those of the remainder."""
+        """Scale the final model's remainder on held-out data to the noise floor. The noise then has the floor's size,
+        and the colour and the correlation between channels of the remainder."""
         remainder = result.trace.measured - result.trace.after
         counts = np.count_nonzero(np.isfinite(remainder), axis=0)
         size = np.sqrt(np.nansum(remainder**2, axis=0) / np.maximum(counts, 1))
@@ -232,38 +232,38 @@ class Noise:
         return len(self.values) * self.period
 
     def at(self, times: FloatArray, shift: float) -> FloatArray:
-        """The noise at ``times (...)`` [s], begun ``shift`` [s] later and repeated without end, ``(..., channels)``."""
-        place = (np.asarray(times) + shift) / self.period
-        first = np.floor(place).astype(np.int64)
-        share = (place - first)[..., None]
+        """Noise ``(..., channels)`` at ``times (...)`` [s], begun ``shift`` [s] later and repeated periodically."""
+        index = (np.asarray(times) + shift) / self.period
+        first = np.floor(index).astype(np.int64)
+        fraction = (index - first)[..., None]
         count = len(self.values)
-        return (1.0 - share) * self.values[first % count] + share * self.values[(first + 1) % count]
+        return (1.0 - fraction) * self.values[first % count] + fraction * self.values[(first + 1) % count]
 
     def only(self, names: Sequence[str]) -> Noise:
-        """The noise of these channels; none where it is not known."""
-        silent = np.zeros(len(self.values))
-        found = [self.values[:, self.channels.index(name)] if name in self.channels else silent for name in names]
-        return Noise(tuple(names), self.period, np.nan_to_num(np.stack(found, axis=1)))
+        """Noise of these channels; zero for unknown channels."""
+        zeros = np.zeros(len(self.values))
+        columns = [self.values[:, self.channels.index(name)] if name in self.channels else zeros for name in names]
+        return Noise(tuple(names), self.period, np.nan_to_num(np.stack(columns, axis=1)))
 
 
 CUTOFF = 32.0
-"""Low-pass [Hz] of samples to simulate from, where the recording's rate allows it: dry friction jumps when a joint
-reverses, and a simulation feels every moment by which the measured effort jumps more slowly."""
+"""Low-pass [Hz] of samples to simulate from, where the recording's rate allows it. Dry friction jumps when a joint
+reverses, and a measured effort that jumps more slowly causes errors of the simulation."""
 
-_STILL = 1e-3  # [rad, m] a joint that moves less is held by forces that are not measured
+_STILL = 1e-3  # [rad, m] a joint that moves less is constrained by forces that are not measured
 
 
 Kind: TypeAlias = Literal["windows", "closed_loop"]
 
 
 class NotSimulatedError(Exception):
-    """Why a recording cannot be simulated."""
+    """A recording cannot be simulated, for the reason in the message."""
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedEfforts:
-    """Efforts of the joints in one stretch, in closed loop: ``times (N,)`` [s], and what was ``measured`` and comes
-    ``before, after`` the findings, each ``(N, J)``."""
+    """Joint efforts in one stretch, in closed loop: ``times (N,)`` [s], the ``measured`` ones, and the simulated ones
+    ``before`` and ``after`` the findings, each ``(N, J)``."""
 
     times: FloatArray
     measured: FloatArray
@@ -276,10 +276,10 @@ class Resimulated:
     """Errors of a simulation, in short windows or in closed loop, before the findings and after.
 
     Attributes:
-        kind: Which of the two.
-        before, after: Root mean square by joint (velocity at the window's end, or effort in closed loop) or wrench
-            channel (mean), in units of the errors that noise alone causes; without those that cannot be judged.
-        efforts: In closed loop, of each stretch, unless it is read from a file.
+        kind: Short windows or closed loop.
+        before, after: RMS error by joint (velocity at the window's end, or effort in closed loop) or wrench channel
+            (mean), in units of the errors that noise alone causes; without channels that cannot be evaluated.
+        efforts: Efforts of each stretch in closed loop; empty if the result is read from a file.
     """
 
     kind: Kind
@@ -289,7 +289,7 @@ class Resimulated:
 
     @property
     def errors(self) -> dict[str, Mapping[str, float]]:
-        """{before, after}."""
+        """Errors by stage: "before" and "after" the findings."""
         return {"before": self.before, "after": self.after}
 
 
@@ -299,9 +299,9 @@ def resimulate(
     """Simulate ``recordings`` in windows of :data:`~geomid_ros.resimulation.resimulate.HORIZON`.
 
     Each starts from the measured position and velocity and runs under the measured efforts, corrected by the sidecar's
-    effects of their sensors. A joint whose effort is not measured, or that is held, follows its measured motion and is
-    not judged. The errors' unit is the root mean square of the change that ``noise`` causes, added to the efforts at
-    other times than its own: a perfect model has about 1 everywhere. Samples filtered at :data:`CUTOFF` are best.
+    sensor effects. A joint whose effort is not measured, or that does not move, follows its measured motion and is not
+    evaluated. The errors' unit is the RMS of the change that ``noise`` causes when it is added to the efforts with a
+    time shift: a perfect model has about 1 everywhere. Samples filtered at :data:`CUTOFF` are best.
 
     Raises:
         InputError: The files cannot be read.
@@ -310,15 +310,15 @@ def resimulate(
     if reason := _why_not(model, recordings):
         raise NotSimulatedError(reason)
     parts = stretches(recordings)
-    efforts, judged = np.concatenate([part.samples.effort for part in parts]), _judged_joints(parts)
+    efforts, evaluated = np.concatenate([part.samples.effort for part in parts]), _evaluated_joints(parts)
     robots = loaded_robots((before, after), model.robot.joint_names, efforts)
     for robot in robots:
-        robot.prescribe(~judged)
+        robot.prescribe(~evaluated)
     errors = Errors(model, noise)
     runs = [_simulated(part, errors, *robots) for part in parts]
     floor = root_mean_square([run.noise for run in runs])
-    known = np.concatenate([judged, errors.measured_wrenches(parts)]) & (floor > 0.0)
-    in_noise = partial(in_units, floor, errors.names, known)
+    usable = np.concatenate([evaluated, errors.measured_wrenches(parts)]) & (floor > 0.0)
+    in_noise = partial(in_units, floor, errors.names, usable)
     of_before, of_after = in_noise([run.before for run in runs]), in_noise([run.after for run in runs])
     return Resimulated(kind="windows", before=of_before, after=of_after)
 
@@ -326,15 +326,15 @@ def resimulate(
 def in_units(
     floor: FloatArray, names: Sequence[str], known: BoolArray, errors: Sequence[FloatArray]
 ) -> dict[str, float]:
-    """Root mean square of ``errors``, each ``(W, channels)``, in units of ``floor (channels,)`` by the channels' names;
-    of those that are ``known (channels,)``."""
+    """RMS of ``errors``, each ``(W, channels)``, in units of ``floor (channels,)``, by channel name. Only for channels
+    that are ``known (channels,)``."""
     ratios = root_mean_square(errors) / np.where(known, floor, 1.0)
     return {name: ratio for name, ratio, is_known in zip(names, ratios.tolist(), known, strict=True) if is_known}
 
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """The errors of a stretch's windows, each ``(W, channels)``, and the noise's ``(draws W, channels)``."""
+    """Errors of a stretch's windows, each ``(W, channels)``, and the changes due to noise ``(draws W, channels)``."""
 
     before: FloatArray
     after: FloatArray
@@ -343,12 +343,12 @@ class _Run:
 
 def _simulated(stretch: Stretch, errors: Errors, before: WrittenRobot, after: WrittenRobot) -> _Run:
     windows = Windows.of(stretch, min(before.step, after.step))
-    first, last = WindowSimulation(before, windows), WindowSimulation(after, windows)
-    of_last = last.run()
+    simulation_before, simulation_after = WindowSimulation(before, windows), WindowSimulation(after, windows)
+    run_after = simulation_after.run()
     return _Run(
-        errors.of(windows, first.instants, before, first.run()),
-        errors.of(windows, last.instants, after, of_last),
-        errors.of_noise(last, after, of_last),
+        errors.of(windows, simulation_before.instants, before, simulation_before.run()),
+        errors.of(windows, simulation_after.instants, after, run_after),
+        errors.of_noise(simulation_after, after, run_after),
     )
 
 
@@ -359,13 +359,13 @@ def _why_not(model: MeasurementModel, recordings: Sequence[Samples]) -> str:
         return "external loads act on the robot, which the written models do not contain"
     if not stretches(recordings):
         return "the recording is too short"
-    if not np.any(_judged_joints(stretches(recordings))):
+    if not np.any(_evaluated_joints(stretches(recordings))):
         return "no joint moves and has a measured effort"
     return ""
 
 
-def _judged_joints(parts: Sequence[Stretch]) -> BoolArray:
-    """Whether each joint's motion follows from what was measured ``(J,)``: it moves, and its effort is known."""
+def _evaluated_joints(parts: Sequence[Stretch]) -> BoolArray:
+    """True for each joint that moves and has a measured effort ``(J,)``: its motion can be simulated."""
     measured = np.all([np.all(np.isfinite(part.samples.effort), axis=0) for part in parts], axis=0)
     moves = np.max([np.ptp(part.samples.position, axis=0) for part in parts], axis=0) > _STILL
     return np.asarray(measured & moves)

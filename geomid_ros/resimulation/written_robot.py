@@ -1,4 +1,4 @@
-"""A robot as its written MJCF and sidecar say, in MuJoCo, and where its bodies and joints are."""
+"""Robot in MuJoCo from its written MJCF and sidecar, and the frames of its bodies and joints."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from geomid_ros.model.effects.situation import place_named
 from geomid_ros.model.samples import SMOOTH_SIGN, Samples
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
-_IMMOVABLE = 1e7  # [kg m^2, kg] inertia of a joint that follows its measured motion, whatever acts on it
+_IMMOVABLE = 1e7  # [kg m^2, kg] inertia of a joint that follows its measured motion under any load
 
 
 class WrittenRobot:
-    """A compiled ``model`` with a fixed base. Arrays ``(..., J)`` follow ``joints``, the measured ones.
+    """Compiled ``model`` with a fixed base. Arrays ``(..., J)`` follow ``joints``, the measured ones.
 
-    ``dofs (J,)`` are the joints' places in MuJoCo's qpos and qvel, which are alike; ``gears`` names the hinges behind
-    the joints (see :mod:`geomid_ros.files.models.mjcf`) by their places.
+    ``dofs (J,)`` are the joints' indices in MuJoCo's qpos and qvel, which are alike; ``gears`` has the names of the
+    hinges behind the joints (see :mod:`geomid_ros.files.models.mjcf`), by index.
     """
 
     def __init__(self, files: ModelFiles, joints: Sequence[str]) -> None:
@@ -44,9 +44,9 @@ class WrittenRobot:
         self.dofs: IntArray = np.array([names[joint] for joint in joints], dtype=np.int64)
         self.gears = {names[name]: name for name in names if name.rpartition("/")[0] in joints}
         self._read_effects(files)
-        # What holds a joint at rest; what the motion takes off it is in unsaid_friction.
-        self.model.dof_frictionloss[self.dofs] += self._holding
-        # Stops at the ends of a joint's range are not in the measurements; those of a backlash stay.
+        # Friction of a joint at rest; its change with motion is in unsaid_friction.
+        self.model.dof_frictionloss[self.dofs] += self._rest_friction
+        # Forces of the stops at a range's ends are not measured; the stops of a backlash stay.
         self.model.jnt_limited[self.dofs] = 0
         self.model.opt.disableflags |= self.mujoco.mjtDisableBit.mjDSBL_AUTORESET
 
@@ -57,18 +57,18 @@ class WrittenRobot:
         return model
 
     def _read_effects(self, files: ModelFiles) -> None:
-        """What the MJCF does not say: of the effort sensors, of friction, of the wrench sensors."""
+        """Read the effects that the MJCF lacks: of effort sensors, friction and wrench sensors."""
         count = len(self.joints)
         self.gain, self.offset, self.delay = np.ones(count), np.zeros(count), 0.0
-        self._holding, self._load_friction, self._usual_load = np.zeros(count), np.zeros(count), np.zeros(count)
-        self._of_motion: list[tuple[Effect, Place, Values]] = []
-        self._of_sensors: dict[str, list[tuple[SensorEffect, Values]]] = {}
-        for known in read_sidecar(files.effects).effects:
-            effect = effect_class(known.effect).from_values(values_of(known))
+        self._rest_friction, self._load_friction, self._mean_load = np.zeros(count), np.zeros(count), np.zeros(count)
+        self._motion_effects: list[tuple[Effect, Place, Values]] = []
+        self._sensor_effects: dict[str, list[tuple[SensorEffect, Values]]] = {}
+        for entry in read_sidecar(files.effects).effects:
+            effect = effect_class(entry.effect).from_values(values_of(entry))
             if isinstance(effect, SensorEffect):
-                self._of_sensors.setdefault(known.joint, []).append((effect, values_of(known)))
+                self._sensor_effects.setdefault(entry.joint, []).append((effect, values_of(entry)))
             elif effect.place != "link":
-                self._add(effect, self._place(effect, known.joint, files), values_of(known))
+                self._add(effect, self._place(effect, entry.joint, files), values_of(entry))
 
     def _place(self, effect: Effect, name: str, files: ModelFiles) -> Place:
         place = place_named(effect.place, name, self.joints)
@@ -76,30 +76,30 @@ class WrittenRobot:
             raise InputError(f"{files.effects}: {unknown_name('joint', name, self.joints)}")
         return place
 
-    def _add(self, effect: Effect, place: Place, own: Values) -> None:
-        self.delay += effect.effort_lag(own)
+    def _add(self, effect: Effect, place: Place, values: Values) -> None:
+        self.delay += effect.effort_lag(values)
         for joint in joints_of(place):
-            self.gain[joint] *= effect.effort_scale(own)
-            self.offset[joint] += effect.effort_shift(own)
-            self._holding[joint] += effect.holding_friction(own)
-            self._load_friction[joint] += effect.friction_by_load(own)
-        self._of_motion.append((effect, place, own))
+            self.gain[joint] *= effect.effort_scale(values)
+            self.offset[joint] += effect.effort_shift(values)
+            self._rest_friction[joint] += effect.holding_friction(values)
+            self._load_friction[joint] += effect.friction_by_load(values)
+        self._motion_effects.append((effect, place, values))
 
     @property
     def step(self) -> float:
-        """The MJCF's time step [s]."""
+        """Time step of the MJCF [s]."""
         return float(self.model.opt.timestep)
 
     def prescribe(self, joints: BoolArray) -> None:
-        """Let these ``joints (J,)`` follow their measured motion: :meth:`driving_effort` accelerates them as
+        """Make these ``joints (J,)`` follow their measured motion: :meth:`driving_effort` accelerates them as
         measured."""
         self.model.dof_armature[self.dofs[joints]] = _IMMOVABLE
         self.mujoco.mj_setConst(self.model, self.mujoco.MjData(self.model))
 
     @contextmanager
     def in_closed_loop(self, stiffness: FloatArray, damping: FloatArray, controlled: BoolArray) -> Iterator[None]:
-        """With springs and dampers ``(J,)`` of a controller at the joints, their set-points at zero; joints that are
-        not ``controlled`` follow their measured motion."""
+        """Add a controller's springs and dampers ``(J,)`` at the joints, with set-points at zero. Joints that are not
+        ``controlled`` follow their measured motion."""
         model, dofs = self.model, self.dofs
         names = ("jnt_stiffness", "dof_damping", "dof_armature", "qpos_spring")
         written = {name: getattr(model, name).copy() for name in names}
@@ -116,72 +116,72 @@ class WrittenRobot:
                 getattr(model, name)[:] = values
 
     def expect_load(self, true_effort: FloatArray) -> None:
-        """Let friction by load hold a joint at rest as strongly as under its mean load in ``true_effort (N, J)``; what
-        the load of the moment differs is in :meth:`unsaid_friction`."""
-        self._usual_load = np.nan_to_num(np.mean(np.abs(true_effort), axis=0))
-        self.model.dof_frictionloss[self.dofs] += self._load_friction * self._usual_load
+        """Set the load friction of a joint at rest to that of its mean load in ``true_effort (N, J)``. Deviations of
+        the momentary load are in :meth:`unsaid_friction`."""
+        self._mean_load = np.nan_to_num(np.mean(np.abs(true_effort), axis=0))
+        self.model.dof_frictionloss[self.dofs] += self._load_friction * self._mean_load
 
     @property
     def prescribed(self) -> BoolArray:
-        """Whether each joint follows its measured motion ``(J,)``."""
+        """True for each joint that follows its measured motion ``(J,)``."""
         return np.asarray(self.model.dof_armature[self.dofs] == _IMMOVABLE)
 
     @staticmethod
     def prescribed_effort(acceleration: FloatArray) -> FloatArray:
-        """What accelerates joints that follow their measured motion."""
+        """Efforts that accelerate joints which follow their measured motion."""
         return _IMMOVABLE * acceleration
 
     def driving_effort(self, true_effort: FloatArray, motion: Motion) -> FloatArray:
-        """What drives the joints ``(..., J)`` in MuJoCo: the motors' true efforts less what the MJCF does not say of
-        this motion, ``(..., J)`` each."""
+        """Efforts ``(..., J)`` that drive the joints in MuJoCo: the motors' true efforts minus the friction in this
+        motion that the MJCF lacks, ``(..., J)`` each."""
         friction = self.unsaid_friction(true_effort, motion)
-        follows = self.prescribed
-        return np.where(follows, self.prescribed_effort(motion.acceleration), true_effort - friction)
+        prescribed = self.prescribed
+        return np.where(prescribed, self.prescribed_effort(motion.acceleration), true_effort - friction)
 
     def unsaid_friction(self, true_effort: FloatArray, motion: Motion) -> FloatArray:
-        """Friction ``(..., J)`` that only the sidecar says: what Stribeck's takes off at speed, what the load adds, and
-        other functions of the motion.
+        """Friction ``(..., J)`` that only the sidecar contains: the decrease of Stribeck friction with speed, the
+        friction by load, and other functions of the motion.
 
-        A gear that passes tau on, of a motor whose effort less all other friction and rotor is u, has
+        Let u be the motor's effort minus all other friction and the rotor's inertia. A gear that transmits tau has
         ``u = tau + c |tau| s`` with the direction of motion s.
         """
         velocity = motion.velocity
         sign = SMOOTH_SIGN.values(motion)
         by_motion = np.zeros(velocity.shape)
-        for effect, place, own in self._of_motion:
-            by_motion += effect.unsaid_efforts(own, motion, place)
+        for effect, place, values in self._motion_effects:
+            by_motion += effect.unsaid_efforts(values, motion, place)
         model, dofs = self.model, self.dofs
-        dry = model.dof_frictionloss[dofs] - self._load_friction * self._usual_load
-        known = model.dof_damping[dofs] * velocity + dry * sign + by_motion
-        arriving = true_effort - known - np.where(self.prescribed, 0.0, model.dof_armature[dofs]) * motion.acceleration
+        dry = model.dof_frictionloss[dofs] - self._load_friction * self._mean_load
+        other = model.dof_damping[dofs] * velocity + dry * sign + by_motion
+        arriving = true_effort - other - np.where(self.prescribed, 0.0, model.dof_armature[dofs]) * motion.acceleration
         along = np.sign(arriving) * sign
-        passed = np.abs(arriving) / (1.0 + self._load_friction * along)
-        return np.asarray(by_motion + self._load_friction * (passed - self._usual_load) * sign)
+        transmitted = np.abs(arriving) / (1.0 + self._load_friction * along)
+        return np.asarray(by_motion + self._load_friction * (transmitted - self._mean_load) * sign)
 
     def true_effort(self, measured: FloatArray) -> FloatArray:
-        """What the motors supply where the effort sensors show ``measured (..., J)``, delays apart."""
+        """True efforts of the motors where the effort sensors show ``measured (..., J)``, without the delay."""
         return measured / self.gain - self.offset
 
     def measured_effort(self, true: FloatArray) -> FloatArray:
-        """What the effort sensors show where the motors supply ``true (..., J)``, delays apart."""
+        """Readings of the effort sensors where the motors supply ``true (..., J)``, without the delay."""
         return self.gain * (true + self.offset)
 
     def wrench(self, sensed: FloatArray, sensor: WrenchSensor) -> FloatArray:
-        """The true wrench at a mounted sensor, its sign reversed if it is ``(..., 6)``, of all ``sensed (...,
-        values)``."""
+        """True wrench ``(..., 6)`` at a mounted sensor, from all ``sensed (..., values)``. It corresponds to the
+        reported wrench times the sensor's sign."""
         force, torque = (self.model.sensor(f"{sensor.topic}/{kind}").adr[0] for kind in ("force", "torque"))
         return np.concatenate([sensed[..., force : force + 3], sensed[..., torque : torque + 3]], axis=-1)
 
     def wrench_error(self, motion: Motion, sensor: WrenchSensor) -> FloatArray:
-        """What a mounted sensor shows beside the true wrench in a motion of N instants, ``(N, axes)``."""
+        """Error of a mounted sensor's wrench in a motion of N samples ``(N, axes)``."""
         error = np.zeros((len(motion.position), len(sensor.axes)))
-        for effect, own in self._of_sensors.get(sensor.topic, ()):
-            coefficients = np.array([own.get(axis, 0.0) for axis in sensor.axes])
+        for effect, values in self._sensor_effects.get(sensor.topic, ()):
+            coefficients = np.array([values.get(axis, 0.0) for axis in sensor.axes])
             error += effect.columns(motion, sensor.axes) @ coefficients
         return error
 
     def gear_deflections(self, samples: Samples) -> FloatArray:
-        """How far the hinges of ``gears`` are turned ``(N, gears)`` while the joints move, without swinging."""
+        """Deflections ``(N, gears)`` of the hinges of ``gears`` while the joints move, without vibration."""
         gears = list(self.gears)
         elastic = self.model.jnt_stiffness[gears] > 0.0
         stiffness = np.where(elastic, self.model.jnt_stiffness[gears], 1.0)
@@ -190,7 +190,7 @@ class WrittenRobot:
         return np.where(elastic, -efforts / stiffness, -play * np.sign(efforts))
 
     def _gear_efforts(self, samples: Samples) -> FloatArray:
-        """Efforts ``(N, gears)`` that the hinges of ``gears`` transmit while the joints move and nothing gives."""
+        """Efforts ``(N, gears)`` that the hinges of ``gears`` transmit while the joints move, as if they were rigid."""
         data = self.mujoco.MjData(self.model)
         efforts = np.zeros((len(samples), len(self.gears)))
         for index in range(len(samples)):
@@ -208,8 +208,8 @@ class WrittenRobot:
         under ``efforts (W, steps, J)`` of the joints.
 
         Returns:
-            Positions and velocities of the joints ``(W, steps, J)`` after each step, and what the sensors show before
-            it, ``(W, steps, values)``.
+            Positions and velocities of the joints ``(W, steps, J)`` after each step, and the sensor readings before
+            it ``(W, steps, values)``.
         """
         model, mujoco = self.model, self.mujoco
         applied = np.zeros((*efforts.shape[:2], model.nv))
@@ -230,19 +230,19 @@ class WrittenRobot:
 
 
 FLOATING = "the base floats, and its motion cannot be simulated without its contacts"
-"""Why nothing of such a robot is simulated."""
+"""Reason why a robot with a floating base is not simulated."""
 
 
 def loaded_robots(files: Sequence[ModelFiles], joints: Sequence[str], measured: FloatArray) -> list[WrittenRobot]:
-    """The robots of some files, which expect the load of ``measured`` efforts ``(N, J)``. Raises InputError."""
-    robots = [WrittenRobot(each, joints) for each in files]
+    """Load robots from ``files``, with friction by the load of ``measured`` efforts ``(N, J)``. Raises InputError."""
+    robots = [WrittenRobot(model_files, joints) for model_files in files]
     for robot in robots:
         robot.expect_load(robot.true_effort(measured))
     return robots
 
 
 def _compiled(path: Path) -> Any:
-    """The model in an MJCF. Raises InputError naming it."""
+    """Compile the model in an MJCF. Raises InputError naming the file."""
     try:
         return load_mujoco().MjModel.from_xml_path(str(path))
     except ValueError as error:
@@ -250,24 +250,24 @@ def _compiled(path: Path) -> Any:
 
 
 def load_mujoco() -> Any:
-    """The module, imported when it is first needed. Raises InputError when it does not import."""
+    """Import MuJoCo on first use. Raises InputError if it does not import."""
     try:
         mujoco = importlib.import_module("mujoco")
     except ImportError as error:
         raise InputError(f"MuJoCo is needed but cannot be imported ({error}): pip install mujoco") from error
-    # By itself it prints them and leaves a MUJOCO_LOG.TXT where the user happens to be; the figures say it better.
-    mujoco.set_mju_user_warning(_pass_over)
+    # By default MuJoCo prints warnings and writes a MUJOCO_LOG.TXT to the user's folder; the errors show it better.
+    mujoco.set_mju_user_warning(_ignore_warning)
     return mujoco
 
 
-def _pass_over(_: str) -> None:
-    """Warnings are of runs that diverge, whose figures show that."""
+def _ignore_warning(_: str) -> None:
+    """Ignore a warning, because MuJoCo warns of runs that diverge, and their errors show that."""
 
 
 @dataclass(frozen=True, eq=False)
 class BodyFrames:
-    """Homogeneous matrices ``(4, 4)`` of ``bodies`` in the world by name, all joints at zero, and their ``masses``
-    [kg]; of hinges and slides, ``joints``, a point that they pass through and the direction of their axes, ``(2, 3)``.
+    """Homogeneous matrices ``(4, 4)`` of ``bodies`` in the world by name, with all joints at zero, and their ``masses``
+    [kg]. For hinges and slides ``joints``: a point on the axis and its direction ``(2, 3)``.
     """
 
     bodies: dict[str, FloatArray]
@@ -276,17 +276,17 @@ class BodyFrames:
 
 
 def body_frames(path: Path) -> BodyFrames:
-    """Read an MJCF. Raises InputError naming the file."""
+    """Read the frames of an MJCF. Raises InputError naming the file."""
     mujoco, model = load_mujoco(), _compiled(path)
     data = mujoco.MjData(model)
-    of_one_axis = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
-    single = [index for index in range(model.njnt) if model.jnt_type[index] in of_one_axis]
-    data.qpos[model.jnt_qposadr[single]] = 0.0
+    single_axis = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
+    indices = [index for index in range(model.njnt) if model.jnt_type[index] in single_axis]
+    data.qpos[model.jnt_qposadr[indices]] = 0.0
     mujoco.mj_kinematics(model, data)
     bodies = {
         model.body(index).name: pseudo_inertia.change_of_frame(data.xmat[index].reshape(3, 3), data.xpos[index])
         for index in range(1, model.nbody)
     }
-    joints = {model.joint(index).name: np.array([data.xanchor[index], data.xaxis[index]]) for index in single}
+    joints = {model.joint(index).name: np.array([data.xanchor[index], data.xaxis[index]]) for index in indices}
     masses = {name: float(model.body(name).mass[0]) for name in bodies}
     return BodyFrames(bodies, masses, joints)

@@ -1,8 +1,7 @@
-"""Robots simulated by MuJoCo that record rosbags: planted truth for demonstrations and tests.
+"""Robots simulated in MuJoCo that record rosbags: planted truth for demonstrations and tests.
 
-The bag holds only what a real robot would publish; the truth goes into a file beside it. Nothing here shares code with
-the estimator, and MuJoCo is imported when a simulation starts, not before. What records is loaded when it is
-first used.
+The bag holds only what a real robot would publish; the truth goes into a separate file. Nothing here shares code with
+the estimator. MuJoCo is imported when a simulation starts, and the recording code when it is first used.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Load ``simulate`` and its result with all that they need."""
+    """Load ``simulate`` and ``SimulationResult`` on first use."""
     if name not in ("SimulationResult", "simulate"):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module("geomid_ros.simulation.recording"), name)

@@ -1,6 +1,6 @@
-"""Recording: a rosbag2 in mcap, with the topics of a real robot.
+"""Recording of a rosbag2 in MCAP, with the topics of a real robot.
 
-Checksums are written here: rosbags leaves them out, and a flipped bit would change a value unseen.
+Checksums are written here: rosbags omits them, and a flipped bit would change a value unnoticed.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _UNSET = QosTime(0, 0)
 _DESCRIPTION = "robot_description"
 _TYPES = get_typestore(Stores.ROS2_JAZZY)
 
-# Of the mcap format.
+# MCAP format
 _MAGIC = b"\x89MCAP0\r\n"
 _FOOTER, _CHUNK, _DATA_END = 0x02, 0x06, 0x0F
 _RECORD = struct.Struct("<BQ")  # kind, length
@@ -44,11 +44,11 @@ _CHUNK_HEAD = struct.Struct("<QQQII4sQ")  # first and last time, size, checksum,
 
 
 def write_bag(path: Path, trace: RunTrace, names: Sequence[str], urdf: str, options: SimulationOptions) -> None:
-    """Write ``/robot_description``, ``/joint_states`` and what ``options`` ask for of ``/wrench`` and
-    ``/joint_commands`` to a new bag.
+    """Write ``/robot_description`` and ``/joint_states`` to a new bag, and ``/wrench`` and ``/joint_commands`` if
+    ``options`` request them.
 
-    ``names`` are those of the trace's joints, in its order, which is also that of the messages. A command is a
-    JointState of the set-points' positions and velocities and of the controller's feed-forward efforts.
+    ``names`` are the trace's joints, in its order, which is also that of the messages. A command is a JointState with
+    the set-points' positions and velocities and the controller's feed-forward efforts.
     """
     with _new_bag(path, urdf) as writer:
         states = _Topic(writer, "/joint_states", "sensor_msgs/msg/JointState")
@@ -58,8 +58,8 @@ def write_bag(path: Path, trace: RunTrace, names: Sequence[str], urdf: str, opti
         for row, (stamp, wrench_stamp) in enumerate(zip(_stamps(trace.time), _stamps(trace.wrench_time), strict=True)):
             states.write(stamp, _joint_state(stamp, names, trace.position[row], trace.velocity[row], trace.effort[row]))
             if commands is not None:
-                wanted = trace.commands.position[row], trace.commands.velocity[row], trace.feedforward[row]
-                commands.write(stamp, _joint_state(stamp, names, *wanted))
+                setpoint = trace.commands.position[row], trace.commands.velocity[row], trace.feedforward[row]
+                commands.write(stamp, _joint_state(stamp, names, *setpoint))
             if wrenches is not None:
                 wrenches.write(wrench_stamp, _wrench(trace.wrench[row], wrench_stamp, frame))
 
@@ -76,7 +76,7 @@ def write_walk(path: Path, trace: WalkTrace, names: Sequence[str], urdf: str, im
 
 @contextmanager
 def _new_bag(path: Path, urdf: str) -> Iterator[BagWriter]:
-    """A new bag with a robot's description, to write to."""
+    """Open a new bag that contains a robot's description."""
     with closing(BagWriter(path)) as bag:
         description = _Topic(bag, "/robot_description", "std_msgs/msg/String")
         description.write(START * _NANO, _message("std_msgs/msg/String", data=urdf))
@@ -84,33 +84,33 @@ def _new_bag(path: Path, urdf: str) -> Iterator[BagWriter]:
 
 
 class BagWriter:
-    """A new bag in mcap, to be closed: only then it has checksums."""
+    """Writer of a new MCAP bag; :meth:`close` adds the checksums."""
 
     def __init__(self, path: Path) -> None:
-        """Raises OSError or WriterError where it cannot be written."""
+        """Raises OSError or WriterError if the bag cannot be written."""
         self._file = path / f"{path.name}.mcap"
         self._writer = Writer(path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
         self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         self._writer.open()
 
     def topic(self, name: str, kind: str) -> Connection:
-        """Add a topic of messages of a type; a robot description is kept for those who come late."""
+        """Add a topic with messages of type ``kind``; a robot description is latched for late subscribers."""
         latched = name.rpartition("/")[2] == _DESCRIPTION
         durability = QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE
         return self._writer.add_connection(name, kind, typestore=_TYPES, offered_qos_profiles=[_reliable(durability)])
 
     def write(self, topic: Connection, stamp: int, data: bytes | memoryview) -> None:
-        """Log a serialised message at a stamp [ns]."""
+        """Write a serialised message at a stamp [ns]."""
         self._writer.write(topic, stamp, data)
 
     def close(self) -> None:
-        """Finish the file."""
+        """Close the bag and add the checksums."""
         self._writer.close()
         _add_checksums(self._file)
 
 
 class _Topic:
-    """A topic of an open bag; messages are logged at their stamp [ns]."""
+    """Topic of an open bag; messages are logged at their stamp [ns]."""
 
     def __init__(self, bag: BagWriter, name: str, kind: str) -> None:
         self._bag = bag
@@ -122,7 +122,7 @@ class _Topic:
 
 
 def _reliable(durability: QosDurability) -> Qos:
-    """The quality of service of a publisher, as it is recorded."""
+    """Recorded quality of service of a reliable publisher."""
     return Qos(
         history=QosHistory.KEEP_LAST,
         depth=1 if durability is QosDurability.TRANSIENT_LOCAL else 10,
@@ -137,7 +137,7 @@ def _reliable(durability: QosDurability) -> Qos:
 
 
 def _stamps(time: FloatArray) -> Iterator[int]:
-    return (START * _NANO + round(instant * _NANO) for instant in time.tolist())
+    return (START * _NANO + round(seconds * _NANO) for seconds in time.tolist())
 
 
 def _message(kind: str, **fields: Any) -> Any:
@@ -169,7 +169,7 @@ def _vector(values: FloatArray) -> Any:
 
 
 def _imu(angular_velocity: FloatArray, specific_force: FloatArray, stamp: int, frame: str) -> Any:
-    """Without an orientation, which a covariance of -1 says."""
+    """IMU message without an orientation, which a covariance of -1 indicates."""
     unknown = np.append(-1.0, np.zeros(8))
     return _message(
         "sensor_msgs/msg/Imu",

@@ -1,4 +1,4 @@
-"""What the simulator itself reads from a URDF, inertials and joint limits; and bodies near these, drawn at random.
+"""Inertials and joint limits from a URDF, read by the simulator itself, and random perturbations of bodies.
 
 MuJoCo reads the kinematics from the same text, stripped of everything else.
 """
@@ -22,7 +22,7 @@ _LARGEST = 5_000_000
 _MOVING = {"revolute", "continuous", "prismatic"}
 _KINEMATIC = {"link": (), "joint": ("origin", "parent", "child", "axis", "limit")}
 INERTIA_NAMES = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
-"""The entries of an inertia, row by row, as a URDF names them."""
+"""URDF names of the entries of an inertia matrix, row by row."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class LinkInertia:
 
 @dataclass(frozen=True)
 class UrdfLimits:
-    """A moving joint's range [rad or m], top speed [rad/s or m/s] and top effort [N m or N]."""
+    """Limits of a moving joint: range [rad or m], speed [rad/s or m/s] and effort [N m or N]."""
 
     name: str
     lower: float
@@ -61,7 +61,7 @@ class UrdfLimits:
 
 @dataclass(frozen=True)
 class Edge:
-    """What connects a link to its ``parent`` link: a ``joint``, which ``moves`` or is fixed."""
+    """Connection of a link to its ``parent`` link: a ``joint``, which ``moves`` or is fixed."""
 
     joint: str
     parent: str
@@ -70,7 +70,7 @@ class Edge:
 
 @dataclass(frozen=True, kw_only=True)
 class Description:
-    """A robot as its URDF describes it.
+    """Robot as its URDF describes it.
 
     Attributes:
         text: The URDF.
@@ -89,7 +89,7 @@ class Description:
     edges: Mapping[str, Edge]
 
     def moved_by(self, link: str) -> str | None:
-        """The joint that moves a link, the nearest one towards the root; None for what stands still."""
+        """Nearest moving joint between a link and the root; None if no joint moves the link."""
         while link in self.edges:
             if self.edges[link].moves:
                 return self.edges[link].joint
@@ -97,7 +97,7 @@ class Description:
         return None
 
     def child(self, joint: str) -> str:
-        """The link right behind a joint."""
+        """Child link of a joint."""
         return next(link for link, edge in self.edges.items() if edge.joint == joint)
 
 
@@ -235,7 +235,7 @@ def _finite(text: str, tag: str, key: str) -> float:
 
 
 def perturbed(nominal: LinkInertia, size: float, rng: np.random.Generator) -> LinkInertia:
-    """A random body near ``nominal``, by congruence of its 4x4 pseudo-inertia: ``L exp(E) L^T`` where ``P = L L^T``.
+    """Perturb ``nominal`` at random by congruence of its 4x4 pseudo-inertia: ``L exp(E) L^T`` where ``P = L L^T``.
 
     ``E`` is symmetric with Gaussian entries of standard deviation ``size`` (``size / sqrt 2`` off the diagonal). Its
     distribution does not change under rotations, so neither the choice of L nor the link's frame matters. The result
@@ -248,7 +248,7 @@ def perturbed(nominal: LinkInertia, size: float, rng: np.random.Generator) -> Li
 
 
 def pseudo_inertia(body: LinkInertia) -> FloatArray:
-    """``P (4, 4) = [[S, h], [h^T, m]]`` in the link frame, with the second moment S [kg m^2] and h = m com [kg m]."""
+    """Pseudo-inertia ``[[S, h], [h^T, m]] (4, 4)`` in the link frame: second moment S [kg m^2], h = m com [kg m]."""
     pseudo = np.empty((4, 4))
     pseudo[:3, :3] = _swap_moments(body.inertia, 0.5) + body.mass * np.outer(body.com, body.com)
     pseudo[:3, 3] = pseudo[3, :3] = body.mass * body.com
@@ -259,20 +259,20 @@ def pseudo_inertia(body: LinkInertia) -> FloatArray:
 
 
 def body_of(name: str, pseudo: FloatArray) -> LinkInertia:
-    """The body that has a pseudo-inertia ``(4, 4)``."""
+    """Body with the given pseudo-inertia ``(4, 4)``."""
     mass = float(pseudo[3, 3])
     com = pseudo[:3, 3] / mass
     inertia = _swap_moments(pseudo[:3, :3] - mass * np.outer(com, com), 1.0)
     return LinkInertia(name, mass, frozen(com), frozen(0.5 * (inertia + inertia.T)))
 
 
-def _swap_moments(matrix: FloatArray, share: float) -> FloatArray:
-    """Second moment from rotational inertia (``share`` 1/2) and back (``share`` 1)."""
-    return np.asarray(share * np.trace(matrix) * np.eye(3) - matrix)
+def _swap_moments(matrix: FloatArray, factor: float) -> FloatArray:
+    """Second moment from rotational inertia (``factor`` 1/2) and back (``factor`` 1)."""
+    return np.asarray(factor * np.trace(matrix) * np.eye(3) - matrix)
 
 
 def set_inertia(mujoco: Any, element: Any, body: LinkInertia) -> None:
-    """Give a body of an MjSpec the inertia of ``body``, in the frame of that body."""
+    """Set the inertia of an MjSpec body to that of ``body``, in the frame of that body."""
     moments, axes = np.linalg.eigh(body.inertia)
     axes[:, 2] *= np.linalg.det(axes)
     quaternion = np.empty(4)

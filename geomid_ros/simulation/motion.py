@@ -1,4 +1,4 @@
-"""Exciting motions, faded in from rest, inside the joints' limits, and what is recorded of one."""
+"""Exciting motions within the joints' limits, faded in from rest, and the samples recorded in a run."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ FADE_IN = 2.0
 
 @dataclass(frozen=True, eq=False)
 class SetPoints:
-    """Set-points ``(T, n)`` of n joints at T instants, with their exact first and second derivatives."""
+    """Set-points ``(T, n)`` of n joints at T times, with their exact first and second derivatives."""
 
     position: FloatArray
     velocity: FloatArray
     acceleration: FloatArray
 
     def select(self, index: Any) -> SetPoints:
-        """Some of them, by an index of the arrays."""
+        """Select set-points by an index of the arrays."""
         return SetPoints(self.position[index], self.velocity[index], self.acceleration[index])
 
 
 def exciting_motion(
     times: FloatArray, joints: Sequence[UrdfLimits], options: SimulationOptions, rng: np.random.Generator
 ) -> SetPoints:
-    """A random motion of ``joints`` at ``times (T,)`` [s], each joint as large as its limits and ``options`` allow."""
+    """Random motion of ``joints`` at ``times (T,)`` [s], each joint as large as its limits and ``options`` allow."""
     shapes = _faded(_fade(times), _SHAPES[options.motion](times, len(joints), options, rng))
-    reach = options.motion_range * np.array([joint.half_range for joint in joints])
+    excursion = options.motion_range * np.array([joint.half_range for joint in joints])
     speed = options.motion_speed * np.array([joint.velocity for joint in joints])
-    scale = np.minimum(reach / np.abs(shapes.position).max(0), speed / np.abs(shapes.velocity).max(0))
+    scale = np.minimum(excursion / np.abs(shapes.position).max(0), speed / np.abs(shapes.velocity).max(0))
     centre = np.array([joint.centre for joint in joints])
     return SetPoints(centre + scale * shapes.position, scale * shapes.velocity, scale * shapes.acceleration)
 
@@ -53,7 +53,7 @@ def _aperiodic(times: FloatArray, joints: int, options: SimulationOptions, rng: 
 
 
 def _sum_of_sines(times: FloatArray, frequency: FloatArray, rng: np.random.Generator) -> SetPoints:
-    """Sines of ``frequency (sines, n)`` [Hz], all about equally fast."""
+    """Sum of sines of ``frequency (sines, n)`` [Hz], with similar speed amplitudes."""
     omega = 2.0 * np.pi * frequency
     amplitude = rng.standard_normal(omega.shape) / omega
     phase = rng.uniform(0.0, 2.0 * np.pi, omega.shape)
@@ -68,7 +68,7 @@ def _sum_of_sines(times: FloatArray, frequency: FloatArray, rng: np.random.Gener
 
 
 def _chirp(times: FloatArray, joints: int, options: SimulationOptions, rng: np.random.Generator) -> SetPoints:
-    """Frequencies that rise evenly from that of the slowest sine to that of the fastest, each joint's from another."""
+    """Sines with frequencies that rise linearly from about the slowest to the fastest, each joint from another one."""
     slow, fast = 1.0 / options.motion_period, options.motion_harmonics / options.motion_period
     start = slow * rng.uniform(0.7, 1.5, joints)
     rise = (fast - start) / max(times[-1], 1e-9)
@@ -79,27 +79,27 @@ def _chirp(times: FloatArray, joints: int, options: SimulationOptions, rng: np.r
 
 
 def _modulated(angle: FloatArray, omega: FloatArray, rise: FloatArray) -> SetPoints:
-    """``sin(angle) / omega``, of constant speed: its derivatives while omega grows by ``rise`` per second."""
-    sine, cosine, share = np.sin(angle), np.cos(angle), rise / omega**2
+    """Sine ``sin(angle) / omega`` of constant speed amplitude, and derivatives; omega grows by ``rise`` a second."""
+    sine, cosine, ratio = np.sin(angle), np.cos(angle), rise / omega**2
     return SetPoints(
         sine / omega,
-        cosine - share * sine,
-        -omega * sine - share * omega * cosine + 2.0 * share**2 * omega * sine,
+        cosine - ratio * sine,
+        -omega * sine - ratio * omega * cosine + 2.0 * ratio**2 * omega * sine,
     )
 
 
 def _points(times: FloatArray, joints: int, options: SimulationOptions, rng: np.random.Generator) -> SetPoints:
-    """Rests at random points; between two of them a quarter of the time each to speed up and down, and a tenth of rest.
+    """Motion between random points by trapezoids of speed, with a rest of a tenth of the time at each point.
 
-    Every joint has its own rhythm, else all would rest together.
+    Each joint has a different rhythm, so that they do not all rest together.
     """
     motion = _still(len(times), joints)
     for joint in range(joints):
         lap = 0.5 * options.motion_period * rng.uniform(0.7, 1.3)
         count = int(times[-1] / lap) + 2
         points = np.concatenate([[0.0], rng.uniform(-1.0, 1.0, count)])
-        at, phase = np.divmod(times / lap, 1.0)
-        leg = at.astype(int)
+        laps, phase = np.divmod(times / lap, 1.0)
+        leg = laps.astype(int)
         length = points[leg + 1] - points[leg]
         position, velocity, acceleration = _trapezoid(phase / 0.9)
         motion.position[:, joint] = points[leg] + length * position
@@ -109,13 +109,13 @@ def _points(times: FloatArray, joints: int, options: SimulationOptions, rng: np.
 
 
 def _trapezoid(x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """From 0 at x = 0 to 1 at x = 1 with a trapezoid of speed, and its derivatives; x above 1 rests."""
-    top, quarter = 4.0 / 3.0, 0.25
+    """Position from 0 at x = 0 to 1 at x = 1 with a trapezoid of speed, and two derivatives; at rest above x = 1."""
+    peak, quarter = 4.0 / 3.0, 0.25
     up, flat, down = np.minimum(x, quarter), np.clip(x - quarter, 0.0, 0.5), np.clip(x - 0.75, 0.0, quarter)
-    position = top * (2.0 * up**2 + flat + down - 2.0 * down**2)
-    velocity = top * 4.0 * (up - down)
-    rate = np.where(x < quarter, 4.0 * top, 0.0) - np.where((x >= 0.75) & (x < 1.0), 4.0 * top, 0.0)
-    return position, velocity, rate
+    position = peak * (2.0 * up**2 + flat + down - 2.0 * down**2)
+    velocity = peak * 4.0 * (up - down)
+    acceleration = np.where(x < quarter, 4.0 * peak, 0.0) - np.where((x >= 0.75) & (x < 1.0), 4.0 * peak, 0.0)
+    return position, velocity, acceleration
 
 
 def _still(samples: int, joints: int) -> SetPoints:
@@ -123,7 +123,7 @@ def _still(samples: int, joints: int) -> SetPoints:
 
 
 def _fade(times: FloatArray) -> SetPoints:
-    """The smooth step ``6 x^5 - 15 x^4 + 10 x^3`` of ``x = t / FADE_IN``, ``(T, 1)``, and its derivatives."""
+    """Smooth step ``6 x^5 - 15 x^4 + 10 x^3`` of ``x = t / FADE_IN``, ``(T, 1)``, and its derivatives."""
     x = np.minimum(times[:, None] / FADE_IN, 1.0)
     return SetPoints(
         x**3 * (6.0 * x**2 - 15.0 * x + 10.0),
@@ -152,16 +152,16 @@ _PER_JOINT = ("position", "velocity", "acceleration", "effort", "fine_effort", "
 
 @dataclass(frozen=True, eq=False)
 class RunTrace:
-    """Samples of n joints at T instants.
+    """Samples of n joints at T times.
 
     Attributes:
         time: ``(T,)`` [s].
-        position, velocity, acceleration, effort: ``(T, n)``. Without effects of measurement the effort is what the
+        position, velocity, acceleration, effort: ``(T, n)``. Without measurement effects the effort is what the
             motors supply, and all four satisfy the equation of motion exactly.
-        wrench_time: Instants ``(T,)`` of the wrench [s].
-        wrench: ``(T, 6)`` in its frame, or ``(T, 0)``.
+        wrench_time: Times of the wrench samples ``(T,)`` [s].
+        wrench: ``(T, 6)`` in the sensor's frame, or ``(T, 0)``.
         commands, feedforward: The controller's set-points and feed-forward efforts ``(T, n)`` at ``time``.
-        fine_time, fine_effort: Every step of the integration ``(F,)`` [s], and the efforts there ``(F, n)``.
+        fine_time, fine_effort: Times of all integration steps ``(F,)`` [s], and their efforts ``(F, n)``.
     """
 
     time: FloatArray
@@ -177,15 +177,15 @@ class RunTrace:
     fine_effort: FloatArray
 
     def reordered(self, order: IntArray) -> RunTrace:
-        """The same samples with the joints in another ``order (n,)``."""
+        """Return the samples with the joints in another ``order (n,)``."""
         arrays = {name: getattr(self, name)[:, order] for name in _PER_JOINT}
         return replace(self, commands=self.commands.select(np.s_[:, order]), **arrays)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WalkTrace:
-    """N instants: ``time (N,)``; ``position, velocity, effort (N, joints)``; ``angular_velocity``, ``specific_force``
-    ``(N, 3)`` in the IMU's axes; ``contact (N, feet)`` forces normal to the ground [N], which are not recorded."""
+    """N samples of a walk: ``time (N,)``; ``position, velocity, effort (N, joints)``; ``angular_velocity`` and
+    ``specific_force (N, 3)`` in the IMU's axes; ``contact (N, feet)``, normal forces [N], which are not recorded."""
 
     time: FloatArray
     position: FloatArray

@@ -1,4 +1,4 @@
-"""What to simulate, with the units of every field, and which effects to hide, as a user writes them."""
+"""Options of a simulation with the units of every field, and requests for hidden effects as a user writes them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.options import Options, option
 
-_DRAWN = (  # of a realistic robot
+_DRAWN = (  # by the seed of a realistic robot
     "inertia_error",
     "viscous_friction",
     "coulomb_friction",
@@ -26,8 +26,8 @@ _DRAWN = (  # of a realistic robot
     "effort_step",
 )
 LONGEST_STEP = 1e-3
-"""[s] of the integration: dry friction stops a joint within a few milliseconds."""
-_STIFF_STEP = 2e-4  # a light rotor behind a gear that gives
+"""[s] Longest integration step: dry friction stops a joint within a few milliseconds."""
+_STIFF_STEP = 2e-4  # [s] for a light rotor at an elastic gear
 _STIFF = {"joint_elasticity", "backlash"}
 MOTIONS = ("sines", "aperiodic", "points", "chirp")
 """Kinds of motion."""
@@ -55,30 +55,30 @@ class SimulationOptions(Options):
 
     Robot:
         robot: a shipped robot's name, or the path of a ``.urdf`` file (the nominal model; it goes into the bag).
-        Options that describe what a ``realistic`` robot draws from its seed are refused, see ``realistic.py``.
-        wrench_frame: link whose connection to its parent carries a wrench sensor (``wrist_ft`` on the shipped robots);
+        Options for quantities that a ``realistic`` robot draws from its seed are refused, see ``realistic.py``.
+        wrench_frame: link with a wrench sensor at its connection to its parent (``wrist_ft`` on the shipped robots);
             None records no ``/wrench``.
-        inertia_error: about the relative standard deviation of a link's mass. The bodies stay physically possible
+        inertia_error: approximate relative standard deviation of a link's mass. The bodies stay physically consistent
             whatever the size.
 
-    True effects: as ``hide`` asks, and no others; where it is None, at every joint some friction, rotor inertia and
-    offset, each drawn between half and one and a half times the one described here.
-        viscous_friction: effort at the joint's velocity limit, as a share of its effort limit.
-        coulomb_friction: effort, as a share of the effort limit.
-        rotor_inertia: time that the bare rotor needs to its velocity limit at its effort limit [s].
-        effort_offset: constant error of the measured effort, of either sign, as a share of the effort limit.
+    True effects: those that ``hide`` requests, and no others. If it is None, every joint has friction, rotor inertia
+    and offset, each drawn between 0.5 and 1.5 times the value described here.
+        viscous_friction: effort at the joint's velocity limit, as a fraction of its effort limit.
+        coulomb_friction: effort, as a fraction of the effort limit.
+        rotor_inertia: time in which the bare rotor reaches its velocity limit at its effort limit [s].
+        effort_offset: constant error of the measured effort, of either sign, as a fraction of the effort limit.
 
     Noise (standard deviations; Gaussian):
-        position_noise [rad], velocity_noise [rad/s], effort_noise (share of the joint's effort limit),
+        position_noise [rad], velocity_noise [rad/s], effort_noise (fraction of the joint's effort limit),
         force_noise [N], torque_noise [N m]. Coloured noise is a first-order autoregression; with a noise_time of 0 it
         is white.
 
     Motion (faded in from rest):
         motion: ``sines`` (a sum of harmonics per joint, periodic), ``aperiodic`` (of frequencies without a common
         period), ``points`` (from point to point by trapezoids of speed) or ``chirp`` (one sine of rising frequency).
-        motion_period: twice the time from point to point, too. motion_harmonics: number
+        motion_period: also twice the time from point to point. motion_harmonics: number
         of sines, the fastest at ``motion_harmonics / motion_period`` Hz. motion_range, motion_speed: largest excursion
-        and speed as shares of half the joint's range and of its velocity limit; the tighter one decides.
+        and speed as fractions of half the joint's range and of its velocity limit; the tighter limit applies.
 
     longest_step: upper bound of the integration step, at most 0.001 [s]; the step divides ``1 / rate``.
     """
@@ -129,12 +129,12 @@ class SimulationOptions(Options):
 
     @property
     def samples(self) -> int:
-        """Number of instants recorded."""
+        """Number of recorded samples."""
         return round(self.duration * self.rate)
 
     @property
     def substeps(self) -> int:
-        """Number of integration steps from one recorded instant to the next."""
+        """Number of integration steps from one recorded sample to the next."""
         stiff = any(request.effect in _STIFF for request in self.hide or ())
         longest = min(self.longest_step, _STIFF_STEP) if stiff else self.longest_step
         return math.ceil(1.0 / (self.rate * longest) - 1e-9)
@@ -152,9 +152,9 @@ class SimulationOptions(Options):
 
 @dataclass(frozen=True)
 class Hidden:
-    """A request: ``effect`` by name, at ``place``, with ``parameters``; the seed decides what is left out.
+    """Request to hide an ``effect`` at a ``place`` with ``parameters``; the seed decides whatever is left out.
 
-    ``place`` is a joint; for a payload also the link that carries it. ``value`` is that of the first parameter.
+    ``place`` is a joint, or the link that supports a payload. ``value`` is the value of the first parameter.
     """
 
     effect: str
@@ -164,15 +164,15 @@ class Hidden:
 
 
 NOTHING = "nothing"
-"""What hides no effect at all."""
+"""Name of the request that hides no effect."""
 LINK_MASS = "link_mass"
-"""The hidden change that only realistic robots know: ``factor`` times the mass and inertia of the ``link``."""
+"""Hidden change that only realistic robots support: ``factor`` times the mass and inertia of the ``link``."""
 
 
 def parse_hidden(text: str) -> Hidden:
-    """``EFFECT[:PLACE][=VALUE]``, where VALUE is a number or ``name=number,name=number,...``."""
-    where, _, value = text.partition("=")
-    effect, _, place = where.partition(":")
+    """Parse ``EFFECT[:PLACE][=VALUE]``, where VALUE is a number or ``name=number,name=number,...``."""
+    target, _, value = text.partition("=")
+    effect, _, place = target.partition(":")
     if not value:
         return Hidden(effect, place)
     if "=" not in value:
@@ -194,10 +194,10 @@ def _number(word: str, text: str) -> float:
 
 
 RandomStream = IntEnum("RandomStream", "INERTIA EFFECTS ORDER MOTION NOISE HIDDEN REALISTIC", start=0)
-"""What a stream of random numbers decides; they are independent, so that changing one choice leaves the others as they
-were."""
+"""Purpose of each stream of random numbers. The streams are independent, so that changing one choice leaves the others
+unchanged."""
 
 
 def generator(seed: int, stream: RandomStream, *part: int) -> np.random.Generator:
-    """The numbers of one stream of a seed, or of a ``part`` of it, from their beginning."""
+    """Random generator of one stream of a seed, or of a ``part`` of it, at its beginning."""
     return np.random.default_rng([seed, stream, *part])

@@ -1,4 +1,4 @@
-"""The simulated robot, compiled by MuJoCo: rigid bodies, joints and sensors."""
+"""Simulated robot, compiled by MuJoCo: rigid bodies, joints and sensors."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ from geomid_ros.types import FloatArray, IntArray
 
 
 def load_mujoco() -> Any:
-    """The module, imported when it is first needed."""
+    """Import MuJoCo on first use. Raises InputError if it does not import."""
     try:
         return importlib.import_module("mujoco")
     except ImportError as error:
         raise InputError(f"simulating needs MuJoCo, which does not import ({error}): pip install mujoco") from error
 
 
-_WINDINGS = 10  # each leaves a few per cent of the last one's error in how far gears are wound up at rest
+_WINDINGS = 10  # iterations; each leaves a few per cent of the previous error of the gears' deflection at rest
 
 
 class Simulator(ABC):
-    """A robot with a fixed base, hinges and slides, driven by the joints' efforts. Nothing collides.
+    """Simulated robot with a fixed base, hinges and slides, driven by joint efforts, without collisions.
 
-    ``joints`` are its n motors. States ``(m,)`` have the motors at ``driven (n,)``, and among them the hinges that
-    gears with play or elasticity add; ``names`` are those of all m, for which see :func:`play_name`.
+    ``joints`` are its n motors. States ``(m,)`` have the motors at the indices ``driven (n,)``, and also the hinges
+    that gears with play or elasticity add. ``names`` are those of all m, see :func:`play_name`.
     """
 
     def __init__(self, names: Sequence[str], motors: Iterable[str], effects: Iterable[TrueEffect]) -> None:
-        motors, index = set(motors), {name: place for place, name in enumerate(names)}
+        motors, index = set(motors), {name: i for i, name in enumerate(names)}
         self.joints = tuple(name for name in names if name in motors)
         self.driven: IntArray = np.array([index[name] for name in self.joints])
         places = [
@@ -58,7 +58,7 @@ class Simulator(ABC):
         self._places = places
 
     def at_rest(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """A state, positions and velocities ``(m,)``, with the motors held at ``position (n,)``."""
+        """State at rest, positions and velocities ``(m,)``, with the motors fixed at ``position (n,)``."""
         size = len(self.driven) + len({at.play for _, at in self._gears})
         state, rest = np.zeros(size), np.zeros(size)
         state[self.driven] = position
@@ -78,7 +78,7 @@ class Simulator(ABC):
         return levels
 
     def _needed(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
-        """What the motors supply ``(m,)`` against forces that depend on the state."""
+        """Efforts ``(m,)`` that the motors need against forces that depend on the state."""
         needed = np.zeros(len(position))
         positions, velocities = position.tolist(), velocity.tolist()
         for effect, at in self._forces:
@@ -87,35 +87,35 @@ class Simulator(ABC):
 
     @abstractmethod
     def moves(self, link: str) -> bool:
-        """Whether any joint moves the link."""
+        """True if any joint moves the link."""
 
     @abstractmethod
     def acceleration(self, position: FloatArray, velocity: FloatArray, effort: FloatArray) -> FloatArray:
-        """Accelerations ``(m,)`` of a state under commanded ``effort (n,)``, cut to the joints' effort limits."""
+        """Accelerations ``(m,)`` of a state under commanded ``effort (n,)``, clipped to the joints' limits."""
 
     @abstractmethod
     def effort(self) -> FloatArray:
-        """The motors' efforts ``(n,)`` at the state last given to :meth:`acceleration`."""
+        """Efforts of the motors ``(n,)`` at the state last given to :meth:`acceleration`."""
 
     @abstractmethod
     def wrench(self) -> FloatArray:
-        """Force [N] and torque [N m], ``(6,)``, at the state last given to :meth:`acceleration`; ``(0,)`` unsensed.
+        """Force [N] and torque [N m] ``(6,)`` at the state last given to :meth:`acceleration`; ``(0,)`` without sensor.
 
         It is what the side of the base applies to the far side, about the sensor frame's origin in its axes: at rest
-        the force points up and equals the weight that the sensor carries.
+        the force points up and equals the weight that the sensor supports.
         """
 
     @abstractmethod
     def inverse_dynamics(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-        """Efforts ``(m,)`` that the motion of a state takes, dry friction apart."""
+        """Efforts ``(m,)`` for the motion of a state, without dry friction."""
 
     @abstractmethod
     def inertia_matrix(self, position: FloatArray) -> FloatArray:
-        """The joint-space inertia matrix ``(m, m)`` of a state, rotors included [kg m^2 or kg]."""
+        """Joint-space inertia matrix ``(m, m)`` of a state, including rotors [kg m^2 or kg]."""
 
 
 class Plant(Simulator):
-    """A robot in MuJoCo, whose order of joints it has.
+    """Robot in MuJoCo, with MuJoCo's order of joints.
 
     Constant properties of a joint are MuJoCo's ``damping``, ``armature``, ``stiffness`` and ``actuatorfrcrange``; dry
     friction is its ``frictionloss``, set at every state; other efforts are applied.
@@ -132,7 +132,7 @@ class Plant(Simulator):
         self._mujoco = load_mujoco()
         self._model = compiled(self._mujoco, description, bodies, effects, wrench_frame)
         self._data = data = self._mujoco.MjData(self._model)
-        # Looked up once: a run asks for a hundred thousand accelerations.
+        # Looked up once, because a run computes a hundred thousand accelerations.
         self._state, self._accelerations = (data.qpos, data.qvel, data.ctrl), data.qacc
         self._forward_skip, self._from_the_start = self._mujoco.mj_forwardSkip, int(self._mujoco.mjtStage.mjSTAGE_NONE)
         names = [self._model.joint(index).name for index in range(self._model.njnt)]
@@ -148,7 +148,7 @@ class Plant(Simulator):
     def acceleration(
         self, position: FloatArray, velocity: FloatArray, effort: FloatArray, added: FloatArray | float = 0.0
     ) -> FloatArray:
-        """With efforts ``added (m,)`` at the hinges, which the motors do not know of."""
+        """Accelerations with efforts ``added (m,)`` at the hinges, which the motors do not sense."""
         self._model.dof_frictionloss[:] = self._friction_levels(position, velocity, effort)
         self._data.qfrc_applied[:] = added - self._needed(position, velocity)
         positions, velocities, efforts = self._state
@@ -200,18 +200,18 @@ def compiled(
     effects: Iterable[TrueEffect],
     wrench_frame: str | None,
 ) -> Any:
-    """An MjModel with the kinematics of ``description``, the inertias of ``bodies`` and what ``effects`` add to them.
+    """Compile an MjModel with the kinematics of ``description``, the inertias of ``bodies`` and parts for ``effects``.
 
-    It has an actuator at each of the description's joints, in their order, and with ``wrench_frame`` a sensor there.
+    It has an actuator at each of the description's joints, in their order, and a sensor at ``wrench_frame``, if any.
     """
-    carriers = [link for link in description.links if link != description.root]
-    if wrench_frame is not None and wrench_frame not in carriers:
-        raise unknown_name("wrench frame", wrench_frame, carriers)
+    links = [name for name in description.links if name != description.root]
+    if wrench_frame is not None and wrench_frame not in links:
+        raise unknown_name("wrench frame", wrench_frame, links)
     with buildable():
         spec = rigid_bodies(mujoco, description, bodies)
         spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
         spec.option.tolerance = 1e-14
-        spec.option.timestep = _FRICTION_TIME / 2.0  # the longest with which MuJoCo allows that; the loop has its own
+        spec.option.timestep = _FRICTION_TIME / 2.0  # the longest that MuJoCo allows for it; the loop has another step
         for joint in spec.joints:
             spec.add_actuator(trntype=mujoco.mjtTrn.mjTRN_JOINT, target=joint.name)
         if wrench_frame is not None:
@@ -226,7 +226,7 @@ def compiled(
 
 @contextmanager
 def buildable() -> Iterator[None]:
-    """Raise InputError for what MuJoCo refuses to build."""
+    """Raise InputError if MuJoCo refuses to build a robot."""
     try:
         yield
     except ValueError as error:
@@ -234,7 +234,7 @@ def buildable() -> Iterator[None]:
 
 
 def rigid_bodies(mujoco: Any, description: Description, bodies: Iterable[LinkInertia]) -> Any:
-    """An MjSpec with the kinematics of ``description`` and the inertias of ``bodies``, to be completed and compiled."""
+    """MjSpec with the kinematics of ``description`` and the inertias of ``bodies``, to be completed and compiled."""
     spec = mujoco.MjSpec.from_string(description.kinematics)
     spec.compiler.fusestatic = False
     spec.compiler.balanceinertia = False

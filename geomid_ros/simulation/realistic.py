@@ -1,8 +1,8 @@
-"""The realistic robot of a seed, its control and its integration.
+"""Realistic robot of a seed, its control and its integration.
 
-It is a robot as robots are: friction that slips before it slides, motors with cogging and ripple, encoders with steps,
-clocks that jitter and messages that are lost. All of it is drawn from the seed; what is hidden comes on top. The rigid
-bodies are MuJoCo's, the rest is computed here, and nothing is shared with the effects that the estimator knows.
+It has friction with presliding, motors with cogging and ripple, encoders with finite resolution, clock jitter and lost
+messages. All of it is drawn from the seed; hidden effects are added. MuJoCo computes the rigid bodies, and this file
+the rest. Nothing is shared with the effects of the estimator.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ from geomid_ros.simulation.robot import ControlLoop, JointController, TrueRobot,
 from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import BoolArray, FloatArray
 
-_WAVES = ((8, 40), (60, 200))  # per turn: of the magnets, of the gear
+_WAVES = ((8, 40), (60, 200))  # cycles per turn: of the magnets, of the gear
 
 
 @dataclass(frozen=True, eq=False)
 class LuGre:
-    """Friction of n joints (Canudas de Wit et al. 1995); their bristles are bent by ``z (n,)`` [rad].
+    """LuGre friction of n joints (Canudas de Wit et al. 1995), whose bristles are deflected by ``z (n,)`` [rad].
 
     ``dz/dt = v - |v| stiffness z / g(v)`` and ``F = stiffness z + damping exp(-(v/speed)^2) dz/dt + viscous v``, with
     the dry friction ``g(v) = level + excess exp(-(v/speed)^2)`` of steady sliding. The bristles' damping fades with
-    speed, else friction would drive the joint where it slides fast (Olsson 1996).
+    speed; otherwise friction would drive a joint that slides fast (Olsson 1996).
 
     Attributes:
-        level, excess: Dry friction while sliding fast ``(n,)``, and how much more it is near standstill [N m].
-        speed: Where the excess has fallen to 37 % ``(n,)`` [rad/s].
+        level, excess: Dry friction while sliding fast ``(n,)``, and its increase near standstill [N m].
+        speed: Speed at which the excess has fallen to 37 % ``(n,)`` [rad/s].
         stiffness, damping: Of the bristles ``(n,)`` [N m/rad, N m s/rad].
-        viscous: ``(n,)`` [N m s/rad], of a joint that is warm.
+        viscous: Viscous friction of a warm joint ``(n,)`` [N m s/rad].
     """
 
     level: FloatArray
@@ -52,17 +52,17 @@ class LuGre:
     viscous: FloatArray
 
     def sliding(self, velocity: FloatArray) -> FloatArray:
-        """Dry friction ``g(v) (n,)`` of steady sliding."""
+        """Dry friction ``g(v) (n,)`` of steady sliding [N m]."""
         return self.level + self.excess * self._slow(velocity)
 
     def bent(self, z: FloatArray, velocity: FloatArray, dry: FloatArray, step: float) -> FloatArray:
-        """The bristles ``(n,)`` after ``step`` [s] at a constant velocity, under the ``dry`` friction g: exact."""
+        """Bristle deflection ``(n,)`` after ``step`` [s] at constant velocity, under ``dry`` friction g (exact)."""
         end = np.sign(velocity) * dry / self.stiffness
         bent: FloatArray = end + (z - end) * np.exp(-step * np.abs(velocity) * self.stiffness / dry)
         return bent
 
     def force(self, z: FloatArray, velocity: FloatArray, dry: FloatArray, cold: FloatArray | float = 1.0) -> FloatArray:
-        """Friction ``(n,)`` [N m], opposite to the motion, where viscous friction is ``cold`` times its warm value."""
+        """Friction ``(n,)`` [N m], opposite to the motion; viscous friction is ``cold`` times its warm value."""
         rate = velocity - np.abs(velocity) * self.stiffness * z / dry
         force: FloatArray = (
             self.stiffness * z + self.damping * self._slow(velocity) * rate + cold * self.viscous * velocity
@@ -75,11 +75,11 @@ class LuGre:
 
     @staticmethod
     def drawn(joints: Sequence[UrdfLimits], rotors: dict[str, float], rng: np.random.Generator) -> LuGre:
-        """Of joints with these inertias of their rotors."""
-        limit, top, rotor = np.array([(joint.effort, joint.velocity, rotors[joint.name]) for joint in joints]).T
+        """Draw the friction of joints with these rotor inertias, by joint."""
+        limit, velocity, rotor = np.array([(joint.effort, joint.velocity, rotors[joint.name]) for joint in joints]).T
         n = len(joints)
         level = 0.025 * rng.uniform(0.5, 1.5, n) * limit
-        speed = rng.uniform(0.01, 0.05, n) * top
+        speed = rng.uniform(0.01, 0.05, n) * velocity
         stiffness = level / rng.uniform(3e-4, 1e-3, n)
         return LuGre(
             level=level,
@@ -87,18 +87,18 @@ class LuGre:
             speed=speed,
             stiffness=stiffness,
             damping=np.sqrt(stiffness * rotor),
-            viscous=0.03 * rng.uniform(0.5, 1.5, n) * limit / top,
+            viscous=0.03 * rng.uniform(0.5, 1.5, n) * limit / velocity,
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Motors:
-    """n motors, each with its gear.
+    """n motors with their gears.
 
     Attributes:
-        cogging: Efforts of the magnets and of the gear's teeth without current, ``(waves, n)`` [N m].
-        ripple: Share of the commanded effort by which it varies over a turn ``(n,)``.
-        cycles, phase: Waves of cogging per turn of the joint, and their phases ``(waves, n)`` [rad]; the ripple has
+        cogging: Amplitudes of effort without current, by magnets and gear teeth ``(waves, n)`` [N m].
+        ripple: Amplitude of the torque ripple as a fraction of the commanded effort ``(n,)``.
+        cycles, phase: Cycles of cogging per turn of the joint, and their phases ``(waves, n)`` [rad]; the ripple has
             twice the first.
         limit: Largest effort ``(n,)`` [N m].
     """
@@ -110,11 +110,11 @@ class Motors:
     limit: FloatArray
 
     def supplied(self, commanded: FloatArray) -> FloatArray:
-        """The commanded efforts ``(n,)`` within the limits: what the currents say."""
+        """Commanded efforts ``(n,)``, clipped to the limits: the efforts that the currents show."""
         return np.clip(commanded, -self.limit, self.limit)
 
     def unseen(self, effort: FloatArray, position: FloatArray) -> FloatArray:
-        """What reaches the joints ``(n,)`` beyond the efforts that the currents say."""
+        """Cogging and ripple: efforts at the joints ``(n,)`` that the currents do not show."""
         angles = self.cycles * position + self.phase
         cogging = (self.cogging * np.sin(angles)).sum(axis=0)
         unseen: FloatArray = cogging + self.ripple * effort * np.sin(2.0 * angles[0])
@@ -122,7 +122,7 @@ class Motors:
 
     @staticmethod
     def drawn(joints: Sequence[UrdfLimits], rng: np.random.Generator) -> Motors:
-        """Those of joints."""
+        """Draw the motors of joints."""
         limit = np.array([joint.effort for joint in joints])
         n = len(joints)
         return Motors(
@@ -136,18 +136,18 @@ class Motors:
 
 @dataclass(frozen=True, eq=False)
 class WarmUp:
-    """Viscous friction is ``1 + excess exp(-t / time)`` times its warm value: ``excess (n,)``, ``time`` [s]."""
+    """Viscous friction is ``1 + excess exp(-t / time)`` times its warm value; ``excess (n,)``, ``time`` [s]."""
 
     excess: FloatArray
     time: float
 
     def cold(self, instant: float) -> FloatArray:
-        """The factor ``(n,)`` at an instant [s]."""
+        """Factor of viscous friction ``(n,)`` at an instant [s]."""
         return 1.0 + self.excess * math.exp(-instant / self.time)
 
     @staticmethod
     def drawn(joints: int, options: SimulationOptions) -> WarmUp:
-        """The robot's by its seed; how cold it is when the recording starts by that of the recording."""
+        """Draw the warm-up by the robot's seed, and the fraction of it that remains at the start by the recording's."""
         rng = generator(options.seed, RandomStream.REALISTIC, 4)
         excess, time = rng.uniform(0.05, 0.2, joints), rng.uniform(30.0, 120.0)
         return WarmUp(excess * generator(options.recording_seed, RandomStream.REALISTIC, 6).uniform(0.3, 1.0), time)
@@ -155,15 +155,15 @@ class WarmUp:
 
 @dataclass(frozen=True, eq=False)
 class Sensors:
-    """Sensors of n joints and the way of their messages.
+    """Sensors of n joints and the transport of their messages.
 
     Attributes:
-        encoder: Steps of the positions ``(n,)`` [rad].
-        window: Time over which the drive differentiates them [s].
+        encoder: Resolution of the positions ``(n,)`` [rad].
+        window: Time over which the drive differentiates positions [s].
         effort_noise, effort_step: Standard deviation and resolution of efforts ``(n,)`` [N m].
         wrench_noise: Standard deviations of force and torque ``(6,)`` [N, N m].
         jitter: Standard deviation of the stamps [s].
-        lost: Share of messages that are lost. burst: How many are lost one after the other, on average.
+        lost: Fraction of lost messages. burst: Mean number of consecutive lost messages.
     """
 
     encoder: FloatArray
@@ -177,7 +177,7 @@ class Sensors:
 
     @staticmethod
     def drawn(joints: Sequence[UrdfLimits], options: SimulationOptions, rng: np.random.Generator) -> Sensors:
-        """Those of joints."""
+        """Draw the sensors of joints."""
         limit = np.array([joint.effort for joint in joints])
         n = len(joints)
         return Sensors(
@@ -193,26 +193,26 @@ class Sensors:
 
 
 def published(trace: RunTrace, sensors: Sensors, rng: np.random.Generator) -> RunTrace:
-    """What arrives of a ``trace`` of true positions, velocities and accelerations, and efforts before noise."""
-    early = trace.position - sensors.window * (trace.velocity - 0.5 * sensors.window * trace.acceleration)
-    position, before = (rounded(each, sensors.encoder) for each in (trace.position, early))
+    """Messages that arrive, from a ``trace`` of true positions, velocities, accelerations, and efforts before noise."""
+    earlier = trace.position - sensors.window * (trace.velocity - 0.5 * sensors.window * trace.acceleration)
+    position, previous = (rounded(values, sensors.encoder) for values in (trace.position, earlier))
     effort = trace.effort + sensors.effort_noise * rng.standard_normal(trace.effort.shape)
     wrench = trace.wrench + sensors.wrench_noise[: trace.wrench.shape[1]] * rng.standard_normal(trace.wrench.shape)
-    late = _jitter(trace.time, sensors.jitter, rng)
-    seen = replace(
+    jitter = _jitter(trace.time, sensors.jitter, rng)
+    measured = replace(
         trace,
-        time=trace.time + late,
-        wrench_time=trace.wrench_time + late,
+        time=trace.time + jitter,
+        wrench_time=trace.wrench_time + jitter,
         position=position,
-        velocity=(position - before) / sensors.window,
+        velocity=(position - previous) / sensors.window,
         effort=rounded(effort, sensors.effort_step),
         wrench=wrench,
     )
-    return _arrived(seen, kept(len(trace.time), sensors.lost, sensors.burst, rng))
+    return _arrived(measured, kept(len(trace.time), sensors.lost, sensors.burst, rng))
 
 
 def kept(messages: int, lost: float, burst: float, rng: np.random.Generator) -> BoolArray:
-    """Which messages arrive ``(T,)``: a two-state chain (Gilbert 1960); the first and the last always do."""
+    """Mask of the messages that arrive ``(T,)``: a two-state chain (Gilbert 1960); the first and last always do."""
     ends, begins = 1.0 / burst, lost / (burst * (1.0 - lost))
     draws, arrives, up = rng.uniform(size=messages), np.ones(messages, dtype=np.bool_), True
     for index, draw in enumerate(draws.tolist()):
@@ -223,9 +223,9 @@ def kept(messages: int, lost: float, burst: float, rng: np.random.Generator) -> 
 
 
 def _jitter(time: FloatArray, size: float, rng: np.random.Generator) -> FloatArray:
-    """Errors of stamps ``(T,)`` [s], cut where two stamps could change places and where the first is before zero."""
-    most = 0.45 * float(np.min(np.diff(time)))
-    errors: FloatArray = np.clip(size * rng.standard_normal(len(time)), -most, most)
+    """Errors of stamps ``(T,)`` [s], limited so that stamps stay in order and the first is not before zero."""
+    limit = 0.45 * float(np.min(np.diff(time)))
+    errors: FloatArray = np.clip(size * rng.standard_normal(len(time)), -limit, limit)
     errors[0] = abs(errors[0])
     return errors
 
@@ -241,12 +241,12 @@ _CAD_ERROR = (0.1, 0.3)
 
 @dataclass(frozen=True, eq=False)
 class RealisticRobot(TrueRobot):
-    """A robot whose ``plant`` has no dry or viscous friction of its own.
+    """Realistic robot: all friction but hidden viscous friction is computed outside of its ``plant``.
 
     Attributes:
-        standing, hidden: The effects that the robot has anyhow, and those on top; ``effects`` are all of them, with the
-            delays added up.
-        friction, motors, warm_up, sensors: What makes it realistic.
+        standing, hidden: The effects that the robot always has, and the hidden ones; ``effects`` are all of them, with
+            the delays added up.
+        friction, motors, warm_up, sensors: The realistic parts.
     """
 
     plant: Plant
@@ -258,26 +258,26 @@ class RealisticRobot(TrueRobot):
     sensors: Sensors
 
     def dry(self, velocity: FloatArray, position: FloatArray, effort: FloatArray) -> FloatArray:
-        """Dry friction ``(n,)`` of steady sliding, what is hidden included [N m]."""
+        """Dry friction ``(n,)`` of steady sliding, including hidden friction [N m]."""
         level = self.friction.sliding(velocity)
         for effect in self.effects:
             if effect.name in FRICTION:
-                at = self.plant.joints.index(effect.joint)
-                state = float(position[at]), float(velocity[at]), float(effort[at])
-                level[at] += FRICTION[effect.name](effect.parameters, *state)
+                index = self.plant.joints.index(effect.joint)
+                state = float(position[index]), float(velocity[index]), float(effort[index])
+                level[index] += FRICTION[effect.name](effect.parameters, *state)
         return level
 
     def controlled(self, controller: JointController, step: float) -> ControlLoop:
-        """The robot under control, in steps of ``step`` [s]."""
+        """Put the robot under control, in steps of ``step`` [s]."""
         return RealisticLoop(self.plant, controller, step, self)
 
     def published(self, trace: RunTrace, options: SimulationOptions) -> RunTrace:
-        """What arrives of a true motion."""
+        """Measurements of a true motion, as they arrive."""
         numbers = generator(options.recording_seed, RandomStream.NOISE)
         return published(sensed(trace, self.plant.joints, self.effects), self.sensors, numbers)
 
     def noise(self, options: SimulationOptions) -> dict[str, FloatArray]:  # noqa: ARG002 its sensors have their own
-        """Standard deviations of each channel, those of rounding where an encoder makes it."""
+        """Noise standard deviations of the channels; of position and velocity, the encoder's rounding."""
         rounding = self.sensors.encoder / np.sqrt(12.0)
         return {
             "position": rounding,
@@ -287,8 +287,8 @@ class RealisticRobot(TrueRobot):
         }
 
     def document(self) -> dict[str, Any]:
-        """What is hidden (``effects``) and ``standing``, and the numbers of what makes it realistic, in the order of
-        the plant's joints and in the units that the classes of these names describe."""
+        """Entries of the truth file: hidden (``effects``) and ``standing`` effects, and the values of the realistic
+        parts, in the order of the plant's joints and the units of their classes."""
         parts = {name: vars(getattr(self, name)) for name in ("friction", "motors", "warm_up", "sensors")}
         return {
             "effects": [effect.document for effect in self.hidden],
@@ -298,27 +298,27 @@ class RealisticRobot(TrueRobot):
 
 
 def build_realistic(options: SimulationOptions) -> RealisticRobot:
-    """The robot of ``options.seed`` with what ``options.hide`` asks for on top."""
+    """Build the robot of ``options.seed``, with the hidden effects of ``options.hide`` added."""
     nominal = read_description(robot_description(options.robot))
     numbers = generator(options.seed, RandomStream.REALISTIC, 0)
     bodies = [perturbed(body, numbers.uniform(*_CAD_ERROR), numbers) for body in nominal.inertias]
     requests = options.hide or ()
     masses = tuple(_changed_mass(request, nominal) for request in requests if request.effect == LINK_MASS)
-    others = tuple(request for request in requests if request.effect != LINK_MASS)
-    hidden = chosen_effects(replace(options, hide=others), nominal)
+    requested = tuple(request for request in requests if request.effect != LINK_MASS)
+    hidden = chosen_effects(replace(options, hide=requested), nominal)
     for effect in hidden:
         if effect.name in GEARS:
             raise InputError(f"{effect.name} cannot be hidden in a realistic robot; leave out --realistic.")
     standing = tuple(_standing(nominal.joints, generator(options.seed, RandomStream.REALISTIC, 1)))
     in_plant = [effect for effect in (*standing, *hidden) if effect.name not in FRICTION]
-    loaded = tuple(_scaled(body, masses) for body in bodies)
-    plant = Plant(nominal, loaded, in_plant, options.wrench_frame)
+    true_bodies = tuple(_scaled(body, masses) for body in bodies)
+    plant = Plant(nominal, true_bodies, in_plant, options.wrench_frame)
     limits = {joint.name: joint for joint in nominal.joints}
     joints = tuple(limits[name] for name in plant.joints)
     rotors = {effect.joint: effect.parameters["inertia"] for effect in standing if effect.name == "rotor_inertia"}
     return RealisticRobot(
         nominal=nominal,
-        bodies=loaded,
+        bodies=true_bodies,
         effects=_all(standing, hidden),
         plant=plant,
         joints=joints,
@@ -332,10 +332,10 @@ def build_realistic(options: SimulationOptions) -> RealisticRobot:
 
 
 def _all(*effects: Iterable[TrueEffect]) -> tuple[TrueEffect, ...]:
-    """With one delay, the sum of all."""
-    every = list(chain(*effects))
-    delay = sum(effect.parameters.get("delay", 0.0) for effect in every)
-    return (*(e for e in every if e.name != "effort_delay"), TrueEffect("effort_delay", "", {"delay": delay}))
+    """Merge effects into one tuple, with a single delay: the sum of all."""
+    merged = list(chain(*effects))
+    delay = sum(effect.parameters.get("delay", 0.0) for effect in merged)
+    return (*(e for e in merged if e.name != "effort_delay"), TrueEffect("effort_delay", "", {"delay": delay}))
 
 
 def _changed_mass(request: Hidden, robot: Description) -> TrueEffect:
@@ -368,14 +368,14 @@ def _standing(joints: Sequence[UrdfLimits], rng: np.random.Generator) -> Iterabl
 
 @dataclass(eq=False)
 class RealisticLoop(ControlLoop):
-    """A realistic robot under control, in steps with one evaluation each.
+    """Realistic robot under control, integrated with one evaluation per step.
 
-    Rigid bodies advance by the method of Beeman and Schofield, of second order. The bristles follow their own equation
-    exactly, at the step's mean speed and the dry friction of its beginning: in fast sliding they settle within much
-    less than a step, which no explicit method would bear.
+    Rigid bodies advance by the second-order method of Beeman and Schofield. The bristles' equation is solved exactly,
+    at the step's mean speed and the dry friction at its beginning: in fast sliding the bristles settle within much less
+    than a step, which would make any explicit method unstable.
 
-    A step needs, beside positions and velocities, how far the bristles are bent ``bend (n,)`` [rad], the ``dry``
-    friction of steady sliding ``(n,)`` at its beginning, and the acceleration one step ``before``.
+    Besides positions and velocities, a step needs the bristle deflection ``bend (n,)`` [rad], the ``dry`` friction of
+    steady sliding ``(n,)`` at its beginning, and the acceleration one step ``before``.
     """
 
     robot: Plant
@@ -397,9 +397,9 @@ class RealisticLoop(ControlLoop):
         self, _: int, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         step = self.step
-        before = acceleration if self.before is None else self.before
-        change = step * (1.5 * acceleration - 0.5 * before)
-        moved = step * velocity + step**2 / 6.0 * (4.0 * acceleration - before)
-        self.bend = self.truth.friction.bent(self.bend, moved / step, self.dry, step)
+        previous = acceleration if self.before is None else self.before
+        velocity_step = step * (1.5 * acceleration - 0.5 * previous)
+        position_step = step * velocity + step**2 / 6.0 * (4.0 * acceleration - previous)
+        self.bend = self.truth.friction.bent(self.bend, position_step / step, self.dry, step)
         self.before = acceleration
-        return position + moved, velocity + change
+        return position + position_step, velocity + velocity_step

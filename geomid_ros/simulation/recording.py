@@ -1,5 +1,5 @@
-"""From options to a bag, and what lies beside it: the planted truth, of which nothing is in the bag, and the
-controller's gains."""
+"""Recording of a simulated robot: from options to a bag, and to separate files with the planted truth, which is not in
+the bag, and with the controller's gains."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True)
 class SimulationResult:
-    """What was written: the bag's folder, the truth's file, with commands the controller's; ``samples`` per topic."""
+    """Written files: the bag's folder, the truth and, with commands, the controller's gains; ``samples`` per topic."""
 
     bag: Path
     truth: Path
@@ -56,11 +56,11 @@ def simulate(
     """Record a simulated robot; the same options give the same messages.
 
     Args:
-        out_bag: New folder for the bag. The truth goes to ``<out_bag>.truth.json`` beside it, and with
+        out_bag: New folder for the bag. The truth goes to ``<out_bag>.truth.json`` next to it, and with
             ``options.commands`` the controller's gains to ``<out_bag>.controller.yaml``.
-        options: What to simulate.
+        options: Robot, motion and sensors to simulate.
         progress: Called with the finished fraction, 0 to 1.
-        builder: Chooses the simulator.
+        builder: Builds the simulator.
 
     Raises:
         InputError: A file exists already, or the robot or the motion cannot be simulated.
@@ -84,25 +84,25 @@ def simulate(
 
 
 def beside(bag: Path, what: str) -> Path:
-    """Where something about a bag lies: ``arm7.truth.json`` beside ``arm7``."""
+    """Path of a file about a bag: ``arm7.truth.json`` next to ``arm7``."""
     return bag.with_name(f"{bag.name}.{what}")
 
 
 def refuse_existing(*paths: Path | None) -> None:
-    """Raise InputError for a file or folder that would be overwritten."""
+    """Raise InputError if a file or folder would be overwritten."""
     for path in filter(None, paths):
         if path.exists():
             raise InputError(f"{path} exists already. Choose another name or delete it first.")
 
 
 def closed_loop(robot: TrueRobot, options: SimulationOptions) -> ControlLoop:
-    """The robot with a controller that knows the nominal model only."""
+    """Put the robot under a controller that knows only the nominal model."""
     half_steps = np.arange(2 * sampling(robot, options).steps + 1, dtype=np.float64)
     numbers = generator(options.recording_seed, RandomStream.MOTION)
     motion = exciting_motion(0.5 * options.step * half_steps, robot.joints, options, numbers)
     nominal = Plant(robot.nominal, robot.nominal.inertias)
-    public = options.realistic or options.hide is not None  # gains that reveal nothing of the truth
-    tuned_on = nominal if public else robot.plant
+    truth_is_secret = options.realistic or options.hide is not None  # so the gains must not reveal it
+    tuned_on = nominal if truth_is_secret else robot.plant
     controller = tuned_controller(motion, nominal, robot.plant, robot.joints, tuned_on)
     return robot.controlled(controller.slowed(robot.plant, options.step), options.step)
 
@@ -110,24 +110,24 @@ def closed_loop(robot: TrueRobot, options: SimulationOptions) -> ControlLoop:
 def record(
     robot: TrueRobot, loop: ControlLoop, options: SimulationOptions, progress: Progress | None = None
 ) -> RunTrace:
-    """The true motion at the recorded instants, before sensors."""
+    """Simulate the true motion at the recorded samples, before sensors."""
     trace = run(loop, sampling(robot, options), progress)
     check_motion(trace, robot.joints)
     return trace
 
 
 def sampling(robot: TrueRobot, options: SimulationOptions) -> Sampling:
-    """Which steps of the integration are recorded; it runs on for as long as the sensors look ahead."""
+    """Integration steps to record. The run continues for as long as the sensors look ahead."""
     lag = round(options.wrench_lag / options.step)
-    early = -min((effect.parameters.get("delay", 0.0) for effect in robot.effects), default=0.0)
-    return Sampling(options.samples, options.substeps, lag, max(lag, math.ceil(early / options.step)))
+    lead = -min((effect.parameters.get("delay", 0.0) for effect in robot.effects), default=0.0)
+    return Sampling(options.samples, options.substeps, lag, max(lag, math.ceil(lead / options.step)))
 
 
 def contributions(trace: RunTrace, robot: TrueRobot, options: SimulationOptions) -> dict[str, FloatArray]:
-    """Root mean square of what the effects add to the measured efforts ``(n,)`` and wrench ``(6,)`` or ``(0,)``.
+    """RMS of the effects' contributions to the measured efforts ``(n,)`` and wrench ``(6,)`` or ``(0,)``.
 
-    It is the difference between what perfect sensors show and what the true bodies alone would need at the motors'
-    positions; other inertias could explain a part of it.
+    It is the difference between the readings of perfect sensors and the efforts that the true bodies alone would need
+    at the motors' positions. Other inertias could explain a part of it.
     """
     bare = Plant(robot.nominal, robot.bodies, (), options.wrench_frame)
     efforts, wrenches = [], []
@@ -135,10 +135,10 @@ def contributions(trace: RunTrace, robot: TrueRobot, options: SimulationOptions)
         efforts.append(bare.inverse_dynamics(*row))
         bare.acceleration(*row[:2], efforts[-1])
         wrenches.append(bare.wrench())
-    seen = sensed(trace, robot.plant.joints, robot.effects)
+    measured = sensed(trace, robot.plant.joints, robot.effects)
     columns = [np.interp(trace.wrench_time, trace.time, column) for column in np.array(wrenches).T]
-    wrench = seen.wrench - np.reshape(columns, (-1, len(trace.time))).T
-    return {"effort": _rms(seen.effort - np.array(efforts)), "wrench": _rms(wrench)}
+    wrench = measured.wrench - np.reshape(columns, (-1, len(trace.time))).T
+    return {"effort": _rms(measured.effort - np.array(efforts)), "wrench": _rms(wrench)}
 
 
 def _rms(values: FloatArray) -> FloatArray:
@@ -146,10 +146,10 @@ def _rms(values: FloatArray) -> FloatArray:
 
 
 def write_truth(path: Path, robot: TrueRobot, options: SimulationOptions, added: Mapping[str, FloatArray]) -> None:
-    """Write what is true of the robot in a recording: links, effects, the noise of each channel, and the options.
+    """Write the truth of the robot in a recording: links, effects, the noise of each channel, and the options.
 
-    A link fixed to another one stands by itself; one that no joint moves (``moves`` false) cannot show in the data.
-    ``added`` is what the effects contribute, see :func:`contributions`.
+    A link fixed to another has a separate entry; one that no joint moves (``moves`` false) cannot show in the data.
+    ``added`` are the effects' contributions, see :func:`contributions`.
     """
     truth = {
         "robot": options.robot,
@@ -167,7 +167,7 @@ def write_truth(path: Path, robot: TrueRobot, options: SimulationOptions, added:
 
 
 def link_entry(body: LinkInertia, moves: bool) -> dict[str, Any]:
-    """A link for files."""
+    """Entry of a link in a file."""
     return {
         "name": body.name,
         "mass": body.mass,
@@ -180,8 +180,8 @@ def link_entry(body: LinkInertia, moves: bool) -> dict[str, Any]:
 def write_gains(path: Path, joints: Sequence[str], controller: JointController) -> None:
     """Write ``p`` [N m/rad] and ``d`` [N m s/rad] of every joint, as a joint_trajectory_controller's parameters.
 
-    The commanded effort is the recorded feed-forward plus ``p`` times the error of position plus ``d`` times that of
-    velocity, of the motors; set-points between two messages are to be interpolated.
+    The commanded effort is the recorded feed-forward, plus ``p`` times the motors' position error, plus ``d`` times
+    their velocity error. Set-points between two messages are to be interpolated.
     """
     rows = zip(joints, controller.stiffness.tolist(), controller.damping.tolist(), strict=True)
     gains = {joint: {"p": stiffness, "i": 0.0, "d": damping} for joint, stiffness, damping in rows}

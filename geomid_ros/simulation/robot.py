@@ -1,4 +1,4 @@
-"""The robot as it truly is: its control, its true motion at the recorded instants, and what sensors make of that."""
+"""True robot: its control, its true motion at the recorded samples, and the sensors' measurements of that."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import FloatArray, IntArray
 
 _STIFFNESS = 10.0  # effort limits per rad (or m) of position error
-_STABLE = 0.8  # decay per step of a joint alone by the controller's damping; all together, Runge-Kutta bears 2.8
-_LOST = 0.3  # rad or m from the set-point
-_LOOK = 0.05  # s between the set-points at which that is looked at
+_STABLE = 0.8  # decay per step of one joint by the controller's damping; for all together Runge-Kutta allows 2.8
+_LOST = 0.3  # [rad or m] from the set-point
+_LOOK = 0.05  # [s] between the set-points at which stability is checked
 
 
 @dataclass(frozen=True, eq=False)
 class JointController:
-    """Feed-forward by a model's inverse dynamics and PD feedback; set-points ``(2 S + 1, n)`` lie half a step apart."""
+    """Feed-forward by a model's inverse dynamics and PD feedback; set-points ``(2 S + 1, n)`` are half a step apart."""
 
     setpoints: SetPoints
     feedforward: FloatArray
@@ -35,7 +35,7 @@ class JointController:
     damping: FloatArray
 
     def effort(self, half_step: int, position: FloatArray, velocity: FloatArray) -> FloatArray:
-        """Commanded efforts ``(n,)`` at the instant ``half_step / 2`` steps after the start."""
+        """Commanded efforts ``(n,)`` at ``half_step / 2`` steps after the start."""
         return np.asarray(
             self.feedforward[half_step]
             + self.stiffness * (self.setpoints.position[half_step] - position)
@@ -43,23 +43,23 @@ class JointController:
         )
 
     def slowed(self, robot: Simulator, step: float) -> JointController:
-        """With less damping, where the ``robot`` would answer faster than steps of ``step`` [s] can follow.
+        """Reduce the damping where the ``robot`` would respond faster than steps of ``step`` [s] can follow.
 
-        A joint that moves alone, the others free, feels the inertia ``1 / (M^-1)_jj``: that of a light rotor before a
-        gear that gives, or little where the axes of two joints are nearly one line.
+        A joint that moves alone, the others free, has the inertia ``1 / (M^-1)_jj``. It is small for a light rotor at
+        an elastic gear, or where the axes of two joints nearly coincide.
         """
         positions = self.setpoints.position[:: max(1, round(_LOOK / step))]
         inverses = (np.linalg.inv(robot.inertia_matrix(robot.at_rest(position)[0])) for position in positions)
-        lightest = 1.0 / np.max([np.diag(inverse)[robot.driven] for inverse in inverses], axis=0)
-        return replace(self, damping=np.minimum(self.damping, _STABLE * lightest / step))
+        least_inertia = 1.0 / np.max([np.diag(inverse)[robot.driven] for inverse in inverses], axis=0)
+        return replace(self, damping=np.minimum(self.damping, _STABLE * least_inertia / step))
 
 
 def tuned_controller(
     setpoints: SetPoints, nominal: Simulator, robot: Simulator, joints: Sequence[UrdfLimits], tuned_on: Simulator
 ) -> JointController:
-    """A controller that knows the ``nominal`` model, its gains ``tuned_on`` that or the ``robot``.
+    """Build a controller that knows the ``nominal`` model, with gains ``tuned_on`` that or on the ``robot``.
 
-    They make the loop critically damped where it starts, and a constant effort holds the robot still there.
+    The gains make the loop critically damped at the start; a constant effort holds the robot at rest there.
     """
     rows = zip(setpoints.position, setpoints.velocity, setpoints.acceleration, strict=True)
     feedforward = np.array([nominal.inverse_dynamics(*row) for row in rows])
@@ -76,8 +76,8 @@ def tuned_controller(
 class ControlLoop:
     """A robot under control, integrated in steps of ``step`` [s] by the classical Runge-Kutta method of order 4.
 
-    The controller acts at every stage: an effort held over each step would lead the motion by half a step, and a
-    set-point held over each sample would pass for damping and rotor inertia. It sees the motors of the robot's state.
+    The controller acts at every stage: an effort held over each step would lead the motion by half a step. A
+    set-point held over each sample would look like damping and rotor inertia. It receives the motors' states only.
     """
 
     robot: Simulator
@@ -98,11 +98,11 @@ class ControlLoop:
     def advance(
         self, index: int, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """State one step after the instant ``index`` steps after the start, at which it has this ``acceleration``."""
+        """State after the step ``index``, at whose beginning the robot has this ``acceleration``."""
         state = np.array([position, velocity])
         rates = [np.array([velocity, acceleration])]
-        for share, half_step in ((0.5, 2 * index + 1), (0.5, 2 * index + 1), (1.0, 2 * index + 2)):
-            reached, speed = state + share * self.step * rates[-1]
+        for fraction, half_step in ((0.5, 2 * index + 1), (0.5, 2 * index + 1), (1.0, 2 * index + 2)):
+            reached, speed = state + fraction * self.step * rates[-1]
             rates.append(np.array([speed, self.acceleration(half_step, reached, speed)]))
         first, second, third, fourth = rates
         reached, speed = state + self.step * ((first + 2.0 * (second + third) + fourth) / 6.0)
@@ -111,8 +111,8 @@ class ControlLoop:
 
 @dataclass(frozen=True)
 class Sampling:
-    """Which steps of the integration are recorded: the joints every ``substeps``-th, ``samples`` of them, the wrench
-    ``wrench_lag`` steps later each time; ``ahead`` steps are run on after the last sample of the joints."""
+    """Recorded integration steps: ``samples`` of the joints, one every ``substeps``, and the wrench ``wrench_lag``
+    steps after each. The run continues for ``ahead`` steps after the last sample of the joints."""
 
     samples: int
     substeps: int
@@ -133,15 +133,15 @@ class Sampling:
 def run(loop: ControlLoop, sampling: Sampling, progress: Callable[[float], None] | None = None) -> RunTrace:
     """Follow the controller's set-points from the first one and record as ``sampling`` specifies."""
     position, velocity = loop.robot.at_rest(loop.controller.setpoints.position[0])
-    noted = set(sampling.joints.tolist())
-    sensed = {step + sampling.wrench_lag for step in noted}
+    joint_steps = set(sampling.joints.tolist())
+    wrench_steps = {step + sampling.wrench_lag for step in joint_steps}
     rows, wrenches, efforts = [], [], []
     for index in range(sampling.steps + 1):
         acceleration = loop.acceleration(2 * index, position, velocity)
         efforts.append(loop.robot.effort())
-        if index in sensed:
+        if index in wrench_steps:
             wrenches.append(loop.robot.wrench())
-        if index in noted:
+        if index in joint_steps:
             rows.append((position, velocity, acceleration))
             if progress is not None:
                 progress(index / sampling.joints[-1])
@@ -157,26 +157,26 @@ def _trace(
     wrenches: list[FloatArray],
     efforts: list[FloatArray],
 ) -> RunTrace:
-    at, motors, step = sampling.joints, loop.robot.driven, np.float64(loop.step)
+    steps, motors, step = sampling.joints, loop.robot.driven, np.float64(loop.step)
     position, velocity, acceleration = (np.array(column)[:, motors] for column in zip(*rows, strict=True))
     return RunTrace(
-        time=step * at,
+        time=step * steps,
         position=position,
         velocity=velocity,
         acceleration=acceleration,
-        effort=np.array(efforts)[at],
-        wrench_time=step * (at + sampling.wrench_lag),
+        effort=np.array(efforts)[steps],
+        wrench_time=step * (steps + sampling.wrench_lag),
         wrench=np.array(wrenches),
-        commands=loop.controller.setpoints.select(2 * at),
-        feedforward=loop.controller.feedforward[2 * at],
+        commands=loop.controller.setpoints.select(2 * steps),
+        feedforward=loop.controller.feedforward[2 * steps],
         fine_time=step * np.arange(len(efforts)),
         fine_effort=np.array(efforts),
     )
 
 
 def check_motion(trace: RunTrace, joints: Sequence[UrdfLimits]) -> None:
-    """Refuse a run that diverged, lost its set-points or reached the ends of the joints' ranges, whose stops are not
-    measured."""
+    """Refuse a run that diverged, lost its set-points or reached the ends of the joints' ranges, because forces of the
+    stops are not measured."""
     lower, upper = np.array([(joint.lower, joint.upper) for joint in joints]).T
     inside = (trace.position > lower) & (trace.position < upper)
     followed = np.abs(trace.position - trace.commands.position) < _LOST
@@ -189,7 +189,7 @@ def check_motion(trace: RunTrace, joints: Sequence[UrdfLimits]) -> None:
 
 @dataclass(frozen=True, eq=False)
 class TrueRobot:
-    """The ``nominal`` model that its users know, the true ``bodies`` and ``effects``, and the ``plant`` made of them.
+    """The ``nominal`` model that users know, the true ``bodies`` and ``effects``, and the ``plant`` built from them.
 
     ``joints`` are in the plant's order, ``bodies`` in that of the URDF.
     """
@@ -201,47 +201,47 @@ class TrueRobot:
     joints: tuple[UrdfLimits, ...]
 
     def controlled(self, controller: JointController, step: float) -> ControlLoop:
-        """The robot under control, in steps of ``step`` [s]."""
+        """Put the robot under control, in steps of ``step`` [s]."""
         return ControlLoop(self.plant, controller, step)
 
     def published(self, trace: RunTrace, options: SimulationOptions) -> RunTrace:
-        """What arrives of a true motion: with effects of measurement, noise and resolution."""
+        """Measurements of a true motion: with measurement effects, noise and resolution."""
         numbers = generator(options.recording_seed, RandomStream.NOISE)
         levels = self.noise(options)
-        seen = sensed(trace, self.plant.joints, self.effects)
+        measured = sensed(trace, self.plant.joints, self.effects)
         memory = math.exp(-1.0 / (options.rate * options.noise_time)) if options.noise_time > 0.0 else 0.0
-        position = _noisy(seen.position, levels["position"], 0.0, numbers)
-        velocity = _noisy(seen.velocity, levels["velocity"], 0.0, numbers)
-        effort = _noisy(seen.effort, levels["effort"], memory, numbers)
+        position = _noisy(measured.position, levels["position"], 0.0, numbers)
+        velocity = _noisy(measured.velocity, levels["velocity"], 0.0, numbers)
+        effort = _noisy(measured.effort, levels["effort"], memory, numbers)
         return replace(
-            seen,
+            measured,
             position=rounded(position, options.position_step * np.ones(len(self.joints))),
             velocity=velocity,
             effort=rounded(effort, options.effort_step * np.array([joint.effort for joint in self.joints])),
-            wrench=_noisy(seen.wrench, levels["wrench"][: seen.wrench.shape[1]], memory, numbers),
+            wrench=_noisy(measured.wrench, levels["wrench"][: measured.wrench.shape[1]], memory, numbers),
         )
 
     def noise(self, options: SimulationOptions) -> dict[str, FloatArray]:
-        """Standard deviations of each channel: position, velocity, effort ``(n,)`` and wrench ``(6,)``."""
-        each = np.ones(len(self.joints))
+        """Noise standard deviations of the channels: position, velocity, effort ``(n,)`` and wrench ``(6,)``."""
+        ones = np.ones(len(self.joints))
         return {
-            "position": options.position_noise * each,
-            "velocity": options.velocity_noise * each,
+            "position": options.position_noise * ones,
+            "velocity": options.velocity_noise * ones,
             "effort": options.effort_noise * np.array([joint.effort for joint in self.joints]),
             "wrench": np.repeat([options.force_noise, options.torque_noise], 3),
         }
 
     def document(self) -> dict[str, Any]:
-        """What the truth says of it beside links and noise: the ``effects``."""
+        """Entries of the truth file in addition to links and noise: the ``effects``."""
         return {"effects": [effect.document for effect in self.effects]}
 
 
 Builder = Callable[[Description, Iterable[LinkInertia], Iterable[TrueEffect], str | None], Simulator]
-"""Makes a simulator of a kinematic tree, true bodies, effects and the frame of a wrench sensor."""
+"""Function that builds a simulator from a kinematic tree, true bodies, effects and the frame of a wrench sensor."""
 
 
 def build_robot(options: SimulationOptions, builder: Builder = Plant) -> TrueRobot:
-    """The robot that ``options`` and their seed describe, in the simulator that ``builder`` makes."""
+    """Build the robot that ``options`` and their seed describe, in the simulator of ``builder``."""
     nominal = read_description(robot_description(options.robot))
     numbers = generator(options.seed, RandomStream.INERTIA)
     bodies = tuple(perturbed(body, options.inertia_error, numbers) for body in nominal.inertias)
@@ -252,7 +252,7 @@ def build_robot(options: SimulationOptions, builder: Builder = Plant) -> TrueRob
 
 
 def _noisy(values: FloatArray, level: FloatArray, memory: float, numbers: np.random.Generator) -> FloatArray:
-    """With noise of standard deviation ``level``, of which each sample keeps ``memory`` of the one before."""
+    """Add autoregressive noise of standard deviation ``level``, with correlation ``memory`` between samples."""
     noise = numbers.standard_normal(values.shape)
     noise[1:] *= math.sqrt(1.0 - memory**2)
     for row in range(1, len(noise) if memory > 0.0 else 0):
@@ -261,5 +261,5 @@ def _noisy(values: FloatArray, level: FloatArray, memory: float, numbers: np.ran
 
 
 def rounded(values: FloatArray, step: FloatArray) -> FloatArray:
-    """In steps; as they are where there are none."""
+    """Round to multiples of ``step``; return the values unchanged if a step is 0."""
     return np.round(values / step) * step if step.all() else values

@@ -1,6 +1,6 @@
-"""A quadruped in MuJoCo that sways, lifts its legs and trots, with encoders, motor efforts and an IMU.
+"""Quadruped in MuJoCo that sways, lifts its legs and trots, with encoders, motor efforts and an IMU.
 
-Nothing measures the base's pose or the forces of the ground.
+The base's pose and the ground's forces are not measured.
 """
 
 from __future__ import annotations
@@ -32,24 +32,24 @@ from geomid_ros.simulation.recording import beside, link_entry, refuse_existing
 from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import FloatArray
 
-_SHORTEST = 4.0  # [s] of a gait
+_SHORTEST = 4.0  # [s] duration of a gait
 _SMALLEST, _LARGEST = 1e-3, 1.0  # radii of feet [m]
-_FADE = 0.7  # [s] at the beginning and at the end of a motion
-_PERIOD, _SWING = 0.6, 0.4  # of the trot [s], and the share of it in which a foot is lifted
+_FADE = 0.7  # [s] of fading at the beginning and the end of a motion
+_PERIOD, _SWING = 0.6, 0.4  # of the trot [s], and the fraction of it in which a foot is lifted
 
 Gait = Callable[[FloatArray, FloatArray, np.random.Generator], tuple[FloatArray, FloatArray]]
-"""From times ``(N,)`` and feet where they stand ``(feet, 3)``: the trunk's way ``(N, 6)``, translation and rotation
-vector, and the feet's ``(N, feet, 3)``, both added to where they are at rest."""
+"""From times ``(N,)`` and the feet's positions at rest ``(feet, 3)`` to displacements from rest: of the trunk
+``(N, 6)``, translation and rotation vector, and of the feet ``(N, feet, 3)``."""
 
 
 def _faded(time: FloatArray, wait: float = 0.0) -> FloatArray:
-    """From 0 to 1 and back ``(N, 1)``, smoothly, after a ``wait`` [s] at both ends."""
-    share = np.clip((np.minimum(time, time[-1] - time) - wait) / _FADE, 0.0, 1.0)
-    return np.asarray(share**2 * (3.0 - 2.0 * share))[:, None]
+    """Smooth factor from 0 to 1 and back ``(N, 1)``, with a ``wait`` [s] at 0 at both ends."""
+    fraction = np.clip((np.minimum(time, time[-1] - time) - wait) / _FADE, 0.0, 1.0)
+    return np.asarray(fraction**2 * (3.0 - 2.0 * fraction))[:, None]
 
 
 def _sway(time: FloatArray, size: FloatArray, numbers: np.random.Generator) -> FloatArray:
-    """Sums of sines ``(N, len(size))``."""
+    """Random sums of sines ``(N, len(size))``, faded at both ends."""
     frequency = numbers.uniform(0.3, 1.5, (4, len(size)))
     phase = numbers.uniform(0.0, 2.0 * np.pi, frequency.shape)
     waves = np.sin(2.0 * np.pi * frequency * time[:, None, None] + phase)
@@ -62,19 +62,19 @@ def _wobble(time: FloatArray, home: FloatArray, numbers: np.random.Generator) ->
 
 
 def _lift(time: FloatArray, home: FloatArray, numbers: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Each foot in turn leaves the ground and moves, the trunk over the other feet."""
+    """Lift and move one foot after another, with the trunk over the other feet."""
     trunk = _sway(time, np.array([0.005, 0.005, 0.01, 0.03, 0.03, 0.04]), numbers)
     feet = np.zeros((len(time), *home.shape))
     for foot, part in enumerate(np.array_split(np.arange(len(time)), len(home))):
-        own = time[part] - time[part[0]]
-        trunk[part, :2] -= 0.3 * home[foot, :2] * _faded(own)
-        high = np.array([0.0, 0.0, 0.09])
-        feet[part, foot] = _faded(own, _FADE) * (high + _sway(own, np.array([0.05, 0.04, 0.02]), numbers))
+        elapsed = time[part] - time[part[0]]
+        trunk[part, :2] -= 0.3 * home[foot, :2] * _faded(elapsed)
+        height = np.array([0.0, 0.0, 0.09])
+        feet[part, foot] = _faded(elapsed, _FADE) * (height + _sway(elapsed, np.array([0.05, 0.04, 0.02]), numbers))
     return trunk, feet
 
 
 def _trot(time: FloatArray, home: FloatArray, numbers: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Diagonal feet step together, on the spot."""
+    """Step on the spot, with diagonal feet together."""
     trunk = _sway(time, np.array([0.005, 0.005, 0.005, 0.02, 0.02, 0.02]), numbers)
     feet = np.zeros((len(time), *home.shape))
     for foot, (x, y, _) in enumerate(home):
@@ -85,19 +85,19 @@ def _trot(time: FloatArray, home: FloatArray, numbers: np.random.Generator) -> t
 
 
 GAITS: dict[str, Gait] = {"wobble": _wobble, "lift": _lift, "trot": _trot}
-"""What a robot can do: sway with all feet down, lift its feet one by one, trot on the spot."""
+"""Gaits by name: sway with all feet down, lift the feet one by one, trot on the spot."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WalkOptions(Options):
-    """A quadruped, its hidden truth, its gaits and its sensors. SI units; noise is Gaussian, given by its deviation.
+    """Quadruped with its hidden truth, gaits and sensors. SI units; Gaussian noise is given by its standard deviation.
 
     Attributes:
         robot: path of the URDF (the nominal model). Each leg has three joints: hip, thigh and knee.
-        feet: the radius of each foot [m], by the link in whose origin its centre is.
+        feet: radius of each foot [m], by the link whose origin is the foot's centre.
         imu: link of the IMU.
-        gaits: what the robot does, in turn, each for the same time: of :data:`GAITS`.
-        payload: mass on the trunk that the URDF lacks [kg], ``payload_at`` in the root link's frame.
+        gaits: performed in turn, each for the same time; from :data:`GAITS`.
+        payload: mass on the trunk that the URDF lacks [kg], at ``payload_at`` in the root link's frame.
         inertia_error: relative error of the URDF's inertias.
         seed: fixes the robot; ``motion_seed`` motion and noise (``seed`` unless given).
         gyroscope_bias, accelerometer_bias: standard deviations of constant errors.
@@ -136,8 +136,8 @@ class WalkOptions(Options):
         for foot, radius in self.feet.items():
             if not _SMALLEST <= radius <= _LARGEST:
                 raise InputError(f"radius of {foot} is {radius:g}, expected {_SMALLEST:g} to {_LARGEST:g}")
-        every = 1.0 / (self.rate * LONGEST_STEP)
-        if not math.isclose(every, round(every)):
+        stride = 1.0 / (self.rate * LONGEST_STEP)
+        if not math.isclose(stride, round(stride)):
             raise InputError(
                 f"rate is {self.rate:g}; it has to be {1.0 / LONGEST_STEP:g} Hz over a whole number, as 250 Hz"
             )
@@ -149,7 +149,7 @@ class WalkOptions(Options):
 
 
 def parse_feet(texts: Sequence[str]) -> dict[str, float]:
-    """Radii by link, of ``LINK:RADIUS`` [m]. Raises InputError for another form."""
+    """Parse ``LINK:RADIUS`` [m] to radii by link. Raises InputError for another form."""
     feet = {}
     for text in texts:
         link, _, radius = text.partition(":")
@@ -160,12 +160,12 @@ def parse_feet(texts: Sequence[str]) -> dict[str, float]:
     return feet
 
 
-_PER_SET_POINT = 10  # steps
-_STANCE = (0.0, 0.8, -1.6)  # [rad] hip, thigh and knee of a leg that stands
+_PER_SET_POINT = 10  # integration steps per set-point
+_STANCE = (0.0, 0.8, -1.6)  # [rad] hip, thigh and knee of a standing leg
 _STIFFNESS, _DAMPING = 250.0, 5.0  # of the joints' controllers [N m/rad], [N m s/rad]
 _SETTLING = 1.0  # [s] before the motion begins, not recorded
 _CONTACT = (0.006, 1.0)  # MuJoCo's solref of the ground: time constant [s], damping ratio
-_SETTLED = 1e-6  # [m] at which the inverse kinematics stop
+_SETTLED = 1e-6  # [m] tolerance of the inverse kinematics
 _UPRIGHT = 0.7  # cosine of the trunk's tilt; beyond it the robot has fallen
 
 
@@ -187,7 +187,7 @@ def simulate_walk(out: Path, options: WalkOptions) -> tuple[Path, Path]:
 
 
 def true_bodies(robot: Description, options: WalkOptions) -> list[LinkInertia]:
-    """The robot's links as they are: the URDF's with an error, and the payload on the root link."""
+    """True bodies of the robot: those of the URDF with an error, and the payload on the root link."""
     numbers = generator(options.seed, RandomStream.INERTIA)
     bodies = [perturbed(body, options.inertia_error, numbers) for body in robot.inertias]
     if not options.payload:
@@ -200,7 +200,7 @@ def true_bodies(robot: Description, options: WalkOptions) -> list[LinkInertia]:
 
 
 def walk(robot: Description, bodies: Sequence[LinkInertia], options: WalkOptions) -> WalkTrace:
-    """The true motion. Raises InputError if the robot falls, or a foot or the IMU is no link of it."""
+    """Simulate the true motion. Raises InputError if the robot falls, or lacks a link for a foot or the IMU."""
     mujoco = load_mujoco()
     for link in (*options.feet, options.imu):
         if link not in robot.links:
@@ -217,15 +217,15 @@ def walk(robot: Description, bodies: Sequence[LinkInertia], options: WalkOptions
     mujoco.mj_kinematics(model, data)
     lowest = min(data.body(foot).xpos[2] - radius for foot, radius in options.feet.items())
     data.qpos[2] -= lowest
-    every = round(1.0 / (options.rate * LONGEST_STEP))
+    stride = round(1.0 / (options.rate * LONGEST_STEP))
     rows = []
     for step in range(-round(_SETTLING / LONGEST_STEP), len(position)):
-        wanted = max(step, 0)
+        target = max(step, 0)
         state = data.qpos[7:].copy(), data.qvel[6:].copy()
         mujoco.mj_step1(model, data)
-        data.ctrl[:] = _STIFFNESS * (position[wanted] - state[0]) + _DAMPING * (velocity[wanted] - state[1])
+        data.ctrl[:] = _STIFFNESS * (position[target] - state[0]) + _DAMPING * (velocity[target] - state[1])
         mujoco.mj_step2(model, data)
-        if step >= 0 and step % every == 0:
+        if step >= 0 and step % stride == 0:
             contacts = [data.sensor(foot).data[0] for foot in options.feet]
             sensors = data.sensor("gyroscope").data.copy(), data.sensor("accelerometer").data.copy()
             rows.append((step * LONGEST_STEP, *state, data.actuator_force.copy(), *sensors, np.array(contacts)))
@@ -236,7 +236,7 @@ def walk(robot: Description, bodies: Sequence[LinkInertia], options: WalkOptions
 
 
 def measured(trace: WalkTrace, options: WalkOptions) -> WalkTrace:
-    """The trace with the sensors' noise and biases."""
+    """Add the sensors' noise and biases to a trace."""
     numbers = generator(options.recording_seed, RandomStream.NOISE)
 
     def noisy(values: FloatArray, level: float, bias: float = 0.0) -> FloatArray:
@@ -259,7 +259,7 @@ def _compiled(mujoco: Any, robot: Description, bodies: Sequence[LinkInertia], op
         spec.option.timestep = LONGEST_STEP
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.option.impratio = 10.0
-        spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)  # the effort of damping is that of now
+        spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)  # damping acts by the present velocity
         for joint, limits in zip(spec.joints, robot.joints, strict=True):
             joint.damping, joint.frictionloss = [options.viscous_friction, 0.0, 0.0], options.coulomb_friction
             joint.armature = options.rotor_inertia
@@ -279,7 +279,7 @@ def _compiled(mujoco: Any, robot: Description, bodies: Sequence[LinkInertia], op
 
 
 def _set_on_feet(mujoco: Any, spec: Any, feet: Mapping[str, float]) -> None:
-    """The ground, and round feet that feel it."""
+    """Add the ground, and spherical feet with touch sensors."""
     ground = spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0])
     ground.solref[:2] = _CONTACT
     for foot, radius in feet.items():
@@ -291,7 +291,7 @@ def _set_on_feet(mujoco: Any, spec: Any, feet: Mapping[str, float]) -> None:
 
 
 def _set_points(mujoco: Any, model: Any, options: WalkOptions) -> tuple[FloatArray, FloatArray]:
-    """Positions and velocities ``(steps, joints)`` that bring the feet where the gaits want them."""
+    """Joint positions and velocities ``(steps, joints)`` that move trunk and feet as the gaits require."""
     numbers = generator(options.recording_seed, RandomStream.MOTION)
     data = mujoco.MjData(model)
     data.qpos[:7] = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
@@ -300,14 +300,14 @@ def _set_points(mujoco: Any, model: Any, options: WalkOptions) -> tuple[FloatArr
     home = np.array([data.body(foot).xpos for foot in options.feet])
     step = LONGEST_STEP * _PER_SET_POINT
     time = np.arange(0.0, options.duration / len(options.gaits), step)
-    ways = [GAITS[gait](time, home, numbers) for gait in options.gaits]
-    trunk, feet = (np.concatenate(parts) for parts in zip(*ways, strict=True))
-    wanted = np.empty((len(trunk), model.nu))
-    for row, pose, moved in zip(wanted, trunk, home + feet, strict=True):
+    paths = [GAITS[gait](time, home, numbers) for gait in options.gaits]
+    trunk, feet = (np.concatenate(parts) for parts in zip(*paths, strict=True))
+    knots = np.empty((len(trunk), model.nu))
+    for row, pose, foot_positions in zip(knots, trunk, home + feet, strict=True):
         rotation = _rotation(mujoco, pose[3:])
-        row[:] = _joints_at(mujoco, model, data, (moved - pose[:3]) @ rotation, list(options.feet))
-    coarse, fine = step * np.arange(len(wanted)), LONGEST_STEP * np.arange(len(wanted) * _PER_SET_POINT)
-    position = np.array([np.interp(fine, coarse, column) for column in wanted.T]).T
+        row[:] = _joints_at(mujoco, model, data, (foot_positions - pose[:3]) @ rotation, list(options.feet))
+    coarse, fine = step * np.arange(len(knots)), LONGEST_STEP * np.arange(len(knots) * _PER_SET_POINT)
+    position = np.array([np.interp(fine, coarse, column) for column in knots.T]).T
     return position, np.gradient(position, LONGEST_STEP, axis=0)
 
 
@@ -319,17 +319,17 @@ def _rotation(mujoco: Any, vector: FloatArray) -> FloatArray:
     return matrix.reshape(3, 3)
 
 
-def _joints_at(mujoco: Any, model: Any, data: Any, wanted: FloatArray, feet: Sequence[str]) -> FloatArray:
-    """The joints' positions at which the feet are at ``wanted (feet, 3)`` in the trunk's frame, from those in
-    ``data`` on by Newton's method."""
+def _joints_at(mujoco: Any, model: Any, data: Any, targets: FloatArray, feet: Sequence[str]) -> FloatArray:
+    """Solve the inverse kinematics by Newton's method, from the joint positions in ``data``, for feet at
+    ``targets (feet, 3)`` in the trunk's frame."""
     jacobians = np.empty((len(feet), 3, model.nv))
     for _ in range(20):
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
-        missing = wanted - np.array([data.body(foot).xpos for foot in feet])
-        if np.max(np.abs(missing)) < _SETTLED:
+        error = targets - np.array([data.body(foot).xpos for foot in feet])
+        if np.max(np.abs(error)) < _SETTLED:
             return np.array(data.qpos[7:])
         for jacobian, foot in zip(jacobians, feet, strict=True):
             mujoco.mj_jacBody(model, data, jacobian, None, model.body(foot).id)
-        data.qpos[7:] += np.linalg.lstsq(jacobians.reshape(-1, model.nv)[:, 6:], missing.ravel(), rcond=None)[0]
+        data.qpos[7:] += np.linalg.lstsq(jacobians.reshape(-1, model.nv)[:, 6:], error.ravel(), rcond=None)[0]
     raise InputError("the feet do not reach where the gait wants them: the legs are too short")

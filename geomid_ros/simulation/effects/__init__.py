@@ -1,1 +1,1 @@
-"""Physical effects beside the inertias."""
+"""Physical effects in addition to the inertias."""

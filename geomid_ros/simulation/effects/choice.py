@@ -1,8 +1,7 @@
-"""The effects of a robot, with their places and sizes: as requested, or drawn from the seed, from the range that real
-joints of that size show.
+"""Effects of a robot with their places and sizes: as requested, or drawn from the seed within the range of real joints.
 
-``E`` is the joint's effort limit, ``V`` its velocity limit. The first parameter of each is the one that a bare number
-means. Units on a turning joint; every effort is what the motor has to supply, signs included.
+``E`` is the joint's effort limit, ``V`` its velocity limit. A bare number in a request sets the first parameter of an
+effect. Units are those of a revolute joint; every effort is the one that the motor has to supply, with its sign.
 """
 
 from __future__ import annotations
@@ -19,13 +18,13 @@ from geomid_ros.simulation.description import Description, UrdfLimits
 from geomid_ros.simulation.effects.physics import GEARS, TrueEffect
 from geomid_ros.simulation.options import Hidden, RandomStream, SimulationOptions, generator
 
-_ROTOR_TIME = 1e-4  # s; a rotor as light as the integration allows, hardly visible beside the noise
+_ROTOR_TIME = 1e-4  # [s] to V at E: a rotor as light as the integration allows, hardly visible in the noise
 
 
 @dataclass(frozen=True)
 class Site:
-    """Where an effect acts: a ``joint``, the ``other`` one if it depends on two, and the effort limit of the robot's
-    ``strongest`` joint. ``given`` are the parameters that the user chose."""
+    """Place of an effect: a ``joint``, and the ``other`` one if it depends on two. ``strongest`` is the largest effort
+    limit of the robot's joints. ``given`` are the parameters that the user chose."""
 
     joint: UrdfLimits
     other: UrdfLimits
@@ -37,7 +36,7 @@ Size = Callable[[Site, np.random.Generator], dict[str, float]]
 
 
 def _between(low: float, high: float, rng: np.random.Generator) -> float:
-    """A number whose logarithm is uniform."""
+    """Draw a number whose logarithm is uniform."""
     return float(np.exp(rng.uniform(math.log(low), math.log(high))))
 
 
@@ -51,7 +50,7 @@ def viscous_friction(site: Site, rng: np.random.Generator) -> dict[str, float]:
 
 
 def coulomb_friction(site: Site, rng: np.random.Generator) -> dict[str, float]:
-    """``level`` [N m], 1 to 8 % of E."""
+    """Dry friction of ``level`` [N m], 1 to 8 % of E."""
     return {"level": _between(0.01, 0.08, rng) * site.joint.effort}
 
 
@@ -63,12 +62,12 @@ def stribeck_friction(site: Site, rng: np.random.Generator) -> dict[str, float]:
 
 
 def load_friction(_: Site, rng: np.random.Generator) -> dict[str, float]:
-    """Dry friction of ``coefficient`` [-] times the magnitude of the effort that the gear passes on."""
+    """Dry friction of ``coefficient`` [-] times the magnitude of the effort that the gear transmits."""
     return {"coefficient": _between(0.03, 0.15, rng)}
 
 
 def rotor_inertia(site: Site, rng: np.random.Generator) -> dict[str, float]:
-    """``inertia`` [kg m^2] as the joint feels it; the bare rotor reaches V at E in 1 to 6 ms."""
+    """Reflected ``inertia`` [kg m^2] at the joint; the bare rotor reaches V at E in 1 to 6 ms."""
     return {"inertia": _between(1e-3, 6e-3, rng) * site.joint.effort / site.joint.velocity}
 
 
@@ -84,23 +83,23 @@ def effort_offset(site: Site, rng: np.random.Generator) -> dict[str, float]:
 
 
 def effort_gain(_: Site, rng: np.random.Generator) -> dict[str, float]:
-    """Measured by true effort: ``gain`` [-], 4 to 20 % off."""
+    """Measured over true effort: ``gain`` [-], 4 to 20 % from 1."""
     return {"gain": 1.0 + _sign(rng) * _between(0.04, 0.2, rng)}
 
 
 def gravity_tilt(_: Site, rng: np.random.Generator) -> dict[str, float]:
-    """Rotation vector of the base, ``tilt_x``, ``tilt_y`` [rad], together half a degree to five."""
+    """Rotation vector of the base, ``tilt_x``, ``tilt_y`` [rad], of 0.5 to 5 degrees."""
     angle, direction = math.radians(_between(0.5, 5.0, rng)), rng.uniform(0.0, 2.0 * math.pi)
     return {"tilt_x": angle * math.cos(direction), "tilt_y": angle * math.sin(direction)}
 
 
 def effort_delay(_: Site, rng: np.random.Generator) -> dict[str, float]:
-    """How late the measured efforts are, ``delay`` [s], 2 to 12 ms of either sign."""
+    """``delay`` of the measured efforts [s], 2 to 12 ms of either sign."""
     return {"delay": _sign(rng) * _between(0.002, 0.012, rng)}
 
 
 def payload(site: Site, rng: np.random.Generator) -> dict[str, float]:
-    """A box: ``mass`` [kg], ``com_*`` [m] in the link frame, ``i**`` [kg m^2] about its centre in the link's axes."""
+    """Box of ``mass`` [kg], ``com_*`` [m] in the link frame, ``i**`` [kg m^2] about its centre in the link's axes."""
     mass = site.given.get("mass", _between(0.02, 0.08, rng) * site.strongest / 9.81 / 0.5)
     x, y, z = rng.uniform(-0.1, 0.1, 3).tolist()
     a, b, c = (np.cbrt(mass / 2000.0) * rng.uniform(0.5, 2.0, 3)).tolist()
@@ -110,7 +109,7 @@ def payload(site: Site, rng: np.random.Generator) -> dict[str, float]:
 
 
 def joint_elasticity(site: Site, rng: np.random.Generator) -> dict[str, float]:
-    """Gear ``stiffness`` [N m/rad], wound up by 0.01 to 0.05 rad at E, with ``damping`` and a light rotor."""
+    """Elastic gear of ``stiffness`` [N m/rad], twisted by 0.01 to 0.05 rad at E, with ``damping`` and a light rotor."""
     stiffness = site.given.get("stiffness", site.joint.effort / _between(0.01, 0.05, rng))
     return {"stiffness": stiffness, **_light_rotor(site, stiffness)}
 
@@ -141,7 +140,7 @@ def cogging(site: Site, rng: np.random.Generator) -> dict[str, float]:
 
 
 def cable_force(site: Site, rng: np.random.Generator) -> dict[str, float]:
-    """A cable over pulleys on two joints, stretched by w = q + ratio q_other - start where that is above 0: efforts
+    """Cable over pulleys on two joints, stretched by w = q + ratio q_other - start where that is above 0: efforts
     k w and ratio k w; ``stiffness`` k [N m/rad], 8 to 40 % of E of the weaker joint over half the range, ``ratio`` [-],
     ``start`` [rad]."""
     weaker = min(site.joint.effort, site.other.effort)
@@ -151,7 +150,7 @@ def cable_force(site: Site, rng: np.random.Generator) -> dict[str, float]:
 
 
 def drift(site: Site, rng: np.random.Generator) -> dict[str, float]:
-    """Measured minus true effort grows from 0 at ``rate`` [N m/s], 1 to 6 % of E in half a minute."""
+    """Measured minus true effort grows from 0 at ``rate`` [N m/s], 1 to 6 % of E in 30 s."""
     return {"rate": _sign(rng) * _between(0.01, 0.06, rng) * site.joint.effort / 30.0}
 
 
@@ -163,7 +162,7 @@ def position_friction(site: Site, rng: np.random.Generator) -> dict[str, float]:
 
 
 def joint_coupling(site: Site, rng: np.random.Generator) -> dict[str, float]:
-    """Effort c v_other, as of a differential wrist: ``coefficient`` [N m s/rad], 2 to 10 % of E at V."""
+    """Effort c v_other, as in a differential wrist: ``coefficient`` [N m s/rad], 2 to 10 % of E at V."""
     return {"coefficient": _sign(rng) * _between(0.02, 0.1, rng) * site.joint.effort / site.joint.velocity}
 
 
@@ -172,11 +171,11 @@ SIZES: dict[str, Size] = {
     for name, size in globals().items()
     if isfunction(size) and size.__module__ == __name__ and not name.startswith("_")
 }
-"""Of every effect, which has a public function here."""
+"""Functions that draw the parameters of each effect, by name: the public functions of this file."""
 
 
 WRENCH_TOPIC = "/wrench"
-"""Where a recording has its wrench."""
+"""Topic of the wrench in a recording."""
 
 _WHOLE_ROBOT = {"gravity_tilt", "effort_delay"}
 _TWO_JOINTS = {"cable_force", "joint_coupling"}
@@ -184,18 +183,18 @@ _ABOVE_ZERO = {"speed", "gain", "gap", "mass", "stiffness", "damping", "rotor_in
 
 
 def chosen_effects(options: SimulationOptions, robot: Description) -> tuple[TrueEffect, ...]:
-    """The effects of a robot: those that ``options.hide`` names, or else some friction and the like at every joint."""
+    """Effects of a robot: those in ``options.hide``, or else friction, rotor inertia and offset at every joint."""
     if options.hide is None:
         numbers = generator(options.seed, RandomStream.EFFECTS)
-        return tuple(effect for joint in robot.joints for effect in _everyday(options, joint, numbers))
+        return tuple(effect for joint in robot.joints for effect in _default_effects(options, joint, numbers))
     effects: list[TrueEffect] = []
     for index, request in enumerate(options.hide):
         numbers = generator(options.seed, RandomStream.HIDDEN, index)
-        effects.append(_asked_for(request, robot, options, effects, numbers))
+        effects.append(_requested(request, robot, options, effects, numbers))
     return tuple(effects)
 
 
-def _everyday(options: SimulationOptions, joint: UrdfLimits, rng: np.random.Generator) -> Iterable[TrueEffect]:
+def _default_effects(options: SimulationOptions, joint: UrdfLimits, rng: np.random.Generator) -> Iterable[TrueEffect]:
     viscous, dry, rotor, offset = rng.uniform(0.5, 1.5, 4).tolist()
     sign = _sign(rng)
     slowness = joint.effort / joint.velocity
@@ -208,7 +207,7 @@ def _everyday(options: SimulationOptions, joint: UrdfLimits, rng: np.random.Gene
         yield TrueEffect(name, joint.name, {parameter: value})
 
 
-def _asked_for(
+def _requested(
     request: Hidden, robot: Description, options: SimulationOptions, others: list[TrueEffect], rng: np.random.Generator
 ) -> TrueEffect:
     if request.effect not in SIZES:
@@ -219,22 +218,22 @@ def _asked_for(
     strongest = max(robot.joints, key=lambda limits: limits.effort)
     site = Site(limits.get(joint, strongest), limits.get(other, strongest), strongest.effort, {})
     effect = TrueEffect(request.effect, joint, _parameters(request, site, rng), link, other)
-    _check_beside(effect, others)
+    _check_conflicts(effect, others)
     return effect
 
 
 def _neighbour(joint: str, joints: list[str]) -> str:
-    """The next joint of the URDF; the last one's is the one before."""
+    """Next joint of the URDF; for the last one, the previous joint."""
     if len(joints) < 2:
         raise InputError(f"joint '{joint}' is the only one; this effect depends on two.")
-    at = joints.index(joint)
-    return joints[at + 1] if at + 1 < len(joints) else joints[at - 1]
+    index = joints.index(joint)
+    return joints[index + 1] if index + 1 < len(joints) else joints[index - 1]
 
 
 def _place(
     request: Hidden, robot: Description, options: SimulationOptions, others: list[TrueEffect], rng: np.random.Generator
 ) -> tuple[str, str]:
-    """Joint (or topic, or nothing) and, for a payload, link."""
+    """Joint (or topic, or nothing) and, for a payload, its link."""
     if request.effect in _WHOLE_ROBOT:
         return _fixed_place(request, ""), ""
     if request.effect == "wrench_offset":
@@ -263,7 +262,7 @@ def _joint(request: Hidden, robot: Description, others: list[TrueEffect], rng: n
 
 
 def _drawn_link(robot: Description, rng: np.random.Generator) -> str:
-    """Mostly the last link with a mass, sometimes one in the middle."""
+    """Draw the last link with a mass in most cases, else one from the middle on."""
     moving = [body.name for body in robot.inertias if robot.moved_by(body.name)]
     return moving[-1] if rng.uniform() < 0.6 else str(rng.choice(moving[len(moving) // 3 :]))
 
@@ -296,8 +295,8 @@ def _check_value(effect: str, name: str, value: float) -> None:
         raise InputError(f"load_friction: {name} is {value:g}; from 1 on nothing moves the joint from behind it.")
 
 
-def _check_beside(effect: TrueEffect, others: list[TrueEffect]) -> None:
+def _check_conflicts(effect: TrueEffect, others: list[TrueEffect]) -> None:
     for other in others:
-        twice = (other.name, other.joint, other.link) == (effect.name, effect.joint, effect.link)
-        if twice or (other.joint == effect.joint and {effect.name, other.name} <= {*GEARS}):
+        duplicate = (other.name, other.joint, other.link) == (effect.name, effect.joint, effect.link)
+        if duplicate or (other.joint == effect.joint and {effect.name, other.name} <= {*GEARS}):
             raise InputError(f"{other.name} and {effect.name} are both asked for at '{effect.joint}'; only one fits.")

@@ -1,8 +1,8 @@
-"""Physical effects, and how each acts, a table for each way: ``FORCES`` and ``FRICTION`` are efforts at every state,
-``MODEL`` sets constants of MuJoCo's model, ``STRUCTURE`` adds bodies and hinges before it is compiled, ``MEASURED``
-changes what is recorded.
+"""Physical effects, in one table for each way to act: ``FORCES`` and ``FRICTION`` are efforts at every state, ``MODEL``
+sets constants of MuJoCo's model, ``STRUCTURE`` adds bodies and hinges before it is compiled, ``MEASURED`` changes the
+recorded samples.
 
-A new effect is one small function, named after it, in one of these tables, and a public function in ``sizes``.
+A new effect is one small function, named after it, in one of these tables, and a public function in ``choice.py``.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 def by_name(*functions: _Function) -> dict[str, _Function]:
-    """Functions by the effects that they are named after."""
+    """Map the functions by the effects that they are named after."""
     return {function.__name__.removeprefix("_"): function for function in functions}
 
 
 @dataclass(frozen=True)
 class TrueEffect:
-    """The effect called ``name`` at ``joint``, with the values of its ``parameters``.
+    """True effect ``name`` at ``joint``, with the values of its ``parameters``.
 
-    ``joint`` is empty for the whole robot, and the topic for a wrench sensor. ``link`` carries a payload; ``other`` is
-    the second joint of an effect that depends on two. ``sizes.py`` describes the parameters and their units.
+    ``joint`` is empty for the whole robot, and the topic for a wrench sensor. ``link`` is that of a payload; ``other``
+    is the second joint of an effect that depends on two. ``choice.py`` describes the parameters and their units.
     """
 
     name: str
@@ -43,15 +43,15 @@ class TrueEffect:
 
     @property
     def document(self) -> dict[str, Any]:
-        """The effect, its places and its parameters, for files."""
+        """Entry of the effect in a file: name, places and parameters."""
         places = {"joint": self.joint, "link": self.link, "other": self.other}
-        named = {key: name for key, name in places.items() if name or key == "joint"}
-        return {"effect": self.name, **named, "parameters": dict(self.parameters)}
+        present = {key: name for key, name in places.items() if name or key == "joint"}
+        return {"effect": self.name, **present, "parameters": dict(self.parameters)}
 
 
 @dataclass(frozen=True)
 class Places:
-    """Indices of an effect's ``joint``, of the ``other`` one and of the hinge behind its ``play``, or -1."""
+    """Indices of an effect's ``joint``, of the ``other`` one and of the hinge of its ``play``, or -1."""
 
     joint: int
     other: int
@@ -59,7 +59,7 @@ class Places:
 
 
 Force = Callable[[Parameters, Places, list[float], list[float], FloatArray], None]
-"""Adds to the needed efforts (last), from parameters, places, positions and velocities of all hinges."""
+"""Function that adds to the needed efforts (last), by parameters, places, positions and velocities of all hinges."""
 
 
 def _cogging(
@@ -72,8 +72,8 @@ def _cogging(
 def _cable_force(
     parameters: Parameters, at: Places, position: list[float], _velocity: list[float], needed: FloatArray
 ) -> None:
-    wound = position[at.joint] + parameters["ratio"] * position[at.other] - parameters["start"]
-    tension = parameters["stiffness"] * max(wound, 0.0)
+    stretch = position[at.joint] + parameters["ratio"] * position[at.other] - parameters["start"]
+    tension = parameters["stiffness"] * max(stretch, 0.0)
     needed[at.joint] += tension
     needed[at.other] += parameters["ratio"] * tension
 
@@ -87,19 +87,19 @@ def _joint_coupling(
 def _backlash(
     parameters: Parameters, at: Places, position: list[float], velocity: list[float], needed: FloatArray
 ) -> None:
-    """The flanks press but never pull; between them the link is free."""
-    turned = position[at.play]
-    pressed = abs(turned) - 0.5 * parameters["gap"]
-    if pressed > 0.0:
-        side = math.copysign(1.0, turned)
-        force = parameters["stiffness"] * pressed + parameters["damping"] * side * velocity[at.play]
+    """Effort of flanks that press but never pull; between them the link is free."""
+    angle = position[at.play]
+    penetration = abs(angle) - 0.5 * parameters["gap"]
+    if penetration > 0.0:
+        side = math.copysign(1.0, angle)
+        force = parameters["stiffness"] * penetration + parameters["damping"] * side * velocity[at.play]
         needed[at.play] += side * max(force, 0.0)
 
 
 FORCES: dict[str, Force] = by_name(_cogging, _cable_force, _joint_coupling, _backlash)
 
 Level = Callable[[Parameters, float, float, float], float]
-"""Magnitude [N m] of dry friction from the parameters, the joint's position, its velocity and its motor's effort.
+"""Function for the magnitude [N m] of dry friction, by parameters, joint position, velocity and motor effort.
 
 Within about 0.03 rad/s of standstill, friction is whatever stops the joint."""
 
@@ -114,9 +114,9 @@ def _stribeck_friction(parameters: Parameters, _position: float, velocity: float
 
 
 def _load_friction(parameters: Parameters, _position: float, velocity: float, effort: float) -> float:
-    """``c |tau|`` of the effort tau that is passed on: the motor's is ``tau + c |tau| sign(v)``, solved for tau."""
-    passed = abs(effort) / (1.0 + parameters["coefficient"] * math.copysign(1.0, effort * velocity))
-    return parameters["coefficient"] * passed
+    """Friction ``c |tau|`` of the transmitted effort tau: the motor's is ``tau + c |tau| sign(v)``, solved for tau."""
+    transmitted = abs(effort) / (1.0 + parameters["coefficient"] * math.copysign(1.0, effort * velocity))
+    return parameters["coefficient"] * transmitted
 
 
 def _position_friction(parameters: Parameters, position: float, _velocity: float, _effort: float) -> float:
@@ -163,16 +163,16 @@ MODEL = by_name(_viscous_friction, _rotor_inertia, _spring, _joint_elasticity, _
 
 _COM = ("com_x", "com_y", "com_z")
 GEARS = ("joint_elasticity", "backlash")
-"""Effects that put another hinge behind a joint's motor."""
+"""Effects that add a second hinge behind a joint's motor."""
 
 
 def play_name(joint: str) -> str:
-    """Name of the hinge behind a joint's motor; its angle is that of the link less that of the motor."""
+    """Name of the hinge behind a joint's motor; its angle is the link's minus the motor's."""
     return joint + "/play"
 
 
 def wound(parameters: Mapping[str, float], effort: float) -> float:
-    """How far [rad] a motor that holds ``effort`` [N m] is ahead of its link, through elasticity or backlash."""
+    """Angle [rad] by which a motor that holds ``effort`` [N m] leads its link, through elasticity or backlash."""
     return effort / parameters["stiffness"] + math.copysign(0.5 * parameters.get("gap", 0.0), effort)
 
 
@@ -182,14 +182,14 @@ def _payload(mujoco: Any, spec: Any, effect: TrueEffect) -> None:
 
 
 def payload_inertia(effect: TrueEffect) -> LinkInertia:
-    """A payload as a body in the frame of its link."""
+    """Inertia of a payload in the frame of its link."""
     values = effect.parameters
     com, inertia = np.array([values[name] for name in _COM]), [[values[name] for name in row] for row in INERTIA_NAMES]
     return LinkInertia(effect.link, values["mass"], com, np.array(inertia))
 
 
 def _gear(_: Any, spec: Any, effect: TrueEffect) -> None:
-    """A light rotor in front of another hinge on the same axis."""
+    """Add a light rotor in front of a second hinge on the same axis."""
     motor = spec.joint(effect.joint)
     motor.armature = effect.parameters["rotor_inertia"]
     motor.parent.add_joint(name=play_name(effect.joint), type=motor.type, axis=motor.axis, pos=motor.pos)
@@ -203,8 +203,8 @@ STRUCTURE: dict[str, Callable[[Any, Any, TrueEffect], None]] = {
 
 
 def _effort_delay(trace: RunTrace, _: int, parameters: Parameters) -> RunTrace:
-    seen = trace.time - parameters["delay"]
-    columns = [np.interp(seen, trace.fine_time, column) for column in trace.fine_effort.T]
+    measured_time = trace.time - parameters["delay"]
+    columns = [np.interp(measured_time, trace.fine_time, column) for column in trace.fine_effort.T]
     return replace(trace, effort=np.stack(columns, axis=1))
 
 
@@ -231,11 +231,11 @@ def _with_effort(trace: RunTrace, joint: int, column: FloatArray) -> RunTrace:
 
 
 MEASURED = by_name(_effort_delay, _effort_offset, _effort_gain, _drift, _wrench_offset)
-"""What sensors make of the true efforts and wrench, in this order: a late signal is offset, then scaled."""
+"""Sensor errors of efforts and wrench, applied in this order: a delayed signal is offset, then scaled."""
 
 
 def sensed(trace: RunTrace, joints: Sequence[str], effects: Iterable[TrueEffect]) -> RunTrace:
-    """What sensors without noise show of a true ``trace`` of ``joints``."""
+    """Readings of sensors without noise for a true ``trace`` of ``joints``."""
     order = list(MEASURED)
     for effect in sorted((e for e in effects if e.name in MEASURED), key=lambda effect: order.index(effect.name)):
         joint = joints.index(effect.joint) if effect.joint in joints else -1

@@ -1,4 +1,4 @@
-"""The robots that ship with the package, as mesh-free URDF files in this folder."""
+"""Robots that ship with the package, as mesh-free URDF files in this folder."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from geomid_ros.errors import InputError, unknown_name
 
 WRIST_FRAME = "wrist_ft"
-"""The link of every shipped robot that carries the wrench sensor."""
+"""Link with the wrench sensor on every shipped robot."""
 
 _SUFFIX = ".urdf"
 
