@@ -108,7 +108,7 @@ def compare(options: CompareOptions) -> Comparison:
     status = max(result.judgement.status for result in results)
     errors, data = _joined([_own_errors(side) for side in sides]), _OWN
     if options.bag:
-        residuals, reasons = zip(*(_judged_on(side, options) for side in sides), strict=True)
+        residuals, reasons = zip(*(_errors_on_bags(side, options) for side in sides), strict=True)
         errors, data = _joined(residuals), ", ".join(map(str, paths(options.bag)))
         doubts += [sentence for each in reasons for sentence in each]
         status = max(status, STATUS[DOUBTFUL if any(reasons) else USABLE])
@@ -168,10 +168,10 @@ def _check_same_robot(sides: Sequence[_Side], values: Sequence[RobotValues]) -> 
         raise _other_robot(second_source, second.links, first_source, first.links)
 
 
-def _other_robot(source: str, links: Iterable[str], other: str, others: Iterable[str]) -> InputError:
+def _other_robot(source: str, links: Iterable[str], other: str, other_links: Iterable[str]) -> InputError:
     return InputError(
         f"{source}: a model of another robot than {other}. Links of the first: {', '.join(links)}; of the second: "
-        f"{', '.join(others)}"
+        f"{', '.join(other_links)}"
     )
 
 
@@ -210,7 +210,7 @@ def _joined(sides: Sequence[Mapping[str, tuple[float, str]]]) -> list[ChannelErr
     ]
 
 
-def _judged_on(side: _Side, options: CompareOptions) -> tuple[dict[str, tuple[float, str]], list[str]]:
+def _errors_on_bags(side: _Side, options: CompareOptions) -> tuple[dict[str, tuple[float, str]], list[str]]:
     """Return the residual RMS of a side on the recordings by channel, with its unit, and reasons not to trust it."""
     if isinstance(side, EstimateFile):
         session, samples = read_to_judge(options, options.bag, model=side.source)

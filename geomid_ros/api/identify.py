@@ -177,7 +177,7 @@ class Identification:
         return entries | {
             "urdf_masses": dict(zip(model.body_names, masses, strict=True)),
             "channels": [self._channel(channel) for channel in model.channels if math.isfinite(self.rms[channel.name])],
-            "telling": self._telling,
+            "telling": self._suggested_motions,
         }
 
     def _channel(self, channel: Channel) -> dict[str, Any]:
@@ -193,7 +193,7 @@ class Identification:
         }
 
     @cached_property
-    def _telling(self) -> dict[str, dict[str, list[str]]]:
+    def _suggested_motions(self) -> dict[str, dict[str, list[str]]]:
         """Quantities that a motion would identify, by link and motion."""
         return suggested_motions(self.session.model, self.estimate)
 
@@ -308,7 +308,7 @@ class Identification:
         return [*written, sidecar, *posterior, *csv]
 
     def _write_report(self, folder: Path, progress: Progress, command: str) -> list[Path]:
-        from geomid_ros.report.pictures import write_picture  # noqa: PLC0415 as above
+        from geomid_ros.report.pictures import write_picture  # noqa: PLC0415 imports matplotlib
 
         picture = folder / "identification.png"
         progress("drawing", 0.0)
@@ -344,19 +344,19 @@ def identify(options: IdentifyOptions) -> Identification:
 
     def solved(parameters: Configuration) -> tuple[Session, list[Samples], list[Samples], Estimate]:
         make = partial(Session, readers=(*READERS,))
-        session, (held_out, judged) = robot.read(
+        session, (held_out, tested) = robot.read(
             make, parameters, lambda session: _read(session, recorded, options.progress)
         )
         session.review.check_description()
         options.progress("solving", 0.0)
-        return session, held_out, judged, session.identifier.solve()
+        return session, held_out, tested, session.identifier.solve()
 
-    session, held_out, judged, estimate = solved(parameters)
+    session, held_out, tested, estimate = solved(parameters)
     for _ in range(ROUNDS):
-        if (delay := _late(estimate)) is None:
+        if (delay := _command_delay(estimate)) is None:
             break
         parameters = parameters.with_values({DELAY: parameters[DELAY] + delay})
-        session, held_out, judged, estimate = solved(parameters)
+        session, held_out, tested, estimate = solved(parameters)
     if parameters[DELAY]:
         session.review.settled.append(f"commands act {1e3 * parameters[DELAY]:.1f} ms after their stamps")
     return Identification(
@@ -364,13 +364,13 @@ def identify(options: IdentifyOptions) -> Identification:
         bags=recorded,
         estimate=estimate,
         held_out=held_out,
-        judged=judged,
+        judged=tested,
         reader=options.reader,
         command=options.command,
     )
 
 
-def _late(estimate: Estimate) -> float | None:
+def _command_delay(estimate: Estimate) -> float | None:
     """Return how late commands act [s], or None if the delay is not significant. The model is first order in the delay,
     so repeating the identification with this delay applied makes it exact."""
     delays = (effect for effect in estimate.effects if effect_class(effect.name).place == "commands")

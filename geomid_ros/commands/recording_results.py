@@ -104,12 +104,12 @@ def _links_table(file: EstimateFile, links: Sequence[LinkEstimate]) -> Table:
 
 def _known_table(weighed: Sequence[WeighedEstimate]) -> Table:
     table = plain_table("Weighed masses", ["what"], ["weighed [kg]", "identified [kg]", "difference [std weighed]"])
-    for known in weighed:
+    for body in weighed:
         table.add_row(
-            known.name,
-            f"{known.given:.3f} ± {known.given_std:.3f}",
-            f"{known.mass:.3f} ± {known.std:.3f}",
-            f"{(known.mass - known.given) / known.given_std:+.1f}",
+            body.name,
+            f"{body.given:.3f} ± {body.given_std:.3f}",
+            f"{body.mass:.3f} ± {body.std:.3f}",
+            f"{(body.mass - body.given) / body.given_std:+.1f}",
         )
     return table
 
@@ -133,7 +133,7 @@ def _other_effects_table(effects: Sequence[KnownEffect]) -> Table:
 
 
 def _joint_effects_table(effects: Sequence[EffectEstimate]) -> Table:
-    """Table of joint effects. A cell is empty if a joint lacks the effect, or has it with the default constant."""
+    """Table of joint effects. A cell is empty if the joint has no such effect, or has it with the default constant."""
     joints = list(dict.fromkeys(effect.joint for effect in effects))
     columns: dict[str, dict[str, str]] = {}
     for effect in effects:
@@ -255,8 +255,8 @@ def _length(value: float, end: float) -> int:
 
 
 def _simulated_table(simulation: Resimulated) -> Table:
-    how = {"windows": "in short windows", "closed_loop": "in closed loop"}[simulation.kind]
-    table = plain_table(f"Resimulation {how}\n(error in units of the noise)", ["channel"], ["before", "after"])
+    mode = {"windows": "in short windows", "closed_loop": "in closed loop"}[simulation.kind]
+    table = plain_table(f"Resimulation {mode}\n(error in units of the noise)", ["channel"], ["before", "after"])
     for name, before in simulation.before.items():
         table.add_row(name, gap_words.ratio(before), gap_words.ratio(simulation.after[name]))
     return table

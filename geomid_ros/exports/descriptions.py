@@ -63,8 +63,7 @@ _MOST_MISSING = 3  # sentences on missing shapes; the others are counted
 
 
 class Whole(NamedTuple):
-    """Text of a whole robot, ``lacks``: sentences on what it omits, and texts of additional files (``beside``) by
-    name."""
+    """Text of a whole robot, sentences on what it ``lacks``, and texts of additional files (``beside``) by name."""
 
     text: str
     lacks: list[str]

@@ -59,7 +59,7 @@ class ReadBack:
     def _terms(self, joints: Sequence[str]) -> Iterator[tuple[MotionEffect, Place, float]]:
         """Yield the effects that the attributes stand for, with their places and coefficients."""
         used = set[str]()
-        for cls in (each for each in EFFECTS.values() if issubclass(each, MotionEffect)):
+        for cls in (effect for effect in EFFECTS.values() if issubclass(effect, MotionEffect)):
             places = {form.name: form.place_in(ELEMENTS[self.reader]) for form in cls.parameters}
             sizes = {places[form.name] for form in cls.variants()[0].own if places[form.name]}
             if not used & sizes:
@@ -267,13 +267,13 @@ class JudgedFile:
     def worse(self) -> list[str]:
         """Sentences on the channels that the file predicts worse than the given description, where the full estimate
         does, too."""
-        return [f"{sentence}; {_RECORD}" for name, sentence in self._worse if self._whatever_it_says(name)]
+        return [f"{text}; {_RECORD}" for name, text in self._worse if self._estimate_is_worse(name)]
 
     @property
     def limited(self) -> list[str]:
         """Sentences on the other worse channels, where the full estimate predicts better: either the file cannot
         represent some effects, or the sensor errors are beside it."""
-        return [f"{sentence}{self._why(name)}" for name, sentence in self._worse if not self._whatever_it_says(name)]
+        return [f"{text}{self._reason(name)}" for name, text in self._worse if not self._estimate_is_worse(name)]
 
     @property
     def _worse(self) -> Iterator[tuple[str, str]]:
@@ -285,13 +285,13 @@ class JudgedFile:
                 )
                 yield name, sentence
 
-    def _whatever_it_says(self, channel: str) -> bool:
+    def _estimate_is_worse(self, channel: str) -> bool:
         return all(self._is_worse(channel, kind[channel]) for kind in (self.corrected, self.found))
 
     def _is_worse(self, channel: str, rms: float) -> bool:
         return rms > WORSE * self.given[channel]
 
-    def _why(self, channel: str) -> str:
+    def _reason(self, channel: str) -> str:
         if not self._is_worse(channel, corrected := self.corrected[channel]):
             return f", {corrected:.3g} with the errors of sensors in effects.yaml; {_ADD}"
         lacks = self.lacks.get(channel)

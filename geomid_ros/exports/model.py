@@ -156,7 +156,7 @@ def _dynamics(urdf: str, source: str, found: Sequence[KnownEffect]) -> list[Know
 
 def _urdf_bodies(tree: UrdfTree) -> dict[str, UncertainInertia]:
     unknown = np.full(10, np.nan)
-    return {name: UncertainInertia(parameters=own, std=unknown) for name, own in tree.inertials.items()}
+    return {name: UncertainInertia(parameters=body, std=unknown) for name, body in tree.inertials.items()}
 
 
 def _estimated_bodies(file: EstimateFile, tree: UrdfTree) -> dict[str, UncertainInertia]:

@@ -45,7 +45,7 @@ class OwnMjcf:
     def with_numbers(self, model: Model) -> str:
         """Return the text with the inertias of the links and the effects at the joints of a model, all else unchanged.
         Raises InputError if one of them is not in this file but in an included one."""
-        inertias = {name: _moved(_carried(model, name), placed) for name, placed in self.placements.items()}
+        inertias = {name: _moved(_with_payload(model, name), placed) for name, placed in self.placements.items()}
         attributes = joint_attributes(model.effects, "joint")
         joints = {name: values for name, values in attributes.items() if name in self.joints}
         try:
@@ -98,7 +98,7 @@ def _named(heading: str, names: Sequence[str]) -> list[str]:
     return [f"{heading} {', '.join(names)}"] if names else []
 
 
-def _carried(model: Model, link: str) -> FloatArray:
+def _with_payload(model: Model, link: str) -> FloatArray:
     """Parameters ``(10,)`` of a link and of the payload found on it, which is a separate link of the URDF."""
     names = [name for name in (link, payload_name(link)) if name in model.bodies]
     parameters = [model.bodies[name].parameters for name in names]
@@ -116,7 +116,7 @@ def _base(model: Model, frames: BodyFrames, path: Path) -> FloatArray:
     named = frames.bodies.get(model.tree.root, np.eye(4))
     fitted = _fitted(axes, frames.joints)
     apart = [
-        [name for name in axes if _apart(base, axes[name], frames.joints[name]) >= _FAR] for base in (named, fitted)
+        [name for name in axes if _deviation(base, axes[name], frames.joints[name]) >= _FAR] for base in (named, fitted)
     ]
     if [] in apart:
         return (named, fitted)[apart.index([])]
@@ -153,7 +153,7 @@ def _fitted(axes: Mapping[str, FloatArray], seen: Mapping[str, FloatArray]) -> F
     return base
 
 
-def _apart(base: FloatArray, line: FloatArray, seen: FloatArray) -> float:
+def _deviation(base: FloatArray, line: FloatArray, seen: FloatArray) -> float:
     """Deviation of a ``line`` from the line ``seen``: the larger of the angle and the distance."""
     point, direction = base[:3, :3] @ line[0] + base[:3, 3], base[:3, :3] @ line[1]
     distance = np.linalg.norm(np.cross(point - seen[0], seen[1]))

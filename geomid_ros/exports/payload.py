@@ -219,11 +219,11 @@ def _same(one: UncertainInertia, other: UncertainInertia) -> bool:
 
 
 def total(terms: Sequence[Summand], what: str) -> UncertainInertia:
-    """Sum bodies to one. Raises InputError that begins with ``what`` if the sum is no physical body.
+    """Sum bodies. Raises InputError that begins with ``what`` if the sum is no physical body.
 
     Standard deviations are propagated one by one, by differences of plus and minus one standard deviation. Files do not
-    have the correlations of a body's quantities, so they count as independent. Unknown ones add nothing, unless all are
-    unknown.
+    have the correlations of a body's quantities, so they are treated as independent. Unknown ones add nothing, unless
+    all are unknown.
     """
     given = np.array([term.inertial.quantities for term in terms]).reshape(-1, 10)
     parameters = _sum(terms, given)

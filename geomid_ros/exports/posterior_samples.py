@@ -1,5 +1,4 @@
-"""Robots sampled from the posterior of an estimate, in the formats of other software, and the spread of their
-torques."""
+"""Robots sampled from the posterior of an estimate, in formats of other software, and the spread of their torques."""
 
 from __future__ import annotations
 
@@ -251,11 +250,11 @@ def _events(robots: DrawnRobots) -> dict[str, Any]:
 
 
 def _event(function: str, asset: dict[str, str], ranges: dict[str, Any], *, absolute: bool = False) -> dict[str, Any]:
-    how = {"operation": "abs", "distribution": "uniform"} if absolute else {}
+    distribution = {"operation": "abs", "distribution": "uniform"} if absolute else {}
     return {
         "func": f"isaaclab.envs.mdp.{function}",
         "mode": "startup",
-        "params": {"asset_cfg": dict(asset), **ranges, **how},
+        "params": {"asset_cfg": dict(asset), **ranges, **distribution},
     }
 
 

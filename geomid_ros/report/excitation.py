@@ -76,10 +76,10 @@ def excitation_document(found: Excitation) -> dict[str, Any]:
     }
 
 
-def _effects(found: Excitation, stage: Expected) -> list[dict[str, Any]]:
+def _effects(design: Excitation, stage: Expected) -> list[dict[str, Any]]:
     return [
         entry(effect, "name", "place", "parameter") | {"std": float(std)}
-        for effect, std in zip(found.task.knowledge.posterior.effects, stage.effects, strict=True)
+        for effect, std in zip(design.task.knowledge.posterior.effects, stage.effects, strict=True)
     ]
 
 
@@ -132,13 +132,13 @@ def write_motion_page(path: Path, found: Excitation) -> None:
     write_page(path, "motion.html.j2", content)
 
 
-def _scene(found: Excitation) -> dict[str, Any]:
+def _scene(design: Excitation) -> dict[str, Any]:
     """Drawing data: corners of bodies in their frames, and the pose of each frame over one period."""
-    robot, collision = found.task.knowledge.model.robot, found.task.feasibility.collision
+    robot, collision = design.task.knowledge.model.robot, design.task.feasibility.collision
     shapes = collision.shapes if collision is not None else {}
     links = [link for link in robot.tree.links if link in shapes or robot.is_divided_at(link)]
-    times = np.arange(0.0, found.motion.form.period + 0.5 / _RATE, 1.0 / _RATE)
-    states = found.motion.at(times)[:3]
+    times = np.arange(0.0, design.motion.form.period + 0.5 / _RATE, 1.0 / _RATE)
+    states = design.motion.at(times)[:3]
     frames = [robot.link_frames(samples_of(states[:, [index]])) for index in range(len(times))]
     turns = np.array([[frame[link][0] for link in links] for frame in frames])
     origins = np.array([[frame[link][1] for link in links] for frame in frames])
@@ -148,7 +148,7 @@ def _scene(found: Excitation) -> dict[str, Any]:
     return {
         "positions": states[0].round(_DECIMALS).tolist(),
         "bodies": [[corners(shape.vertices).tolist() for shape in shapes.get(link, ())] for link in links],
-        "above": [_above(robot, link, links) for link in links],
+        "above": [_drawn_ancestor(robot, link, links) for link in links],
         "turns": turns.reshape(len(times), len(links), 9).round(_DECIMALS).tolist(),
         "origins": origins.round(_DECIMALS).tolist(),
         "around": [_outline(obstacle).tolist() for obstacle in (collision.obstacles if collision else ())],
@@ -157,7 +157,7 @@ def _scene(found: Excitation) -> dict[str, Any]:
     }
 
 
-def _above(robot: Robot, link: str, links: list[str]) -> int:
+def _drawn_ancestor(robot: Robot, link: str, links: list[str]) -> int:
     """Index of the nearest drawn ancestor of a link; -1 if there is none."""
     ancestors: Iterator[str] = (joint.parent for joint in robot.tree.joints_above(link))
     return next((links.index(parent) for parent in ancestors if parent in links), -1)

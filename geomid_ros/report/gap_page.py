@@ -65,8 +65,8 @@ class _Panel:
         return right, down
 
     def drawn(self, marks: Sequence[str], label: str, below: str | None, behind: str = "") -> str:
-        """Draw the axes with marks over a grid over ``behind``, a label, and, with ``below``, the numbers and label of
-        x."""
+        """Draw the axes with marks above a grid above ``behind``, a label, and, with ``below``, the numbers and label
+        of x."""
         width, height = _FINE * self._width, _FINE * self.height
         across, up = ticks(*self.x, 7), ticks(*self.y, 5)
         right, _ = self.places(np.array(across), np.zeros(len(across)))
@@ -263,15 +263,15 @@ def _variable(page: GapPage, channel: int) -> tuple[str, str, FloatArray]:
     """Variable that the channel's residual depends on most: its name, its unit and its values ``(N,)``."""
     result, trace, name = page.result, page.result.trace, page.result.channels[channel]
     variables = {"load": (result.units[channel], trace.load[:, channel]), "time": ("s", elapsed(trace.stamps))}
-    others = [entry.depends_on for entry in result.unexplained if is_of(name, entry.joint)]
-    for joint in [name, *others]:
+    other_joints = [entry.depends_on for entry in result.unexplained if is_of(name, entry.joint)]
+    for joint in [name, *other_joints]:
         if joint in page.joints:
             column, suffix = page.joints.index(joint), "" if joint == name else f" of {joint}"
             unit = page.units[column]
             variables[f"position{suffix}"] = (unit, trace.position[:, column])
             variables[f"velocity{suffix}"] = (f"{unit}/s", trace.velocity[:, column])
     shares = next((vars(entry) for entry in result.located if entry.channel == name), {})
-    unexplained = next((v for other in others for v in (other, f"velocity of {other}") if v in variables), None)
+    unexplained = next((v for other in other_joints for v in (other, f"velocity of {other}") if v in variables), None)
     chosen = unexplained or max(variables, key=lambda variable: np.nan_to_num(shares.get(variable, 0.0)))
     return (chosen, *variables[chosen])
 
@@ -296,12 +296,12 @@ def _worst_joints(page: GapPage, simulation: Resimulated) -> list[Series]:
     measured, before, after = (
         np.concatenate([getattr(part, kind) for part in simulation.efforts]) for kind in ("measured", "before", "after")
     )
-    judged = [
+    compared = [
         Series(name, page.result.units[k], times, measured[:, k], before[:, k], after[:, k])
         for k, name in enumerate(page.joints)
         if name in simulation.before
     ]
-    return sorted(judged, key=lambda series: -simulation.before[series.name])[:MOST_DRAWN]
+    return sorted(compared, key=lambda series: -simulation.before[series.name])[:MOST_DRAWN]
 
 
 # --- The model file ---

@@ -78,8 +78,8 @@ class Clock:
         if len(stamps) < 2:
             return Clock(np.array([0.0, 1.0]) + stamps.sum(), np.array([0.0, 1.0]), "time [s]")
         steps = np.diff(stamps)
-        recorded = float(np.sum(steps[~_long(steps)]))
-        pauses = _long(steps) & (steps > 0.1 * recorded)
+        recorded = float(np.sum(steps[~_is_pause(steps)]))
+        pauses = _is_pause(steps) & (steps > 0.1 * recorded)
         seconds = np.concatenate([[0.0], np.cumsum(np.where(pauses, 0.03 * recorded, steps))])
         return Clock(stamps, seconds, "time [s], pauses shortened" if np.any(pauses) else "time [s]")
 
@@ -93,7 +93,7 @@ def elapsed(stamps: IntArray) -> FloatArray:
     one in front of it."""
     steps = np.diff(stamps) * 1e-9
     period = float(np.median(steps)) if len(steps) else 0.0
-    durations = np.where(_long(steps) | (steps <= 0.0), period, steps) if len(steps) else steps
+    durations = np.where(_is_pause(steps) | (steps <= 0.0), period, steps) if len(steps) else steps
     return np.concatenate([[0.0], np.cumsum(durations)])[: len(stamps)]
 
 
@@ -120,21 +120,20 @@ def limits(channel: Series) -> tuple[float, float]:
 
 
 def thinned(times: FloatArray, values: FloatArray, clock: Clock, bins: int = BINS) -> tuple[FloatArray, FloatArray]:
-    """Thin a line for drawing: keep every peak, drop points that are not visible, and break it by NaN at gaps in
-    time."""
+    """Thin a line for drawing: keep all peaks, drop invisible points, and break it by NaN at gaps in time."""
     finite = np.flatnonzero(np.isfinite(times) & np.isfinite(values))
     order = finite[np.argsort(times[finite], kind="stable")]
     times, values = times[order], values[order]
     if len(times) < 3:
         return clock.at(times), values
-    gaps = np.flatnonzero(_long(np.diff(times)))
+    gaps = np.flatnonzero(_is_pause(np.diff(times)))
     kept = np.union1d(_extremes(values, bins), [*gaps, *(gaps + 1)]).astype(np.int64)
     breaks = np.searchsorted(kept, gaps + 1)
     return np.insert(clock.at(times[kept]), breaks, np.nan), np.insert(values[kept], breaks, np.nan)
 
 
-def _long(steps: FloatArray) -> BoolArray:
-    """True for time steps that are pauses, longer than five median steps."""
+def _is_pause(steps: FloatArray) -> BoolArray:
+    """True for time steps longer than five median steps."""
     return steps > 5.0 * np.median(steps)
 
 

@@ -257,10 +257,10 @@ class _LearningRounds:
                 if execute:
                     prepared.execute(self.folder / "recording", lambda line: click.echo(printable(line), err=True))
         except GeomidError as error:
-            raise GeomidError(f"round {self.number}: {error}. {self._to_go_on}") from error
+            raise GeomidError(f"round {self.number}: {error}. {self._how_to_continue}") from error
 
     @property
-    def _to_go_on(self) -> str:
+    def _how_to_continue(self) -> str:
         """State the result so far after a stopped round, and how to continue."""
         if self.found is None:
             return "Nothing is identified yet. To start again, repeat the command with another --out"
