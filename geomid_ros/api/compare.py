@@ -137,7 +137,7 @@ def _robot(side: _Side) -> str:
 
 
 def _urdf_values(model: Model, result: EstimateFile) -> RobotValues:
-    """Return the values that a URDF gives for the bodies of a result, as exact.
+    """Return the values of a URDF for the bodies of a result, with zero standard deviations.
 
     Raises:
         InputError: the URDF lacks a link, a link lacks an inertial, or a body is physically impossible.

@@ -111,7 +111,7 @@ class Identification:
 
     @cached_property
     def handover(self) -> JudgedFile:
-        """Prediction error of that description on :attr:`judged`, after its reader has loaded it again.
+        """Prediction error of :attr:`written` on :attr:`judged`, after its reader has loaded it again.
 
         Raises:
             InputError: the reader rejects it.
@@ -145,8 +145,8 @@ class Identification:
 
     @cached_property
     def tracking(self) -> Tracking | None:
-        """Deviation of the robot of that description from the measured one under the recorded commands, simulated in
-        MuJoCo on the held-out data; None without a :attr:`command`.
+        """Deviation of a robot built from :attr:`written` from the measured one under the recorded commands, simulated
+        in MuJoCo on the held-out data; None without a :attr:`command`.
 
         Raises:
             InputError: MuJoCo is not installed, nothing is held out, or the topic cannot be read.
@@ -159,7 +159,7 @@ class Identification:
 
     @property
     def same_again(self) -> tuple[str, Configuration, str]:
-        """Arguments of another session of the same robot."""
+        """URDF, configuration and source, to create another session of the same robot."""
         return self.session.urdf, self.session.configuration, self.session.robot.source
 
     def _by_channel(self, values: FloatArray) -> dict[str, float]:
@@ -371,8 +371,8 @@ def identify(options: IdentifyOptions) -> Identification:
 
 
 def _command_delay(estimate: Estimate) -> float | None:
-    """Return how late commands act [s], or None if the delay is not significant. The model is first order in the delay,
-    so repeating the identification with this delay applied makes it exact."""
+    """Return the identified delay of commands [s], or None if it is not significant. The model is first order in the
+    delay, so :func:`identify` applies it and repeats, at most :data:`ROUNDS` times."""
     delays = (effect for effect in estimate.effects if effect_class(effect.name).place == "commands")
     return next((effect.value for effect in delays if abs(effect.value) > STDS_OF_95 * effect.std), None)
 

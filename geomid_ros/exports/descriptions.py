@@ -72,8 +72,8 @@ class Whole(NamedTuple):
 
 class RobotToDescribe(NamedTuple):
     """Robot to describe: its ``urdf`` with the inertias, the ``path`` and the folders of ``packages`` that its meshes
-    are found from, the ``effects`` in addition to inertias, ``gravity (3,)`` with the base upright, and a function that
-    ``read``s it."""
+    are found from, the ``effects`` in addition to inertias, ``gravity (3,)`` with the base upright, and the function
+    ``read`` that loads it."""
 
     urdf: str
     path: Path

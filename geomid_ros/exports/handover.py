@@ -172,7 +172,7 @@ class HandedOver:
     Attributes:
         session: the robot, and the description that was given.
         estimate: the estimate to write.
-        reader: of :data:`~geomid_ros.files.models.written_model.ELEMENTS`.
+        reader: of :data:`~geomid_ros.files.models.readers.ELEMENTS`.
     """
 
     session: Session
@@ -265,14 +265,14 @@ class JudgedFile:
 
     @property
     def worse(self) -> list[str]:
-        """Sentences on the channels that the file predicts worse than the given description, where the full estimate
-        does, too."""
+        """Sentences on the channels that the file predicts worse than the given description, where the corrected file
+        and the full estimate do, too."""
         return [f"{text}; {_RECORD}" for name, text in self._worse if self._estimate_is_worse(name)]
 
     @property
     def limited(self) -> list[str]:
-        """Sentences on the other worse channels, where the full estimate predicts better: either the file cannot
-        represent some effects, or the sensor errors are beside it."""
+        """Sentences on the other worse channels, which the corrected file or the full estimate predicts better: the
+        sensor errors are beside the file, or it cannot represent some effects."""
         return [f"{text}{self._reason(name)}" for name, text in self._worse if not self._estimate_is_worse(name)]
 
     @property

@@ -44,8 +44,8 @@ class Export:
 def attached(model: Model, frame: str) -> Export:
     """Sum all links at and after the link ``frame``, in its axes.
 
-    Raises InputError if none of them has a mass, if one is merged into a link before, or if the data do not identify
-    them.
+    Raises InputError if none of them has a mass, if one is merged into a link before ``frame``, or if the data do not
+    identify them.
     """
     model.check_link(frame, "frame")
     return _sum_of(model, model.tree.subtree(frame), frame)

@@ -44,7 +44,7 @@ class Payload:
 
     @property
     def sentence(self) -> str:
-        """Mass with its interval and its link; the first moment instead if the motions identify only that."""
+        """Mass with its interval and its link, after the first moment if the motions identify only that."""
         low, high = self.interval
         gain = f", an uncertain gain of {100.0 * self.weighed.gain:.3g} % included" if self.weighed.gain else ""
         mass = f"{self.mass:.3f} kg, from {low:.3f} to {high:.3f} kg (95 %{gain}), at '{self.frame}'"

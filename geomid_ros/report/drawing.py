@@ -32,7 +32,7 @@ def draw_identification(
     Args:
         session: session of the identification.
         estimate: the estimate.
-        batches: samples in the order of time. The bodies are drawn in the pose in the middle of them.
+        batches: samples in the order of time; the bodies are drawn in the pose of the middle one.
         series: their channels.
         of_what: name of these samples.
     """

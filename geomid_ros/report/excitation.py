@@ -107,7 +107,7 @@ def motion_figure(found: Excitation) -> Figure:
 
 _SCRIPT = "motion.js"
 _RATE = 10.0  # [Hz] of the frames; the page interpolates linearly
-_DIRECTIONS = 80  # of the corners of a shape that are drawn
+_DIRECTIONS = 80  # number; the farthest corner of a shape in each is drawn
 _DECIMALS = 4
 
 

@@ -33,7 +33,7 @@ from geomid_ros.types import FloatArray
 _WIDTH = 310  # [pt]
 _ROW = 58  # height that each row adds to a picture
 _LEFT, _RIGHT, _TOP, _BOTTOM = 53, 12, 22, 33  # margins [pt]
-_FINE = 10  # units of a path to the point
+_FINE = 10  # path units per pt
 _FONT = "font-family='sans-serif' font-size='9'"
 
 
@@ -65,8 +65,8 @@ class _Panel:
         return right, down
 
     def drawn(self, marks: Sequence[str], label: str, below: str | None, behind: str = "") -> str:
-        """Draw the axes with marks above a grid above ``behind``, a label, and, with ``below``, the numbers and label
-        of x."""
+        """Draw the axes: marks over a grid over ``behind``, a label, and, with ``below``, the numbers and label of
+        x."""
         width, height = _FINE * self._width, _FINE * self.height
         across, up = ticks(*self.x, 7), ticks(*self.y, 5)
         right, _ = self.places(np.array(across), np.zeros(len(across)))

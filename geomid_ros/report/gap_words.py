@@ -207,7 +207,7 @@ def _common_gain(result: GapResult) -> list[Finding]:
     """Effort gains of all joints if they are equal within three standard deviations of their mean; else empty."""
     by_joint = {f.joint: f for f in result.findings if effect_class(f.effect).scales_measurement}
     gains = [finding.parameters["gain"] for finding in by_joint.values()]
-    joints = result.channels[: result.trace.position.shape[1]]  # their efforts come before wrenches
+    joints = result.channels[: result.trace.position.shape[1]]  # effort channels come before wrench channels
     if len(gains) < 2 or set(joints) - set(by_joint):
         return []
     values, weights = np.array([gain.value for gain in gains]), 1.0 / np.square([gain.std for gain in gains])
